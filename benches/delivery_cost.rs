@@ -6,14 +6,14 @@
 
 use std::time::Duration;
 
-use nsim::base::id::ChannelId;
-use nsim::bench::networks::delivery::{DeliveryNetwork, delivery_networks, lists_beyond_caches};
-use nsim::bench::{Budget, measure};
 use nsim::compile::{Options, compile};
-use nsim::io::target::load_target;
+use nsim::energy::measure::{Budget, measure};
+use nsim::files::target::load_target;
+use nsim::ir::base::id::ChannelId;
 use nsim::ir::spikes::Sample;
 use nsim::machine::layout::delivery_cost::{DELIVERY_COST, DeliveryParts};
 use nsim::machine::{Image, Machine, Settings};
+use nsim::study::networks::delivery::{DeliveryNetwork, delivery_networks, lists_beyond_caches};
 
 /// How long each step is measured.
 const BUDGET: Budget = Budget::Time(Duration::from_millis(400));

@@ -10,12 +10,12 @@
 use std::time::{Duration, Instant};
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use nsim::bench::networks::events_only;
-use nsim::bench::steps;
 use nsim::compile::{Options, compile};
-use nsim::io::target::load_target;
+use nsim::energy::measure::steps;
+use nsim::files::target::load_target;
 use nsim::ir::spikes::Engine;
 use nsim::machine::{Image, Machine, Settings};
+use nsim::study::networks::events_only;
 
 /// Synapses of a channel.
 const FAN_OUT: u32 = 64;

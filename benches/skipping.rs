@@ -12,17 +12,17 @@ use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use nsim::base::id::ChannelId;
-use nsim::compile::frontend::prune::{Plan, prune};
-use nsim::compile::{Options, compile, front};
-use nsim::desc::stimulus::SceneArg;
-use nsim::drive::decision::{EarlyExit, Rule};
-use nsim::drive::{Keep, digest, run_sample};
-use nsim::io;
+use nsim::compile::{Options, compile};
+use nsim::ir::base::id::ChannelId;
 use nsim::ir::program::Program;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Sample, Stimulus};
+use nsim::ir::stimulus::SceneArg;
 use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::prune::{Plan, prune};
+use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::front::front;
+use nsim::session::{Keep, digest, run_sample};
 
 /// Rounds in which every row is timed once.
 const ROUNDS: usize = 25;
@@ -35,7 +35,7 @@ struct Scene {
 }
 
 fn model(name: &str) -> Quantised {
-    front(&io::model::load_model(name).unwrap()).unwrap().into_quantised()
+    front(&nsim::import::model::load_model(name).unwrap()).unwrap().into_quantised()
 }
 
 fn tactile() -> Option<Scene> {
@@ -47,11 +47,11 @@ fn tactile() -> Option<Scene> {
         return None;
     }
     let network = model("container-tactile");
-    let sample = |spikes: io::spikes::PopulationSpikes| {
+    let sample = |spikes: nsim::import::spikes::PopulationSpikes| {
         let events: Vec<_> = spikes.events.iter().map(|&(step, channel)| (step, ChannelId(channel))).collect();
         Sample::new(spikes.steps, &events, spikes.label).unwrap()
     };
-    let read = io::spikes::read_source(&folder, u64::from(network.channels())).unwrap();
+    let read = nsim::import::spikes::read_source(&folder, u64::from(network.channels())).unwrap();
     Some(Scene { name: "tactile", network, samples: read.into_iter().map(sample).collect() })
 }
 
@@ -78,7 +78,7 @@ struct Row {
 }
 
 fn rows(scene: &Scene) -> Vec<Row> {
-    let target = io::target::load_target("nahuku-32").unwrap();
+    let target = nsim::files::target::load_target("nahuku-32").unwrap();
     let row = |kind, setting: &str, network: &Quantised, skip, rule| {
         let program = compile(network.clone(), &target, &Options::default()).unwrap().program;
         Row { kind, setting: setting.to_string(), network: network.clone(), program, skip, rule }
@@ -125,7 +125,7 @@ fn measure(scene: &Scene) {
             visited += outcome.totals.compartment_updates - machine.skipped_updates();
             outcomes.push(outcome);
         }
-        let sum = |of: fn(&nsim::drive::Outcome) -> u64| outcomes.iter().map(of).sum::<u64>();
+        let sum = |of: fn(&nsim::session::Outcome) -> u64| outcomes.iter().map(of).sum::<u64>();
         let steps = sum(|outcome| outcome.steps.into());
         did.push((digest(&outcomes), steps, visited, sum(|outcome| outcome.totals.synaptic_events)));
     }

@@ -7,13 +7,13 @@
 use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use nsim::bench::networks::StandardNetwork;
-use nsim::bench::steps;
 use nsim::compile::{Options, compile};
-use nsim::io::target::load_target;
+use nsim::energy::measure::steps;
+use nsim::files::target::load_target;
 use nsim::ir::program::Program;
 use nsim::ir::spikes::Engine;
 use nsim::machine::{Image, Machine, Settings};
+use nsim::study::networks::StandardNetwork;
 
 /// Steps after which the input's rate is the network's.
 const SETTLING: u64 = 40;

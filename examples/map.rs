@@ -2,10 +2,11 @@
 
 use std::error::Error;
 
-use nsim::compile::{CompileError, Options, compile, front};
-use nsim::desc::resource::Resource;
-use nsim::io::model::load_model;
-use nsim::io::target::load_target;
+use nsim::compile::{CompileError, Options, compile};
+use nsim::files::target::load_target;
+use nsim::import::model::load_model;
+use nsim::ir::resource::Resource;
+use nsim::session::front::front;
 
 /// Runs the example.
 pub fn main() -> Result<(), Box<dyn Error>> {

@@ -2,15 +2,16 @@
 
 use std::error::Error;
 
-use nsim::base::id::ChannelId;
-use nsim::compile::{Options, compile, front};
+use nsim::compile::{Options, compile};
 use nsim::cost::CostTable;
 use nsim::cost::model::energy;
-use nsim::drive::{Keep, run_sample};
-use nsim::io::model::load_model;
-use nsim::io::target::{load_constants, load_target};
+use nsim::files::target::{load_constants, load_target};
+use nsim::import::model::load_model;
+use nsim::ir::base::id::ChannelId;
 use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
+use nsim::session::front::front;
+use nsim::session::{Keep, run_sample};
 
 /// Runs the example.
 pub fn main() -> Result<(), Box<dyn Error>> {

@@ -25,33 +25,34 @@
 //!
 //! The feature `cli`, on by default, adds the command line and its dependencies.
 
-pub mod agree;
-pub mod base;
-pub mod bench;
 #[cfg(feature = "cli")]
 pub mod cli;
-pub mod compile;
-pub mod convert;
-pub mod cost;
-pub mod desc;
-pub mod drive;
-pub mod energy;
-pub mod error;
-pub mod golden;
-pub mod io;
-pub mod ir;
-pub mod machine;
-pub mod neuron;
-pub mod reference;
-pub mod report;
-pub mod scene;
-pub mod stress;
-pub mod sweep;
-pub mod train;
 
-pub use compile::{CompileError, Compiled, Options, compile, front};
-pub use drive::inputs::stimulus;
-pub use drive::priced::{Priced, run_priced};
-pub use error::Error;
-pub use io::model::load_model;
-pub use io::target::load_target;
+pub use nsim_agree as agree;
+#[cfg(feature = "ann")]
+pub use nsim_ann as ann;
+pub use nsim_check as check;
+pub use nsim_compile as compile;
+pub use nsim_cost as cost;
+pub use nsim_dynamics as dynamics;
+pub use nsim_energy as energy;
+pub use nsim_files as files;
+pub use nsim_golden as golden;
+pub use nsim_import as import;
+pub use nsim_ir as ir;
+pub use nsim_machine as machine;
+pub use nsim_quantise as quantise;
+pub use nsim_reference as reference;
+pub use nsim_report as report;
+pub use nsim_scene as scene;
+pub use nsim_session as session;
+pub use nsim_study as study;
+pub use nsim_train as train;
+
+pub use nsim_compile::{CompileError, Compiled, Options, compile};
+pub use nsim_files::target::load_target;
+pub use nsim_import::model::load_model;
+pub use nsim_session::error::Error;
+pub use nsim_session::front::front;
+pub use nsim_session::inputs::stimulus;
+pub use nsim_session::priced::{Priced, run_priced};

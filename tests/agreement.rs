@@ -14,20 +14,22 @@ use nsim::agree::attribution::{as_trained, attribute, distances};
 use nsim::agree::causes::{Cause, Rung};
 use nsim::agree::ladder::{Ladder, layers};
 use nsim::agree::trace::{Layer, Trace};
-use nsim::base::diagnostic::SourceText;
-use nsim::base::id::ChannelId;
-use nsim::base::rng;
-use nsim::compile::frontend::analytic::{self, Fit};
-use nsim::compile::frontend::lower::lower;
 use nsim::compile::{Options, compile};
-use nsim::convert::search::search;
-use nsim::desc::network::{Network, NetworkFile};
+use nsim::files::lower::lower;
+use nsim::files::network::{Network, NetworkFile};
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::target::load_target;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::base::id::ChannelId;
+use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
-use nsim::reference::{self, Kernel, Model, Reference};
+use nsim::quantise::analytic;
+use nsim::quantise::analytic::Fit;
+use nsim::reference;
+use nsim::reference::{Kernel, Model, Reference};
+use nsim::train::convert::search::search;
 
 fn graph(text: &str) -> Graph {
     let source = SourceText::new("m.ron", text);
@@ -97,8 +99,8 @@ fn borrowed(samples: &[Sample]) -> Vec<&Sample> {
 /// Fits with every free integer away from the analytic start.
 fn chosen(graph: &Graph) -> Vec<Option<Fit>> {
     let moved = |fit: Fit, count: u32| Fit {
-        dv: nsim::base::fixed::Decay::new(900).unwrap(),
-        refractory: nsim::base::fixed::Refractory::new(2).unwrap(),
+        dv: nsim::ir::base::fixed::Decay::new(900).unwrap(),
+        refractory: nsim::ir::base::fixed::Refractory::new(2).unwrap(),
         copies: vec![(2, 0.7), (5, 0.4)],
         own: vec![vec![fit.threshold * 0.2], (0..count).map(|i| -0.02 * fit.threshold * f64::from(i)).collect()],
         threshold: fit.threshold * 0.6,
@@ -177,7 +179,7 @@ fn it_begins_where_the_reference_engine_ends() {
         let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
         let network = ladder.deployed();
         let model = Model::<f64>::new(&graph, reference::Options::default());
-        let thresholds = nsim::neuron::model_thresholds(&graph);
+        let thresholds = nsim::dynamics::model_thresholds(&graph);
         let begin = ladder.trained().with(Cause::Pipeline);
         assert_ne!(begin, Rung::MACHINE);
         for sample in &samples(0..6) {
@@ -242,7 +244,7 @@ fn with_every_cause_it_is_the_machine_bit_for_bit() {
     is_the_machine(&srm, &chosen(&srm), &samples(0..6), 500);
     let real = graph(REAL);
     is_the_machine(&real, &analytic::starts(&real), &samples(0..6), 500);
-    let shipped = lower(&nsim::io::model::load_model("vtsnn-slip").unwrap()).unwrap();
+    let shipped = lower(&nsim::import::model::load_model("vtsnn-slip").unwrap()).unwrap();
     let noise = |seed: u64| {
         let all = (0..150).flat_map(|t| (0..3306).map(move |c| (t, ChannelId(c))));
         Sample::new(150, &all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < 0.03).collect::<Vec<_>>(), None)
@@ -563,7 +565,7 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
                 if v[unit] > 64 * 20 {
                     (spikes[unit], v[unit]) = (1, 0);
                 }
-                let compartment = nsim::base::id::CompartmentId(unit as u32);
+                let compartment = nsim::ir::base::id::CompartmentId(unit as u32);
                 assert_eq!(i64::from(golden.u(compartment)), u[unit], "{step} {unit}");
                 assert_eq!(i64::from(golden.v(compartment)), v[unit], "{step} {unit}");
                 assert_eq!(machine.v(compartment), golden.v(compartment), "{step} {unit}");
@@ -577,6 +579,6 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
     assert!(all > 100 && each_weight > 100, "{all} spikes, {each_weight} sums that weights alone do not give");
 }
 
-fn lower_and_quantise(text: &str) -> Result<nsim::ir::quantised::Quantised, nsim::base::diagnostic::Diagnostic> {
-    nsim::compile::frontend::quantise::quantise(&graph(text))
+fn lower_and_quantise(text: &str) -> Result<nsim::ir::quantised::Quantised, nsim::ir::base::diagnostic::Diagnostic> {
+    nsim::quantise::quantise::quantise(&graph(text))
 }

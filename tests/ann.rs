@@ -6,10 +6,10 @@
 #![allow(clippy::unwrap_used)]
 
 use candle_core::Tensor;
-use nsim::base::rng;
-use nsim::train::ann::layers::{Convolution, Weights, halved, tensor};
-use nsim::train::ann::networks::Ann;
-use nsim::train::ann::{AnnKind, AnnSettings, Senses, trained};
+use nsim::ann::layers::{Convolution, Weights, halved, tensor};
+use nsim::ann::networks::Ann;
+use nsim::ann::{AnnKind, AnnSettings, Senses, trained};
+use nsim::ir::base::rng;
 use nsim::train::fit::Example;
 use nsim::train::raster::Raster;
 

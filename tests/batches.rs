@@ -9,20 +9,21 @@ mod common;
 use std::time::Duration;
 
 use common::random;
-use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::base::rng;
+use nsim::ir::base::id::{ChannelId, CompartmentId};
+use nsim::ir::base::rng;
 use std::collections::BTreeMap;
 
-use nsim::base::diagnostic::SourceText;
-use nsim::bench::batch::{BatchForm, Gpu};
-use nsim::compile::frontend::lower::lower;
-use nsim::desc::network::{Network, NetworkFile, Semantics};
-use nsim::desc::neurons::NeuronKind;
+use nsim::files::lower::lower;
+use nsim::files::network::{Network, NetworkFile};
 use nsim::golden::Golden;
+use nsim::ir::arithmetic::Semantics;
+use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::graph::Graph;
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::reference::{Model, Options, Reference};
+use nsim::study::batch::{BatchForm, Gpu};
 
 /// A device, or nothing and loud words; a failure where `NSIM_REQUIRE_GPU` is 1.
 fn gpu() -> Option<Gpu> {
@@ -45,7 +46,7 @@ fn in_hardware(network: &Quantised, kind: Option<NeuronKind>) -> Quantised {
     parts.semantics = Semantics::Hardware;
     for population in parts.populations.iter_mut() {
         if let (Units::Compartments { neurons, .. }, Some(kind)) = (&mut population.units, kind) {
-            let refractory = nsim::base::fixed::Refractory::new(1).unwrap();
+            let refractory = nsim::ir::base::fixed::Refractory::new(1).unwrap();
             *neurons = neurons.try_map(|_, neuron| Ok::<_, ()>(Neuron { kind, refractory, ..neuron })).unwrap();
         }
     }
@@ -150,7 +151,7 @@ fn spikes_in_f32_are_those_of_the_reference() {
         let graph = graph(text);
         let name = graph.facts().name.clone();
         let (model, form) = (Model::<f32>::new(&graph, Options::default()), BatchForm::real(&graph).unwrap());
-        let thresholds = nsim::neuron::model_thresholds(&graph);
+        let thresholds = nsim::dynamics::model_thresholds(&graph);
         let noise = |seed: u64| {
             let places = (0..120).flat_map(|step| (0..model.channels()).map(move |channel| (step, ChannelId(channel))));
             let spiked = |&(step, channel): &(u32, ChannelId)| rng::unit(seed, channel.0.into(), step.into()) < 0.12;
@@ -193,7 +194,7 @@ fn a_batch_is_timed_on_the_device() {
     let network = in_hardware(&random::network(2), None);
     let form = BatchForm::new(&network).unwrap();
     let sample = random::sample(&network, 4);
-    let row = nsim::bench::batch_sizes::gpu(&gpu, &form, (&[&sample], sample.steps()), 8, Duration::ZERO).unwrap();
+    let row = nsim::study::batch_sizes::gpu(&gpu, &form, (&[&sample], sample.steps()), 8, Duration::ZERO).unwrap();
     assert_eq!((row.batch, row.together), (8, 8));
     assert!(row.batch_ms > 0.0 && row.hardware.starts_with(gpu.name()), "{row:?}");
     assert_eq!(row.hardware.ends_with("software, integers"), gpu.is_software());

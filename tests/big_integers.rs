@@ -9,12 +9,13 @@ mod common;
 use std::cell::Cell;
 
 use common::{biased, neuron};
-use nsim::base::fixed::{Decay, VmaxExponent, VminExponent, WeightExponent, decay, scaled_weight};
-use nsim::desc::network::{Semantics, ThresholdTest};
-use nsim::io::target::load_target;
-use nsim::neuron::{self, Registers, update};
-use nsim::stress::exact::{Compartment, Parameters, decayed, scaled};
-use nsim::stress::{CASES, Case};
+use nsim::agree::stress::exact::{Compartment, Parameters, decayed, scaled};
+use nsim::agree::stress::{CASES, Case};
+use nsim::dynamics as neuron;
+use nsim::dynamics::{Registers, update};
+use nsim::files::target::load_target;
+use nsim::ir::arithmetic::{Semantics, ThresholdTest};
+use nsim::ir::base::fixed::{Decay, VmaxExponent, VminExponent, WeightExponent, decay, scaled_weight};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 

@@ -10,20 +10,20 @@ use std::path::Path;
 
 use assert_cmd::Command;
 use common::data;
-use nsim::base::diagnostic::SourceText;
-use nsim::base::id::ChannelId;
-use nsim::base::rng;
-use nsim::compile::frontend::lower::lower;
-use nsim::compile::frontend::quantise::quantise;
-use nsim::convert::fine_tune::Task;
-use nsim::convert::staged::Choices;
-use nsim::convert::{model_file, staged};
-use nsim::desc::network::{Network, NetworkFile};
-use nsim::desc::training::TrainingFile;
+use nsim::files::lower::lower;
+use nsim::files::network::{Network, NetworkFile};
+use nsim::files::training::TrainingFile;
 use nsim::golden::Golden;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::base::id::ChannelId;
+use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
 use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample};
+use nsim::quantise::quantise::quantise;
+use nsim::train::convert::fine_tune::Task;
+use nsim::train::convert::staged::Choices;
+use nsim::train::convert::{model_file, staged};
 use nsim::train::fit::Example;
 use nsim::train::plan::plan;
 
@@ -231,8 +231,8 @@ fn fine_tuning_refuses_what_the_training_file_does_not_describe() {
     for (from, to) in [("size: 8", "size: 7"), ("[30]", "[29]"), ("theta: 10", "theta: 9"), ("Same(10)", "Same(11)")] {
         let source = SourceText::new("t.ron", TRAINING.replace(from, to));
         let file = TrainingFile::parse(&source).unwrap();
-        let starts = nsim::compile::frontend::analytic::starts(&graph);
-        let of = (&starts[..], nsim::compile::frontend::exponents::Detail::Carried);
+        let starts = nsim::quantise::analytic::starts(&graph);
+        let of = (&starts[..], nsim::quantise::exponents::Detail::Carried);
         let error = Task::new(&graph, of, &file, plan(&file, &source).unwrap()).unwrap_err();
         assert_eq!(error.code, "convert.fine-tune", "{to}");
     }

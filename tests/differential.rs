@@ -7,26 +7,27 @@
 mod common;
 
 use common::{Net, format, neuron, random};
-use nsim::base::fixed::SignMode;
-use nsim::base::id::{ChannelId, CompartmentId, Id};
-use nsim::base::rng;
-use nsim::bench::networks::{Random, random as random_network};
-use nsim::compile::frontend::prune::{Plan, prune};
-use nsim::compile::{self, Compiled, DEFAULT_RATE, Form, Options, compile, compile_saved, front, with_program};
-use nsim::desc::resource::Resource;
-use nsim::desc::stimulus::SceneArg;
-use nsim::desc::target::Target;
+use nsim::compile::{Compiled, DEFAULT_RATE, Form, Options, compile, compile_saved, with_program};
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::model::load_model;
-use nsim::io::target::load_target;
+use nsim::import::model::load_model;
 use nsim::ir::activity::{Activity, Overflow, Totals};
+use nsim::ir::base::fixed::SignMode;
+use nsim::ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim::ir::base::rng;
 use nsim::ir::firing_rates::Rates;
 use nsim::ir::graph::{Shape, Window};
+use nsim::ir::hardware::Target;
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::quantised::connectivity::Connectivity;
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
+use nsim::ir::stimulus::SceneArg;
 use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::prune::{Plan, prune};
+use nsim::session::front::front;
+use nsim::study::networks::{Random, random as random_network};
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 1000;
@@ -149,7 +150,7 @@ fn random_convolutions_are_the_same_in_both_engines() {
         let small = Options { place: false, ..Options::default() };
         for (name, target) in [("boxes", board.clone()), ("small boxes", board.clone().with_limits(limits))] {
             let rates = Rates::assumed(DEFAULT_RATE);
-            let symbolic = compile::map(network.clone().into(), &target, &small, &rates, Form::Symbolic);
+            let symbolic = nsim::compile::map(network.clone().into(), &target, &small, &rates, Form::Symbolic);
             if let Ok(symbolic) = symbolic {
                 mapped.push((name, with_program(symbolic, &target).unwrap()));
                 boxes += 1;

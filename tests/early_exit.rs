@@ -9,18 +9,19 @@ mod common;
 use std::num::NonZeroU32;
 
 use assert_cmd::Command;
-use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::compile::{Options, compile, front};
-use nsim::drive::decision::{EarlyExit, Rule};
-use nsim::drive::{Keep, Outcome, run_sample};
+use nsim::compile::{Options, compile};
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::model::load_model;
-use nsim::io::target::load_target;
+use nsim::import::model::load_model;
 use nsim::ir::activity::Activity;
+use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
+use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::front::front;
+use nsim::session::{Keep, Outcome, run_sample};
 use rayon::prelude::*;
 use serde_json::Value;
 

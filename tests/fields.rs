@@ -10,10 +10,12 @@ mod torch;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use nsim::compile::frontend::lower::lower;
-use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
-use nsim::io::foreign::{self, Options};
-use nsim::io::model_builder::ModelBuilder;
+use nsim::files::lower::lower;
+use nsim::files::model_builder::ModelBuilder;
+use nsim::import::foreign;
+use nsim::import::foreign::Options;
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Group, Item, Numbers};
 use serde_json::Value;
 use torch::{Entry, checkpoint};
 

@@ -14,17 +14,21 @@ mod memory;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use nsim::base::fixed::SignMode;
-use nsim::base::rng;
-use nsim::desc::network::{ResetDesc, Semantics, ThresholdTest};
-use nsim::io::foreign::hdf5::{self, Item, Numbers};
-use nsim::io::foreign::{self, Options, nir_export};
-use nsim::io::fuzz_entry;
-use nsim::io::model::load_model;
-use nsim::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
-use nsim::io::spikes::events::event::{Event, Sink};
-use nsim::io::spikes::events::{nir_data, read as events};
-use nsim::io::spikes::{EventFormat, EventOptions, Expected, read_source, read_spikes};
+use nsim::files::model_builder::{
+    ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor,
+};
+use nsim::import::foreign;
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Item, Numbers};
+use nsim::import::foreign::{Options, nir_export};
+use nsim::import::fuzz_entry;
+use nsim::import::model::load_model;
+use nsim::import::spikes::events::event::{Event, Sink};
+use nsim::import::spikes::events::{nir_data, read as events};
+use nsim::import::spikes::{EventFormat, EventOptions, Expected, read_source, read_spikes};
+use nsim::ir::arithmetic::{ResetDesc, Semantics, ThresholdTest};
+use nsim::ir::base::fixed::SignMode;
+use nsim::ir::base::rng;
 use proptest::prelude::*;
 
 /// What any file may take: 96 MiB and 32 times its size.
@@ -142,7 +146,7 @@ impl Sink for All {
         assert_eq!((columns, rows), (16, 16));
     }
 
-    fn event(&mut self, event: Event) -> Result<(), nsim::base::diagnostic::Diagnostic> {
+    fn event(&mut self, event: Event) -> Result<(), nsim::ir::base::diagnostic::Diagnostic> {
         self.0.push((event.t_us, event.x, event.y, event.on));
         Ok(())
     }
@@ -464,19 +468,19 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
             .projections
             .iter()
             .map(|projection| match &projection.value {
-                nsim::desc::network::ProjectionDesc::Dense(_) => "Dense",
-                nsim::desc::network::ProjectionDesc::Sparse(_) => "Sparse",
-                nsim::desc::network::ProjectionDesc::Conv2d(_) => "Conv2d",
-                nsim::desc::network::ProjectionDesc::SumPool2d(_) => "SumPool2d",
-                nsim::desc::network::ProjectionDesc::Random(_) => "Random",
+                nsim::files::network::ProjectionDesc::Dense(_) => "Dense",
+                nsim::files::network::ProjectionDesc::Sparse(_) => "Sparse",
+                nsim::files::network::ProjectionDesc::Conv2d(_) => "Conv2d",
+                nsim::files::network::ProjectionDesc::SumPool2d(_) => "SumPool2d",
+                nsim::files::network::ProjectionDesc::Random(_) => "Random",
             })
             .collect();
         let mut sorted = (kinds.clone(), synapses.clone());
         sorted.0.sort_unstable();
         sorted.1.sort_unstable();
         assert_eq!(sorted.0, sorted.1, "{name}: {kinds:?}");
-        let graph = nsim::compile::frontend::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
-        nsim::compile::frontend::quantise::quantise(&graph).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let graph = nsim::files::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
+        nsim::quantise::quantise::quantise(&graph).unwrap_or_else(|error| panic!("{name}: {error}"));
     }
     let imported = foreign::read(&folder.path().join("nir_recurrent.net"), &options).unwrap();
     let model = imported.model;
@@ -492,7 +496,7 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
         let imported =
             foreign::from_bytes(Path::new("x.nir"), bytes, &options).unwrap_or_else(|e| panic!("{name}: {e}"));
         let network = imported.model.build(Path::new("x.nir")).unwrap();
-        nsim::compile::frontend::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
+        nsim::files::lower::lower(&network).unwrap_or_else(|error| panic!("{name}: {error}"));
     }
 }
 

@@ -5,13 +5,16 @@
 
 use std::path::Path;
 
-use nsim::base::diagnostic::SourceText;
-use nsim::compile::frontend::{lower::lower, quantise::quantise};
-use nsim::desc::mapping::MappingFile;
-use nsim::desc::spanned::parse;
-use nsim::io::shipped::Origin;
-use nsim::io::spikes::{self, manifest};
-use nsim::io::{model, target};
+use nsim::files::lower::lower;
+use nsim::files::shipped::Origin;
+use nsim::files::target;
+use nsim::import::model;
+use nsim::import::spikes;
+use nsim::import::spikes::manifest;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::mapping::MappingFile;
+use nsim::ir::spanned::parse;
+use nsim::quantise::quantise::quantise;
 
 /// The fenced blocks of a language, under the line that they begin at.
 fn blocks(language: &str) -> Vec<(SourceText, String)> {

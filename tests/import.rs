@@ -8,19 +8,23 @@ mod common;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use nsim::base::id::ChannelId;
-use nsim::compile::{Options as MapOptions, compile, front};
-use nsim::desc::network::{Network, ReadOut, ThresholdTest};
-use nsim::desc::tensor::Tensor;
-use nsim::drive::{Keep, Probe, Quantity, run_sample};
-use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
-use nsim::io::foreign::{self, Options};
-use nsim::io::model::load_model;
-use nsim::io::npy;
-use nsim::io::target::load_target;
+use nsim::compile::{Options as MapOptions, compile};
+use nsim::files::network::Network;
+use nsim::files::npy;
+use nsim::files::target::load_target;
+use nsim::import::foreign;
+use nsim::import::foreign::Options;
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::import::model::load_model;
+use nsim::ir::arithmetic::{ReadOut, ThresholdTest};
+use nsim::ir::base::id::ChannelId;
 use nsim::ir::quantised::Output;
 use nsim::ir::spikes::Sample;
+use nsim::ir::tensor::Tensor;
 use nsim::machine::{Image, Machine, Settings};
+use nsim::session::front::front;
+use nsim::session::{Keep, Probe, Quantity, run_sample};
 
 /// (step, unit) of each spike.
 type Spikes = BTreeSet<(u32, u32)>;
@@ -150,7 +154,7 @@ fn the_oxford_checkpoint_of_slayer_gives_its_recorded_spikes() {
         let theirs = npy::read(&data.join(file)).unwrap();
         let imported = foreign::read(&data.join("oxfordNet.pt"), &options).unwrap();
         let ours = imported.model.projections.iter().find(|projection| projection.to == layer).unwrap();
-        assert_eq!(ours.kind, nsim::io::model_builder::ProjectionKind::Dense(theirs));
+        assert_eq!(ours.kind, nsim::files::model_builder::ProjectionKind::Dense(theirs));
     }
 }
 
@@ -208,7 +212,7 @@ fn typed(kind: &str) -> Item {
 /// Small numbers that look random, even ones.
 fn noise(count: usize, seed: u64, amplitude: i64) -> Vec<i64> {
     (0..count as u64)
-        .map(|i| 2 * (nsim::base::rng::below(2 * amplitude as u64 + 1, seed, i, 0) as i64 - amplitude))
+        .map(|i| 2 * (nsim::ir::base::rng::below(2 * amplitude as u64 + 1, seed, i, 0) as i64 - amplitude))
         .collect()
 }
 
@@ -347,7 +351,7 @@ fn a_deep_network_with_an_image_and_resets_gives_what_its_equations_give() {
     std::fs::write(&path, hdf5::write(&Group::default().with("layer", file)).unwrap()).unwrap();
 
     // An image of bytes, [height, width, channels].
-    let pixels: Vec<u8> = (0..96).map(|i| nsim::base::rng::below(256, 7, i, 0) as u8).collect();
+    let pixels: Vec<u8> = (0..96).map(|i| nsim::ir::base::rng::below(256, 7, i, 0) as u8).collect();
     let image = folder.path().join("image.npy");
     npy::write(std::fs::File::create(&image).unwrap(), &[8, 6, 2], pixels.iter().copied()).unwrap();
     let drive: Vec<i64> = (0..96)

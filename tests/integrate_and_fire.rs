@@ -8,31 +8,31 @@ mod common;
 use std::path::Path;
 
 use common::random;
-use nsim::base::diagnostic::SourceText;
-use nsim::base::fixed::Decay;
-use nsim::base::id::CompartmentId;
-use nsim::compile::frontend::lower::lower;
-use nsim::compile::frontend::prune::{Plan, prune};
-use nsim::compile::frontend::quantise::quantise;
 use nsim::compile::{Options, compile};
-use nsim::desc::neurons::NeuronKind;
-use nsim::desc::resource::Resource;
-use nsim::drive::decision::Pace;
+use nsim::files::lower::lower;
+use nsim::files::model_builder::ModelBuilder;
+use nsim::files::shipped::Origin;
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::model::network;
-use nsim::io::model_builder::ModelBuilder;
-use nsim::io::shipped::Origin;
-use nsim::io::target::load_target;
+use nsim::import::model::network;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::base::fixed::Decay;
+use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Graph;
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::prune::{Plan, prune};
+use nsim::quantise::quantise::quantise;
 use nsim::reference::{Model, Options as RealOptions, Reference};
+use nsim::session::decision::Pace;
 
 /// The network with every population of this kind, without memory of currents and without leaks.
 fn with_kind(network: &Quantised, kind: NeuronKind) -> Quantised {
     let mut parts = network.parts().clone();
-    parts.semantics = nsim::desc::network::Semantics::Hardware;
+    parts.semantics = nsim::ir::arithmetic::Semantics::Hardware;
     for population in parts.populations.iter_mut() {
         if let Units::Compartments { neurons, .. } = &mut population.units {
             let neuron = |_, neuron| Ok::<_, ()>(Neuron { kind, du: Decay::MAX, dv: Decay::MIN, ..neuron });

@@ -21,7 +21,7 @@ fn run(folder: &Path, args: &[&str]) -> (i32, Value) {
 
 fn npy(shape: &[u64], numbers: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
-    nsim::io::npy::write(&mut bytes, shape, numbers.iter().copied()).unwrap();
+    nsim::files::npy::write(&mut bytes, shape, numbers.iter().copied()).unwrap();
     bytes
 }
 

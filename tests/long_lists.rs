@@ -6,7 +6,7 @@
 #[path = "common/memory.rs"]
 mod memory;
 
-use nsim::io::model::load_model;
+use nsim::import::model::load_model;
 
 fn check(test: &str, row: &str, most: u64) {
     memory::alone(test, |growth| {

@@ -10,23 +10,24 @@ use std::path::Path;
 use std::sync::Arc;
 
 use common::{Net, format, neuron};
-use nsim::base::fixed::SignMode;
-use nsim::base::rng;
-use nsim::bench::mapping::{MeasuredMapping, map_all};
-use nsim::bench::suite::cases;
 use nsim::compile::explore::traffic::traffic;
-use nsim::compile::{Compiled, CopyPlacement, Effort, Objective, Options, Strategy, compile, compile_saved, front};
-use nsim::desc::resource::{Limits, Resource};
-use nsim::desc::target::Target;
-use nsim::io::mapping::load_mapping;
-use nsim::io::model::load_model;
-use nsim::io::target::load_target;
+use nsim::compile::{Compiled, CopyPlacement, Effort, Objective, Options, Strategy, compile, compile_saved};
+use nsim::files::mapping::load_mapping;
+use nsim::files::target::load_target;
+use nsim::import::model::load_model;
+use nsim::ir::base::fixed::SignMode;
+use nsim::ir::base::rng;
 use nsim::ir::firing_rates::Rates;
 use nsim::ir::graph::Shape;
+use nsim::ir::hardware::Target;
 use nsim::ir::placement::Mesh;
 use nsim::ir::program::Program;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::quantised::connectivity::Connectivity;
+use nsim::ir::resource::{Limits, Resource};
+use nsim::session::front::front;
+use nsim::study::mapping::{MeasuredMapping, map_all};
+use nsim::study::suite::cases;
 
 /// Those of the suite that a test has time for.
 const SMALL: [&str; 9] = [

@@ -8,16 +8,16 @@ mod common;
 use std::collections::BTreeMap;
 
 use common::random;
-use nsim::base::id::{CompartmentId, Id};
 use nsim::compile::{Options, compile};
-use nsim::desc::resource::Resource;
-use nsim::drive::neurobench::NeuroBench;
-use nsim::drive::samples::{Running, fast, golden};
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::target::load_target;
+use nsim::ir::base::id::{CompartmentId, Id};
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Quantised, Units};
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Engine, Sample};
+use nsim::session::neurobench::NeuroBench;
+use nsim::session::samples::{Running, fast, golden};
 
 /// Operations without and with numbers, all of a network without zeros, membrane updates, spikes: sums over the samples.
 #[derive(Debug, Default, PartialEq)]

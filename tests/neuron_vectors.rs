@@ -11,8 +11,8 @@ use std::path::Path;
 
 use common::drive::Drive;
 use common::{Array, Net, biased, data, engines, neuron};
-use nsim::base::id::CompartmentId;
-use nsim::desc::network::Semantics;
+use nsim::ir::arithmetic::Semantics;
+use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Shape;
 
 /// The regimes that were recorded, each under all three.

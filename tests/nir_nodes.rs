@@ -9,14 +9,16 @@ mod real;
 
 use std::path::Path;
 
-use nsim::base::diagnostic::Diagnostic;
-use nsim::base::rng;
-use nsim::compile::frontend::lower::lower;
-use nsim::desc::network::ThresholdTest;
-use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
-use nsim::io::foreign::imported::DecayRule;
-use nsim::io::foreign::{self, Imported, Options, ResetMode, nir_export};
-use nsim::io::model_builder::{ModelBuilder, Parameter, ProjectionKind};
+use nsim::files::lower::lower;
+use nsim::files::model_builder::{ModelBuilder, Parameter, ProjectionKind};
+use nsim::import::foreign;
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::import::foreign::imported::DecayRule;
+use nsim::import::foreign::{Imported, Options, ResetMode, nir_export};
+use nsim::ir::arithmetic::ThresholdTest;
+use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::base::rng;
 use real::{STEPS, input, spikes, total};
 
 fn typed(kind: &str) -> Group {

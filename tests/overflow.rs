@@ -11,10 +11,10 @@ mod common;
 use assert_cmd::Command;
 use common::drive::Drive;
 use common::{Net, biased, engines, neuron};
-use nsim::base::fixed::{VmaxExponent, VminExponent};
-use nsim::base::id::CompartmentId;
-use nsim::desc::network::Semantics;
 use nsim::ir::activity::Overflow;
+use nsim::ir::arithmetic::Semantics;
+use nsim::ir::base::fixed::{VmaxExponent, VminExponent};
+use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Shape;
 use nsim::ir::quantised::Neuron;
 

@@ -7,24 +7,24 @@
 mod common;
 
 use common::random;
-use nsim::base::id::ChannelId;
-use nsim::base::units::{Femtojoules, Picoseconds};
 use nsim::compile::{Compiled, Options, compile};
 use nsim::cost::model::{core_time, energy};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
-use nsim::desc::resource::Resource;
-use nsim::desc::target::Target;
-use nsim::drive::cores::core_rows;
-use nsim::drive::populations::ByPopulation;
-use nsim::drive::priced::{Metered, SampleRun};
-use nsim::drive::samples::{Run, Running, golden};
-use nsim::drive::steps::{CELLS, StepLayout, run_recorded};
-use nsim::drive::{Keep, Outcome};
-use nsim::io::recorded::steps::{StepFormat, StepWriter};
-use nsim::io::target::load_target;
+use nsim::files::recorded::steps::{StepFormat, StepWriter};
+use nsim::files::target::load_target;
 use nsim::ir::activity::{Overflow, Totals};
+use nsim::ir::base::id::ChannelId;
+use nsim::ir::base::units::{Femtojoules, Picoseconds};
+use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Quantised;
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Sample};
+use nsim::session::cores::core_rows;
+use nsim::session::populations::ByPopulation;
+use nsim::session::priced::{Metered, SampleRun};
+use nsim::session::samples::{Run, Running, golden};
+use nsim::session::steps::{CELLS, StepLayout, run_recorded};
+use nsim::session::{Keep, Outcome};
 use rayon::ThreadPoolBuilder;
 
 /// A chip whose cores hold few compartments and many kinds of them.
@@ -51,7 +51,7 @@ fn totals(outcomes: &[Outcome]) -> (Totals, Overflow) {
 /// Rows of populations and inputs add up to the totals of the samples.
 fn assert_adds_up(rows: &ByPopulation, network: &Quantised, outcomes: &[Outcome], what: &str) {
     let (totals, overflow) = totals(outcomes);
-    let sum = |f: fn(&nsim::drive::populations::PopulationCounts) -> u64| rows.populations.iter().map(f).sum::<u64>();
+    let sum = |f: fn(&nsim::session::populations::PopulationCounts) -> u64| rows.populations.iter().map(f).sum::<u64>();
     assert_eq!(sum(|row| row.spikes), totals.spikes, "{what}: spikes");
     assert_eq!(sum(|row| row.clipped), overflow.v_clipped, "{what}: clipped");
     assert_eq!(sum(|row| row.wrapped), overflow.q_wrapped + overflow.u_wrapped, "{what}: wrapped");
@@ -141,7 +141,7 @@ fn copies_count_together() {
         let shown = Copies { copies, channels: network.channels() };
         let running =
             Running { keep: &keep, copies: shown, skip: true, per_step: false, progress: &|| (), ranks: None };
-        let run = nsim::drive::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
+        let run = nsim::session::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
         let rows = ByPopulation::new(&compiled.one, &run.counts);
         compare(&compiled, &target, &samples, &rows, &format!("{copies} copies"));
         rows

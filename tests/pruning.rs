@@ -10,24 +10,24 @@ use std::collections::BTreeMap;
 
 use common::random::{self, Draw};
 use common::{Net, biased, format, neuron};
-use nsim::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent};
-use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::compile::Strategy;
-use nsim::compile::frontend::prune::bound::may_fire;
-use nsim::compile::frontend::prune::{Plan, check_stimulus, prune};
 use nsim::compile::{Options, compile};
-use nsim::desc::network::{Semantics, ThresholdTest};
-use nsim::desc::resource::Resource;
-use nsim::desc::target::Target;
-use nsim::drive::{Keep, digest, run_sample};
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::target::load_target;
+use nsim::ir::arithmetic::{Semantics, ThresholdTest};
+use nsim::ir::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent};
+use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::ir::graph::{PerCompartment, Shape};
+use nsim::ir::hardware::Target;
 use nsim::ir::pruned::Kind;
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample, Stimulus};
 use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::prune::bound::may_fire;
+use nsim::quantise::prune::{Plan, check_stimulus, prune};
+use nsim::session::{Keep, digest, run_sample};
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 1500;
@@ -254,8 +254,8 @@ fn pruned_random_networks_spike_as_the_whole_ones() {
 #[test]
 fn recorded_touch_is_told_apart_the_same() {
     let Some(data) = common::data("ev-containers") else { return };
-    let model = nsim::io::model::load_model("container-tactile").unwrap();
-    let whole = nsim::compile::front(&model).unwrap().into_quantised();
+    let model = nsim::import::model::load_model("container-tactile").unwrap();
+    let whole = nsim::session::front::front(&model).unwrap().into_quantised();
     let chip = roomy();
     let samples = common::recordings(&data, &["train", "test"]);
     let digest_of = |network: &Quantised, shares, skip| {

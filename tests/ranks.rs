@@ -7,23 +7,23 @@
 mod common;
 
 use common::random;
-use nsim::base::units::Picoseconds;
 use nsim::compile::{CompileError, Compiled, Options, compile};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
-use nsim::desc::network::ReadOut;
-use nsim::desc::resource::Resource;
-use nsim::desc::target::Target;
-use nsim::drive::decision::{EarlyExit, Rule};
-use nsim::drive::handed::compile_on;
-use nsim::drive::priced::{Metered, SampleRun};
-use nsim::drive::samples::{Run, Running, fast};
-use nsim::drive::{Keep, Outcome, Probe, Quantity};
-use nsim::io::target::load_target;
+use nsim::files::target::load_target;
+use nsim::ir::arithmetic::ReadOut;
+use nsim::ir::base::units::Picoseconds;
 use nsim::ir::dealt::Share;
+use nsim::ir::hardware::Target;
 use nsim::ir::quantised::{Output, Parts, Quantised};
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Sample};
 use nsim::machine::ranks::threads::ranks;
 use nsim::machine::ranks::transport::Ranks;
+use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::handed::compile_on;
+use nsim::session::priced::{Metered, SampleRun};
+use nsim::session::samples::{Run, Running, fast};
+use nsim::session::{Keep, Outcome, Probe, Quantity};
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 200;
@@ -203,7 +203,7 @@ fn random_networks_do_the_same_on_any_number_of_ranks() {
 /// Threads of a rank share its cores: with enough synapses, in a pool of three.
 #[test]
 fn threads_of_a_rank_change_nothing() {
-    use nsim::bench::networks::{Random, random as driven};
+    use nsim::study::networks::{Random, random as driven};
     let bench =
         driven("small", Random { compartments: 6_000, background: 2, driven: 100, period: 32 }, &[0, 5]).unwrap();
     let target = load_target("nahuku-32").unwrap();

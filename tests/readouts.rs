@@ -11,12 +11,13 @@ use std::path::Path;
 
 use assert_cmd::Command;
 use common::random;
-use nsim::base::rng;
-use nsim::desc::network::ReadOut;
-use nsim::drive::decision::{EarlyExit, Rule};
-use nsim::drive::{Keep, Outcome, Probe, Quantity, run_sample};
-use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::ir::arithmetic::ReadOut;
+use nsim::ir::base::rng;
 use nsim::ir::quantised::{Parts, Quantised};
+use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::{Keep, Outcome, Probe, Quantity, run_sample};
 use rayon::prelude::*;
 use serde_json::Value;
 

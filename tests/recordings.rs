@@ -8,14 +8,14 @@ mod common;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use nsim::desc::tensor::Numbers;
-use nsim::io::foreign::hdf5;
-use nsim::io::kind::{EventFormat, FileKind};
-use nsim::io::npy;
-use nsim::io::spikes::events::event::Counts;
-use nsim::io::spikes::events::nir_data;
-use nsim::io::spikes::events::read::read_input;
-use nsim::io::spikes::{EventOptions, Expected, PopulationSpikes, list_folder, read_source, read_spikes};
+use nsim::files::npy;
+use nsim::import::foreign::hdf5;
+use nsim::import::kind::{EventFormat, FileKind};
+use nsim::import::spikes::events::event::Counts;
+use nsim::import::spikes::events::nir_data;
+use nsim::import::spikes::events::read::read_input;
+use nsim::import::spikes::{EventOptions, Expected, PopulationSpikes, list_folder, read_source, read_spikes};
+use nsim::ir::tensor::Numbers;
 
 fn spikes(samples: &[PopulationSpikes]) -> usize {
     samples.iter().map(|sample| sample.events.len()).sum()
@@ -394,7 +394,7 @@ fn every_field_of_a_recording_is_used_checked_or_listed_as_without_meaning() {
     let read = |extension: &str, bytes: &[u8], options: &str| {
         let path = folder.path().join(format!("a.{extension}"));
         std::fs::write(&path, bytes).unwrap();
-        let options = EventOptions::parse(&nsim::desc::stimulus::pairs(options).unwrap()).unwrap();
+        let options = EventOptions::parse(&nsim::ir::stimulus::pairs(options).unwrap()).unwrap();
         let units = if extension == "tact" { 156 } else { 512 };
         read_spikes(&path, "in", &Expected { units, volume: None, dt_ms: 1.0 }, &options)
     };
@@ -431,14 +431,18 @@ fn every_field_of_a_recording_is_used_checked_or_listed_as_without_meaning() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-fn read_text(text: &str, options: &str) -> nsim::base::diagnostic::Result<Vec<(u32, u32)>> {
+fn read_text(text: &str, options: &str) -> nsim::ir::base::diagnostic::Result<Vec<(u32, u32)>> {
     read_bytes("a.csv", text.as_bytes(), options).map(|(events, _)| events)
 }
 
 /// Spikes on 2 x 16 x 16 channels and the counts, in steps of a millisecond.
-fn read_bytes(name: &str, bytes: &[u8], options: &str) -> nsim::base::diagnostic::Result<(Vec<(u32, u32)>, Counts)> {
+fn read_bytes(
+    name: &str,
+    bytes: &[u8],
+    options: &str,
+) -> nsim::ir::base::diagnostic::Result<(Vec<(u32, u32)>, Counts)> {
     let FileKind::Events(format) = FileKind::from_bytes(bytes, Path::new(name)) else { panic!("{name}") };
-    let options = EventOptions::parse(&nsim::desc::stimulus::pairs(options).unwrap()).unwrap();
+    let options = EventOptions::parse(&nsim::ir::stimulus::pairs(options).unwrap()).unwrap();
     let expected = Expected { units: 512, volume: Some((2, 16, 16)), dt_ms: 1.0 };
     let (spikes, counts) = read_input(&mut &bytes[..], name, format, &expected, &options)?;
     Ok((spikes.events, counts))

@@ -8,17 +8,17 @@ mod common;
 
 use std::collections::BTreeMap;
 
-use nsim::base::diagnostic::SourceText;
-use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::base::rng;
-use nsim::compile::front;
-use nsim::compile::frontend::lower::lower;
-use nsim::compile::frontend::real_and_integers;
-use nsim::desc::network::{Network, NetworkFile};
+use nsim::files::lower::lower;
+use nsim::files::network::{Network, NetworkFile};
 use nsim::golden::Golden;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::base::id::{ChannelId, CompartmentId};
+use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::reference::{Kernel, Model, Options, Reference};
+use nsim::session::front::front;
+use nsim::session::front::real_and_integers;
 
 fn network(text: &str) -> Network {
     let source = SourceText::new("m.ron", text);

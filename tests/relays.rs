@@ -8,19 +8,19 @@ mod common;
 use std::collections::BTreeSet;
 
 use common::random::{self, Draw};
-use nsim::base::fixed::{Decay, Delay, Payload, Refractory};
-use nsim::base::id::{CompartmentId, Id, PopulationId, ProjectionId};
-use nsim::compile::check::relays::check;
-use nsim::compile::frontend::relays::{Relayed, relayed};
+use nsim::check::relays::check;
 use nsim::compile::{Options, compile};
-use nsim::desc::resource::Resource;
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::target::load_target;
+use nsim::ir::base::fixed::{Decay, Delay, Payload, Refractory};
+use nsim::ir::base::id::{CompartmentId, Id, PopulationId, ProjectionId};
 use nsim::ir::graph::PerCompartment;
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Parts, Quantised, Units};
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::relays::{Relayed, relayed};
 
 const NETWORKS: u64 = 400;
 
@@ -131,7 +131,7 @@ const MUTATIONS: [Mutation; 9] = [
         neurons(parts, own, |n| n.refractory = Refractory::new(2).unwrap())
     }),
     ("a relay that is never reached by its weight", |parts, _, own| {
-        neurons(parts, own, |n| n.vth = nsim::base::fixed::ThresholdMantissa::new(9).unwrap())
+        neurons(parts, own, |n| n.vth = nsim::ir::base::fixed::ThresholdMantissa::new(9).unwrap())
     }),
     ("a relay that starts late", |parts, _, own| {
         let Units::Compartments { start_step, .. } = &mut parts.populations[PopulationId::new(own)].units else {

@@ -7,14 +7,13 @@
 use std::collections::BTreeSet;
 use std::process::Command;
 
-use nsim::base::diagnostic::SourceText;
-use nsim::compile;
-use nsim::desc::stimulus::SceneArg;
-use nsim::drive::{Outcome, digest, inputs};
-use nsim::io::model::{load_model, network};
-use nsim::io::shipped::Origin;
+use nsim::files::shipped::Origin;
+use nsim::import::model::{load_model, network};
+use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::quantised::Quantised;
+use nsim::ir::stimulus::SceneArg;
 use nsim::scene;
+use nsim::session::{Outcome, digest, inputs};
 
 /// The digest of all input spikes, (sample, step, channel), of a scene made by so many threads.
 fn made(network: &Quantised, argument: &str, threads: usize) -> String {
@@ -30,7 +29,7 @@ fn made(network: &Quantised, argument: &str, threads: usize) -> String {
 
 #[test]
 fn scenes_are_the_same_at_any_number_of_threads_and_as_recorded() {
-    let network = compile::front(&load_model("vtsnn-slip").unwrap()).unwrap().into_quantised();
+    let network = nsim::front(&load_model("vtsnn-slip").unwrap()).unwrap().into_quantised();
     // Recorded with version 0.1.0; a change of a scene's physics or draws changes them, and every accuracy in the
     // documents with them.
     let recorded = [
@@ -55,7 +54,7 @@ fn with_inputs(inputs: &str) -> Quantised {
          projections: [Random(from: [{from:?}], to: \"out\", fan_out: 1, low: 0, high: 0, seed: 0)], output: \"out\")"
     );
     let network = network(SourceText::new("n.ron", text), Origin::File).unwrap();
-    compile::front(&network).unwrap().into_quantised()
+    nsim::front(&network).unwrap().into_quantised()
 }
 
 #[test]

@@ -7,7 +7,7 @@ mod common;
 
 use common::drive::Drive;
 use common::{Array, Net, data, engines, neuron};
-use nsim::base::id::{ChannelId, CompartmentId};
+use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
 
 /// One compartment (du 1024, dv 128) that one spike over a weight of 2 reaches in step 1, with its register after each

@@ -10,19 +10,20 @@ use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
 
 use common::{Net, biased, engines, neuron};
-use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::compile::{Compiled, Options, compile, front};
-use nsim::desc::network::{Semantics, ThresholdTest};
-use nsim::desc::resource::Resource;
-use nsim::drive::{Keep, Outcome, Probe, Quantity, run_sample};
+use nsim::compile::{Compiled, Options, compile};
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::model::load_model;
-use nsim::io::target::load_target;
+use nsim::import::model::load_model;
 use nsim::ir::activity::Activity;
+use nsim::ir::arithmetic::{Semantics, ThresholdTest};
+use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
 use nsim::ir::quantised::Quantised;
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
+use nsim::session::front::front;
+use nsim::session::{Keep, Outcome, Probe, Quantity, run_sample};
 use rayon::prelude::*;
 
 /// Output spikes, and u and v of every compartment.

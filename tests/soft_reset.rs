@@ -10,23 +10,24 @@ use std::collections::BTreeMap;
 use common::random;
 use nsim::agree::causes::Rung;
 use nsim::agree::ladder::Ladder;
-use nsim::base::diagnostic::SourceText;
-use nsim::base::id::CompartmentId;
-use nsim::compile::frontend::analytic;
-use nsim::compile::frontend::lower::lower;
-use nsim::compile::frontend::prune::{Plan, prune};
-use nsim::compile::frontend::quantise::quantise;
 use nsim::compile::{Options, compile};
-use nsim::desc::network::{Network, NetworkFile, Semantics};
-use nsim::desc::neurons::NeuronKind;
-use nsim::desc::resource::Resource;
-use nsim::desc::target::Target;
+use nsim::files::lower::lower;
+use nsim::files::network::{Network, NetworkFile};
+use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::io::target::load_target;
+use nsim::ir::arithmetic::Semantics;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Graph;
+use nsim::ir::hardware::Target;
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::analytic;
+use nsim::quantise::prune::{Plan, prune};
+use nsim::quantise::quantise::quantise;
 use nsim::reference::{Model, Options as RealOptions, Reference};
 
 /// The network in the chip's arithmetic, its compartments of this kind.
@@ -35,7 +36,7 @@ fn with_kind(network: &Quantised, kind: NeuronKind) -> Quantised {
     parts.semantics = Semantics::Hardware;
     for population in parts.populations.iter_mut() {
         if let Units::Compartments { neurons, .. } = &mut population.units {
-            let refractory = nsim::base::fixed::Refractory::new(1).unwrap();
+            let refractory = nsim::ir::base::fixed::Refractory::new(1).unwrap();
             let neuron = |_, neuron| Ok::<_, ()>(Neuron { kind, refractory, ..neuron });
             *neurons = neurons.try_map(neuron).unwrap();
         }

@@ -15,12 +15,13 @@ mod torch;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use nsim::base::diagnostic::Diagnostic;
-use nsim::base::rng;
-use nsim::compile::frontend::lower::lower;
-use nsim::desc::tensor::Tensor;
-use nsim::io::foreign::{self, Imported, Options, ResetMode};
-use nsim::io::model_builder::{Parameter, ProjectionKind};
+use nsim::files::lower::lower;
+use nsim::files::model_builder::{Parameter, ProjectionKind};
+use nsim::import::foreign;
+use nsim::import::foreign::{Imported, Options, ResetMode};
+use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::base::rng;
+use nsim::ir::tensor::Tensor;
 use real::{STEPS, input, spikes, total};
 use torch::{Entry, checkpoint};
 

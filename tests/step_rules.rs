@@ -6,10 +6,10 @@
 mod common;
 
 use common::{Net, biased, engines, format, neuron};
-use nsim::base::fixed::SignMode;
-use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::desc::network::{Semantics, ThresholdTest};
 use nsim::ir::activity::Totals;
+use nsim::ir::arithmetic::{Semantics, ThresholdTest};
+use nsim::ir::base::fixed::SignMode;
+use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::{Shape, Window};
 use nsim::ir::quantised::Quantised;
 use nsim::ir::quantised::connectivity::Connectivity;

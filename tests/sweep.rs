@@ -11,20 +11,20 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use common::random;
-use nsim::base::fixed::{BiasMantissa, Decay, ThresholdMantissa};
 use nsim::compile::reuse::{is_mapped_alike, with_neurons_of};
 use nsim::compile::{Options, compile, compile_saved};
-use nsim::desc::neurons::NeuronKind;
-use nsim::desc::resource::Resource;
-use nsim::drive::Outcome;
-use nsim::drive::priced::{Metered, SampleRun};
-use nsim::io::target::load_target;
+use nsim::files::target::load_target;
 use nsim::ir::activity::Overflow;
+use nsim::ir::base::fixed::{BiasMantissa, Decay, ThresholdMantissa};
 use nsim::ir::graph::PerCompartment;
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::Sample;
-use nsim::sweep::last_layers::{Record, last_populations};
+use nsim::session::Outcome;
+use nsim::session::priced::{Metered, SampleRun};
+use nsim::study::sweep::last_layers::{Record, last_populations};
 use serde_json::Value;
 
 fn nsim(folder: &Path, line: &str) -> Command {

@@ -42,7 +42,7 @@ fn samples(folder: &Path) {
             for step in 0..40u64 {
                 for channel in 0..channels {
                     let often = if channel * 3 / channels == label { 0.4 } else { 0.1 };
-                    if nsim::base::rng::unit(sample, channel + 100 * channels, step) < often {
+                    if nsim::ir::base::rng::unit(sample, channel + 100 * channels, step) < often {
                         rows += &format!("{step},{channel}\n");
                     }
                 }

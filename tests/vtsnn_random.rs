@@ -7,7 +7,7 @@
 mod common;
 
 use common::{Array, Net, data, engines, neuron};
-use nsim::base::id::ChannelId;
+use nsim::ir::base::id::ChannelId;
 use nsim::ir::graph::Shape;
 
 #[test]

@@ -5,12 +5,12 @@
 
 use nsim::agree::attribution::attribute;
 use nsim::agree::compare::{Counterpart, Deployed, compare, output_layer};
-use nsim::compile::frontend::real_and_integers;
+use nsim::session::front::real_and_integers;
 use nsim::compile::{Form, Options, compile};
-use nsim::convert::calibration::RunInput;
-use nsim::convert::copies::{MOST, USUAL};
-use nsim::convert::deployed::{Choice, Conversion, Integers};
-use nsim::desc::network::Network;
+use nsim::train::convert::calibration::RunInput;
+use nsim::train::convert::copies::{MOST, USUAL};
+use nsim::train::convert::deployed::{Choice, Conversion, Integers};
+use nsim::files::network::Network;
 use nsim::report::agree::{AgreeReport, named_fits};
 use pyo3::prelude::*;
 use serde_json::Value;

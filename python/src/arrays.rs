@@ -9,7 +9,7 @@
 //! Numbers are read in parts of bounded size by `numpy.nditer`, and a converted copy of the whole
 //! array is never made: an array may claim more numbers than it stores (`numpy.broadcast_to`).
 
-use nsim::base::diagnostic::Diagnostic;
+use nsim::ir::base::diagnostic::Diagnostic;
 use numpy::{Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;

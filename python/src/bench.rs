@@ -1,12 +1,12 @@
 //! How long a timestep of a mapping takes to simulate.
 //!
-//! Input: a mapping, a sample that is shown over and over. Output: what [`nsim::bench::measure`] measures, as `nsim bench step` does of
+//! Input: a mapping, a sample that is shown over and over. Output: what [`nsim::energy::measure::measure`] measures, as `nsim bench step` does of
 //! its standard networks.
 
 use std::time::Duration;
 
-use nsim::bench::measure::{Budget, StepTiming, measure};
-use nsim::drive::samples::{Division, laid_out};
+use nsim::energy::measure::measure::{Budget, StepTiming, measure};
+use nsim::session::samples::{Division, laid_out};
 use nsim::machine::{Machine, Settings};
 use pyo3::prelude::*;
 use serde_json::json;
@@ -54,7 +54,7 @@ pub fn bench<'py>(
         let mut machine = Machine::new(image, Settings { skip, per_step: false });
         Ok(measure(&mut machine, &period, Budget::Time(Duration::from_secs_f64(seconds))))
     });
-    let timing: StepTiming = timing.map_err(|problem: nsim::base::diagnostic::Diagnostic| raised(py, problem))?;
+    let timing: StepTiming = timing.map_err(|problem: nsim::ir::base::diagnostic::Diagnostic| raised(py, problem))?;
     let per_step = |count| timing.per_step(count);
     to_python(
         py,

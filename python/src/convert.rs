@@ -2,11 +2,12 @@
 //!
 //! Input: a network with real numbers, spikes. Output: a [`Conversion`], whose figures and whose model are those of the command line.
 
-use nsim::convert::calibration::{self, RunInput};
-use nsim::convert::copies::{MOST, USUAL};
-use nsim::convert::job::{FineTuning, Job, Split};
-use nsim::io::model_builder::ModelBuilder;
-use nsim::io::shipped;
+use nsim::train::convert::calibration;
+use nsim::train::convert::calibration::RunInput;
+use nsim::train::convert::copies::{MOST, USUAL};
+use nsim::train::convert::job::{FineTuning, Job, Split};
+use nsim::files::model_builder::ModelBuilder;
+use nsim::files::shipped;
 use nsim::report::convert::ConvertReport;
 use pyo3::prelude::*;
 use serde_json::Value;
@@ -38,7 +39,7 @@ impl Conversion {
     /// Converts a network for a target.
     pub fn new(
         py: Python<'_>,
-        (name, network): (&str, &nsim::desc::network::Network),
+        (name, network): (&str, &nsim::files::network::Network),
         target: &str,
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,

@@ -4,17 +4,18 @@ use std::path::PathBuf;
 
 use nsim::cost::estimate::Convention;
 use nsim::cost::{Host, Streams, Transport};
-use nsim::desc::published::baseline::Mode;
-use nsim::desc::published::workload::Accounting;
-use nsim::drive::samples::Progress;
+use nsim::cost::job::Mode;
+use nsim::cost::job::Accounting;
+use nsim::session::samples::Progress;
 use nsim::energy::evaluate::{Evaluated, Plan, evaluate};
 use nsim::energy::options::CostOptions;
-use nsim::energy::page;
+use nsim::report::page::job as page;
 use nsim::energy::workload::Workload;
-use nsim::io::text::sha256;
-use nsim::io::write::{self, check_free};
+use nsim::files::text::sha256;
+use nsim::files::write;
+use nsim::files::write::check_free;
 use nsim::ir::program::Program;
-use nsim::report::energy::table::EnergyReport;
+use nsim::energy::report::table::EnergyReport;
 use nsim::report::page::{Origin, Provenance, html};
 use pyo3::prelude::*;
 

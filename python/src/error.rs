@@ -2,7 +2,7 @@
 
 use std::ffi::CString;
 
-use nsim::base::diagnostic::{Diagnostic, Position};
+use nsim::ir::base::diagnostic::{Diagnostic, Position};
 use nsim::compile::CompileError;
 use nsim::compile::reason::Reason;
 use nsim::report::map::reason_json;
@@ -57,7 +57,7 @@ impl From<CompileError> for Problem {
 }
 
 /// Warns of what stands out in a run.
-pub fn warn(py: Python<'_>, found: &[nsim::drive::warnings::Warning]) -> PyResult<()> {
+pub fn warn(py: Python<'_>, found: &[nsim::session::warnings::Warning]) -> PyResult<()> {
     for warning in found {
         let message = match &warning.population {
             Some(population) => format!("'{population}': {}", warning.message),

@@ -6,15 +6,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nsim::compile::explore;
-use nsim::compile::{
-    self, CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Objective, Options, Strategy, shapes,
-};
-use nsim::convert::copies::USUAL;
-use nsim::convert::prepare::integers;
-use nsim::desc::network::Network;
-use nsim::desc::target::Target;
-use nsim::drive::samples::{Division, laid_out};
-use nsim::io::mapping::{load_mapping, mapping_text};
+use nsim::compile;
+use nsim::compile::{CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Objective, Options, Strategy};
+use nsim::session::shapes;
+use nsim::train::convert::copies::USUAL;
+use nsim::train::convert::prepare::integers;
+use nsim::files::network::Network;
+use nsim::ir::hardware::Target;
+use nsim::session::samples::{Division, laid_out};
+use nsim::files::mapping::{load_mapping, mapping_text};
 use nsim::ir::firing_rates::Rates;
 use nsim::ir::graph::Shape;
 use nsim::ir::quantised::Population;

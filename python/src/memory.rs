@@ -7,12 +7,14 @@
 
 use std::path::Path;
 
-use nsim::base::fixed::SignMode;
-use nsim::desc::network::{Network, ThresholdTest};
-use nsim::desc::neurons::NeuronKind;
-use nsim::io::foreign::imported::DecayRule;
-use nsim::io::foreign::{self, Options, ResetMode};
-use nsim::io::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
+use nsim::ir::base::fixed::SignMode;
+use nsim::files::network::Network;
+use nsim::ir::arithmetic::ThresholdTest;
+use nsim::ir::neurons::NeuronKind;
+use nsim::import::foreign::imported::DecayRule;
+use nsim::import::foreign;
+use nsim::import::foreign::{Options, ResetMode};
+use nsim::files::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
 use nsim::ir::graph::MOST_UNITS;
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyException;
@@ -265,5 +267,5 @@ pub fn imported(
         let network = imported.model.build(Path::new(&place(name)))?;
         Ok((network, imported.notes))
     });
-    read.map_err(|problem: nsim::base::diagnostic::Diagnostic| raised(py, problem))
+    read.map_err(|problem: nsim::ir::base::diagnostic::Diagnostic| raised(py, problem))
 }

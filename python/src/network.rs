@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use nsim::compile::frontend::real_and_integers;
-use nsim::desc::network::PopulationDesc;
+use nsim::session::front::real_and_integers;
+use nsim::files::network::PopulationDesc;
 use nsim::energy::evaluate::Plan;
-use nsim::io::model_builder::ModelBuilder;
+use nsim::files::model_builder::ModelBuilder;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -31,7 +31,7 @@ pub fn load(py: Python<'_>, model: PathBuf) -> PyResult<Network> {
         real_and_integers(&network)?;
         Ok(network)
     });
-    let network = loaded.map_err(|error: nsim::base::diagnostic::Diagnostic| raised(py, error))?;
+    let network = loaded.map_err(|error: nsim::ir::base::diagnostic::Diagnostic| raised(py, error))?;
     Ok(Network { model, network: Arc::new(network), notes: Vec::new() })
 }
 
@@ -52,7 +52,7 @@ pub fn from_bytes(
 #[pyclass(frozen, module = "nsim")]
 pub struct Network {
     model: String,
-    network: Arc<nsim::desc::network::Network>,
+    network: Arc<nsim::files::network::Network>,
     notes: Vec<String>,
 }
 
@@ -75,7 +75,7 @@ impl Network {
     }
 
     /// A network that has no file.
-    pub fn checked(py: Python<'_>, network: nsim::desc::network::Network, notes: Vec<String>) -> PyResult<Self> {
+    pub fn checked(py: Python<'_>, network: nsim::files::network::Network, notes: Vec<String>) -> PyResult<Self> {
         detached(py, || real_and_integers(&network)).map_err(|problem| raised(py, problem))?;
         Ok(Network { model: memory::place(&network.file().name), network: Arc::new(network), notes })
     }
@@ -252,7 +252,7 @@ impl Network {
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
         let written = detached(py, || ModelBuilder::from_network(&self.network)?.write(&path, force));
-        written.map_err(|problem: nsim::base::diagnostic::Diagnostic| raised(py, problem))
+        written.map_err(|problem: nsim::ir::base::diagnostic::Diagnostic| raised(py, problem))
     }
 
     fn __repr__(&self) -> String {

@@ -2,18 +2,19 @@
 
 use std::sync::Arc;
 
-use nsim::base::diagnostic::Diagnostic;
-use nsim::drive::cores::core_rows;
-use nsim::drive::decision::{EarlyExit, Rule};
-use nsim::drive::neurobench::NeuroBench;
-use nsim::drive::populations::ByPopulation;
-use nsim::drive::samples::{self, Division, Running, fast, fast_on};
-use nsim::drive::warnings::{Finished, Ran, warnings};
-use nsim::drive::{Keep, Outcome, Probe, Quantity, digest};
-use nsim::io::write::checksum;
+use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::session::cores::core_rows;
+use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::neurobench::NeuroBench;
+use nsim::session::populations::ByPopulation;
+use nsim::session::samples;
+use nsim::session::samples::{Division, Running, fast, fast_on};
+use nsim::session::warnings::{Finished, Ran, warnings};
+use nsim::session::{Keep, Outcome, Probe, Quantity, digest};
+use nsim::files::write::checksum;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Copies, Sample};
-use nsim::report::detail::Detail;
+use nsim::session::detail::Detail;
 use nsim::report::run::{RunReport, neurobench_json};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;

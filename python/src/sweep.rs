@@ -5,10 +5,10 @@
 
 use std::path::PathBuf;
 
-use nsim::base::diagnostic::SourceText;
-use nsim::sweep::table::Table;
-use nsim::sweep::variants::Sweep;
-use nsim::sweep::work as variants;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::study::sweep::table::Table;
+use nsim::study::sweep::variants::Sweep;
+use nsim::study::sweep::work as variants;
 use pyo3::prelude::*;
 
 use crate::error::raised;

@@ -5,8 +5,8 @@
 
 use std::path::PathBuf;
 
-use nsim::base::diagnostic::SourceText;
-use nsim::io::text::read_text;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::files::text::read_text;
 use nsim::report::train::{TrainReport, history_csv};
 use nsim::train::fit::{Example, Plan, TrainingState};
 use nsim::train::job::{Checkpoint, Data, Job, Part, Trained, train as trained_to_the_end, with_fields};

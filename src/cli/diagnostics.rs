@@ -5,13 +5,13 @@ use std::process::ExitCode;
 
 use serde_json::json;
 
-use crate::base::diagnostic::{Diagnostic, Place, SourceText, Span};
-use crate::base::names::{is_unprintable, printable};
 use crate::cli::context::Format;
 use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
-use crate::error::Error;
-use crate::io::write;
+use nsim_files::write;
+use nsim_ir::base::diagnostic::{Diagnostic, Place, SourceText, Span};
+use nsim_ir::base::names::{is_unprintable, printable};
+use nsim_session::error::Error;
 
 /// Prints an error and returns its exit status.
 #[must_use]
@@ -162,7 +162,7 @@ fn excerpt(source: &SourceText, span: Span) -> Option<(String, String)> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::cli::diagnostics::*;
 
     #[test]
     fn an_input_error_names_file_line_and_column() {

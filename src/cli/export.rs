@@ -10,12 +10,11 @@ use serde_json::json;
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::frontend;
-use crate::error::Error;
-use crate::io::foreign::{hdf5, nir_export};
-use crate::io::model_builder::ModelBuilder;
-use crate::io::write;
-use crate::report::inspect::Findings;
+use nsim_files::model_builder::ModelBuilder;
+use nsim_files::write;
+use nsim_import::foreign::{hdf5, nir_export};
+use nsim_report::inspect::Findings;
+use nsim_session::error::Error;
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -42,7 +41,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     write::check_free(&args.output, context.force)?;
     let network = args.timestep.load(&args.model)?;
-    frontend::check(&network)?;
+    nsim_session::front::check(&network)?;
     let model = ModelBuilder::from_network(&network)?;
     let (tree, notes) = nir_export::export(&model)?;
     let bytes = hdf5::write(&tree)?;

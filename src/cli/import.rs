@@ -7,19 +7,19 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use crate::base::diagnostic::Diagnostic;
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values::one_of_named;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::frontend;
-use crate::desc::network::{ReadOut, ThresholdTest};
-use crate::error::Error;
-use crate::io::changes;
-use crate::io::foreign::imported::DecayRule;
-use crate::io::foreign::{self, Imported, Options, ResetMode};
-use crate::io::model_builder::{ModelBuilder, ProjectionKind};
-use crate::report::inspect::{Findings, FindingsTable};
+use nsim_files::changes;
+use nsim_files::model_builder::{ModelBuilder, ProjectionKind};
+use nsim_import::foreign;
+use nsim_import::foreign::imported::DecayRule;
+use nsim_import::foreign::{Imported, Options, ResetMode};
+use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_report::inspect::{Findings, FindingsTable};
+use nsim_session::error::Error;
 
 /// What decides, by its name.
 static DECISIONS: [(&str, ReadOut); 4] = [
@@ -123,7 +123,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let imported = foreign::read(&args.file, &args.options()?)?;
     let shown = args.output.as_deref().unwrap_or(&args.file);
-    frontend::check(&imported.model.build(shown)?).map_err(in_the_file(&args.file))?;
+    nsim_session::front::check(&imported.model.build(shown)?).map_err(in_the_file(&args.file))?;
     let files = match &args.output {
         Some(path) => imported.model.write(path, context.force)?,
         None => Vec::new(),
@@ -163,8 +163,8 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
     let populations = populations.iter().map(|population| {
         let real = population.srm.into_iter().flatten().map(|(key, value)| format!("{key} {value}"));
         let parameters = population.loihi.iter().flatten().map(|(key, value)| match value {
-            crate::io::model_builder::Parameter::Same(value) => format!("{key} {value}"),
-            crate::io::model_builder::Parameter::Each(_) => format!("{key} each"),
+            nsim_files::model_builder::Parameter::Same(value) => format!("{key} {value}"),
+            nsim_files::model_builder::Parameter::Each(_) => format!("{key} each"),
         });
         let kind = match (&population.loihi, population.srm) {
             (Some(_), _) => "loihi",

@@ -2,26 +2,30 @@
 
 use std::path::PathBuf;
 
-use crate::cli::args::jobs::{self, JobArgs};
+use crate::cli::args::jobs;
+use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::explore::{self, remedy};
-use crate::compile::{
-    self, CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Mapping, Objective, Options, Reason, Strategy,
+use nsim_compile as compile;
+use nsim_compile::explore;
+use nsim_compile::explore::remedy;
+use nsim_compile::{
+    CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Mapping, Objective, Options, Reason, Strategy,
 };
-use crate::desc::mapping::MappingFile;
-use crate::desc::target::Target;
-use crate::drive::inputs;
-use crate::drive::samples::firing_rates;
-use crate::error::Result;
-use crate::io;
-use crate::io::shipped;
-use crate::ir::dealt::Share;
-use crate::ir::firing_rates::Rates;
-use crate::ir::quantised::Quantised;
-use crate::report::charts::board;
-use crate::report::map::{self as report, Outcome, Question};
+use nsim_files as io;
+use nsim_files::shipped;
+use nsim_ir::dealt::Share;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::hardware::Target;
+use nsim_ir::mapping::MappingFile;
+use nsim_ir::quantised::Quantised;
+use nsim_report::charts::board;
+use nsim_report::map as report;
+use nsim_report::map::{Outcome, Question};
+use nsim_session::error::Result;
+use nsim_session::inputs;
+use nsim_session::samples::firing_rates;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -106,7 +110,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     args.job.prune.not_with_mapping(mapping.is_some())?;
     if mapping.is_none()
         && !args.job.prune.asked()
-        && let Err(CompileError::DoesNotFit(reasons)) = compile::shapes::check(&network, &target, options.copies)
+        && let Err(CompileError::DoesNotFit(reasons)) = nsim_session::shapes::check(&network, &target, options.copies)
     {
         return refuse(&network.file().name, &target, &options, &reasons, context);
     }
@@ -247,10 +251,10 @@ fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
 mod tests {
     use clap::Parser;
 
-    use super::*;
-    use crate::compile::compile;
-    use crate::compile::testing::{limits, slip, target};
-    use crate::desc::resource::Resource;
+    use crate::cli::map::*;
+    use nsim_compile::compile;
+    use nsim_ir::resource::Resource;
+    use nsim_testing::{limits, slip, target};
 
     #[derive(Parser)]
     struct Typed {
@@ -288,7 +292,7 @@ mod tests {
 
     #[test]
     fn the_shipped_model_fits_a_core_and_too_many_copies_say_why_not() {
-        let network = io::model::load_model("vtsnn-slip").unwrap();
+        let network = nsim_import::model::load_model("vtsnn-slip").unwrap();
         let asked = |target: &str, copies| {
             let target = io::target::load_target(target).unwrap();
             let (args, options) = (typed(&[]).unwrap(), Options { copies, ..Options::default() });

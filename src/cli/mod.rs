@@ -32,8 +32,8 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::process::{advice, log, panics, ranks, signals, threads};
-use crate::error::Error;
-use crate::io::{changes, shipped};
+use nsim_files::{changes, shipped};
+use nsim_session::error::Error;
 
 const AFTER_HELP: &str = "\
 EXAMPLES:
@@ -146,7 +146,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Cache(args) => inspect::cache::run(args, context),
         Command::Help(args) => inspect::help::run(args, args::columns::folded(Cli::command()), context),
         Command::Completions { shell } => {
-            crate::io::write::stdout(&completions(*shell))?;
+            nsim_files::write::stdout(&completions(*shell))?;
             Ok(Answer::Yes)
         }
     }
@@ -246,9 +246,9 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
     };
     log::start(cli.verbose, cli.quiet, matches!(cli.command, Command::Run(_)));
     if cli.no_cache {
-        crate::io::write::cache::turn_off();
+        nsim_files::write::cache::turn_off();
     }
-    if let Err(message) = crate::machine::update::width::check() {
+    if let Err(message) = nsim_machine::update::width::check() {
         return diagnostics::report(&Error::Usage(message), cli.format);
     }
     // Those of a training are fields of the training file.
@@ -276,7 +276,7 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::cli::*;
 
     #[test]
     fn shells_complete_shipped_names_and_files() {

@@ -5,16 +5,17 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::base::diagnostic::Diagnostic;
-use crate::bench::Environment;
 use crate::cli::context::{Context, Format};
-use crate::drive::samples::Progress;
-use crate::drive::warnings::Warning;
-use crate::error::Error;
-use crate::io;
-use crate::io::write::checksum;
-use crate::report::charts::picture::{ENDINGS, PictureFormat};
-use crate::report::text::{self, replaced};
+use nsim_energy::environment::Environment;
+use nsim_files as io;
+use nsim_files::table as text;
+use nsim_files::table::replaced;
+use nsim_files::write::checksum;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_report::charts::picture::{ENDINGS, PictureFormat};
+use nsim_session::error::Error;
+use nsim_session::samples::Progress;
+use nsim_session::warnings::Warning;
 
 /// The words behind `nsim` on the command line, without the number of threads, on which no result
 /// depends.

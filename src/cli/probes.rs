@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
-use crate::base::diagnostic::Diagnostic;
-use crate::base::id::ChannelId;
-use crate::base::names::fits_pattern;
-use crate::drive::samples::Traces;
-use crate::drive::{Outcome, Probe, Quantity};
-use crate::error::{Error, Result};
-use crate::io;
-use crate::io::recorded::probes::Trace;
-use crate::ir::quantised::{Population, Quantised};
-use crate::ir::spikes::Sample;
+use nsim_files as io;
+use nsim_import::probes::Trace;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::ChannelId;
+use nsim_ir::base::names::fits_pattern;
+use nsim_ir::quantised::{Population, Quantised};
+use nsim_ir::spikes::Sample;
+use nsim_session::error::{Error, Result};
+use nsim_session::samples::Traces;
+use nsim_session::{Outcome, Probe, Quantity};
 
 /// How probes are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

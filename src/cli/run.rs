@@ -3,30 +3,34 @@
 use std::path::PathBuf;
 
 use crate::cli::args::input::{InputArgs, check_pruned, select};
-use crate::cli::args::jobs::{self, Job, Prepared, Wanted};
-use crate::cli::args::steps::{self, recorded};
+use crate::cli::args::jobs;
+use crate::cli::args::jobs::{Job, Prepared, Wanted};
+use crate::cli::args::steps;
+use crate::cli::args::steps::recorded;
 use crate::cli::args::values::{Switch, one_of_named};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::probes::{NamedProbe, ProbeArgs, Recorded};
 use crate::cli::process::ranks;
-use crate::drive::cores::core_rows;
-use crate::drive::decision::{EarlyExit, Rule};
-use crate::drive::neurobench::NeuroBench;
-use crate::drive::populations::ByPopulation;
-use crate::drive::priced::Metered;
-use crate::drive::ranks::RankRow;
-use crate::drive::samples::{self, Interpreted, Progress, Run, Running, Traces, fast, golden};
-use crate::drive::warnings::{Finished, Ran, warnings};
-use crate::drive::{Keep, Outcome, Quantity, inputs};
-use crate::error::Error;
-use crate::io;
-use crate::ir::activity::Activity;
-use crate::ir::source_counts::SourceCounts;
-use crate::ir::spikes::{Copies, Sample};
-use crate::reference::{self, Kernel, Model};
-use crate::report::detail::Detail;
-use crate::report::run::RunReport;
+use nsim_files as io;
+use nsim_ir::activity::Activity;
+use nsim_ir::source_counts::SourceCounts;
+use nsim_ir::spikes::{Copies, Sample};
+use nsim_reference as reference;
+use nsim_reference::{Kernel, Model};
+use nsim_report::run::RunReport;
+use nsim_session::cores::core_rows;
+use nsim_session::decision::{EarlyExit, Rule};
+use nsim_session::detail::Detail;
+use nsim_session::error::Error;
+use nsim_session::neurobench::NeuroBench;
+use nsim_session::populations::ByPopulation;
+use nsim_session::priced::Metered;
+use nsim_session::ranks::RankRow;
+use nsim_session::samples;
+use nsim_session::samples::{Interpreted, Progress, Run, Running, Traces, fast, golden};
+use nsim_session::warnings::{Finished, Ran, warnings};
+use nsim_session::{Keep, Outcome, Quantity, inputs};
 
 /// Which engine runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -111,7 +115,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let wanted = EngineChoice::wanted(args.engine);
     let job = match jobs::prepare_probed(&args.job, wanted, Some(1), &args.probes.populations())? {
         Prepared::Ready(job) => job,
-        Prepared::DoesNotFit(refusal) => return refusal.say(crate::report::run::nothing("fast"), context),
+        Prepared::DoesNotFit(refusal) => return refusal.say(nsim_report::run::nothing("fast"), context),
     };
     let network = job.quantised();
     let stimulus = inputs::stimulus(network, &args.input.sources()?, job.scene(), args.input.seed)?;

@@ -5,21 +5,22 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::base::diagnostic::Diagnostic;
-use crate::base::folds::stratified_folds;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::desc::dataset::{DataSet, SampleEntry};
-use crate::desc::spanned::Spanned;
-use crate::desc::stimulus::SceneArg;
-use crate::error::Error;
-use crate::io::spikes::MANIFEST;
-use crate::io::{mapping, npy, spikes, write};
-use crate::report::charts::raster::{Panel, Raster};
-use crate::report::scene::{ByMarkers, ClassSummary, SceneReport};
-use crate::scene::markers::Annotated;
-use crate::scene::wire::Carried;
-use crate::scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
+use nsim_files::dataset::{DataSet, SampleEntry};
+use nsim_files::{mapping, npy, write};
+use nsim_import::spikes;
+use nsim_import::spikes::MANIFEST;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::folds::stratified_folds;
+use nsim_ir::spanned::Spanned;
+use nsim_ir::stimulus::SceneArg;
+use nsim_report::charts::raster::{Panel, Raster};
+use nsim_report::scene::{ByMarkers, ClassSummary, SceneReport};
+use nsim_scene::markers::Annotated;
+use nsim_scene::wire::Carried;
+use nsim_scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
+use nsim_session::error::Error;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -38,7 +39,7 @@ pub struct Args {
     /// slip or container, with parameters as NAME?key=value&..
     pub name: String,
     /// How many samples
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(crate::scene::MOST_SAMPLES)))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(nsim_scene::MOST_SAMPLES)))]
     pub samples: Option<u32>,
     /// Seed of the random numbers
     #[arg(long)]

@@ -4,10 +4,10 @@ use rayon::prelude::*;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::error::Error;
-use crate::io;
-use crate::report::stress::StressReport;
-use crate::stress::{CASES, Case, Verdict};
+use nsim_agree::stress::{CASES, Case, Verdict};
+use nsim_files as io;
+use nsim_report::stress::StressReport;
+use nsim_session::error::Error;
 
 const EXAMPLES: &str = "\
 EXAMPLES:

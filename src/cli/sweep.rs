@@ -14,13 +14,13 @@ use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cli::process::signals;
-use crate::error::Error;
-use crate::io;
-use crate::io::write::journal::Journal;
-use crate::sweep::picture;
-use crate::sweep::table::{Table, checksum_column, from_line, line};
-use crate::sweep::variants::{FIGURES, Sweep};
-use crate::sweep::work;
+use nsim_files as io;
+use nsim_files::write::journal::Journal;
+use nsim_report::sweep as picture;
+use nsim_session::error::Error;
+use nsim_study::sweep::table::{Table, checksum_column, from_line, line};
+use nsim_study::sweep::variants::{FIGURES, Sweep};
+use nsim_study::sweep::work;
 
 const EXAMPLES: &str = "\
 EXAMPLES:

@@ -4,19 +4,20 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-#[cfg(feature = "ann")]
-use crate::base::diagnostic::Diagnostic;
-use crate::base::diagnostic::SourceText;
 use crate::cli::args::values::SampleRange;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::signals;
-use crate::error::{Error, Result};
-use crate::io;
-use crate::report::train::{StudyReport, TrainReport, history_csv};
-use crate::train::fit::{Example, Plan, TrainingState};
-use crate::train::job::{self, Checkpoint, Data, Job, with_fields};
-use crate::train::study::{Finished, Study, StudyRun};
+use nsim_files as io;
+#[cfg(feature = "ann")]
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::diagnostic::SourceText;
+use nsim_report::train::{StudyReport, TrainReport, history_csv};
+use nsim_session::error::{Error, Result};
+use nsim_train::fit::{Example, Plan, TrainingState};
+use nsim_train::job;
+use nsim_train::job::{Checkpoint, Data, Job, with_fields};
+use nsim_train::study::{Finished, Study, StudyRun};
 
 const EXAMPLES: &str = "\
 EXAMPLES:

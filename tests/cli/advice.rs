@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use nsim::io::foreign::hdf5::{self, Group, Item, Numbers};
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Group, Item, Numbers};
 use serde_json::Value;
 
 use crate::{MODEL, SRM, nsim, object, said, write};
@@ -31,7 +32,7 @@ fn nir_with(folder: &Path, r: f64) -> String {
 
 fn array(folder: &Path, name: &str, shape: &[u64], numbers: &[f64]) -> String {
     let path = folder.join(name);
-    nsim::io::npy::write(std::fs::File::create(&path).unwrap(), shape, numbers.iter().copied()).unwrap();
+    nsim::files::npy::write(std::fs::File::create(&path).unwrap(), shape, numbers.iter().copied()).unwrap();
     path.display().to_string()
 }
 

@@ -153,7 +153,7 @@ fn every_shipped_model_maps_and_runs() {
     let of_paper =
         cells.flat_map(|(task, senses)| ["count", "weighted"].map(|loss| format!("paper-{task}-{senses}-{loss}")));
     let names: Vec<String> = names.into_iter().map(String::from).chain(of_paper).collect();
-    let mut shipped: Vec<&str> = nsim::io::shipped::MODELS.iter().map(|model| model.name).collect();
+    let mut shipped: Vec<&str> = nsim::files::shipped::MODELS.iter().map(|model| model.name).collect();
     shipped.sort_unstable();
     assert_eq!(shipped, {
         let mut names: Vec<&str> = names.iter().map(String::as_str).collect();

@@ -11,7 +11,7 @@ fn spikes_come_through_a_pipe_and_from_oddly_named_files() {
     let model = write(folder.path(), "small.ron", MODEL);
     let events = "0,0\n1,1\n3,2\n";
     let mut array = Vec::new();
-    nsim::io::npy::write(&mut array, &[3, 4], [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1]).unwrap();
+    nsim::files::npy::write(&mut array, &[3, 4], [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1]).unwrap();
     let piped = |bytes: &[u8]| -> Value {
         let mut command = nsim(&["run", &model, "--input", "-", "--format", "json"]);
         let output = command.write_stdin(bytes).output().unwrap();

@@ -6,8 +6,8 @@
 //! is the weight 128 with exponent 7. Positive weights are excitatory, negative ones inhibitory, since mixed weights
 //! are even. By equation (1) a number `acc` so adds `64 * acc` to the accumulator.
 
-use nsim::base::fixed::SignMode;
-use nsim::base::id::{ChannelId, PopulationId};
+use nsim::ir::base::fixed::SignMode;
+use nsim::ir::base::id::{ChannelId, PopulationId};
 use nsim::ir::graph::Shape;
 use nsim::ir::quantised::connectivity::Connectivity;
 

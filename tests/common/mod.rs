@@ -10,20 +10,20 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use nsim::base::fixed::{
+use nsim::compile::{Options, compile};
+use nsim::files::target::load_target;
+use nsim::golden::Golden;
+use nsim::import::spikes::read_source;
+use nsim::ir::arithmetic::Semantics;
+use nsim::ir::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
 };
-use nsim::base::id::{ChannelId, CompartmentId, PopulationId};
-use nsim::compile::{Options, compile};
-use nsim::desc::network::Semantics;
-use nsim::desc::resource::Resource;
-use nsim::golden::Golden;
-use nsim::io::spikes::read_source;
-use nsim::io::target::load_target;
+use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::ir::graph::{PerCompartment, Shape};
 use nsim::ir::program::Program;
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Reset, Units};
+use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 

@@ -1,12 +1,12 @@
 //! Random small networks over the whole language: every kind of projection, sign, exponent, delay, field and semantics.
 
-use nsim::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits, WeightExponent};
-use nsim::base::id::{ChannelId, PopulationId};
-use nsim::base::rng;
-use nsim::desc::mapping::{MappedCore, MappingFile, Run};
-use nsim::desc::network::{Semantics, ThresholdTest};
-use nsim::desc::neurons::NeuronKind;
+use nsim::ir::arithmetic::{Semantics, ThresholdTest};
+use nsim::ir::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits, WeightExponent};
+use nsim::ir::base::id::{ChannelId, PopulationId};
+use nsim::ir::base::rng;
 use nsim::ir::graph::{Shape, Window};
+use nsim::ir::mapping::{MappedCore, MappingFile, Run};
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Quantised};

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use nsim::base::id::{ChannelId, CompartmentId};
-use nsim::base::rng;
-use nsim::compile::frontend::lower::lower;
-use nsim::io::model_builder::ModelBuilder;
+use nsim::files::lower::lower;
+use nsim::files::model_builder::ModelBuilder;
+use nsim::ir::base::id::{ChannelId, CompartmentId};
+use nsim::ir::base::rng;
 use nsim::ir::graph::PopulationKind;
 use nsim::ir::spikes::Engine as _;
 use nsim::reference::{Model, Options as RealOptions, Reference};

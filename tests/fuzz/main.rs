@@ -14,7 +14,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use nsim::base::rng;
+use nsim::ir::base::rng;
 use rayon::prelude::*;
 
 /// Cases of the normal tests; `.ci/nightly` runs ten times as many.
@@ -454,9 +454,9 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
 
 /// How many weights the models of a folder draw from seeds: what they cost follows from shapes, not from the file's size.
 fn drawn(folder: &Path) -> u64 {
-    use nsim::desc::network::{ProjectionDesc, Source};
+    use nsim::files::network::{ProjectionDesc, Source};
     let weights = |name: &str| {
-        let network = nsim::io::model::load_model(&folder.join(name).display().to_string()).ok()?;
+        let network = nsim::import::model::load_model(&folder.join(name).display().to_string()).ok()?;
         let file = network.file();
         let units = |name: &str| -> Option<u64> {
             let found = file.populations.iter().find(|population| population.value.name().as_str() == name)?;

@@ -11,9 +11,12 @@ mod memory;
 use std::path::{Path, PathBuf};
 
 use cases::{Case, Through, cases};
-use nsim::base::diagnostic::Diagnostic;
-use nsim::compile::frontend::{lower::lower, quantise::quantise};
-use nsim::io::{model::load_model, spikes::read_source, target::load_target};
+use nsim::files::lower::lower;
+use nsim::files::target::load_target;
+use nsim::import::model::load_model;
+use nsim::import::spikes::read_source;
+use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::quantise::quantise::quantise;
 
 /// Channels of the population that spike files are read for.
 const UNITS: u64 = 4;
@@ -81,7 +84,7 @@ fn random_damage_never_panics() {
     let sound = cases::sound();
     let model = &sound[0];
     let folder = tempfile::tempdir().unwrap();
-    let draw = |round: u64, which: u64, n: usize| (nsim::base::rng::unit(11, round, which) * n as f64) as usize;
+    let draw = |round: u64, which: u64, n: usize| (nsim::ir::base::rng::unit(11, round, which) * n as f64) as usize;
     let mut refused = 0;
     for round in 0..3000 {
         let mut bytes = model.bytes.clone();

@@ -1,13 +1,13 @@
 //! The kinds of mutations: each changes one thing of a program, drawn at random, and says who should notice first.
 
-use nsim::base::csr::Csr;
-use nsim::base::fixed::{
+use nsim::check::verify::Violation;
+use nsim::ir::arithmetic::{Semantics, ThresholdTest};
+use nsim::ir::base::csr::Csr;
+use nsim::ir::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
     WeightBits, WeightExponent,
 };
-use nsim::base::id::{CompartmentId, CoreId, Id, PopulationId};
-use nsim::compile::check::verify::Violation;
-use nsim::desc::network::{Semantics, ThresholdTest};
+use nsim::ir::base::id::{CompartmentId, CoreId, Id, PopulationId};
 use nsim::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Synapse};
 use nsim::ir::quantised::{Neuron, Reset};
 

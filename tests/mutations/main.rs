@@ -17,17 +17,17 @@ use std::collections::BTreeMap;
 
 use common::random::{self, Draw};
 use kinds::{Expected, KINDS};
-use nsim::base::fixed::Delay;
-use nsim::base::id::{ChannelId, CompartmentId, Id};
-use nsim::compile::check::equivalence::{Difference, check};
-use nsim::compile::check::verify::verify;
+use nsim::check::equivalence::{Difference, check};
+use nsim::check::verify::verify;
 use nsim::compile::{Compiled, Options, compile};
-use nsim::desc::resource::{Packing, Resource};
-use nsim::desc::target::Target;
-use nsim::io::target::load_target;
+use nsim::files::target::load_target;
+use nsim::ir::base::fixed::Delay;
+use nsim::ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim::ir::hardware::Target;
 use nsim::ir::program::{AxonTarget, Compartment, Parts, Program};
 use nsim::ir::quantised::Quantised;
 use nsim::ir::quantised::connectivity::SynapseFormat;
+use nsim::ir::resource::{Packing, Resource};
 use rayon::prelude::*;
 
 /// Random networks; each is mapped in three ways, and each program is mutated once by every kind.

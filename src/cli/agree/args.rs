@@ -4,18 +4,18 @@
 
 use std::path::PathBuf;
 
-use crate::agree::compare::LayerRow;
 use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::Compiled;
-use crate::drive::warnings::{Warning, warnings_of};
-use crate::error::Error;
-use crate::ir::spikes::Sample;
-use crate::report::agree::AgreeReport;
+use nsim_agree::compare::LayerRow;
+use nsim_compile::Compiled;
+use nsim_ir::spikes::Sample;
+use nsim_report::agree::AgreeReport;
+use nsim_session::error::Error;
+use nsim_session::warnings::{Warning, warnings_of};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -96,7 +96,7 @@ pub(super) fn deployed_warnings(deployed: &Compiled, samples: &[&Sample]) -> Res
 /// Writes the picture of both potentials, where one is asked for and something parts.
 pub(super) fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Context) -> Result<(), Error> {
     let Some(path) = &args.plot else { return Ok(()) };
-    match crate::report::agree::potentials(model, layers) {
+    match nsim_report::agree::potentials(model, layers) {
         Some(svg) => output::write_picture(path, &svg, context),
         None => {
             tracing::warn!("no spike parts whose potentials are known: {} is not written", path.display());

@@ -6,30 +6,30 @@
 mod args;
 mod models;
 
-pub use self::args::Args;
+pub use crate::cli::agree::args::Args;
 
 use std::path::Path;
 
-use self::args::{answer, deployed_warnings, draw};
-use crate::agree::attribution::attribute;
-use crate::agree::compare::{Counterpart, Deployed, compare, output_layer};
-use crate::agree::ladder::layers;
+use crate::cli::agree::args::{answer, deployed_warnings, draw};
 use crate::cli::args::input::select;
 use crate::cli::args::jobs::Refusal;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::frontend::real_and_integers;
-use crate::compile::{CompileError, Form, Options, compile};
-use crate::convert::next::{Typed, next};
-use crate::desc::stimulus::{InputArg, InputSource};
-use crate::drive::inputs;
-use crate::error::Error;
-use crate::io;
-use crate::io::spikes::read_source;
-use crate::ir::graph::Graph;
-use crate::ir::quantised::Quantised;
-use crate::report::agree::{AgreeReport, named_fits};
+use nsim_agree::attribution::attribute;
+use nsim_agree::compare::{Counterpart, Deployed, compare, output_layer};
+use nsim_agree::ladder::layers;
+use nsim_compile::{CompileError, Form, Options, compile};
+use nsim_files as io;
+use nsim_import::spikes::read_source;
+use nsim_ir::graph::Graph;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::stimulus::{InputArg, InputSource};
+use nsim_report::agree::{AgreeReport, named_fits};
+use nsim_session::error::Error;
+use nsim_session::front::real_and_integers;
+use nsim_session::inputs;
+use nsim_train::convert::next::{Typed, next};
 
 /// Runs the command; the answer is no when a bound that was asked for is missed.
 ///
@@ -60,7 +60,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let compiled = match compile(ladder.deployed().clone(), &target, &Options::default()) {
         Ok(compiled) => compiled,
         Err(CompileError::DoesNotFit(reasons)) => {
-            return Refusal::new(&args.model, target, reasons).say(crate::report::agree::nothing(), context);
+            return Refusal::new(&args.model, target, reasons).say(nsim_report::agree::nothing(), context);
         }
         Err(other) => return Err(other.into()),
     };
@@ -103,7 +103,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         next(&typed, (&graph, &ladder), attribution, some)
     });
     if let (Some(path), Some(attribution)) = (&args.plot_causes, &attribution) {
-        let svg = crate::report::agree::bars(&graph.facts().name, attribution);
+        let svg = nsim_report::agree::bars(&graph.facts().name, attribution);
         output::write_picture(path, &svg, context)?;
     }
     draw(args, &graph.facts().name, &agreement.layers, context)?;
@@ -119,7 +119,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let (Some(path), Some(attribution)) = (&args.update, &attribution) {
         let name = &graph.facts().name;
         let (mark, picture) = (format!("agree {name}"), format!("agreement-{name}.svg"));
-        let svg = crate::report::agree::bars(name, attribution);
+        let svg = nsim_report::agree::bars(name, attribution);
         output::update_section(path, &mark, &report.markdown(&picture), &picture, &svg, context)?;
     }
     if !taken {

@@ -5,23 +5,23 @@
 
 use std::path::Path;
 
-use super::args::{Args, answer, deployed_warnings, draw};
-use crate::agree::compare::{Agreement, Side, compare_networks, machine_trace, output_layer, real_trace};
-use crate::agree::ladder::layers;
+use crate::cli::agree::args::{Args, answer, deployed_warnings, draw};
 use crate::cli::args::jobs::Refusal;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::frontend::real_and_integers;
-use crate::compile::{CompileError, Compiled, Form, Options, compile};
-use crate::convert::staged::is_real;
-use crate::desc::target::Target;
-use crate::error::Error;
-use crate::io;
-use crate::ir::graph::Graph;
-use crate::ir::quantised::Quantised;
-use crate::ir::spikes::{Sample, Stimulus};
-use crate::report::agree::AgreeReport;
-use crate::report::side_by_side::{Compared, SideBySideReport};
+use nsim_agree::compare::{Agreement, Side, compare_networks, machine_trace, output_layer, real_trace};
+use nsim_agree::ladder::layers;
+use nsim_compile::{CompileError, Compiled, Form, Options, compile};
+use nsim_files as io;
+use nsim_ir::graph::Graph;
+use nsim_ir::hardware::Target;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::{Sample, Stimulus};
+use nsim_report::agree::AgreeReport;
+use nsim_report::side_by_side::{Compared, SideBySideReport};
+use nsim_session::error::Error;
+use nsim_session::front::real_and_integers;
+use nsim_train::convert::staged::is_real;
 
 /// The model files that `--against` names; none where it names something else.
 ///
@@ -60,7 +60,7 @@ impl<E: Into<Error>> From<E> for Obstacle {
 impl Obstacle {
     fn say(self, context: Context) -> Result<Answer, Error> {
         match self {
-            Obstacle::Refused(refusal) => refusal.say(crate::report::agree::nothing(), context),
+            Obstacle::Refused(refusal) => refusal.say(nsim_report::agree::nothing(), context),
             Obstacle::Error(error) => Err(error),
         }
     }

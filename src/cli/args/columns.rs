@@ -41,7 +41,7 @@ fn line(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::cli::args::columns::*;
 
     #[test]
     fn examples_are_folded_between_words() {

@@ -3,13 +3,13 @@
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::output;
-use crate::convert::calibration::RunInput;
-use crate::convert::copies;
-use crate::convert::deployed::{Choice, Conversion, Integers};
-use crate::error::Error;
-use crate::ir::graph::Graph;
-use crate::ir::quantised::Quantised;
-use crate::ir::spikes::Sample;
+use nsim_ir::graph::Graph;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+use nsim_session::error::Error;
+use nsim_train::convert::calibration::RunInput;
+use nsim_train::convert::copies;
+use nsim_train::convert::deployed::{Choice, Conversion, Integers};
 
 /// What a conversion may cost.
 #[derive(Debug, Clone, clap::Args)]

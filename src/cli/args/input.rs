@@ -1,11 +1,11 @@
 //! `--input` and what goes with it: which samples a run takes.
 
 use crate::cli::args::values::SampleRange;
-use crate::compile::frontend::prune::check_stimulus;
-use crate::drive::inputs::{MOST_REPEATS, repeated};
-use crate::error::Error;
-use crate::ir::quantised::Quantised;
-use crate::ir::spikes::Sample;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+use nsim_quantise::prune::check_stimulus;
+use nsim_session::error::Error;
+use nsim_session::inputs::{MOST_REPEATS, repeated};
 
 /// Where the spikes of a run come from.
 #[derive(Debug, Clone, clap::Args)]

@@ -2,9 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::base::diagnostic::Diagnostic;
-use crate::base::id::PopulationId;
-use crate::base::names::fits_pattern;
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::prune::PruneArgs;
 use crate::cli::args::timestep::TimestepArgs;
@@ -13,26 +10,30 @@ use crate::cli::diagnostics;
 use crate::cli::output;
 use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
-use crate::compile::frontend::real_and_integers;
-use crate::compile::parcel::Opened;
-use crate::compile::{
-    self, CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Mapping, Options, Placed, Reason, explore,
-    kept, mapping_file,
+use nsim_compile as compile;
+use nsim_compile::parcel::Opened;
+use nsim_compile::{
+    CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Mapping, Options, Placed, Reason, explore, kept,
+    mapping_file,
 };
-use crate::convert::copies;
-use crate::convert::prepare::{has_srm, integers};
-use crate::desc::mapping::MappingFile;
-use crate::desc::network::Network;
-use crate::desc::target::Target;
-use crate::drive::handed;
-use crate::error::Error;
-use crate::io;
-use crate::ir::firing_rates::Rates;
-use crate::ir::graph::Graph;
-use crate::ir::program::Program;
-use crate::ir::quantised::Quantised;
-use crate::machine::ranks::transport::Ranks;
-use crate::report;
+use nsim_files as io;
+use nsim_files::network::Network;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::PopulationId;
+use nsim_ir::base::names::fits_pattern;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::graph::Graph;
+use nsim_ir::hardware::Target;
+use nsim_ir::mapping::MappingFile;
+use nsim_ir::program::Program;
+use nsim_ir::quantised::Quantised;
+use nsim_machine::ranks::transport::Ranks;
+use nsim_report as report;
+use nsim_session::error::Error;
+use nsim_session::front::real_and_integers;
+use nsim_session::handed;
+use nsim_train::convert::copies;
+use nsim_train::convert::prepare::{has_srm, integers};
 
 /// What names the network and the hardware.
 #[derive(Debug, Clone, clap::Args)]
@@ -290,7 +291,7 @@ fn prepare_here(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&
     }
     if mapping.is_none()
         && !args.prune.asked()
-        && let Err(CompileError::DoesNotFit(reasons)) = compile::shapes::check(&network, &target, copies)
+        && let Err(CompileError::DoesNotFit(reasons)) = nsim_session::shapes::check(&network, &target, copies)
     {
         let model = network.file().name.clone();
         return Ok(Prepared::DoesNotFit(Refusal { model, target: Box::new(target), reasons }));

@@ -1,10 +1,10 @@
 //! `--prune none|static|INPUT` -> what to leave out of a network before it is mapped.
 
-use crate::base::id::PopulationId;
-use crate::compile::frontend::prune::Plan;
-use crate::drive::inputs;
-use crate::error::Error;
-use crate::ir::quantised::Quantised;
+use nsim_ir::base::id::PopulationId;
+use nsim_ir::quantised::Quantised;
+use nsim_quantise::prune::Plan;
+use nsim_session::error::Error;
+use nsim_session::inputs;
 
 /// What may be left out.
 #[derive(Debug, Clone, Default, clap::Args)]

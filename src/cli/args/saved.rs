@@ -4,10 +4,10 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::base::diagnostic::{Diagnostic, SourceText};
-use crate::error::Error;
-use crate::io;
-use crate::io::write::checksum;
+use nsim_files as io;
+use nsim_files::write::checksum;
+use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
+use nsim_session::error::Error;
 
 /// Whether a name is that of a saved result.
 #[must_use]

@@ -3,16 +3,16 @@
 use std::path::Path;
 
 use crate::cli::process::ranks;
-use crate::cost::{MeterSettings, StepMeter};
-use crate::drive::priced::Metered;
-use crate::drive::samples::{Run, Running};
-use crate::drive::steps::{StepLayout, run_recorded};
-use crate::error::Error;
-use crate::io::recorded::steps::{StepFormat, StepWriter};
-use crate::io::text::is_standard_stream;
-use crate::io::write::{Batch, check_free};
-use crate::ir::quantised::Quantised;
-use crate::ir::spikes::Sample;
+use nsim_cost::{MeterSettings, StepMeter};
+use nsim_files::recorded::steps::{StepFormat, StepWriter};
+use nsim_files::text::is_standard_stream;
+use nsim_files::write::{Batch, check_free};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+use nsim_session::error::Error;
+use nsim_session::priced::Metered;
+use nsim_session::samples::{Run, Running};
+use nsim_session::steps::{StepLayout, run_recorded};
 
 /// Checks the file before the run.
 ///

@@ -1,8 +1,8 @@
 //! `--dt`: the timestep of a model whose file has none.
 
-use crate::base::diagnostic::Result;
-use crate::desc::network::Network;
-use crate::io::model;
+use nsim_files::network::Network;
+use nsim_import::model;
+use nsim_ir::base::diagnostic::Result;
 
 /// What a model's file may not say.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]

@@ -62,7 +62,7 @@ pub fn seconds(text: &str) -> Result<Duration, String> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::cli::args::values::*;
 
     #[test]
     fn ranges_of_samples_parse() {

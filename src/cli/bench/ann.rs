@@ -4,20 +4,20 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use crate::bench::Environment;
-use crate::bench::published::paper::{PaperRow, blank, stored};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::train::labelled;
-use crate::desc::training::TrainingFile;
-use crate::error::Error;
-use crate::io;
-use crate::report::bench::paper::PaperReport;
-use crate::train::ann::{AnnKind, AnnResult, AnnSettings, Senses, trained};
-use crate::train::fit::Example;
-use crate::train::job::Job;
-use crate::train::raster::Raster;
+use nsim_ann::{AnnKind, AnnResult, AnnSettings, Senses, trained};
+use nsim_energy::environment::Environment;
+use nsim_files as io;
+use nsim_files::training::TrainingFile;
+use nsim_report::bench::paper::PaperReport;
+use nsim_session::error::Error;
+use nsim_study::published::paper::{PaperRow, blank, stored};
+use nsim_train::fit::Example;
+use nsim_train::job::Job;
+use nsim_train::raster::Raster;
 
 const EXAMPLES: &str = "\
 EXAMPLES:

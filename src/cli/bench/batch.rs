@@ -3,21 +3,23 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::bench::batch_sizes::{self, BatchRow, OnChip};
-use crate::bench::power::{POWERCAP, PackagePower, PowerMeter};
 use crate::cli::args::input::InputArgs;
-use crate::cli::args::jobs::{self, Job, JobArgs, Prepared, Wanted};
+use crate::cli::args::jobs;
+use crate::cli::args::jobs::{Job, JobArgs, Prepared, Wanted};
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
-use crate::cost::baseline::{Baseline, SHIPPED, Work};
-use crate::cost::estimate::{Case, estimate};
-use crate::cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
-use crate::energy::options::Watts;
-use crate::error::Error;
-use crate::report::bench::batch::BatchReport;
+use nsim_cost::estimate::{Case, estimate};
+use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
+use nsim_energy::baseline::{Baseline, SHIPPED, Work};
+use nsim_energy::options::Watts;
+use nsim_energy::power::{POWERCAP, PackagePower, PowerMeter};
+use nsim_report::bench::batch::BatchReport;
+use nsim_session::error::Error;
+use nsim_study::batch_sizes;
+use nsim_study::batch_sizes::{BatchRow, OnChip};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -198,12 +200,12 @@ pub fn run(args: &BatchArgs, context: Context) -> Result<Answer, Error> {
 #[cfg(feature = "gpu")]
 fn on_gpu(
     args: &BatchArgs,
-    network: &crate::ir::quantised::Quantised,
-    samples: (&[&crate::ir::spikes::Sample], u32),
+    network: &nsim_ir::quantised::Quantised,
+    samples: (&[&nsim_ir::spikes::Sample], u32),
     sizes: &[u32],
     mut take: impl FnMut(Result<BatchRow, String>),
 ) -> Result<(), Error> {
-    use crate::bench::batch::{BatchForm, Gpu};
+    use nsim_study::batch::{BatchForm, Gpu};
     let gpu = match Gpu::open() {
         Ok(gpu) => gpu,
         Err(reason) => {

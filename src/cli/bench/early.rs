@@ -2,20 +2,21 @@
 
 use std::path::PathBuf;
 
-use crate::bench::early::{StudyModel, Trial, TrialGroup, TrialRun, study_models};
 use crate::cli::args::input::InputArgs;
-use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
+use crate::cli::args::jobs;
+use crate::cli::args::jobs::{JobArgs, Prepared, Wanted};
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
-use crate::cost::estimate::{Case, spent_by_step_uj};
-use crate::cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
-use crate::desc::published::baseline::Mode;
-use crate::energy::workload::Workload;
-use crate::error::Error;
-use crate::io;
-use crate::report::bench::early::EarlyReport;
+use nsim_cost::estimate::{Case, spent_by_step_uj};
+use nsim_cost::job::Mode;
+use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
+use nsim_energy::workload::Workload;
+use nsim_files as io;
+use nsim_report::bench::early::EarlyReport;
+use nsim_session::error::Error;
+use nsim_study::early::{StudyModel, Trial, TrialGroup, TrialRun, study_models};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -121,8 +122,11 @@ pub fn run(args: &EarlyArgs, context: Context) -> Result<Answer, Error> {
         args.output.iter().flat_map(|folder| names.iter().map(|name| folder.join(name))).collect();
     let taken = output::check_files(&paths, &args.plot, context)?;
     let models = models(args)?;
-    let scenario =
-        models.first().map(|model| io::published::scenario::shipped_for(&model.model)).transpose()?.flatten();
+    let scenario = models
+        .first()
+        .map(|model| nsim_energy::published::files::scenario::shipped_for(&model.model))
+        .transpose()?
+        .flatten();
     let copies = args.copies.or(scenario.map(|scenario| scenario.copies.value)).unwrap_or(1);
     let quiet = Context { progress: false, ..context };
     let groups = output::with_progress(context, models.len(), "models", |done| {

@@ -14,32 +14,35 @@ use std::cell::OnceCell;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use self::early::EarlyArgs;
-use self::paper::PaperArgs;
-use self::pareto::ParetoArgs;
-use self::published::PublishedArgs;
-use self::scale::ScaleArgs;
-use crate::bench::networks::{BenchNetwork, StandardNetwork};
-use crate::bench::suite::{self, SuiteCase, Ways};
-use crate::bench::{Budget, Environment, StepTiming, mapping, measure_agreed};
 use crate::cli::args::values;
+use crate::cli::bench::early::EarlyArgs;
+use crate::cli::bench::paper::PaperArgs;
+use crate::cli::bench::pareto::ParetoArgs;
+use crate::cli::bench::published::PublishedArgs;
+use crate::cli::bench::scale::ScaleArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use crate::compile::{CompileError, Options};
-use crate::desc::resource::Resource;
-use crate::drive::handed::compile_on;
-use crate::drive::ranks::part_of;
-use crate::error::Error;
-use crate::io;
-use crate::ir::activity::Totals;
-use crate::ir::program::Program;
-use crate::ir::quantised::Quantised;
-use crate::ir::spikes::Sample;
-use crate::machine::ranks::transport::Ranks;
-use crate::machine::{Image, Machine, Settings};
-use crate::report::bench::mapping::MapReport;
-use crate::report::bench::step::{StepReport, StepRow};
+use nsim_compile::{CompileError, Options};
+use nsim_energy::environment::Environment;
+use nsim_energy::measure::{Budget, StepTiming, measure_agreed};
+use nsim_files as io;
+use nsim_ir::activity::Totals;
+use nsim_ir::program::Program;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::resource::Resource;
+use nsim_ir::spikes::Sample;
+use nsim_machine::ranks::transport::Ranks;
+use nsim_machine::{Image, Machine, Settings};
+use nsim_report::bench::mapping::MapReport;
+use nsim_report::bench::step::{StepReport, StepRow};
+use nsim_session::error::Error;
+use nsim_session::handed::compile_on;
+use nsim_session::ranks::part_of;
+use nsim_study::mapping;
+use nsim_study::networks::{BenchNetwork, StandardNetwork};
+use nsim_study::suite;
+use nsim_study::suite::{SuiteCase, Ways};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -96,7 +99,7 @@ pub struct MapArgs {
     #[arg(long)]
     full: bool,
     /// Effort of each search for a better mapping, in seconds of a reference machine
-    #[arg(long, value_name = "S", default_value_t = crate::compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
+    #[arg(long, value_name = "S", default_value_t = nsim_compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
     time_budget: u32,
 }
 

@@ -4,31 +4,33 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use crate::base::diagnostic::SourceText;
-use crate::bench::Environment;
-use crate::bench::early::{Trial, TrialRun};
-use crate::bench::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
-use crate::bench::published::paper::{self, PaperRow};
-use crate::cli::args::jobs::{self, Job, JobArgs, Prepared, Wanted};
+use crate::cli::args::jobs;
+use crate::cli::args::jobs::{Job, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::one_of;
 use crate::cli::bench::early::timed;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::train::train;
-use crate::drive::Keep;
-use crate::drive::inputs::{seen_by, stimulus};
-use crate::drive::samples::reference;
-use crate::energy::workload::Workload;
-use crate::error::Error;
-use crate::io;
-use crate::io::shipped::{MODELS, Shipped};
-use crate::ir::quantised::Quantised;
-use crate::ir::spikes::{Sample, Stimulus};
-use crate::reference::{Model, Options};
-use crate::report::bench::paper::PaperReport;
-use crate::train::fit::{Example, Plan};
-use crate::train::job::{Data, Job as Training};
-use crate::train::study::Study;
+use nsim_energy::environment::Environment;
+use nsim_energy::workload::Workload;
+use nsim_files as io;
+use nsim_files::shipped::{MODELS, Shipped};
+use nsim_ir::base::diagnostic::SourceText;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::{Sample, Stimulus};
+use nsim_reference::{Model, Options};
+use nsim_report::bench::paper::PaperReport;
+use nsim_session::Keep;
+use nsim_session::error::Error;
+use nsim_session::inputs::{seen_by, stimulus};
+use nsim_session::samples::reference;
+use nsim_study::early::{Trial, TrialRun};
+use nsim_study::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
+use nsim_study::published::paper;
+use nsim_study::published::paper::PaperRow;
+use nsim_train::fit::{Example, Plan};
+use nsim_train::job::{Data, Job as Training};
+use nsim_train::study::Study;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -225,7 +227,7 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
             if Shipped::find(MODELS, &model).is_none() {
                 continue;
             }
-            let network = crate::compile::front(&io::model::load_model(&model)?)?.into_quantised();
+            let network = nsim_session::front::front(&nsim_import::model::load_model(&model)?)?.into_quantised();
             let samples = scenes.seen_by(&network)?;
             let labels: Vec<u32> = samples.iter().filter_map(Sample::label).collect();
             let folds = Training::folds_by_label(&labels, FOLDS);
@@ -281,7 +283,7 @@ pub fn run(args: &PaperArgs, context: Context) -> Result<Answer, Error> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::cli::bench::paper::*;
 
     #[test]
     fn names_are_those_of_the_cells_and_sources_take_another_number_of_scenes() {

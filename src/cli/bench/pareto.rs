@@ -3,21 +3,20 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::base::diagnostic::Diagnostic;
-use crate::bench::Environment;
-use crate::bench::pareto::{ParetoError, Subject, Variant, mark_front};
 use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::{InputArgs, select};
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::compile::Form;
-use crate::compile::frontend::real_and_integers;
-use crate::drive::inputs;
-use crate::error::Error;
-use crate::io;
-use crate::report::bench::pareto::ParetoReport;
+use nsim_compile::Form;
+use nsim_energy::environment::Environment;
+use nsim_files as io;
+use nsim_report::bench::pareto::ParetoReport;
+use nsim_session::error::Error;
+use nsim_session::front::real_and_integers;
+use nsim_session::inputs;
+use nsim_study::pareto::{Subject, Variant, mark_front};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -50,16 +49,6 @@ pub struct ParetoArgs {
     /// Replace the section `<!-- pareto MODEL -->` of this document, and write the chart next to it
     #[arg(long, value_name = "FILE.md")]
     update: Option<PathBuf>,
-}
-
-impl From<ParetoError> for Error {
-    fn from(error: ParetoError) -> Self {
-        match error {
-            ParetoError::Input(diagnostic) => diagnostic.into(),
-            ParetoError::Compile(error) => error.into(),
-            ParetoError::Variant(message) => Diagnostic::new("pareto.variant", message).into(),
-        }
-    }
 }
 
 /// Samples that a conversion is searched on.

@@ -2,14 +2,13 @@
 
 use std::path::PathBuf;
 
-use crate::bench::published::predict::PredictError;
-use crate::bench::published::rows;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::error::Error;
-use crate::io;
-use crate::io::published::workload;
-use crate::report::bench::published::PublishedReport;
+use nsim_energy::published::files::workload;
+use nsim_files as io;
+use nsim_report::bench::published::PublishedReport;
+use nsim_session::error::Error;
+use nsim_study::published::rows;
 
 /// The constants whose findings are left out work by work.
 const CONSTANTS: &str = "loihi1-evidence";
@@ -32,15 +31,6 @@ pub struct PublishedArgs {
     /// Write a chart of published against predicted figures
     #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
     plot: Option<PathBuf>,
-}
-
-impl From<PredictError> for Error {
-    fn from(error: PredictError) -> Self {
-        match error {
-            PredictError::Input(diagnostic) => diagnostic.into(),
-            other => Error::Fault(other.to_string()),
-        }
-    }
 }
 
 /// Runs the command.

@@ -2,19 +2,20 @@
 
 use std::time::Duration;
 
-use crate::bench::networks::{BenchNetwork, StandardNetwork};
-use crate::bench::scale::measured::{MeasuredStep, PROGRAM_BYTES, exchange, on_all, on_one};
-use crate::bench::scale::model::{Costs, ScaleJob};
-use crate::bench::{Budget, Environment};
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use crate::compile::Options;
-use crate::drive::handed::compile_on;
-use crate::error::Error;
-use crate::io;
-use crate::report::bench::scale::{Modelled, ScaleReport};
+use nsim_compile::Options;
+use nsim_energy::environment::Environment;
+use nsim_energy::measure::Budget;
+use nsim_files as io;
+use nsim_report::bench::scale::{Modelled, ScaleReport};
+use nsim_session::error::Error;
+use nsim_session::handed::compile_on;
+use nsim_study::networks::{BenchNetwork, StandardNetwork};
+use nsim_study::scale::measured::{MeasuredStep, PROGRAM_BYTES, exchange, on_all, on_one};
+use nsim_study::scale::model::{Costs, ScaleJob};
 
 const EXAMPLES: &str = "\
 EXAMPLES:

@@ -9,13 +9,13 @@ use std::sync::{Arc, Mutex};
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::cli::process::signals;
-use crate::convert::fine_tune::{BestEpoch, Task, Tuned, trainable};
-use crate::convert::job::{Done, FineTuning, Job};
-use crate::convert::model_file;
-use crate::error::Error;
-use crate::io::shipped;
-use crate::ir::graph::Graph;
-use crate::ir::spikes::Sample;
+use nsim_files::shipped;
+use nsim_ir::graph::Graph;
+use nsim_ir::spikes::Sample;
+use nsim_session::error::Error;
+use nsim_train::convert::fine_tune::{BestEpoch, Task, Tuned, trainable};
+use nsim_train::convert::job::{Done, FineTuning, Job};
+use nsim_train::convert::model_file;
 
 /// How integers are trained further.
 #[derive(Debug, Clone, clap::Args)]

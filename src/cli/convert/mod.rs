@@ -7,20 +7,21 @@ mod fine_tuning;
 
 use std::path::PathBuf;
 
-use self::fine_tuning::FineTuneArgs;
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::input::{InputArgs, select};
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
+use crate::cli::convert::fine_tuning::FineTuneArgs;
 use crate::cli::output;
-use crate::convert::calibration::{self, RunInput};
-use crate::convert::deployed::Conversion;
-use crate::convert::job::{Job, Split};
-use crate::convert::next::{Typed, next};
-use crate::drive::inputs;
-use crate::error::Error;
-use crate::io;
-use crate::report::convert::ConvertReport;
+use nsim_files as io;
+use nsim_report::convert::ConvertReport;
+use nsim_session::error::Error;
+use nsim_session::inputs;
+use nsim_train::convert::calibration;
+use nsim_train::convert::calibration::RunInput;
+use nsim_train::convert::deployed::Conversion;
+use nsim_train::convert::job::{Job, Split};
+use nsim_train::convert::next::{Typed, next};
 
 const EXAMPLES: &str = "\
 EXAMPLES:

@@ -7,12 +7,12 @@ use clap::Args;
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::{Switch, one_of};
-use crate::cost::{Host, Streams, Transport};
-use crate::desc::published::baseline::Mode;
-use crate::desc::published::scenario::Convention;
-use crate::desc::published::workload::Accounting;
-use crate::drive::decision::Rule;
-use crate::energy::options::Watts;
+use nsim_cost::job::Accounting;
+use nsim_cost::job::Convention;
+use nsim_cost::job::Mode;
+use nsim_cost::{Host, Streams, Transport};
+use nsim_energy::options::Watts;
+use nsim_session::decision::Rule;
 
 const EXAMPLES: &str = "\
 EXAMPLES:

@@ -2,18 +2,20 @@
 
 use std::path::Path;
 
-use super::args::CostArgs;
-use super::workload::{simulate, simulate_recorded, workload, workload_of};
-use crate::cli::args::jobs::{self, JobArgs, Prepared, Wanted};
+use crate::cli::args::jobs;
+use crate::cli::args::jobs::{JobArgs, Prepared, Wanted};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
+use crate::cli::energy::args::CostArgs;
+use crate::cli::energy::workload::{simulate, simulate_recorded, workload, workload_of};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use crate::energy::evaluate::{self, Evaluated, Plan};
-use crate::energy::options::{CostOptions, baselines};
-use crate::energy::workload::Workload;
-use crate::error::Error;
-use crate::report::energy::table::nothing;
+use nsim_energy::evaluate;
+use nsim_energy::evaluate::{Evaluated, Plan};
+use nsim_energy::options::{CostOptions, baselines};
+use nsim_energy::report::table::nothing;
+use nsim_energy::workload::Workload;
+use nsim_session::error::Error;
 
 /// Runs and prices a job, with a row for each timestep in a file where one is named, and warns of what stands out; `report` takes
 /// the result. What does not fit is said, and the answer is no.

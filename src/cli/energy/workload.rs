@@ -8,16 +8,16 @@ use crate::cli::args::steps::recorded;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::cli::process::ranks;
-use crate::compile::Compiled;
-use crate::cost::{MeterSettings, StepMeter};
-use crate::desc::target::Target;
-use crate::drive::decision::EarlyExit;
-use crate::drive::samples::{Run, Running};
-use crate::drive::{Keep, inputs};
-use crate::energy::workload::Workload;
-use crate::error::Error;
-use crate::io;
-use crate::ir::spikes::{Copies, Sample};
+use nsim_compile::Compiled;
+use nsim_cost::{MeterSettings, StepMeter};
+use nsim_energy::workload::Workload;
+use nsim_files as io;
+use nsim_ir::hardware::Target;
+use nsim_ir::spikes::{Copies, Sample};
+use nsim_session::decision::EarlyExit;
+use nsim_session::error::Error;
+use nsim_session::samples::{Run, Running};
+use nsim_session::{Keep, inputs};
 
 /// A mapped job with its input.
 ///

@@ -2,11 +2,11 @@
 
 use serde_json::json;
 
-use crate::base::diagnostic::Diagnostic;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::error::Error;
-use crate::io::write::cache;
+use nsim_files::write::cache;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_session::error::Error;
 
 /// Show or empty the cache of mappings
 #[derive(Debug, Clone, clap::Args)]

@@ -8,14 +8,16 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::base::diagnostic::Diagnostic;
-use crate::io::foreign::hdf5::{self, Group, Item};
-use crate::io::foreign::{self, Imported, Options, torch};
-use crate::io::kind::{EventFormat, FileKind, RECORDINGS};
-use crate::io::spikes::EventOptions;
-use crate::io::spikes::events::event::{Counts, Event, Remark, Sink};
-use crate::io::spikes::events::{nir_data, read};
-use crate::report::inspect::{Findings, FindingsTable, number};
+use nsim_import::foreign;
+use nsim_import::foreign::hdf5;
+use nsim_import::foreign::hdf5::{Group, Item};
+use nsim_import::foreign::{Imported, Options, torch};
+use nsim_import::kind::{EventFormat, FileKind, RECORDINGS};
+use nsim_import::spikes::EventOptions;
+use nsim_import::spikes::events::event::{Counts, Event, Remark, Sink};
+use nsim_import::spikes::events::{nir_data, read};
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_report::inspect::{Findings, FindingsTable, number};
 
 /// A row each: an array, or a text.
 const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];

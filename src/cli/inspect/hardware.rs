@@ -4,11 +4,11 @@
 
 use serde_json::{Map, Value, json};
 
-use crate::cost::baseline::Baseline;
-use crate::desc::published::scenario::ScenarioFile;
-use crate::desc::target::constants::{Constant, Constants};
-use crate::desc::target::{Chip, Target};
-use crate::report::inspect::{Findings, FindingsTable};
+use nsim_energy::baseline::Baseline;
+use nsim_energy::published::scenario::ScenarioFile;
+use nsim_ir::hardware::constants::{Constant, Constants};
+use nsim_ir::hardware::{Chip, Target};
+use nsim_report::inspect::{Findings, FindingsTable};
 
 fn limits_table(chip: &Chip) -> FindingsTable {
     let row = |(name, value): (String, Value)| {

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Command;
 
 use crate::cli::context::{Answer, Context};
-use crate::error::Error;
-use crate::io;
+use nsim_files as io;
+use nsim_session::error::Error;
 
 /// Print this message, the help of a command, or write manual pages
 #[derive(Debug, Clone, clap::Args)]

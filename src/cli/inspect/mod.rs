@@ -15,25 +15,31 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use self::hardware::{baseline_findings, chip_findings, constants_findings, scenario_findings, target_findings};
-use self::network::network_findings;
-use crate::base::diagnostic::{Diagnostic, SourceText};
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
+use crate::cli::inspect::hardware::{
+    baseline_findings, chip_findings, constants_findings, scenario_findings, target_findings,
+};
+use crate::cli::inspect::network::network_findings;
 use crate::cli::output;
-use crate::cost::baseline::{Baseline, SHIPPED};
-use crate::desc::mapping::{MappingFile, PrunedFile, Run};
-use crate::desc::spanned::root_name;
-use crate::desc::stimulus::{InputArg, InputSource};
-use crate::desc::tensor::Tensor;
-use crate::error::Error;
-use crate::io::kind::FileKind;
-use crate::io::mapping::{check_unchanged, mapping};
-use crate::io::published::scenario;
-use crate::io::shipped::{self, Origin};
-use crate::io::spikes::{self, EventOptions, manifest};
-use crate::io::{model, npy, safetensors, target, text};
-use crate::report::inspect::{Findings, FindingsTable, number};
+use nsim_energy::baseline::{Baseline, SHIPPED};
+use nsim_energy::published::files::scenario;
+use nsim_files::mapping::mapping;
+use nsim_files::shipped;
+use nsim_files::shipped::Origin;
+use nsim_files::{npy, safetensors, target, text};
+use nsim_import::kind::FileKind;
+use nsim_import::model;
+use nsim_import::spikes;
+use nsim_import::spikes::{EventOptions, manifest};
+use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
+use nsim_ir::mapping::check_unchanged;
+use nsim_ir::mapping::{MappingFile, PrunedFile, Run};
+use nsim_ir::spanned::root_name;
+use nsim_ir::stimulus::{InputArg, InputSource};
+use nsim_ir::tensor::Tensor;
+use nsim_report::inspect::{Findings, FindingsTable, number};
+use nsim_session::error::Error;
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -325,7 +331,7 @@ fn inspect_folder(path: &Path, options: &EventOptions) -> Result<Findings, Diagn
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::cli::inspect::*;
 
     fn findings(name: &str, bytes: &[u8]) -> Result<Findings, Diagnostic> {
         let folder = tempfile::tempdir().unwrap();

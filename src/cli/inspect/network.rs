@@ -7,8 +7,8 @@ use std::collections::HashMap;
 
 use serde_json::{Value, json};
 
-use crate::desc::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
-use crate::report::inspect::{Findings, FindingsTable};
+use nsim_files::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
+use nsim_report::inspect::{Findings, FindingsTable};
 
 fn units_of(shape: &[u64]) -> Option<u64> {
     shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
@@ -50,8 +50,7 @@ fn synapses(network: &Network, shapes: &HashMap<&str, &[u64]>, projection: &Proj
                 Source::Uniform { .. } => return None,
             };
             let &[_, per_group, kh, kw] = kernel else { return None };
-            let of =
-                |pair: &Option<crate::desc::spanned::Spanned<(u64, u64)>>, or| pair.as_ref().map_or(or, |p| p.value);
+            let of = |pair: &Option<nsim_ir::spanned::Spanned<(u64, u64)>>, or| pair.as_ref().map_or(or, |p| p.value);
             let (stride, padding, dilation) =
                 (of(&conv.stride, (1, 1)), of(&conv.padding, (0, 0)), of(&conv.dilation, (1, 1)));
             let y = taps(h, to_h, kh as u64, stride.0, padding.0, dilation.0)?;

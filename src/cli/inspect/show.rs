@@ -4,9 +4,10 @@
 //! can be saved, changed and used in its place.
 
 use crate::cli::context::{Answer, Context, Format};
-use crate::error::Error;
-use crate::io;
-use crate::io::shipped::{self, Shipped};
+use nsim_files as io;
+use nsim_files::shipped;
+use nsim_files::shipped::Shipped;
+use nsim_session::error::Error;
 
 /// Print a shipped model, target, chip or preset of constants as RON
 #[derive(Debug, Clone, clap::Args)]
@@ -77,7 +78,7 @@ fn find(name: &str) -> Result<&'static Shipped, Error> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::cli::inspect::show::*;
 
     #[test]
     fn shipped_files_are_found_by_name_and_by_kind() {

@@ -9,26 +9,28 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use crate::base::diagnostic::Diagnostic;
-use crate::base::id::{CompartmentId, PopulationId};
-use crate::base::names::fits_pattern;
-use crate::cli::args::jobs::{self, Prepared, Wanted};
+use crate::cli::args::jobs;
+use crate::cli::args::jobs::{Prepared, Wanted};
 use crate::cli::args::saved;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::energy::workload::workload;
 use crate::cli::output;
-use crate::compile::DEFAULT_RATE;
-use crate::drive::priced::Metered;
-use crate::error::Error;
-use crate::io;
-use crate::ir::firing_rates::Rates;
-use crate::ir::quantised::Quantised;
-use crate::neuron;
-use crate::report::charts::board;
-use crate::report::charts::results::{self, Over};
-use crate::report::charts::sample::{Traced, raster, voltage};
+use nsim_compile::DEFAULT_RATE;
+use nsim_dynamics as neuron;
+use nsim_files as io;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::{CompartmentId, PopulationId};
+use nsim_ir::base::names::fits_pattern;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::quantised::Quantised;
+use nsim_report::charts::board;
+use nsim_report::charts::results;
+use nsim_report::charts::results::Over;
+use nsim_report::charts::sample::{Traced, raster, voltage};
+use nsim_session::error::Error;
+use nsim_session::priced::Metered;
 
 const EXAMPLES: &str = "\
 EXAMPLES:

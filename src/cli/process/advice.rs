@@ -57,7 +57,7 @@ fn completed(advice: &str, runs: &str, commands: &[(String, Vec<String>)]) -> St
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::cli::process::advice::*;
 
     #[test]
     fn an_option_of_another_command_is_named_with_it() {

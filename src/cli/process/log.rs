@@ -9,7 +9,7 @@ struct Unheard;
 
 impl Write for Unheard {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        if !crate::io::write::is_silent() {
+        if !nsim_files::write::is_silent() {
             let _ = std::io::stderr().lock().write_all(bytes);
         }
         Ok(bytes.len())

@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Mutex;
 
 use crate::cli::diagnostics;
-use crate::error::Error;
+use nsim_session::error::Error;
 
 /// Message and place of the first panic.
 static FIRST: Mutex<Option<String>> = Mutex::new(None);

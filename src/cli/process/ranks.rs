@@ -9,11 +9,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(feature = "mpi")]
 use std::time::{Duration, Instant};
 
-use crate::drive::ranks::RankRow;
-use crate::error::Error;
-use crate::ir::dealt::Share;
-use crate::ir::program::Program;
-use crate::machine::ranks::transport::Ranks;
+use nsim_ir::dealt::Share;
+use nsim_ir::program::Program;
+use nsim_machine::ranks::transport::Ranks;
+use nsim_session::error::Error;
+use nsim_session::ranks::RankRow;
 
 /// How much longer each rank than the one before it waits for another to say what is wrong.
 #[cfg(feature = "mpi")]
@@ -32,10 +32,10 @@ static WHOLE: AtomicBool = AtomicBool::new(false);
 /// Joins the job, if this process is of one.
 pub fn start() {
     #[cfg(feature = "mpi")]
-    if let Some(ranks) = crate::machine::ranks::mpi::start() {
-        crate::io::write::be_silent(ranks.rank() > 0);
+    if let Some(ranks) = nsim_machine::ranks::mpi::start() {
+        nsim_files::write::be_silent(ranks.rank() > 0);
         if ranks.rank() > 0 {
-            crate::io::write::cache::read_only();
+            nsim_files::write::cache::read_only();
         }
         let _ = HERE.set(ranks);
     }
@@ -100,7 +100,7 @@ pub fn leave_to_first() {
 pub fn finish() {
     #[cfg(feature = "mpi")]
     if here().is_some() {
-        crate::machine::ranks::mpi::finish();
+        nsim_machine::ranks::mpi::finish();
     }
 }
 
@@ -108,7 +108,7 @@ pub fn finish() {
 pub fn before_failing() {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = several() {
-        use crate::machine::ranks::mpi::{another_has_failed, tell_failed};
+        use nsim_machine::ranks::mpi::{another_has_failed, tell_failed};
         let until = Instant::now() + MOMENT * ranks.rank().min(LONGEST);
         while Instant::now() < until {
             if another_has_failed() {
@@ -117,7 +117,7 @@ pub fn before_failing() {
             std::thread::sleep(Duration::from_millis(10));
         }
         tell_failed(ranks);
-        crate::io::write::be_silent(false);
+        nsim_files::write::be_silent(false);
     }
 }
 
@@ -128,7 +128,7 @@ pub fn is_said_elsewhere() -> bool {
     if let Some(ranks) = several() {
         let until = Instant::now() + HEARING;
         while ranks.rank() == 0 && Instant::now() < until {
-            if crate::machine::ranks::mpi::another_has_failed() {
+            if nsim_machine::ranks::mpi::another_has_failed() {
                 return true;
             }
             std::thread::sleep(Duration::from_millis(1));

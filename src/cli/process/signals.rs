@@ -14,7 +14,7 @@ use signal_hook::iterator::Signals;
 use crate::cli::context::Format;
 use crate::cli::diagnostics;
 use crate::cli::process::ranks;
-use crate::io::write;
+use nsim_files::write;
 
 /// What is left to do for a command that a signal ends: it keeps what is finished and says what.
 type Last = Box<dyn FnOnce() -> Option<String> + Send>;

@@ -1,6 +1,6 @@
 //! The threads of a command.
 
-use crate::error::Error;
+use nsim_session::error::Error;
 
 /// The most threads that are started: more cost time and memory and gain nothing.
 pub const MOST_THREADS: usize = 1024;

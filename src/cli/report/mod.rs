@@ -10,13 +10,13 @@ use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::output;
-use crate::desc::stimulus::{InputArg, InputSource};
-use crate::energy::evaluate::Evaluated;
-use crate::energy::page::{agreement, compared, sections, trained};
-use crate::energy::workload::Workload;
-use crate::error::Error;
-use crate::io;
-use crate::report::page::{Origin, Provenance, Sections, html};
+use nsim_energy::evaluate::Evaluated;
+use nsim_energy::workload::Workload;
+use nsim_files as io;
+use nsim_ir::stimulus::{InputArg, InputSource};
+use nsim_report::page::job::{agreement, compared, sections, trained};
+use nsim_report::page::{Origin, Provenance, Sections, html};
+use nsim_session::error::Error;
 
 const EXAMPLES: &str = "\
 EXAMPLES:

@@ -2,4 +2,4 @@
 
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| nsim::io::fuzz_entry::arrays(data));
+libfuzzer_sys::fuzz_target!(|data: &[u8]| nsim::import::fuzz_entry::arrays(data));

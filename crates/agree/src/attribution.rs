@@ -1,0 +1,307 @@
+//! Which cause takes what share of a disagreement.
+//!
+//! The ladder begins at the network as its tool runs it ([`as_trained`]) and is climbed twice:
+//! *forward*, one cause after the other; and *reversed*, the last cause first. What a cause adds to
+//! the disagreement depends on what was switched on before it; its share is the mean of the two,
+//! and their difference the interaction. Where causes give back what others take, means are negative or
+//! beyond the whole, and there are no shares. *Alone* a cause brings back what the machine gains
+//! with real numbers in its place: by this one is blamed, since it is what one change can gain.
+//! Disagreement is 1 minus the coincidence factor of all spikes of all layers against the trained
+//! network's.
+
+use rayon::prelude::*;
+
+use super::causes::{Cause, Rung};
+use super::classes::ClassTally;
+use super::ladder::Ladder;
+use super::metrics::TrainSums;
+use super::trace::{Comparison, Layer};
+use nsim_ir::spikes::Sample;
+
+/// How far a rung is from the trained network.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Distance {
+    /// Share of samples with the same class, of those that both decide; `None` when there are none.
+    pub class_agreement: Option<f64>,
+    /// Coincidence factor over all layers.
+    pub coincidence: f64,
+    /// Potentials over all layers, in thresholds.
+    pub potential_rmse: Option<f64>,
+}
+
+impl Distance {
+    /// Of a network from itself.
+    pub const EQUAL: Distance = Distance { class_agreement: Some(1.0), coincidence: 1.0, potential_rmse: Some(0.0) };
+}
+
+/// A row of the attribution.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Share {
+    /// The cause.
+    pub cause: Cause,
+    /// The forward ladder once it is switched on.
+    pub rung: Distance,
+    /// The disagreement that it adds forward.
+    pub forward: f64,
+    /// The disagreement that it adds reversed.
+    pub reversed: f64,
+    /// Mean of the two, relative to the whole disagreement, 0 when there is none; `None` where
+    /// causes give back what others take.
+    pub share: Option<f64>,
+    /// The machine without this cause.
+    pub without: Distance,
+}
+
+impl Share {
+    /// How much the order matters.
+    #[must_use]
+    pub fn interaction(&self) -> f64 {
+        self.forward - self.reversed
+    }
+}
+
+/// What a layer loses to the causes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerLoss {
+    /// The population.
+    pub name: String,
+    /// Spikes of the trained network and of the machine.
+    pub spikes: (u64, u64),
+    /// 1 minus the coincidence of the machine's layer with the trained one's.
+    pub disagreement: f64,
+    /// What each cause adds to that, the mean of climbing forward and reversed, in the order of the forward ladder.
+    pub causes: Vec<(Cause, f64)>,
+    /// What the machine's layer would gain without each cause.
+    pub alone: Vec<(Cause, f64)>,
+}
+
+/// A loss of coincidence or of classes below this is not worth a change.
+const LITTLE: f64 = 0.005;
+/// A cause is blamed where it alone brings back at least this share of a loss.
+const BLAMED: f64 = 0.1;
+/// Means below zero by less than this share of the whole are noise.
+const NOISE: f64 = 0.02;
+
+/// The cause that brings back most of a loss; `None` where nothing is lost, or no one cause brings
+/// it back.
+fn worst(lost: f64, alone: impl Iterator<Item = (Cause, f64)>) -> Option<(Cause, f64)> {
+    let enough = alone.filter(|&(_, back)| lost >= LITTLE && back >= (BLAMED * lost).max(LITTLE));
+    enough.reduce(|most, next| if next.1 > most.1 { next } else { most })
+}
+
+/// Means as shares of their sum; `None` where some are below zero.
+fn shares(means: &[f64]) -> Option<Vec<f64>> {
+    let whole: f64 = means.iter().sum();
+    if whole.abs() < 1e-12 && means.iter().all(|mean| mean.abs() < 1e-12) {
+        return Some(vec![0.0; means.len()]);
+    }
+    let least = means.iter().copied().fold(0.0, f64::min);
+    let positive: f64 = means.iter().map(|mean| mean.max(0.0)).sum();
+    (least >= -NOISE * whole).then(|| means.iter().map(|mean| mean.max(0.0) / positive).collect())
+}
+
+impl LayerLoss {
+    /// Whether the layer loses more than is worth a word.
+    #[must_use]
+    pub fn is_lossy(&self) -> bool {
+        self.disagreement >= LITTLE
+    }
+
+    /// The cause without which the layer would gain most, and how much.
+    #[must_use]
+    pub fn worst(&self) -> Option<(Cause, f64)> {
+        worst(self.disagreement, self.alone.iter().copied())
+    }
+
+    /// The shares of the causes, where they do not give back what others take.
+    #[must_use]
+    pub fn shares(&self) -> Option<Vec<f64>> {
+        shares(&self.causes.iter().map(|cause| cause.1).collect::<Vec<f64>>())
+    }
+}
+
+/// The whole attribution.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Attribution {
+    /// 1 minus the coincidence of the machine with the trained network.
+    pub disagreement: f64,
+    /// How far the machine is from the trained network.
+    pub machine: Distance,
+    /// A row for each cause, in the order of the forward ladder.
+    pub shares: Vec<Share>,
+    /// What each layer loses, in the order of the ladder's layers.
+    pub layers: Vec<LayerLoss>,
+}
+
+impl Attribution {
+    /// The cause without which most classes would agree again, and how many more then do, as a
+    /// share.
+    #[must_use]
+    pub fn worst_of_classes(&self) -> Option<(Cause, f64)> {
+        let now = self.machine.class_agreement?;
+        let back = |share: &Share| Some((share.cause, share.without.class_agreement? - now));
+        worst(1.0 - now, self.shares.iter().filter_map(back))
+    }
+
+    /// The cause without which the network would gain most, classes and coincidence together.
+    #[must_use]
+    pub fn worst(&self) -> Option<Cause> {
+        let total = |distance: &Distance| distance.class_agreement.unwrap_or(1.0) + distance.coincidence;
+        let back = |share: &Share| (share.cause, total(&share.without) - total(&self.machine));
+        worst(2.0 - total(&self.machine), self.shares.iter().map(back)).map(|(cause, _)| cause)
+    }
+}
+
+/// How far a rung is from the trained network, in all and layer by layer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// Over all layers.
+    pub distance: Distance,
+    /// In the order of the ladder's layers.
+    pub layers: Vec<TrainSums>,
+}
+
+/// The class of a sample by the trained network and by a rung.
+type Classes = (Option<u32>, Option<u32>);
+
+/// Compares rungs with one of them over samples, all rungs of a sample at once.
+#[must_use]
+pub fn distances(ladder: &Ladder, from: Rung, rungs: &[Rung], output: &Layer, samples: &[&Sample]) -> Vec<Distance> {
+    let to: Vec<(&Ladder, Rung)> = rungs.iter().map(|&rung| (ladder, rung)).collect();
+    measured((ladder, from), &to, output, samples).into_iter().map(|measured| measured.distance).collect()
+}
+
+/// Compares rungs, perhaps of several ladders of one network, with one of them over samples.
+#[must_use]
+pub fn measured(
+    (first, from): (&Ladder, Rung),
+    to: &[(&Ladder, Rung)],
+    output: &Layer,
+    samples: &[&Sample],
+) -> Vec<Measured> {
+    let layers = first.layers();
+    let of_sample = |sample: &&Sample| {
+        let trained = first.run(from, sample, true);
+        let one = |&(ladder, rung): &(&Ladder, Rung)| {
+            // What a network does not answer that is cut off, it answers with silence.
+            let trace = ladder.run(rung, sample, true).silent_until(trained.steps);
+            let sums = layers.iter().map(|layer| {
+                let mut comparison = Comparison::default();
+                comparison.add(0, layer, &trained, &trace, ladder.shift(rung) - first.shift(from));
+                comparison.tally
+            });
+            (sums.collect(), (trained.class(output), trace.class(output)))
+        };
+        to.iter().map(one).collect::<Vec<(Vec<TrainSums>, Classes)>>()
+    };
+    let each: Vec<Vec<(Vec<TrainSums>, Classes)>> = samples.par_iter().map(of_sample).collect();
+    let of_rung = |rung: usize| {
+        let mut by_layer = vec![TrainSums::default(); layers.len()];
+        for sample in &each {
+            by_layer.iter_mut().zip(&sample[rung].0).for_each(|(sum, tally)| sum.merge(tally));
+        }
+        let mut sum = TrainSums::default();
+        by_layer.iter().for_each(|tally| sum.merge(tally));
+        let distance = Distance {
+            class_agreement: ClassTally::new(each.iter().map(|sample| sample[rung].1)).agreement(),
+            coincidence: sum.coincidence(),
+            potential_rmse: sum.potential_rmse(),
+        };
+        Measured { distance, layers: by_layer }
+    };
+    (0..to.len()).map(of_rung).collect()
+}
+
+/// The network as its tool runs it: kernels without end, as the reference engine has them, and
+/// layers that answer to every step of the input where another class follows from that.
+#[must_use]
+pub fn as_trained(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Rung {
+    let in_step = ladder.trained().with(Cause::Untruncated);
+    let as_it_is = in_step.with(Cause::Pipeline);
+    let class = |rung: Rung, sample: &Sample| ladder.run(rung, sample, false).class(output);
+    let another = |sample: &&Sample| class(in_step, sample) != class(as_it_is, sample);
+    let matters = ladder.pipeline().is_some() && samples.par_iter().any(another);
+    if matters { in_step } else { as_it_is }
+}
+
+/// Climbs the ladder both ways, and leaves out each cause alone.
+#[must_use]
+pub fn attribute(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Attribution {
+    attribute_from(ladder, as_trained(ladder, output, samples), output, samples)
+}
+
+/// The same from a rung that is known.
+#[must_use]
+pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &[&Sample]) -> Attribution {
+    let causes: Vec<Cause> = ladder.causes().iter().copied().filter(|&cause| !trained.has(cause)).collect();
+    let climb = |causes: &[Cause]| {
+        let mut rung = trained;
+        let up = causes.iter().map(|&cause| {
+            rung = rung.with(cause);
+            rung
+        });
+        up.collect::<Vec<Rung>>()
+    };
+    let (count, backward) = (causes.len(), causes.iter().rev().copied().collect::<Vec<Cause>>());
+    let mut rungs = climb(&causes);
+    rungs.extend(climb(&backward));
+    rungs.extend(causes.iter().map(|&cause| Rung::MACHINE.without(cause)));
+    let to: Vec<(&Ladder, Rung)> = rungs.iter().map(|&rung| (ladder, rung)).collect();
+    let found = measured((ladder, trained), &to, output, samples);
+    // Losses of the rungs, by a measure; the first loss of a ladder is counted from none.
+    let added = |lost: &dyn Fn(usize) -> f64, place: usize| {
+        let step = |first: usize, place: usize| {
+            lost(first + place) - place.checked_sub(1).map_or(0.0, |below| lost(first + below))
+        };
+        (step(0, place), step(count, count - 1 - place))
+    };
+    let last = count.checked_sub(1);
+    let layer = |(layer, Layer { name, .. }): (usize, &Layer)| {
+        let lost = |place: usize| 1.0 - found[place].layers[layer].coincidence();
+        let machine = last.map_or(0.0, lost);
+        let mean = |place: usize| {
+            let (up, down) = added(&lost, place);
+            (up + down) / 2.0
+        };
+        let tally = last.map(|last| found[last].layers[layer]).unwrap_or_default();
+        LayerLoss {
+            name: name.clone(),
+            spikes: (tally.spikes_a, tally.spikes_b),
+            disagreement: machine.max(0.0),
+            causes: causes.iter().enumerate().map(|(place, &cause)| (cause, mean(place))).collect(),
+            alone: causes.iter().zip(2 * count..).map(|(&cause, place)| (cause, machine - lost(place))).collect(),
+        }
+    };
+    let layers = ladder.layers().iter().enumerate().map(layer).collect();
+    let lost = |place: usize| 1.0 - found[place].distance.coincidence;
+    let both: Vec<(f64, f64)> = (0..count).map(|place| added(&lost, place)).collect();
+    let of_causes = shares(&both.iter().map(|(up, down)| (up + down) / 2.0).collect::<Vec<f64>>());
+    let share = |(place, &cause): (usize, &Cause)| Share {
+        cause,
+        rung: found[place].distance,
+        forward: both[place].0,
+        reversed: both[place].1,
+        share: of_causes.as_ref().map(|shares| shares[place]),
+        without: found[2 * count + place].distance,
+    };
+    Attribution {
+        disagreement: last.map_or(0.0, lost).max(0.0),
+        machine: last.map_or(Distance::EQUAL, |last| found[last].distance),
+        shares: causes.iter().enumerate().map(share).collect(),
+        layers,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_are_of_the_whole_or_there_are_none() {
+        assert_eq!(shares(&[0.0, 0.0]), Some(vec![0.0, 0.0]));
+        assert_eq!(shares(&[0.375, 0.125]), Some(vec![0.75, 0.25]));
+        assert_eq!(shares(&[0.2, -0.001]), Some(vec![1.0, 0.0]));
+        assert_eq!(shares(&[0.5, -0.3]), None, "250 % and -150 %");
+        assert_eq!(shares(&[0.3, -0.3]), None);
+    }
+}

@@ -1,0 +1,86 @@
+//! The causes by which the machine differs from a trained network, and the sets of them that are switched on.
+
+use nsim_ir::base::names::named_variants;
+
+/// Something in which the machine differs from the trained network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Cause {
+    /// Layers that answer a step later each, in samples that end with their input, instead of
+    /// layers that all answer to every step.
+    Pipeline,
+    /// The response and refractory kernels without end instead of cut.
+    Untruncated,
+    /// Decaying current and voltage instead of the alpha kernel: one step earlier, and a step longer at the end.
+    Kernel,
+    /// A hard reset and a refractory period instead of the refractory kernel, or of a subtraction.
+    HardReset,
+    /// Decays in 4096ths.
+    Decays,
+    /// The thresholds and synapses onto itself that a search chose instead of those of the analysis.
+    Calibration,
+    /// Integer weights, thresholds and biases.
+    Weights,
+    /// Integer state: rounding toward zero, wrapping, clipping.
+    State,
+}
+
+named_variants!(Cause {
+    Pipeline = "pipeline-delay",
+    Untruncated = "exact-kernel",
+    Kernel = "cuba-kernel",
+    HardReset = "hard-reset",
+    Decays = "quantised-decays",
+    Calibration = "calibration",
+    Weights = "quantised-weights",
+    State = "integer-state",
+});
+
+impl Cause {
+    /// What a layer loses to it.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Cause::Pipeline => {
+                "pipeline delay: layers that answer a step later each, and a sample that ends before they do"
+            }
+            Cause::Untruncated => "kernels that were cut in training",
+            Cause::Kernel => "decays in place of its kernel",
+            Cause::HardReset => "the reset to zero",
+            Cause::Decays => "decays in 4096ths",
+            Cause::Calibration => "thresholds and synapses onto itself that the search chose",
+            Cause::Weights => "rounded weights, thresholds and biases",
+            Cause::State => "integer currents and voltages",
+        }
+    }
+}
+
+/// Which causes are switched on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Rung([bool; 8]);
+
+impl Rung {
+    /// The trained network.
+    pub const TRAINED: Rung = Rung([false; 8]);
+    /// The machine.
+    pub const MACHINE: Rung = Rung([true; 8]);
+
+    /// Whether a cause is on.
+    #[must_use]
+    pub fn has(self, cause: Cause) -> bool {
+        self.0[cause as usize]
+    }
+
+    /// The same with one less.
+    #[must_use]
+    pub fn without(mut self, cause: Cause) -> Rung {
+        self.0[cause as usize] = false;
+        self
+    }
+
+    /// The same with one more.
+    #[must_use]
+    pub fn with(mut self, cause: Cause) -> Rung {
+        self.0[cause as usize] = true;
+        self
+    }
+}

@@ -1,0 +1,337 @@
+//! The deployed network beside its counterpart, layer by layer.
+//!
+//! Input: both networks, samples. Output: spikes and potentials compared per layer, classes compared per sample.
+//! Errors: recordings of another number of samples, a program whose sums could leave their integers.
+
+use rayon::prelude::*;
+
+use super::classes::ClassTally;
+use super::ladder::{Ladder, layers};
+use super::trace::{Comparison, Layer, Trace, measured_shift};
+use nsim_dynamics as neuron;
+use nsim_golden::Golden;
+use nsim_import::spikes::PopulationSpikes;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::id::CompartmentId;
+use nsim_ir::graph::Graph;
+use nsim_ir::program::Program;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::{Engine, Sample};
+use nsim_machine::{Image, Machine, Settings};
+use nsim_quantise::analytic;
+use nsim_quantise::analytic::Fit;
+use nsim_reference as reference;
+use nsim_reference::{Model, Reference};
+use nsim_session::samples::Progress;
+
+/// What the deployed network is compared with.
+#[derive(Debug)]
+pub enum Counterpart {
+    /// Spike response neurons, as they were trained.
+    Srm,
+    /// Current-based neurons in real numbers.
+    Cuba,
+    /// The golden interpreter of the same integers.
+    Golden,
+    /// Recorded spikes: a population's samples each.
+    Recorded(Vec<(Layer, Vec<PopulationSpikes>)>),
+}
+
+impl Counterpart {
+    /// As it is printed.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Counterpart::Srm => "srm",
+            Counterpart::Cuba => "cuba",
+            Counterpart::Golden => "golden",
+            Counterpart::Recorded(_) => "recorded spikes",
+        }
+    }
+
+    /// Whether its disagreement can be attributed to causes: it is in real numbers.
+    #[must_use]
+    pub fn is_real(&self) -> bool {
+        matches!(self, Counterpart::Srm | Counterpart::Cuba)
+    }
+}
+
+/// A network, what it became, and what both are shown.
+#[derive(Debug, Clone, Copy)]
+pub struct Deployed<'a> {
+    /// The network in real numbers.
+    pub graph: &'a Graph,
+    /// What stands for each spike response population.
+    pub fits: &'a [Option<Fit>],
+    /// The steps from real numbers to integers.
+    pub ladder: &'a Ladder,
+    /// The integers, mapped.
+    pub program: &'a Program,
+    /// In run order.
+    pub samples: &'a [&'a Sample],
+    /// Compare only so many steps of each sample.
+    pub steps: Option<u32>,
+}
+
+/// A layer of the two networks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerRow {
+    /// The population.
+    pub name: String,
+    /// Steps by which the deployed network answers later; negative, earlier.
+    pub shift: i32,
+    /// How far they agree.
+    pub comparison: Comparison,
+}
+
+/// How far a deployed network and its counterpart agree.
+#[derive(Debug)]
+pub struct Agreement {
+    /// Layer by layer.
+    pub layers: Vec<LayerRow>,
+    /// The classes of the two; `None` when those of the first are not known.
+    pub classes: Option<ClassTally>,
+    /// Share of right classes of the counterpart and of the deployed network, when samples have labels.
+    pub accuracy: Option<(f64, f64)>,
+}
+
+/// Samples that are run and compared at once: bounds the traces in memory.
+const BATCH: usize = 64;
+
+/// The output population as a layer.
+#[must_use]
+pub fn output_layer(network: &Quantised) -> Layer {
+    let output = &network.populations()[network.parts().output];
+    Layer {
+        name: output.name.clone(),
+        first: output.first_compartment().map_or(0, |first| first.0),
+        count: output.shape.len(),
+    }
+}
+
+/// An engine's potential as a share of the threshold.
+fn relative<E: Engine>(engine: &E, compartment: CompartmentId, thresholds: &[f64]) -> f64 {
+    f64::from(engine.v(compartment)) / thresholds[compartment.0 as usize]
+}
+
+/// Recorded spikes of one sample as a trace, up to the shortest recording.
+fn recorded_trace(
+    recorded: &[(Layer, Vec<PopulationSpikes>)],
+    index: usize,
+    sample: &Sample,
+    compartments: u32,
+) -> Trace {
+    let trains = vec![Vec::new(); compartments as usize];
+    let mut trace = Trace { steps: sample.steps(), trains, ..Trace::default() };
+    for (layer, samples) in recorded {
+        trace.steps = trace.steps.min(samples[index].steps);
+        let mut events = samples[index].events.clone();
+        events.sort_unstable();
+        events.dedup();
+        let spikes = events.into_iter().filter(|event| event.1 < layer.count);
+        spikes.for_each(|(step, neuron)| trace.trains[(layer.first + neuron) as usize].push(step));
+    }
+    trace
+}
+
+/// What a network in real numbers, whose integers are these, does in a sample, potentials in
+/// thresholds.
+pub fn real_trace(graph: &Graph, integers: &Quantised) -> impl Fn(&Sample) -> Trace + Sync + use<> {
+    let recorded = (integers.compartments(), integers.output());
+    let (model, thresholds) =
+        (Model::<f64>::new(graph, reference::Options::default()), neuron::model_thresholds(graph));
+    move |sample| {
+        let potential = |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
+        Trace::record(&mut Reference::new(&model), sample, recorded, potential)
+    }
+}
+
+/// What a mapped network does in a sample.
+///
+/// # Errors
+/// `run.too-large`.
+pub fn machine_trace<'a>(
+    network: &Quantised,
+    program: &'a Program,
+) -> Result<impl Fn(&Sample) -> Trace + Sync + use<'a>> {
+    let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
+    let (thresholds, recorded) = (neuron::thresholds(network), (network.compartments(), network.output()));
+    Ok(move |sample: &Sample| {
+        let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+        Trace::record(&mut machine, sample, recorded, |m, c| relative(m, c, &thresholds))
+    })
+}
+
+/// One of two networks: its layers, and what it does in a sample.
+#[derive(Clone, Copy)]
+pub struct Side<'a> {
+    /// The populations of compartments.
+    pub layers: &'a [Layer],
+    /// What it does.
+    pub trace: &'a (dyn Fn(&Sample) -> Trace + Sync),
+}
+
+impl std::fmt::Debug for Side<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Side").field("layers", &self.layers).finish_non_exhaustive()
+    }
+}
+
+/// Compares two networks whose populations of compartments have the same names and sizes, in whatever order. The shift of each
+/// layer is measured on the first samples.
+///
+/// # Errors
+/// `agree.populations` when the second lacks a population of the first or has it in another size.
+pub fn compare_networks(
+    (a, b): (Side<'_>, Side<'_>),
+    output: &Layer,
+    samples: &[&Sample],
+    steps: Option<u32>,
+    progress: Progress<'_>,
+) -> Result<Agreement> {
+    let there = |layer: &Layer| {
+        b.layers.iter().find(|other| other.name == layer.name && other.count == layer.count).ok_or_else(|| {
+            let message = format!("the second network has no population '{}' of {}", layer.name, layer.count);
+            Diagnostic::new("agree.populations", message).help("compare networks of the same layers")
+        })
+    };
+    let pairs = a.layers.iter().map(|layer| Ok((layer, there(layer)?))).collect::<Result<Vec<_>>>()?;
+    // The second's compartments at the first's places.
+    let placed = |trace: Trace| {
+        let (all, row) =
+            (a.layers.iter().map(|layer| layer.first + layer.count).max().unwrap_or(0), trace.steps as usize);
+        let mut out = Trace {
+            steps: trace.steps,
+            trains: vec![Vec::new(); all as usize],
+            potentials: vec![0.0; if trace.potentials.is_empty() { 0 } else { all as usize * row }],
+            decision: trace.decision,
+            deciding: trace.deciding.clone(),
+        };
+        for (here, there) in &pairs {
+            for i in 0..here.count {
+                let (to, from) = ((here.first + i) as usize, (there.first + i) as usize);
+                out.trains[to].clone_from(&trace.trains[from]);
+                if !out.potentials.is_empty() {
+                    out.potentials[to * row..(to + 1) * row]
+                        .copy_from_slice(&trace.potentials[from * row..(from + 1) * row]);
+                }
+            }
+        }
+        out
+    };
+    let limit = steps.unwrap_or(u32::MAX);
+    let both = |sample: &&Sample| {
+        let traces = ((a.trace)(sample).until(limit), placed((b.trace)(sample)).until(limit));
+        progress();
+        traces
+    };
+    let mut tally = Tally { layers: a.layers.to_vec(), output: output.clone(), ..Tally::default() };
+    for (batch, some) in samples.chunks(BATCH).enumerate() {
+        let traces: Vec<(Trace, Trace)> = some.par_iter().map(both).collect();
+        tally.add(batch * BATCH, &traces, some, &|layer, pairs| measured_shift(layer, pairs));
+    }
+    Ok(tally.agreement(samples))
+}
+
+/// Comparisons of layers and classes so far.
+#[derive(Debug, Default)]
+struct Tally {
+    layers: Vec<Layer>,
+    output: Layer,
+    comparisons: Vec<(Comparison, i32)>,
+    classes: ClassTally,
+    right: (usize, usize),
+}
+
+/// The shift of a layer, from the first traces.
+type ShiftOf<'a> = &'a dyn Fn(&Layer, &[(&Trace, &Trace)]) -> i32;
+
+impl Tally {
+    fn add(&mut self, first: usize, traces: &[(Trace, Trace)], samples: &[&Sample], shift: ShiftOf<'_>) {
+        if self.comparisons.is_empty() {
+            let pairs: Vec<(&Trace, &Trace)> = traces.iter().map(|(a, b)| (a, b)).collect();
+            self.comparisons = self.layers.iter().map(|layer| (Comparison::default(), shift(layer, &pairs))).collect();
+        }
+        for (i, ((a, b), sample)) in traces.iter().zip(samples).enumerate() {
+            for (layer, (comparison, shift)) in self.layers.iter().zip(&mut self.comparisons) {
+                comparison.add(first + i, layer, a, b, *shift);
+            }
+            let (class_a, class_b) = (a.class(&self.output), b.class(&self.output));
+            self.classes.add(class_a, class_b);
+            self.right.0 += usize::from(class_a == sample.label());
+            self.right.1 += usize::from(class_b == sample.label());
+        }
+    }
+
+    fn agreement(self, samples: &[&Sample]) -> Agreement {
+        let known = self.layers.contains(&self.output);
+        let labelled = known && samples.iter().all(|sample| sample.label().is_some());
+        let share = |count: usize| count as f64 / samples.len().max(1) as f64;
+        let rows = self.layers.into_iter().zip(self.comparisons);
+        Agreement {
+            layers: rows.map(|(layer, (comparison, shift))| LayerRow { name: layer.name, shift, comparison }).collect(),
+            classes: known.then_some(self.classes),
+            accuracy: labelled.then(|| (share(self.right.0), share(self.right.1))),
+        }
+    }
+}
+
+/// Runs both networks on all samples and compares them.
+///
+/// # Errors
+/// `agree.samples` when a recording has another number of samples; `run.too-large`.
+pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Progress<'_>) -> Result<Agreement> {
+    let Deployed { graph, fits, ladder, program, samples, steps } = deployed;
+    let network = ladder.deployed();
+    let (compartments, output) = (network.compartments(), output_layer(network));
+    let recorded_of = (compartments, network.output());
+    let thresholds = neuron::thresholds(network);
+    let real = match counterpart {
+        Counterpart::Srm => Some(graph.clone()),
+        Counterpart::Cuba => Some(analytic::with_fits(graph, fits)),
+        Counterpart::Golden | Counterpart::Recorded(_) => None,
+    };
+    let model = real
+        .as_ref()
+        .map(|real| (Model::<f64>::new(real, reference::Options::default()), neuron::model_thresholds(real)));
+    let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
+    let compared: Vec<Layer> = match counterpart {
+        Counterpart::Recorded(recorded) => recorded.iter().map(|(layer, _)| layer.clone()).collect(),
+        _ => layers(network),
+    };
+    if let Counterpart::Recorded(recorded) = counterpart
+        && let Some((layer, spikes)) = recorded.iter().find(|(_, spikes)| spikes.len() != samples.len())
+    {
+        let message =
+            format!("'{}' was recorded in {} samples, the input has {}", layer.name, spikes.len(), samples.len());
+        return Err(Diagnostic::new("agree.samples", message).help("choose samples with --samples"));
+    }
+    let counterpart_trace = |index: usize, sample: &Sample| match (counterpart, &model) {
+        (Counterpart::Recorded(recorded), _) => recorded_trace(recorded, index, sample, compartments),
+        (_, Some((model, thresholds))) => {
+            let potential =
+                |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
+            Trace::record(&mut Reference::new(model), sample, recorded_of, potential)
+        }
+        (_, None) => Trace::record(&mut Golden::new(network), sample, recorded_of, |g, c| relative(g, c, &thresholds)),
+    };
+    let limit = steps.unwrap_or(u32::MAX);
+    let pair = |(index, sample): (usize, &&Sample)| {
+        let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+        let second = Trace::record(&mut machine, sample, recorded_of, |m, c| relative(m, c, &thresholds));
+        let first = counterpart_trace(index, sample).until(limit);
+        progress();
+        (first, second.until(limit))
+    };
+    let mut tally = Tally { layers: compared, output, ..Tally::default() };
+    for (batch, some) in samples.chunks(BATCH).enumerate() {
+        let indexed: Vec<(usize, &&Sample)> = some.iter().enumerate().map(|(i, s)| (batch * BATCH + i, s)).collect();
+        let traces: Vec<(Trace, Trace)> = indexed.into_par_iter().map(pair).collect();
+        tally.add(batch * BATCH, &traces, some, &|layer, pairs| match counterpart {
+            Counterpart::Srm => -1,
+            Counterpart::Cuba | Counterpart::Golden => 0,
+            Counterpart::Recorded(_) => measured_shift(layer, pairs),
+        });
+    }
+    Ok(tally.agreement(samples))
+}

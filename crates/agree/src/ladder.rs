@@ -1,0 +1,520 @@
+//! A ladder of networks from the trained one to the machine, each differing from the last in one thing.
+//!
+//! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output: [`Trace`]s of the network with
+//! any set of the [`Cause`]s switched on. One simulation (`state`, `links`) serves all rungs: potentials and thresholds are in register units
+//! throughout, so that two rungs differ in their causes alone. Tests hold both ends: with no cause it spikes as `reference`
+//! does (spike response kernels cut), with all causes it equals the machine bit for bit.
+//!
+//! Arithmetic is in doubles. With all causes, every number is an integer below 2^53 and every product one of 24 by 13 bits,
+//! so that the doubles hold exactly what the chip's registers hold.
+
+use std::sync::OnceLock;
+
+use petgraph::graph::NodeIndex;
+
+use nsim_dynamics as neuron;
+use nsim_dynamics::RealForm;
+use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::Id;
+use nsim_ir::graph;
+use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind, SrmParameters};
+use nsim_ir::neurons::NeuronKind;
+use nsim_ir::quantised;
+use nsim_ir::quantised::{Quantised, Reset, Units};
+use nsim_ir::spikes::Sample;
+use nsim_quantise::analytic;
+use nsim_quantise::analytic::Fit;
+use nsim_quantise::exponents::Detail;
+use nsim_quantise::quantise::{quantise_with, scales};
+use nsim_reference::synapses::Synapses;
+
+use super::causes::{Cause, Rung};
+use super::links::{Link, integer_synapses};
+use super::pipeline::Pipeline;
+use super::state::{Neuron, State};
+use super::trace::{Layer, Trace};
+
+/// What a population was before it was converted.
+#[derive(Debug, Clone)]
+enum Origin {
+    Srm(SrmParameters, Fit),
+    /// Whether its spikes subtract the threshold where the deployed ones clear the voltage.
+    Loihi {
+        parameters: NeuronParameters,
+        subtracts: bool,
+    },
+}
+
+#[derive(Debug)]
+struct Population {
+    origin: Option<Origin>,
+    first: u32,
+    count: u32,
+    /// Register units for a real unit.
+    scale: f64,
+}
+
+/// A network in every form at once.
+#[derive(Debug)]
+pub struct Ladder {
+    populations: Vec<Population>,
+    /// What the rungs are made from.
+    graph: Graph,
+    fits: Vec<Option<Fit>>,
+    plain: Vec<Option<Fit>>,
+    detail: Detail,
+    /// Register units for a real unit of each population whose scale is chosen.
+    units: Vec<Option<f64>>,
+    /// By `links`: made when a rung first needs them.
+    links: [OnceLock<Vec<Link>>; 8],
+    compartments: u32,
+    slots: usize,
+    /// What the layers lack to answer to every step of the input.
+    pipeline: Option<Pipeline>,
+    test: ThresholdTest,
+    reset: Option<Reset>,
+    timestep_ms: f64,
+    /// The converted network without what a search chose, made when a rung first needs it, and with it.
+    rounded: OnceLock<Quantised>,
+    calibrated: Quantised,
+    causes: Vec<Cause>,
+}
+
+impl Ladder {
+    /// The ladder of a network; `fits` are in the order of its populations.
+    ///
+    /// # Errors
+    /// As [`quantise`](nsim_quantise::quantise::quantise).
+    pub fn new(graph: &Graph, fits: &[Option<Fit>]) -> Result<Ladder, Diagnostic> {
+        Ladder::with_exponents(graph, fits, Detail::default())
+    }
+
+    /// The same with exponents chosen this finely.
+    ///
+    /// # Errors
+    /// As [`quantise`](nsim_quantise::quantise::quantise).
+    pub fn with_exponents(graph: &Graph, fits: &[Option<Fit>], detail: Detail) -> Result<Ladder, Diagnostic> {
+        let timestep_ms = graph.facts().timestep_ms;
+        let plain: Vec<Option<Fit>> = graph
+            .populations()
+            .zip(fits)
+            .map(|((_, population), fit)| match (&population.kind, fit) {
+                (PopulationKind::Srm(srm), Some(fit)) => Some(uncalibrated(srm, fit, timestep_ms)),
+                _ => None,
+            })
+            .collect();
+        let chosen = analytic::with_fits(graph, fits);
+        let calibrated = quantise_with(&chosen, detail)?;
+        // Everything is in the register units of the network that is deployed.
+        let units = scales(&chosen, detail)?;
+        let (mut channels, mut compartments) = (0, 0);
+        let mut populations = Vec::new();
+        for (((node, population), fit), scale) in graph.populations().zip(fits).zip(&units) {
+            let count = population.shape.len();
+            let origin = match (&population.kind, fit) {
+                (PopulationKind::Srm(srm), Some(fit)) => Some(Origin::Srm(*srm, fit.clone())),
+                (PopulationKind::Neurons(parameters), _) => {
+                    Some(Origin::Loihi { parameters: parameters.clone(), subtracts: false })
+                }
+                (PopulationKind::Srm(srm), None) => Some(Origin::Srm(*srm, analytic::start(srm, timestep_ms))),
+                (PopulationKind::Input, _) => None,
+            };
+            debug_assert_eq!(node.index(), populations.len());
+            let counter = if origin.is_none() { &mut channels } else { &mut compartments };
+            populations.push(Population { origin, first: *counter, count, scale: scale.unwrap_or(1.0) });
+            *counter += count;
+        }
+        let facts = graph.facts();
+        let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
+        let latest = fits.iter().flatten().flat_map(|fit| &fit.copies).map(|&(delay, _)| delay).max().unwrap_or(0);
+        let delays = chosen.projections().map(|(_, _, _, projection)| u32::from(projection.delay.get()));
+        let pipeline = Pipeline::missing(graph);
+        let waits = pipeline.as_ref().map_or(0, Pipeline::longest_wait);
+        let slots = (delays.max().unwrap_or(0) + latest + waits + 2) as usize;
+        let mut ladder = Ladder {
+            populations,
+            graph: graph.clone(),
+            fits: fits.to_vec(),
+            plain,
+            detail,
+            units,
+            links: Default::default(),
+            compartments,
+            slots,
+            pipeline,
+            test: facts.threshold,
+            reset,
+            timestep_ms,
+            rounded: OnceLock::new(),
+            calibrated,
+            causes: Vec::new(),
+        };
+        ladder.causes = ladder.present();
+        Ok(ladder)
+    }
+
+    /// The ladder that begins at another network, whose resets by subtraction became those to zero.
+    #[must_use]
+    pub fn from_subtraction(mut self, given: &Graph) -> Ladder {
+        for (population, (_, before)) in self.populations.iter_mut().zip(given.populations()) {
+            if let (Some(Origin::Loihi { parameters, subtracts }), PopulationKind::Neurons(given)) =
+                (&mut population.origin, &before.kind)
+            {
+                *subtracts = given.kind == NeuronKind::SoftReset && parameters.kind != given.kind;
+            }
+        }
+        self.causes = self.present();
+        self
+    }
+
+    /// Whether what comes in is copied: an alpha kernel needs no copies, only current and voltage with decays of their own do.
+    fn copied(&self, rung: Rung) -> bool {
+        let single = self.fits.iter().flatten().all(|fit| fit.copies == [(0, 1.0)]);
+        single || rung.has(Cause::Kernel) && rung.has(Cause::Decays)
+    }
+
+    /// The synapses of a rung.
+    fn links(&self, rung: Rung) -> &[Link] {
+        let (weights, chosen) = (rung.has(Cause::Weights), rung.has(Cause::Calibration));
+        let copied = self.copied(rung);
+        let place = usize::from(weights) * 4 + usize::from(chosen) * 2 + usize::from(copied);
+        self.links[place].get_or_init(|| {
+            let fits = if chosen { &self.fits } else { &self.plain };
+            let single = |fit: &Option<Fit>| fit.clone().map(|fit| Fit { copies: vec![(0, 1.0)], ..fit });
+            let of = match copied {
+                true => analytic::with_fits(&self.graph, fits),
+                false => analytic::with_fits(&self.graph, &fits.iter().map(single).collect::<Vec<_>>()),
+            };
+            Link::merged(match weights {
+                false => self.real_links(&of),
+                true if chosen && copied => self.integer_links(&self.calibrated, &self.units),
+                true => match (quantise_with(&of, self.detail), scales(&of, self.detail)) {
+                    (Ok(network), Ok(units)) => self.integer_links(&network, &units),
+                    // What the deployed network's parameters allow, fewer of them allow too.
+                    _ => self.real_links(&of),
+                },
+            })
+        })
+    }
+
+    fn real_links(&self, graph: &Graph) -> Vec<Link> {
+        let link = |(_, source, target, projection): (_, NodeIndex, NodeIndex, &graph::Projection)| {
+            let factor = self.units[target.index()].unwrap_or_else(|| {
+                let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
+                scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
+            });
+            let (sources, targets) = (self.populations[source.index()].count, self.populations[target.index()].count);
+            let factor = factor * graph.population(source).spike_factor();
+            Link {
+                source: source.index(),
+                target: target.index(),
+                delays: vec![projection.delay.get().into()],
+                restores: analytic::stands_for_reset(&projection.name),
+                synapses: Synapses::new(projection, sources, targets, factor),
+            }
+        };
+        graph.projections().map(link).collect()
+    }
+
+    /// A network rounded at a scale of its own, in the units of the deployed one.
+    fn integer_links(&self, network: &Quantised, own: &[Option<f64>]) -> Vec<Link> {
+        let link = |projection: &quantised::Projection| {
+            let (source, target) = (projection.source.0 as usize, projection.target.0 as usize);
+            // Sums that are shifted are in finer units.
+            let finer = f64::from(1 << shift_of(&network.populations()[projection.target]));
+            let rescale = match (self.units[target], own[target]) {
+                (Some(here), Some(there)) => here / there / finer,
+                _ => 1.0 / finer,
+            };
+            let payload = f64::from(network.populations()[projection.source].spike_factor());
+            Link {
+                source,
+                target,
+                delays: vec![projection.delay.get().into()],
+                restores: analytic::stands_for_reset(&projection.name),
+                synapses: integer_synapses(projection, self.populations[source].count, rescale * payload),
+            }
+        };
+        network.projections().iter().map(link).collect()
+    }
+
+    /// The network in integers without what a search chose.
+    fn rounded(&self) -> &Quantised {
+        self.rounded.get_or_init(|| {
+            let plain = analytic::with_fits(&self.graph, &self.plain);
+            quantise_with(&plain, self.detail).unwrap_or_else(|_| self.calibrated.clone())
+        })
+    }
+
+    /// Register units for a real unit of each population whose scale is chosen.
+    #[must_use]
+    pub fn units(&self) -> &[Option<f64>] {
+        &self.units
+    }
+
+    /// The causes that tell this network from its trained form.
+    fn present(&self) -> Vec<Cause> {
+        let srm = self.graph.has_srm();
+        let given = |names: &[&str]| {
+            self.populations.iter().any(|population| match &population.origin {
+                Some(Origin::Loihi { parameters, .. }) => names.iter().any(|name| parameters.get(name).is_some()),
+                Some(Origin::Srm(..)) => true,
+                None => false,
+            })
+        };
+        let subtracts =
+            |population: &Population| matches!(population.origin, Some(Origin::Loihi { subtracts: true, .. }));
+        // A note is of weights between two steps of their format; a negative exponent drops bits.
+        let rounds = || {
+            let noted = self.calibrated.parts().notes.iter().any(|note| note.rounded.is_some_and(|r| r.changed > 0));
+            let drops = self.calibrated.projections().iter().any(|projection| projection.format.exponent.get() < 0);
+            noted || drops || self.calibrated.populations().iter().any(|population| shift_of(population) > 0)
+        };
+        let holds = |cause: &Cause| match cause {
+            Cause::Pipeline => self.pipeline.is_some(),
+            Cause::Untruncated | Cause::Kernel => srm,
+            Cause::HardReset => srm || self.populations.iter().any(subtracts),
+            Cause::Decays => given(&["tau_u_ms", "tau_v_ms"]),
+            Cause::Calibration => self.fits != self.plain,
+            Cause::Weights => given(&["vth", "bias"]) || rounds(),
+            Cause::State => true,
+        };
+        Cause::ALL.into_iter().filter(holds).collect()
+    }
+
+    /// The trained network: what tells nothing apart here counts as switched on.
+    #[must_use]
+    pub fn trained(&self) -> Rung {
+        Cause::ALL.into_iter().filter(|cause| !self.causes.contains(cause)).fold(Rung::TRAINED, Rung::with)
+    }
+
+    /// The causes that tell this network from its trained form, in the order of the ladder.
+    #[must_use]
+    pub fn causes(&self) -> &[Cause] {
+        &self.causes
+    }
+
+    /// The steps by which a rung answers later than the trained network: negative, it answers earlier.
+    #[must_use]
+    pub fn shift(&self, rung: Rung) -> i32 {
+        -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))
+    }
+
+    /// What the layers lack to answer to every step of the input.
+    #[must_use]
+    pub fn pipeline(&self) -> Option<&Pipeline> {
+        self.pipeline.as_ref()
+    }
+
+    /// The network that the last rung is.
+    #[must_use]
+    pub fn deployed(&self) -> &Quantised {
+        &self.calibrated
+    }
+
+    /// The populations with compartments.
+    #[must_use]
+    pub fn layers(&self) -> Vec<Layer> {
+        layers(&self.calibrated)
+    }
+
+    /// A compartment as a rung has it.
+    fn neuron(&self, population: usize, index: u32, rung: Rung) -> Neuron {
+        let of = &self.populations[population];
+        let network = if rung.has(Cause::Calibration) { &self.calibrated } else { self.rounded() };
+        let integers = match &network.populations().as_slice()[population].units {
+            Units::Compartments { neurons, .. } => RealForm::from(&neurons.get(index)),
+            Units::Input(_) => RealForm::from(&quantised::Neuron::PLAIN),
+        };
+        let clip = if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) };
+        match &of.origin {
+            Some(Origin::Srm(srm, fit)) => {
+                // An alpha kernel has one decay; only current and voltage can have two.
+                let keeps = match (rung.has(Cause::Decays), rung.has(Cause::Kernel)) {
+                    (true, true) => (analytic::keep(fit.du), analytic::keep(fit.dv)),
+                    (true, false) => {
+                        let r = analytic::keep(analytic::start(srm, self.timestep_ms).du);
+                        (r, r)
+                    }
+                    (false, _) => {
+                        let r = analytic::real_keep(srm, self.timestep_ms);
+                        (r, r)
+                    }
+                };
+                let copied = rung.has(Cause::Decays) && rung.has(Cause::Kernel);
+                let at = analytic::matched_threshold_of(srm, self.timestep_ms, fit);
+                let matched = match copied {
+                    true => at,
+                    false => analytic::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1),
+                };
+                let chosen = rung.has(Cause::Calibration);
+                // The factor by which a search moved the threshold from where the peaks match.
+                let moved = if chosen { fit.threshold / at } else { 1.0 };
+                let real = matched * moved * of.scale;
+                let weights = rung.has(Cause::Weights);
+                Neuron {
+                    keep_u: keeps.0,
+                    keep_v: keeps.1,
+                    // The mantissa's own when decays and calibration are the deployed ones.
+                    threshold: match (weights, chosen && copied) {
+                        (true, true) => integers.threshold,
+                        (true, false) => (real / 64.0).round_ties_even() * 64.0,
+                        (false, _) => real,
+                    },
+                    bias: integers.bias,
+                    refractory: u32::from(fit.refractory.get()).max(1),
+                    subtracts: false,
+                    clip,
+                    floors: false,
+                }
+            }
+            Some(Origin::Loihi { parameters, subtracts }) => {
+                // As the reference engine has it; a real threshold has no registers to clip in.
+                let real = neuron::model(parameters, index, self.timestep_ms);
+                let pick = |cause: Cause, integer: f64, real: f64| if rung.has(cause) { integer } else { real };
+                Neuron {
+                    keep_u: pick(Cause::Decays, integers.keep_u, real.keep_u),
+                    keep_v: pick(Cause::Decays, integers.keep_v, real.keep_v),
+                    threshold: pick(Cause::Weights, integers.threshold, real.threshold * of.scale),
+                    bias: pick(Cause::Weights, integers.bias, real.bias * of.scale),
+                    refractory: integers.refractory,
+                    subtracts: integers.subtracts || *subtracts && !rung.has(Cause::HardReset),
+                    clip: if rung.has(Cause::State) { integers.clip } else { real.clip },
+                    floors: rung.has(Cause::Weights) && shift_of(&network.populations().as_slice()[population]) > 0,
+                }
+            }
+            None => Neuron {
+                keep_u: 0.0,
+                keep_v: 0.0,
+                threshold: 1.0,
+                bias: 0.0,
+                refractory: 1,
+                subtracts: false,
+                clip,
+                floors: false,
+            },
+        }
+    }
+
+    /// A population of a rung at rest; none for inputs.
+    fn state(&self, population: usize, rung: Rung) -> Option<State> {
+        let of = &self.populations[population];
+        let neurons = || (0..of.count).map(|index| self.neuron(population, index, rung)).collect();
+        let (response, start_step) = match of.origin.as_ref()? {
+            Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0),
+            Origin::Loihi { parameters, .. } => {
+                // SLAYER's loop starts at step 1.
+                let first = u32::from(self.graph.facts().semantics == Semantics::Slayer);
+                let depth = self.in_step(rung).map_or(0, |pipeline| pipeline.start_step(population));
+                (None, parameters.start_step.max(first).max(depth))
+            }
+        };
+        Some(State::new(neurons(), response, start_step, self.test, rung))
+    }
+
+    /// What the layers of a rung are given that they lack.
+    fn in_step(&self, rung: Rung) -> Option<&Pipeline> {
+        self.pipeline.as_ref().filter(|_| !rung.has(Cause::Pipeline))
+    }
+
+    /// What the network of a rung does in a sample.
+    #[must_use]
+    pub fn run(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
+        let Some(pipeline) = self.in_step(rung) else { return self.run_as_it_is(rung, sample, potentials) };
+        let mut trace = self.run_as_it_is(rung, &sample.clone().followed_by(pipeline.more_steps()), potentials);
+        // A layer before the last has steps more than the tool's.
+        for (index, population) in self.populations.iter().enumerate().filter(|(_, p)| p.origin.is_some()) {
+            let end = pipeline.window(index, sample.steps());
+            let trains = &mut trace.trains[population.first as usize..][..population.count as usize];
+            trains.iter_mut().for_each(|train| train.retain(|&step| step < end));
+        }
+        trace
+    }
+
+    fn run_as_it_is(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
+        let steps = sample.steps();
+        let pipeline = self.in_step(rung);
+        let wait = |link: &Link| pipeline.map_or(0, |pipeline| pipeline.wait(link.source, link.target));
+        let mut states: Vec<Option<State>> = (0..self.populations.len()).map(|index| self.state(index, rung)).collect();
+        let mut arrivals: Vec<Vec<Vec<f64>>> = self
+            .populations
+            .iter()
+            .map(|p| vec![vec![0.0; if p.origin.is_some() { p.count as usize } else { 0 }]; self.slots])
+            .collect();
+        let mut trace = Trace {
+            steps,
+            trains: vec![Vec::new(); self.compartments as usize],
+            potentials: if potentials { vec![0.0; self.compartments as usize * steps as usize] } else { Vec::new() },
+            decision: self.calibrated.parts().decision,
+            deciding: Vec::new(),
+        };
+        let deciding = self.calibrated.parts().output.index();
+        let mut spikes: Vec<(usize, u32)> = Vec::new();
+        let links = self.links(rung);
+        for now in 0..steps {
+            for link in links.iter().filter(|link| self.populations[link.source].origin.is_none()) {
+                let of = &self.populations[link.source];
+                // Spike response kernels are 0 at their start.
+                let late = states[link.target].as_ref().is_some_and(|state| state.late);
+                let mine = sample.at(now).iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
+                let at = now + u32::from(late) + wait(link);
+                mine.for_each(|c| link.deliver(c, at, &mut arrivals[link.target]));
+            }
+            spikes.clear();
+            let slot = now as usize % self.slots;
+            for (index, state) in states.iter_mut().enumerate() {
+                let Some(state) = state else { continue };
+                if self.reset.is_some_and(|reset| reset.falls_on(now, state.start_step)) {
+                    state.clear();
+                }
+                let sums = &mut arrivals[index][slot];
+                let first = self.populations[index].first;
+                if now >= state.start_step {
+                    state.step(sums, |neuron| {
+                        spikes.push((index, neuron));
+                        trace.trains[(first + neuron) as usize].push(now);
+                    });
+                }
+                sums.fill(0.0);
+                if potentials {
+                    for (neuron, potential) in state.shown.iter().enumerate() {
+                        let place = (first as usize + neuron) * steps as usize + now as usize;
+                        trace.potentials[place] = (potential / state.neurons[neuron].threshold) as f32;
+                    }
+                }
+                if index == deciding && trace.decision != ReadOut::Spikes && now >= state.start_step {
+                    trace.deciding.push(state.potentials().to_vec());
+                }
+            }
+            for link in links.iter().filter(|link| !link.restores || rung.has(Cause::HardReset)) {
+                for &(_, neuron) in spikes.iter().filter(|(population, _)| *population == link.source) {
+                    link.deliver(neuron, now + 1 + wait(link), &mut arrivals[link.target]);
+                }
+            }
+        }
+        trace
+    }
+}
+
+/// The populations of a network that have compartments.
+#[must_use]
+pub fn layers(network: &Quantised) -> Vec<Layer> {
+    let layer = |p: &quantised::Population| {
+        Some(Layer { name: p.name.clone(), first: p.first_compartment()?.0, count: p.shape.len() })
+    };
+    network.populations().iter().filter_map(layer).collect()
+}
+
+/// Bits by which lava shifts what arrives at a population.
+fn shift_of(population: &quantised::Population) -> u8 {
+    match &population.units {
+        Units::Compartments { neurons, .. } => neurons.get(0).shift,
+        Units::Input(_) => 0,
+    }
+}
+
+/// A fit without what only a search would choose: the peaks matched, no synapse onto itself.
+fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
+    Fit { threshold: analytic::matched_threshold_of(srm, timestep_ms, fit), own: Vec::new(), ..fit.clone() }
+}

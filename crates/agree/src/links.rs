@@ -1,0 +1,92 @@
+//! Synapses of a rung of the ladder: who spikes, what that adds, and when.
+//!
+//! Input: spikes of a population. Output: weights added to what arrives at another. Delayed copies between the same two
+//! populations are one link, whose weights from one source follow one another, so that a spike reads memory in order.
+
+use nsim_ir::quantised;
+use nsim_reference::synapses::Synapses;
+
+/// The synapses from one population to another.
+#[derive(Debug)]
+pub(super) struct Link {
+    /// The population that spikes.
+    pub source: usize,
+    /// The one that they lead to.
+    pub target: usize,
+    /// Several: of delayed copies, whose weights from one source then follow one another.
+    pub delays: Vec<u32>,
+    /// Whether it stands for what a hard reset takes.
+    pub restores: bool,
+    /// In register units.
+    pub synapses: Synapses<f64>,
+}
+
+impl Link {
+    /// Adds a spike that arrives without delay at this step to what arrives at its targets.
+    pub fn deliver(&self, neuron: u32, step: u32, arrivals: &mut [Vec<f64>]) {
+        let slots = arrivals.len();
+        let slot = |delay: u32| (step + delay) as usize % slots;
+        match (&self.synapses, self.delays.as_slice()) {
+            (synapses, [delay]) => _ = synapses.deliver(neuron, &mut arrivals[slot(*delay)]),
+            (Synapses::Dense { targets, weights }, delays) => {
+                let all = *targets as usize;
+                let row = &weights[neuron as usize * all..(neuron as usize + 1) * all];
+                for (weights, &delay) in row.chunks(all / delays.len()).zip(delays) {
+                    arrivals[slot(delay)].iter_mut().zip(weights).for_each(|(sum, weight)| *sum += weight);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Dense links from one population to another as one: a spike then reads memory in order.
+    pub fn merged(links: Vec<Link>) -> Vec<Link> {
+        let mut merged: Vec<Vec<Link>> = Vec::new();
+        for link in links {
+            let fits = |first: &&mut Vec<Link>| {
+                let dense = |link: &Link| matches!(link.synapses, Synapses::Dense { .. });
+                let ends = |link: &Link| (link.source, link.target, link.restores);
+                first.first().is_some_and(|first| dense(first) && dense(&link) && ends(first) == ends(&link))
+            };
+            match merged.iter_mut().find(fits) {
+                Some(bundle) => bundle.push(link),
+                None => merged.push(vec![link]),
+            }
+        }
+        merged.into_iter().filter_map(Link::bundle).collect()
+    }
+
+    fn bundle(mut links: Vec<Link>) -> Option<Link> {
+        if links.len() < 2 {
+            return links.pop();
+        }
+        let delays = links.iter().flat_map(|link| link.delays.clone()).collect();
+        let (source, target, restores) = (links[0].source, links[0].target, links[0].restores);
+        let mut rows = Vec::new();
+        let mut width = 0;
+        for link in &links {
+            if let Synapses::Dense { targets, weights } = &link.synapses {
+                rows.push(weights.chunks((*targets as usize).max(1)));
+                width += targets;
+            }
+        }
+        let mut weights = Vec::new();
+        while let Some(row) = rows.iter_mut().map(Iterator::next).collect::<Option<Vec<&[f64]>>>() {
+            row.into_iter().for_each(|part| weights.extend_from_slice(part));
+        }
+        Some(Link { source, target, delays, restores, synapses: Synapses::Dense { targets: width, weights } })
+    }
+}
+
+/// Integer synapses as what they add to the accumulator.
+pub(super) fn integer_synapses(projection: &quantised::Projection, sources: u32, factor: f64) -> Synapses<f64> {
+    let mut synapses = Vec::new();
+    for source in 0..sources {
+        projection.connectivity.for_each_from(source, |target, weight| {
+            if weight != 0 {
+                synapses.push((source, target, f64::from(projection.format.scaled(weight)) * factor));
+            }
+        });
+    }
+    Synapses::list(sources, synapses)
+}

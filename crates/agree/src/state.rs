@@ -1,0 +1,217 @@
+//! A population of a rung of the ladder while it runs.
+//!
+//! Input: what arrives in a step, in register units. Output: spikes and potentials. Arithmetic is in doubles, with the rounding,
+//! wrapping and clipping of the chip's registers where the rung has integer state.
+
+use super::causes::{Cause, Rung};
+use nsim_ir::arithmetic::ThresholdTest;
+use nsim_ir::graph::SrmParameters;
+use nsim_reference::kernel::{Alpha, EPSILON};
+
+/// A compartment as a rung has it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Neuron {
+    /// What a step leaves of the current.
+    pub keep_u: f64,
+    /// What it leaves of the voltage.
+    pub keep_v: f64,
+    /// In register units.
+    pub threshold: f64,
+    /// In register units.
+    pub bias: f64,
+    /// Steps.
+    pub refractory: u32,
+    /// Whether a spike takes the threshold from the voltage, not all of it.
+    pub subtracts: bool,
+    /// The least and the greatest voltage.
+    pub clip: (f64, f64),
+    /// Whether what arrives in a step is rounded down to multiples of 64, as lava shifts sums.
+    pub floors: bool,
+}
+
+fn wrapped(x: f64, bits: i32) -> f64 {
+    let half = f64::from(1 << bits);
+    if x >= -half && x < half { x } else { (x + half).rem_euclid(2.0 * half) - half }
+}
+
+/// A population of a rung while it runs.
+#[derive(Debug)]
+pub(super) struct State {
+    /// Its compartments.
+    pub neurons: Vec<Neuron>,
+    /// The first step in which it takes part.
+    pub start_step: u32,
+    /// Whether input spikes count a step later.
+    pub late: bool,
+    strict: bool,
+    integers: bool,
+    hard: bool,
+    u: Vec<f64>,
+    v: Vec<f64>,
+    /// With truncated kernels: the response's taps, the inputs of the past, and what resets and biases left.
+    taps: Vec<f64>,
+    past: Vec<Vec<f64>>,
+    newest: usize,
+    left: Vec<f64>,
+    /// The refractory kernel relative to the threshold: decay, factor, taps when truncated, and its state.
+    nu: Alpha,
+    nu_taps: Vec<f64>,
+    nu_first: Vec<f64>,
+    nu_second: Vec<f64>,
+    spiked: Vec<f64>,
+    own: Vec<Vec<u32>>,
+    held: Vec<u32>,
+    now: u32,
+    /// Potentials after a step, before a reset.
+    pub shown: Vec<f64>,
+}
+
+impl State {
+    /// At rest; `response` and the timestep in ms are those of spike response neurons.
+    pub fn new(
+        neurons: Vec<Neuron>,
+        response: Option<(&SrmParameters, f64)>,
+        start_step: u32,
+        test: ThresholdTest,
+        rung: Rung,
+    ) -> State {
+        let (count, srm) = (neurons.len(), response.is_some());
+        let nu = response.map_or(Alpha { peak: 0.0, tau: 1.0 }, |(srm, timestep_ms)| Alpha {
+            peak: -srm.scale_ref,
+            tau: srm.tau_ref_ms / timestep_ms,
+        });
+        let hard = !srm || rung.has(Cause::HardReset);
+        let truncated = srm && !rung.has(Cause::Untruncated) && !rung.has(Cause::Kernel);
+        // (k + 1) r^k, cut where the alpha kernel that it is falls below SLAYER's limit.
+        let taps: Vec<f64> = match response.filter(|_| truncated) {
+            Some((srm, timestep_ms)) => {
+                let alpha = Alpha { peak: 1.0, tau: srm.tau_sr_ms / timestep_ms };
+                let length = alpha.truncated(EPSILON, 100_000).len().saturating_sub(1);
+                let r = neurons.first().map_or(0.0, |n| n.keep_u);
+                (0..length).map(|k| (k as f64 + 1.0) * libm::pow(r, k as f64)).collect()
+            }
+            None => Vec::new(),
+        };
+        // SLAYER's limit is for the kernel with its factor, threshold included.
+        let nu_taps =
+            response.filter(|_| truncated).map_or_else(Vec::new, |(srm, _)| nu.truncated(EPSILON / srm.theta, 100_000));
+        State {
+            start_step,
+            late: srm && !rung.has(Cause::Kernel),
+            strict: hard && test == ThresholdTest::Strict,
+            integers: rung.has(Cause::State),
+            hard,
+            u: vec![0.0; count],
+            v: vec![0.0; count],
+            past: vec![vec![0.0; count]; taps.len().max(1)],
+            taps,
+            newest: 0,
+            left: vec![0.0; count],
+            nu,
+            nu_taps,
+            nu_first: vec![0.0; count],
+            nu_second: vec![0.0; count],
+            spiked: vec![0.0; count],
+            own: vec![Vec::new(); count],
+            held: vec![0; count],
+            now: 0,
+            shown: vec![0.0; count],
+            neurons,
+        }
+    }
+
+    /// Back to rest.
+    pub fn clear(&mut self) {
+        for zero in
+            [&mut self.u, &mut self.v, &mut self.left, &mut self.nu_first, &mut self.nu_second, &mut self.spiked]
+        {
+            zero.fill(0.0);
+        }
+        self.past.iter_mut().for_each(|row| row.fill(0.0));
+        self.own.iter_mut().for_each(Vec::clear);
+        self.held.fill(0);
+    }
+
+    /// The potentials after a step and its resets.
+    pub fn potentials(&self) -> &[f64] {
+        if self.hard && self.taps.is_empty() { &self.v } else { &self.shown }
+    }
+
+    /// The refractory response of a neuron in register units.
+    fn refractory(&mut self, i: usize) -> f64 {
+        let threshold = self.neurons[i].threshold;
+        let relative = if self.nu_taps.is_empty() {
+            let r = self.nu.decay();
+            self.nu_first[i] = r * self.nu_first[i] + self.spiked[i];
+            self.nu_second[i] = r * (self.nu_second[i] + self.nu_first[i]);
+            self.nu.gain() * self.nu_second[i]
+        } else {
+            let ago = |&spike: &u32| self.nu_taps.get((self.now - spike) as usize).copied().unwrap_or(0.0);
+            self.own[i].iter().rev().take(self.nu_taps.len()).map(ago).sum()
+        };
+        relative * threshold
+    }
+
+    /// One step with what arrives; `spike` gets each compartment that spikes.
+    pub fn step(&mut self, arrivals: &[f64], mut spike: impl FnMut(u32)) {
+        let integers = self.integers;
+        let narrow = |x: f64| if integers { x.trunc() } else { x };
+        let truncated = !self.taps.is_empty();
+        if truncated {
+            let rows = self.past.len();
+            self.newest = (self.newest + rows - 1) % rows;
+            self.past[self.newest].copy_from_slice(arrivals);
+        }
+        for (i, &arrived) in arrivals.iter().enumerate() {
+            let n = self.neurons[i];
+            let x = if n.floors { 64.0 * (arrived / 64.0).floor() } else { narrow(arrived) };
+            let q = if self.integers { wrapped(x, 21) } else { x };
+            let free = if truncated {
+                self.past[self.newest][i] = q;
+                let rows = self.past.len();
+                let response: f64 =
+                    self.taps.iter().enumerate().map(|(k, tap)| tap * self.past[(self.newest + k) % rows][i]).sum();
+                self.left[i] = narrow(n.keep_v * self.left[i]) + n.bias;
+                narrow(response) + self.left[i]
+            } else {
+                let u = narrow(n.keep_u * self.u[i]) + q;
+                self.u[i] = if self.integers { wrapped(u, 23) } else { u };
+                let input = self.u[i] + n.bias;
+                let input = if self.integers { wrapped(input, 23) } else { input };
+                narrow(n.keep_v * self.v[i]) + input
+            };
+            let mut v = free.clamp(n.clip.0, n.clip.1);
+            if !truncated {
+                self.v[i] = v;
+            }
+            if !self.hard {
+                let own = self.refractory(i);
+                v += if self.integers { own.trunc() } else { own };
+            }
+            let held = self.hard && self.held[i] > 0;
+            let over = if self.strict { v > n.threshold } else { v >= n.threshold };
+            let fires = over && !held;
+            self.shown[i] = v;
+            if self.hard && (held || fires) {
+                // The reset leaves 0 here, and what it took away decays as the voltage does.
+                self.held[i] = if fires { n.refractory - 1 } else { self.held[i] - 1 };
+                if truncated {
+                    self.left[i] -= free;
+                } else {
+                    self.v[i] = if fires && n.subtracts { v - n.threshold } else { 0.0 };
+                }
+                if held {
+                    self.shown[i] = 0.0;
+                }
+            }
+            self.spiked[i] = f64::from(u8::from(fires));
+            if fires {
+                if !self.hard {
+                    self.own[i].push(self.now);
+                }
+                spike(i as u32);
+            }
+        }
+        self.now += 1;
+    }
+}

@@ -1,0 +1,326 @@
+//! What a network did in one sample, and the comparison of two such traces.
+
+use super::metrics::TrainSums;
+use nsim_ir::arithmetic::ReadOut;
+use nsim_ir::base::id::CompartmentId;
+use nsim_ir::potentials::Potentials;
+use nsim_ir::quantised::Output;
+use nsim_ir::spikes::{Engine, Sample};
+
+/// A population as a trace has it: its neurons' place in the network.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Layer {
+    /// Its name.
+    pub name: String,
+    /// The first compartment.
+    pub first: u32,
+    /// How many.
+    pub count: u32,
+}
+
+/// The spikes and potentials of all compartments in one sample.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Trace {
+    /// Timesteps.
+    pub steps: u32,
+    /// For each compartment the steps in which it spiked, ascending.
+    pub trains: Vec<Vec<u32>>,
+    /// `[compartment][step]`, the potential after each step in thresholds; empty when none were kept.
+    pub potentials: Vec<f32>,
+    /// What decides.
+    pub decision: ReadOut,
+    /// The potentials of the outputs after each step where potentials decide; else empty.
+    pub deciding: Vec<Vec<f64>>,
+}
+
+impl Trace {
+    /// Runs a sample through an engine and keeps what it does; `potential` reads a compartment's in thresholds.
+    pub fn record<E: Engine>(
+        engine: &mut E,
+        sample: &Sample,
+        (compartments, output): (u32, Output),
+        potential: impl Fn(&E, CompartmentId) -> f64,
+    ) -> Trace {
+        let steps = sample.steps();
+        let mut trace = Trace {
+            steps,
+            trains: vec![Vec::new(); compartments as usize],
+            potentials: vec![0.0; compartments as usize * steps as usize],
+            decision: output.decision,
+            deciding: Vec::new(),
+        };
+        engine.begin(steps);
+        for step in 0..steps {
+            engine.step(sample.at(step));
+            engine.spikes().iter().for_each(|spike| trace.trains[spike.0 as usize].push(step));
+            for c in 0..compartments {
+                trace.potentials[c as usize * steps as usize + step as usize] =
+                    potential(engine, CompartmentId(c)) as f32;
+            }
+            if output.decision != ReadOut::Spikes && step >= output.start_step {
+                let outputs = (output.first.0..output.first.0 + output.count).map(CompartmentId);
+                trace.deciding.push(outputs.map(|output| engine.potential(output)).collect());
+            }
+        }
+        trace
+    }
+
+    /// The first steps only.
+    #[must_use]
+    pub fn until(mut self, steps: u32) -> Trace {
+        let (kept, all) = (steps.min(self.steps), self.steps.max(1) as usize);
+        self.deciding.truncate((self.deciding.len() as u32).saturating_sub(self.steps - kept) as usize);
+        self.trains.iter_mut().for_each(|train| train.retain(|&t| t < kept));
+        self.potentials = self.potentials.chunks(all).flat_map(|row| row[..kept as usize].to_vec()).collect();
+        self.steps = kept;
+        self
+    }
+
+    /// A longer trace, in which nothing happens any more and no potential is known.
+    #[must_use]
+    pub fn silent_until(mut self, steps: u32) -> Trace {
+        if steps > self.steps {
+            let (all, more) = (self.steps.max(1) as usize, (steps - self.steps) as usize);
+            let longer =
+                |row: &[f32]| row.iter().copied().chain(std::iter::repeat_n(f32::NAN, more)).collect::<Vec<_>>();
+            self.potentials = self.potentials.chunks(all).flat_map(longer).collect();
+            self.steps = steps;
+        }
+        self
+    }
+
+    /// The class by what decides: by spikes the output of this layer with most, the lowest index on
+    /// a tie, none when silent.
+    #[must_use]
+    pub fn class(&self, output: &Layer) -> Option<u32> {
+        let outputs = self.deciding.first().map_or(0, Vec::len);
+        if let Some(mut potentials) = Potentials::new(self.decision, outputs as u32) {
+            self.deciding.iter().for_each(|step| potentials.add(|output| step[output as usize]));
+            return potentials.class();
+        }
+        let counts = self.trains[output.first as usize..(output.first + output.count) as usize].iter().map(Vec::len);
+        let most = counts.clone().max().filter(|&most| most > 0)?;
+        counts.clone().position(|count| count == most).map(|class| class as u32)
+    }
+
+    fn potential(&self, compartment: u32, step: u32) -> Option<f64> {
+        let potential = self.potentials.get(compartment as usize * self.steps as usize + step as usize);
+        potential.filter(|potential| !potential.is_nan()).map(|&potential| f64::from(potential))
+    }
+}
+
+/// Where two networks first differ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Divergence {
+    /// The sample, in the order of the run.
+    pub sample: usize,
+    /// The step, in the first network's time.
+    pub timestep: u32,
+    /// The neuron within its layer.
+    pub neuron: u32,
+    /// Whether the first spiked there.
+    pub a: bool,
+    /// Whether the second did.
+    pub b: bool,
+    /// Their potentials in thresholds, where known.
+    pub potential_a: Option<f64>,
+    /// See `potential_a`.
+    pub potential_b: Option<f64>,
+}
+
+/// Both potentials around a divergence, in thresholds, from so many steps before it to so many after.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Around {
+    /// The first step, in the first network's time.
+    pub from: u32,
+    /// Potentials of the first network from there on.
+    pub a: Vec<f64>,
+    /// Those of the second, moved by the shift.
+    pub b: Vec<f64>,
+    /// Steps in which the first spiked.
+    pub spikes_a: Vec<u32>,
+    /// Steps in which the second did, in the first's time.
+    pub spikes_b: Vec<u32>,
+}
+
+/// Steps before and after a divergence that are kept.
+const AROUND: u32 = 25;
+
+impl Around {
+    /// What two traces hold around a step, of those in `steps` that both have.
+    fn new((a, b): (&Trace, &Trace), compartment: u32, at: u32, steps: std::ops::Range<u32>, shift: i32) -> Self {
+        let (from, to) = (at.saturating_sub(AROUND).max(steps.start), (at + AROUND + 1).min(steps.end));
+        let moved = |step: u32| step.saturating_add_signed(shift);
+        let spikes = |trace: &Trace, place: &dyn Fn(u32) -> u32| {
+            let train = &trace.trains[compartment as usize];
+            (from..to).filter(|&step| train.binary_search(&place(step)).is_ok()).collect()
+        };
+        Around {
+            from,
+            a: (from..to).filter_map(|step| a.potential(compartment, step)).collect(),
+            b: (from..to).filter_map(|step| b.potential(compartment, moved(step))).collect(),
+            spikes_a: spikes(a, &|step| step),
+            spikes_b: spikes(b, &moved),
+        }
+    }
+}
+
+/// A layer of the two networks over all samples so far.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Comparison {
+    /// Sums.
+    pub tally: TrainSums,
+    /// The first sample, in it the first step, in it the lowest neuron in which they differ.
+    pub first_divergence: Option<Divergence>,
+    /// Both potentials around it.
+    pub around: Option<Around>,
+}
+
+impl Comparison {
+    /// Adds a sample: layer `layer` of both, where the second answers `shift` steps later than the first.
+    pub fn add(&mut self, sample: usize, layer: &Layer, a: &Trace, b: &Trace, shift: i32) {
+        let steps = a.steps.min(b.steps);
+        // Steps of the first that have a counterpart in the second.
+        let from = (-shift).max(0) as u32;
+        let to = steps.saturating_sub(shift.max(0) as u32);
+        let mut earliest: Option<(u32, u32)> = None;
+        for neuron in 0..layer.count {
+            let compartment = layer.first + neuron;
+            let within = |&t: &u32| (from..to).contains(&t);
+            let own: Vec<u32> = a.trains[compartment as usize].iter().copied().filter(within).collect();
+            let shifted = b.trains[compartment as usize].iter().filter_map(|&t| t.checked_add_signed(-shift));
+            let other: Vec<u32> = shifted.filter(within).collect();
+            self.tally.trains(&own, &other, to.saturating_sub(from));
+            if let Some(step) = first_difference(&own, &other)
+                && earliest.is_none_or(|earliest| (step, neuron) < earliest)
+            {
+                earliest = Some((step, neuron));
+            }
+            if !a.potentials.is_empty() && !b.potentials.is_empty() {
+                let (mut i, mut j) = (0, 0);
+                for step in from..to {
+                    let spiked = |train: &[u32], at: &mut usize| {
+                        let here = train.get(*at) == Some(&step);
+                        *at += usize::from(here);
+                        here
+                    };
+                    // Where one spikes, the other's convention decides what is read: a reset, or the peak.
+                    let (a_spikes, b_spikes) = (spiked(&own, &mut i), spiked(&other, &mut j));
+                    if !a_spikes
+                        && !b_spikes
+                        && let Some(there) = step.checked_add_signed(shift)
+                        && let (Some(x), Some(y)) = (a.potential(compartment, step), b.potential(compartment, there))
+                    {
+                        self.tally.potentials(x, y);
+                    }
+                }
+            }
+        }
+        if self.first_divergence.is_none()
+            && let Some((timestep, neuron)) = earliest
+        {
+            let compartment = layer.first + neuron;
+            let there = timestep.saturating_add_signed(shift);
+            self.around = Some(Around::new((a, b), compartment, timestep, from..to, shift));
+            let spikes = |trace: &Trace, step: u32| trace.trains[compartment as usize].binary_search(&step).is_ok();
+            self.first_divergence = Some(Divergence {
+                sample,
+                timestep,
+                neuron,
+                a: spikes(a, timestep),
+                b: spikes(b, there),
+                potential_a: a.potential(compartment, timestep),
+                potential_b: b.potential(compartment, there),
+            });
+        }
+    }
+}
+
+fn first_difference(a: &[u32], b: &[u32]) -> Option<u32> {
+    let same = a.iter().zip(b).take_while(|(x, y)| x == y).count();
+    match (a.get(same), b.get(same)) {
+        (Some(&x), Some(&y)) => Some(x.min(y)),
+        (Some(&x), None) | (None, Some(&x)) => Some(x),
+        (None, None) => None,
+    }
+}
+
+/// The constant delay by which the second's spikes of a layer come later, of those within +-4 steps: the one at which most
+/// spikes coincide, the smallest on a tie.
+#[must_use]
+pub fn measured_shift(layer: &Layer, pairs: &[(&Trace, &Trace)]) -> i32 {
+    let coincident = |shift: i32| {
+        let of = |(a, b): &(&Trace, &Trace)| {
+            let range = layer.first as usize..(layer.first + layer.count) as usize;
+            let each = a.trains[range.clone()].iter().zip(&b.trains[range]);
+            let count = |(x, y): (&Vec<u32>, &Vec<u32>)| {
+                let there = x.iter().filter_map(|&t| t.checked_add_signed(shift));
+                there.filter(|t| y.binary_search(t).is_ok()).count()
+            };
+            each.map(count).sum::<usize>()
+        };
+        pairs.iter().map(of).sum::<usize>()
+    };
+    let candidates = [0, -1, 1, -2, 2, -3, 3, -4, 4];
+    let mut best = (0, 0);
+    for shift in candidates {
+        let count = coincident(shift);
+        if count > best.1 {
+            best = (shift, count);
+        }
+    }
+    best.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn layer() -> Layer {
+        Layer { name: "l".to_string(), first: 1, count: 2 }
+    }
+
+    fn trace(trains: [&[u32]; 3]) -> Trace {
+        let trains = trains.map(<[u32]>::to_vec).to_vec();
+        Trace { steps: 20, trains, potentials: vec![0.0; 60], ..Trace::default() }
+    }
+
+    #[test]
+    fn a_shift_is_removed_and_what_has_no_counterpart_is_left_out() {
+        let a = trace([&[], &[0, 4, 9], &[19]]);
+        let b = trace([&[5], &[3, 8, 19], &[18]]);
+        assert_eq!(measured_shift(&layer(), &[(&a, &b)]), -1);
+        let mut comparison = Comparison::default();
+        comparison.add(0, &layer(), &a, &b, -1);
+        assert_eq!(comparison.first_divergence, None, "step 0 of the first and 19 of the second have no counterpart");
+        assert_eq!(comparison.tally.coincidence(), 1.0);
+        comparison.add(3, &layer(), &a, &b, 0);
+        let divergence = comparison.first_divergence.unwrap();
+        assert_eq!((divergence.sample, divergence.timestep, divergence.neuron), (3, 0, 0));
+        assert!(divergence.a && !divergence.b);
+        let around = comparison.around.unwrap();
+        assert_eq!((around.from, around.a.len(), &around.spikes_a[..]), (0, 20, &[0, 4, 9][..]));
+        assert_eq!(around.spikes_b, [3, 8, 19]);
+    }
+
+    #[test]
+    fn potentials_are_compared_where_nobody_spikes() {
+        let a = trace([&[], &[2], &[]]);
+        let mut b = trace([&[], &[3], &[]]);
+        b.potentials.fill(0.5);
+        let mut comparison = Comparison::default();
+        comparison.add(0, &layer(), &a, &b, 0);
+        assert_eq!(comparison.tally.potential_rmse(), Some(0.5));
+        assert_eq!(a.class(&layer()), Some(0));
+        assert_eq!(trace([&[1], &[], &[]]).class(&layer()), None);
+    }
+
+    #[test]
+    fn potentials_decide_where_the_network_says_so_and_up_to_the_steps_that_are_compared() {
+        let deciding = || vec![vec![1.0, 2.0], vec![5.0, 3.0]];
+        let by = |decision| Trace { steps: 2, decision, deciding: deciding(), ..trace([&[], &[2], &[]]) };
+        assert_eq!(by(ReadOut::GreatestV).class(&layer()), Some(0));
+        assert_eq!(by(ReadOut::GreatestV).until(1).class(&layer()), Some(1));
+        assert_eq!(by(ReadOut::GreatestV).until(0).class(&layer()), None);
+    }
+}

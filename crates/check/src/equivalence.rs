@@ -1,0 +1,391 @@
+//! Proof that a program equals its network.
+//!
+//! The rule, for a network N and a program P with the same numbers of channels and compartments:
+//!
+//! 1. *Parameters.* For every compartment n, with (c, s) = seat(n): `P.cores[c].ids[s] = n`, and the neuron's fields and
+//!    start step at (c, s) are those that N gives n.
+//! 2. *Synapses.* For every source s, let R(s) be the multiset of (target, format, weight, delay) over all synapses of all
+//!    projections from s in N, and D(s) the multiset of (`ids[slot]`, format, weight, delay) over all synapses of all lists
+//!    that the messages of s lead to in P, where the messages of a compartment are those of its seat. Then R(s) = D(s).
+//!    The format is exponent, sign mode and bits; so the scaled weights are equal too.
+//! 3. *Nothing else.* Every input axon of P is the end of exactly one message. (`Program::new` holds programs to it; with
+//!    2 it follows that no synapse of P is reached by a source that N does not have.)
+//! 4. *Payloads.* A spike of a source carries in P what it carries in N.
+//! 5. *Frame.* First compartments and sizes of populations, output population, semantics, threshold test and reset agree.
+//!
+//! *Parts.* P may be held in part, by one of several processes that run it together. Then N stands for its synapses to compartments
+//! whose cores are held, and the parts of all processes together are proven by each proving its own.
+//!
+//! *Copies.* N may be so many equal copies that share nothing, copy after copy. Copy k is proven from copy j < k, which 1 and 2
+//! have been checked for, when
+//!
+//! a. the populations and projections of k in N are those of j, their units numbered k - j copies later;
+//! b. each source of k sends as many messages as that of j, to the same axons of cores each of which is that of j *later*: it holds the
+//!    same lists, equal formats and parameters, and the compartments k - j copies later, slot by slot, at their seats.
+//!
+//! By b., D of a source of k is D of that of j with targets k - j copies later, by a. so is R, and parameters are equal.
+//!
+//! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing of the stages between.
+//! Sources are compared a piece at a time, of `synapses_of_piece` on average; memory is that of a piece for each thread.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::repeats;
+use crate::repeats::messages_of;
+use nsim_ir::base::fixed::{Delay, SignMode};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, PopulationId};
+use nsim_ir::program::{AxonTarget, Compartment, Compartments, Program};
+use nsim_ir::quantised::connectivity::SynapseFormat;
+use nsim_ir::quantised::{Population, Projection, Quantised, Units};
+
+/// Sources that are decoded together at most: their numbers within a piece have 16 bits.
+const MOST_SOURCES: u64 = 1 << 16;
+
+/// Synapses of the sources that are decoded together, on average. On each core they are to be so many that what is loaded of its
+/// tables is read from end to end; beyond that they should stay in a processor's cache.
+fn synapses_of_piece(cores: usize) -> u64 {
+    (64 * cores as u64).clamp(1 << 16, 1 << 20)
+}
+
+/// A difference between a program and its network.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Difference {
+    /// Something that is said once for the whole program.
+    #[error("the program's {0} is not the network's")]
+    Frame(&'static str),
+    /// A compartment with other parameters, or in another's seat.
+    #[error("compartment {0} of the program has other parameters than the network's")]
+    Parameters(CompartmentId),
+    /// A source that reaches something else.
+    #[error("{source_name} reaches {decoded} synapses in the program and {meant} in the network, or other ones")]
+    Synapses {
+        /// The source.
+        source_name: String,
+        /// Synapses that the program gives it.
+        decoded: usize,
+        /// Synapses that the network gives it.
+        meant: usize,
+    },
+}
+
+/// One synapse as both sides encode it, in one number, so that sorting is quick: target (27 bits), exponent (5), sign mode
+/// (2), bits (4), delay (6), weight (10).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct SynapseCode(u64);
+
+impl SynapseCode {
+    pub(super) fn new(target: CompartmentId, format: SynapseFormat, weight: i16, delay: Delay) -> Self {
+        Self::of_format(format).with(target, weight, delay)
+    }
+
+    /// What synapses of a format have in common.
+    fn of_format(format: SynapseFormat) -> Self {
+        let sign = match format.sign {
+            SignMode::Mixed => 0,
+            SignMode::Excitatory => 1,
+            SignMode::Inhibitory => 2,
+        };
+        let code = u64::from((format.exponent.get() + 16) as u8) << 2 | sign;
+        SynapseCode((code << 4 | u64::from(format.bits.get())) << 16)
+    }
+
+    /// A synapse of this format.
+    #[inline]
+    fn with(self, target: CompartmentId, weight: i16, delay: Delay) -> Self {
+        let weight = u64::from((weight + 512) as u16 & 1023);
+        SynapseCode(self.0 | u64::from(target.0) << 27 | u64::from(delay.get()) << 10 | weight)
+    }
+}
+
+/// Checks that a program equals its network.
+///
+/// # Errors
+/// The first [`Difference`]: the frame, then parameters, then synapses by source.
+pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
+    check_copies(network, program, 1).map(|_| ())
+}
+
+/// Checks all but synapses, of a program whose synapses have been checked.
+///
+/// # Errors
+/// The first [`Difference`]: the frame, then parameters.
+pub fn check_neurons(network: &Quantised, program: &Program) -> Result<(), Difference> {
+    check_frame(network, program)?;
+    check_parameters(network, program)
+}
+
+/// The same of so many equal copies; how many of them were proven from another.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Result<u32, Difference> {
+    check_frame(network, program)?;
+    check_parameters(network, program)?;
+    // A part has the messages of no copy whole.
+    let proven = match program.held_rank() {
+        None => repeats::proven(network, program, copies),
+        Some(_) => vec![false; copies.max(1) as usize],
+    };
+    let of_copy = (network.populations().len() as u32 / copies.max(1)).max(1);
+    let left = |id: PopulationId| !proven.get((id.0 / of_copy) as usize).copied().unwrap_or(false);
+    for (id, population) in network.populations().enumerate().filter(|&(id, _)| left(id)) {
+        let outgoing: Vec<&Projection> = network.outgoing(id).iter().map(|&p| &network.projections()[p]).collect();
+        let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
+        let size = population.shape.len();
+        let of_piece = synapses_of_piece(program.cores().len());
+        let piece = (u64::from(size) * of_piece / synapses.max(1)).clamp(1, MOST_SOURCES) as u32;
+        let failed = (0..size.div_ceil(piece))
+            .into_par_iter()
+            .map_init(Decoder::default, |decoder, number| {
+                let sources = number * piece..((number + 1) * piece).min(size);
+                decoder.enumerate(network, &outgoing, sources.clone(), program);
+                decoder.decode(program, &population.units, sources.clone());
+                match decoder.first_that_differs() {
+                    None => Ok(()),
+                    Some((source, meant)) => {
+                        let index = sources.start + source;
+                        let source_name = name_of(&population.units, index);
+                        let of_message = |message: &AxonTarget| {
+                            program.cores()[message.core].inputs.get(usize::from(message.axon)).synapses().len()
+                        };
+                        let decoded = messages_of(program, &population.units, index).iter().map(of_message).sum();
+                        Err(Difference::Synapses { source_name, decoded, meant })
+                    }
+                }
+            })
+            .find_map_first(Result::err);
+        if let Some(difference) = failed {
+            return Err(difference);
+        }
+    }
+    Ok(proven.into_iter().filter(|&proven| proven).count() as u32)
+}
+
+fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference> {
+    let (meant, found) = (network.parts(), program.parts());
+    let populations = network.populations().iter().map(Compartments::in_population);
+    let rules = [
+        (program.channels() == network.channels(), "number of input channels"),
+        (program.compartments() == network.compartments(), "number of compartments"),
+        (found.populations.iter().copied().eq(populations), "list of populations"),
+        (network.populations().iter().all(|p| carries_the_same(network, p, program)), "payload of a population"),
+        (found.output == meant.output, "output population"),
+        (program.output() == network.output(), "decision"),
+        (found.semantics == meant.semantics, "semantics"),
+        (found.threshold == meant.threshold, "threshold test"),
+        (found.reset == meant.reset, "reset"),
+    ];
+    match rules.into_iter().find(|(holds, _)| !holds) {
+        Some((_, what)) => Err(Difference::Frame(what)),
+        None => Ok(()),
+    }
+}
+
+fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
+    let first = match population.units {
+        Units::Input(first) => first.0,
+        Units::Compartments { first, .. } => network.channels() + first.0,
+    };
+    (first..first + population.shape.len()).all(|source| {
+        let graded = program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
+        graded.map(|graded| graded.payload) == population.payload
+    })
+}
+
+fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Difference> {
+    for population in network.populations() {
+        let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
+        for index in 0..population.shape.len() {
+            let id = CompartmentId(first.0 + index);
+            let meant = Compartment { neuron: neurons.get(index), start_step: *start_step };
+            let seat = program.seats()[id];
+            let found = program.cores().get(seat.core).and_then(|image| {
+                let slot = usize::from(seat.slot);
+                (image.ids.get(slot) == Some(&id)).then(|| image.compartments.get(slot))?
+            });
+            if found != Some(&meant) {
+                return Err(Difference::Parameters(id));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn name_of(units: &Units, index: u32) -> String {
+    match units {
+        Units::Input(first) => format!("input channel {}", ChannelId(first.0 + index)),
+        Units::Compartments { first, .. } => format!("compartment {}", CompartmentId(first.0 + index)),
+    }
+}
+
+/// Whether two lists are equal as multisets: how often each number occurs in one, in a table of open addresses.
+#[derive(Default)]
+struct Tally {
+    /// Number, the comparison by count in which it stands here, and how often it occurs; a power of two of them.
+    slots: Vec<(u64, u32, u32)>,
+    comparison: u32,
+}
+
+impl Tally {
+    fn is_equal(&mut self, a: &[SynapseCode], b: &[SynapseCode]) -> bool {
+        if a.len() != b.len() {
+            return false;
+        }
+        // At most half of them are in use, so that searching ends.
+        let slots = (2 * a.len()).next_power_of_two().max(2);
+        if self.slots.len() < slots || self.comparison == u32::MAX {
+            (self.slots, self.comparison) = (vec![(0, 0, 0); slots.max(self.slots.len())], 0);
+        }
+        self.comparison += 1;
+        let (slots, comparison) = (&mut self.slots[..slots], self.comparison);
+        for code in a {
+            let slot = Self::slot_of(slots, *code, comparison);
+            if slot.1 != comparison {
+                *slot = (code.0, comparison, 0);
+            }
+            slot.2 += 1;
+        }
+        b.iter().all(|code| {
+            let slot = Self::slot_of(slots, *code, comparison);
+            let occurs = slot.1 == comparison && slot.2 > 0;
+            slot.2 = slot.2.wrapping_sub(u32::from(occurs));
+            occurs
+        })
+    }
+
+    /// Where a number stands, or would.
+    fn slot_of(slots: &mut [(u64, u32, u32)], code: SynapseCode, comparison: u32) -> &mut (u64, u32, u32) {
+        let mask = slots.len() - 1;
+        // The upper bits of the product depend on all bits of the number.
+        let mut at = (code.0.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - slots.len().ilog2())) as usize;
+        while slots[at].1 == comparison && slots[at].0 != code.0 {
+            at = (at + 1) & mask;
+        }
+        &mut slots[at]
+    }
+}
+
+/// R(s) and D(s) of consecutive sources. Their messages are followed core by core: the lists of a million sources lie all
+/// over the memory of tens of thousands of cores, those of a piece side by side on each of them.
+#[derive(Default)]
+struct Decoder {
+    /// Where the messages to each core end.
+    ends: Vec<u32>,
+    /// (axon, source within the piece), by core.
+    messages: Vec<(u16, u16)>,
+    /// Where each source's synapses begin among the meant, and one more.
+    first: Vec<usize>,
+    meant: Vec<SynapseCode>,
+    /// Of the formats of a core.
+    formats: Vec<SynapseCode>,
+    /// Where the next synapse of each source goes among the decoded, which have room for as many as are meant.
+    next: Vec<usize>,
+    decoded: Vec<SynapseCode>,
+    tally: Tally,
+}
+
+impl Decoder {
+    /// R(s): the network's synapses, of a part those to what it holds.
+    fn enumerate(&mut self, network: &Quantised, outgoing: &[&Projection], sources: Range<u32>, program: &Program) {
+        let part = program.held_rank().is_some();
+        self.meant.clear();
+        self.first.clear();
+        for index in sources {
+            self.first.push(self.meant.len());
+            for projection in outgoing {
+                let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
+                let wanted = |target| !part || program.holds(program.seats()[CompartmentId(first.0 + target)].core);
+                let code = SynapseCode::of_format(projection.format);
+                projection.connectivity.for_each_wanted(index, wanted, |target, weight| {
+                    self.meant.push(code.with(CompartmentId(first.0 + target), weight, projection.delay));
+                });
+            }
+        }
+        self.first.push(self.meant.len());
+    }
+
+    /// D(s), as far as there is room.
+    fn decode(&mut self, program: &Program, units: &Units, sources: Range<u32>) {
+        let all =
+            || (0..=u16::MAX).zip(sources.clone()).map(|(source, index)| (source, messages_of(program, units, index)));
+        self.ends.clear();
+        self.ends.resize(program.cores().len() + 1, 0);
+        all().flat_map(|(_, messages)| messages).for_each(|message| self.ends[message.core.index() + 1] += 1);
+        (0..program.cores().len()).for_each(|core| self.ends[core + 1] += self.ends[core]);
+        self.messages.clear();
+        self.messages.resize(self.ends.last().map_or(0, |&end| end as usize), (0, 0));
+        for (source, messages) in all() {
+            for message in messages {
+                // Beginnings move to ends.
+                let place = &mut self.ends[message.core.index()];
+                self.messages[*place as usize] = (message.axon, source);
+                *place += 1;
+            }
+        }
+        self.decoded.clear();
+        self.decoded.resize(self.meant.len(), SynapseCode(0));
+        self.next.clear();
+        self.next.extend_from_slice(&self.first[..sources.len()]);
+        let mut begin = 0;
+        for (image, &end) in program.cores().iter().zip(&self.ends) {
+            let of_core = &self.messages[begin as usize..end as usize];
+            begin = end;
+            self.formats.clear();
+            self.formats.extend(image.formats.iter().map(|format| SynapseCode::of_format(format.synapse)));
+            for &(axon, source) in of_core {
+                let (next, end) = (&mut self.next[usize::from(source)], self.first[usize::from(source) + 1]);
+                for synapse in image.inputs.get(usize::from(axon)).synapses() {
+                    if *next < end {
+                        let target = image.ids[usize::from(synapse.slot)];
+                        let format = self.formats[usize::from(synapse.format)];
+                        self.decoded[*next] = format.with(target, synapse.weight, synapse.delay);
+                    }
+                    *next += 1;
+                }
+            }
+        }
+    }
+
+    /// The first source of the piece for which they are not equal, and how many synapses the network gives it.
+    fn first_that_differs(&mut self) -> Option<(u32, usize)> {
+        for (source, &next) in self.next.iter().enumerate() {
+            let range = self.first[source]..self.first[source + 1];
+            let (meant, decoded) = (&self.meant[range.clone()], &self.decoded[range.clone()]);
+            if next != range.end || !self.tally.is_equal(meant, decoded) {
+                return Some((source as u32, meant.len()));
+            }
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::base::rng;
+
+    #[test]
+    fn a_tally_finds_what_sorting_finds() {
+        let mut tally = Tally::default();
+        for seed in 0..2_000 {
+            let size = rng::below(200, 1, seed, 0);
+            // Few numbers, so that they occur several times.
+            let a: Vec<SynapseCode> = (1..=size).map(|k| SynapseCode(rng::below(size, 2, seed, k))).collect();
+            let mut b = a.clone();
+            b.reverse();
+            if seed % 2 == 1 && !b.is_empty() {
+                let at = rng::below(size, 3, seed, 0) as usize;
+                b[at] = SynapseCode(rng::below(size + 2, 4, seed, 0));
+            }
+            let sorted = |list: &[SynapseCode]| {
+                let mut list = list.to_vec();
+                list.sort_unstable();
+                list
+            };
+            assert_eq!(tally.is_equal(&a, &b), sorted(&a) == sorted(&b), "{seed}");
+            assert!(a.is_empty() || !tally.is_equal(&a, &b[1..]), "{seed}, one fewer");
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! Proof that relays carry every spike where it was meant to go, when it was meant to arrive.
+//!
+//! The rule, for a network N, a network M and the steps L(p) by which the spikes of each population p of N come later in M:
+//!
+//! 1. *Frame.* M begins with the populations of N: names, shapes, units and payloads are the same, but for start steps, which
+//!    are L(p) later; L is 0 for inputs. Output, semantics (the chip's), threshold test and reset agree.
+//! 2. *Relays.* The compartments behind these forget everything in a step, have no bias and no payload, and start no later
+//!    than what reaches them. Exactly one synapse leads to each; its scaled weight is above the relay's threshold and below
+//!    the 2^21 at which an accumulator wraps, and its source sends no graded spikes. So a relay spikes in the step in which
+//!    its synapse brings a spike, and in no other.
+//! 3. *Synapses.* For a source s of a population p of N let R(s) be the multiset of (target in q, format, weight,
+//!    d + L(q) - L(p)) over its synapses in N, and D(s) that of (target, format, weight, d + e) over all synapses of M to
+//!    compartments of N that begin at s or at a relay that s reaches, where e is the sum over the relays on the way of one and the
+//!    delay of the synapse to it. Then R(s) = D(s).
+//! 4. *Nothing else.* Every relay is reached by a source of N.
+//!
+//! With 1 to 4 the spikes of p in M are those in N, L(p) steps later, by induction over steps. The checker enumerates the
+//! synapses of both networks and calls nothing of what made M.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rayon::prelude::*;
+
+use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId};
+use nsim_ir::quantised::connectivity::SynapseFormat;
+use nsim_ir::quantised::{Neuron, Population, Quantised, Units};
+
+/// Sources that one task looks at.
+const PIECE: u32 = 1 << 10;
+/// Where an accumulator wraps.
+const WRAPS_AT: i64 = 1 << 21;
+
+/// A difference that relays make.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Unfaithful {
+    /// Something of the network itself.
+    #[error("with relays {0} is another than without")]
+    Frame(String),
+    /// A relay that does not pass on each spike once and in time.
+    #[error("compartment {0} is no relay: it may spike otherwise than its source")]
+    Relay(CompartmentId),
+    /// A source that reaches something else, or at another time.
+    #[error("{population} {index} reaches other synapses with relays than without, or in other steps")]
+    Synapses {
+        /// The population of the source.
+        population: String,
+        /// Its index there.
+        index: u32,
+    },
+    /// A relay that nothing reaches.
+    #[error("relay {0} is reached by no source")]
+    Unreached(CompartmentId),
+}
+
+/// A synapse as its source means it: target, format, weight, and the steps from its spike to its arrival but one.
+type Meant = (u32, SynapseFormat, i16, i64);
+
+/// Checks the rule.
+///
+/// # Errors
+/// The first difference: the frame, then synapses by source, then relays that nothing reaches.
+pub fn check(original: &Quantised, relayed: &Quantised, later: &IdVec<PopulationId, u32>) -> Result<(), Unfaithful> {
+    check_frame(original, relayed, later)?;
+    let relays = original.compartments()..relayed.compartments();
+    let reached: Vec<AtomicBool> = relays.clone().map(|_| AtomicBool::new(false)).collect();
+    let walk = Walk { original, relayed, reached: &reached };
+    for (id, population) in original.populations().enumerate() {
+        let size = population.shape.len();
+        let failed = (0..size.div_ceil(PIECE))
+            .into_par_iter()
+            .map(|piece| walk.compare(id, piece * PIECE..((piece + 1) * PIECE).min(size), later))
+            .find_map_first(Result::err);
+        if let Some(difference) = failed {
+            return Err(difference);
+        }
+    }
+    let unreached = relays.zip(&reached).find(|(_, reached)| !reached.load(Ordering::Relaxed));
+    unreached.map_or(Ok(()), |(relay, _)| Err(Unfaithful::Unreached(CompartmentId(relay))))
+}
+
+fn check_frame(original: &Quantised, relayed: &Quantised, later: &IdVec<PopulationId, u32>) -> Result<(), Unfaithful> {
+    let (meant, found) = (original.parts(), relayed.parts());
+    let rules = [
+        (later.len() == meant.populations.len(), "the list of populations"),
+        (meant.populations.len() <= found.populations.len(), "the list of populations"),
+        (original.channels() == relayed.channels(), "the number of input channels"),
+        (found.output == meant.output, "the output population"),
+        (found.decision == meant.decision, "the decision"),
+        (found.semantics == meant.semantics && found.semantics == Semantics::Hardware, "the semantics"),
+        (found.threshold == meant.threshold, "the threshold test"),
+        (found.reset == meant.reset, "the reset"),
+    ];
+    if let Some((_, what)) = rules.into_iter().find(|(holds, _)| !holds) {
+        return Err(Unfaithful::Frame(what.to_string()));
+    }
+    for ((id, a), b) in meant.populations.enumerate().zip(found.populations.iter()) {
+        if !same_population(a, b, later[id]) {
+            return Err(Unfaithful::Frame(format!("population {}", a.name)));
+        }
+    }
+    Ok(())
+}
+
+fn same_population(meant: &Population, found: &Population, later: u32) -> bool {
+    let same_units = match (&meant.units, &found.units) {
+        (Units::Input(a), Units::Input(b)) => a == b && later == 0,
+        (
+            Units::Compartments { first: a, neurons: of_a, start_step: from_a },
+            Units::Compartments { first: b, neurons: of_b, start_step: from_b },
+        ) => {
+            let same = |index| of_a.get(index) == of_b.get(index);
+            a == b && from_a.checked_add(later) == Some(*from_b) && (0..meant.shape.len()).all(same)
+        }
+        _ => false,
+    };
+    meant.name == found.name && meant.shape == found.shape && meant.payload == found.payload && same_units
+}
+
+/// What follows spikes through relays.
+struct Walk<'a> {
+    original: &'a Quantised,
+    relayed: &'a Quantised,
+    reached: &'a [AtomicBool],
+}
+
+impl Walk<'_> {
+    fn compare(
+        &self,
+        population: PopulationId,
+        sources: Range<u32>,
+        later: &IdVec<PopulationId, u32>,
+    ) -> Result<(), Unfaithful> {
+        let (mut meant, mut found): (Vec<Meant>, Vec<Meant>) = (Vec::new(), Vec::new());
+        for index in sources {
+            meant.clear();
+            for (_, projection, first) in self.original.targets_of(population) {
+                let shift = i64::from(later[projection.target]) - i64::from(later[population]);
+                let arrives = i64::from(projection.delay.get()) + shift;
+                projection.connectivity.for_each_from(index, |target, weight| {
+                    meant.push((first.0 + target, projection.format, weight, arrives));
+                });
+            }
+            found.clear();
+            self.follow(population, index, 0, &mut found)?;
+            meant.sort_unstable();
+            found.sort_unstable();
+            if meant != found {
+                let population = self.original.populations()[population].name.clone();
+                return Err(Unfaithful::Synapses { population, index });
+            }
+        }
+        Ok(())
+    }
+
+    /// Collects what a source reaches, so many steps after the spike of the source of all.
+    fn follow(
+        &self,
+        population: PopulationId,
+        index: u32,
+        after: i64,
+        found: &mut Vec<Meant>,
+    ) -> Result<(), Unfaithful> {
+        let own = self.original.compartments();
+        let from = &self.relayed.populations()[population];
+        let mut relays = Vec::new();
+        for (_, projection, first) in self.relayed.targets_of(population) {
+            let arrives = after + i64::from(projection.delay.get());
+            projection.connectivity.for_each_from(index, |target, weight| {
+                let target = first.0 + target;
+                if target < own {
+                    found.push((target, projection.format, weight, arrives));
+                } else {
+                    relays.push((target, projection.format.scaled(weight), arrives + 1));
+                }
+            });
+        }
+        for (relay, weight, after) in relays {
+            let id = CompartmentId(relay);
+            let again = self.reached[(relay - own) as usize].swap(true, Ordering::Relaxed);
+            let (population, index) = self.relayed.population_of(id);
+            if again || !self.passes_on(from, &self.relayed.populations()[population], index, weight) {
+                return Err(Unfaithful::Relay(id));
+            }
+            self.follow(population, index, after, found)?;
+        }
+        Ok(())
+    }
+
+    /// Whether a compartment spikes when a spike of this population arrives over this weight, and otherwise never.
+    fn passes_on(&self, from: &Population, relays: &Population, index: u32, weight: i32) -> bool {
+        let Units::Compartments { neurons, start_step, .. } = &relays.units else { return false };
+        let neuron = neurons.get(index);
+        let starts = match &from.units {
+            Units::Input(_) => 0,
+            Units::Compartments { start_step, .. } => *start_step,
+        };
+        let (weight, threshold) = (i64::from(weight), i64::from(neuron.vth.get()) * 64);
+        let fires = match self.relayed.parts().threshold {
+            ThresholdTest::Strict => weight > threshold,
+            // A relay at rest must not reach a threshold of zero.
+            ThresholdTest::Inclusive => weight >= threshold && threshold > 0,
+        };
+        neuron == (Neuron { vth: neuron.vth, ..Neuron::PLAIN })
+            && fires
+            && weight < WRAPS_AT
+            && from.payload.is_none()
+            && relays.payload.is_none()
+            && *start_step <= starts
+    }
+}

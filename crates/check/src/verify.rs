@@ -1,0 +1,466 @@
+//! Rules for a finished program, checked on its own tables.
+//!
+//! Input: a [`Program`] and a target. Output: nothing, or the first [`Violation`]. Nothing is taken from the stages that
+//! made the program: every count is recomputed from what the machine would read. `Program::new` has checked that tables
+//! are closed; beyond that, of every core (each bullet is a variant of [`Violation`]):
+//!
+//! - the mesh is the target's (`Mesh`), and no two cores stand at one place of it (`Site`);
+//! - an output axon table names each destination core once, in ascending order (`Multicast`);
+//! - a list that is selected is not empty, one that is not is (`EmptyAxon`);
+//! - population axons have atoms, bases and numbers that messages and tables can hold, tables are the same or apart, no two
+//!   sources are the same atom of one, and a source is the same atom on every core (`Population`);
+//! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the core's index and delay
+//!   widths or none (`Format`);
+//! - in a list the synapses of one format are consecutive, and two groups do not differ in density or delay alone
+//!   (`Scattered`);
+//! - the slots of a dense group follow each other; those of a sparse group ascend and fit its index, and a
+//!   group with runs leaves out no more slots than they hold (`Slots`);
+//! - a group with delay bits has a delay, and each delay fits (`Delay`);
+//! - weights are multiples of their format's least step, in its range (`Weight`);
+//! - every resource of [`CoreUsage`] is within its limit (`Excess`).
+//!
+//! The tables that several cores hold in common are checked once, for the first of these cores.
+//!
+//! Whether the program has its network's synapses is for [`crate::equivalence`].
+
+use std::collections::{BTreeSet, HashMap};
+
+use rayon::prelude::*;
+
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{CoreId, Id, IdVec};
+use nsim_ir::hardware::Target;
+use nsim_ir::partition::CoreUsage;
+use nsim_ir::placement::Mesh;
+use nsim_ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, PopulationAxon, Program, Stored, Synapse};
+use nsim_ir::quantised::Neuron;
+use nsim_ir::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
+
+use crate::words::{Layout, RUNS, delay_slots};
+
+/// Bases of pop16 axons are multiples of this, and all bases are below the end (nengo-loihi e564f66 `hardware/builder.py`).
+const BASE_STEP: u16 = 4;
+const BASE_END: u16 = 256;
+/// Bits that the number of an axon and its atom have together where every population axon is pop16.
+const NUMBER_AND_ATOM: u32 = 15;
+/// Bits of an atom: at least and at most.
+const ATOM_BITS: (u32, u32) = (5, 9);
+
+/// A rule that is broken.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Violation {
+    /// The program is for another board.
+    #[error("the program's mesh is not the target's")]
+    Mesh,
+    /// Two cores stand at one place.
+    #[error("{core} stands where another core stands")]
+    Site {
+        /// The later of the two.
+        core: CoreId,
+    },
+    /// Messages of one source are not one for each core, ascending.
+    #[error("{0} does not name each destination core once, in ascending order")]
+    Multicast(String),
+    /// A list without synapses that is selected, or one with synapses that is not.
+    #[error("{core}: list {list} is selected and has no synapse, or has synapses and is not selected")]
+    EmptyAxon {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+    },
+    /// Population axons that the hardware does not have.
+    #[error("{place}: {what}")]
+    Population {
+        /// The core or the source.
+        place: String,
+        /// What is wrong.
+        what: &'static str,
+    },
+    /// A format that cannot be stored, is not used, or is there twice.
+    #[error("{core}: synapse format {format} {what}")]
+    Format {
+        /// The core.
+        core: CoreId,
+        /// The format's number.
+        format: usize,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// Synapses of one format that are not consecutive.
+    #[error("{core}: list {list} has its synapses of one format in several places")]
+    Scattered {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+    },
+    /// Slots that do not suit the format.
+    #[error("{core}: list {list}: the slots of a group do not suit its format")]
+    Slots {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+    },
+    /// Delays that do not suit the format.
+    #[error("{core}: list {list}: the delays of a group do not suit its format")]
+    Delay {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+    },
+    /// A weight that its format does not have.
+    #[error("{core}: list {list}: weight {weight} is not in its format")]
+    Weight {
+        /// The core.
+        core: CoreId,
+        /// The list.
+        list: usize,
+        /// The weight.
+        weight: i16,
+    },
+    /// More of a resource or a pool than there is.
+    #[error("{core} uses {need} {}, the limit is {limit}", capacity.name())]
+    Excess {
+        /// The core.
+        core: CoreId,
+        /// Of what.
+        capacity: Capacity,
+        /// What it uses.
+        need: u64,
+        /// What there is.
+        limit: u64,
+    },
+}
+
+/// Checks every rule.
+///
+/// # Errors
+/// The first [`Violation`], by core.
+pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
+    let limits = target.limits();
+    if *program.mesh() != Mesh::for_target(target) {
+        return Err(Violation::Mesh);
+    }
+    let mut taken = BTreeSet::new();
+    if let Some(core) = program.cores().ids().find(|&core| !taken.insert(program.cores()[core].site)) {
+        return Err(Violation::Site { core });
+    }
+    let populations = program.cores().iter().any(|image| !image.inputs.populations.is_empty());
+    for (channel, messages) in program.parts().channels.iter().enumerate() {
+        verify_messages(program, messages, populations, || format!("input channel {channel}"))?;
+    }
+    let first = first_with_tables(program);
+    let tables: Vec<Option<Result<CoreUsage, Violation>>> = program
+        .cores()
+        .as_slice()
+        .par_iter()
+        .enumerate()
+        .map(|(index, image)| {
+            let core = CoreId::new(index);
+            (first[core] == core).then(|| verify_tables(core, image, limits))
+        })
+        .collect();
+    // Threads may finish in any order; the violation of the lowest core is reported.
+    let found: Vec<Violation> = program
+        .cores()
+        .as_slice()
+        .par_iter()
+        .enumerate()
+        .filter_map(|(index, image)| {
+            let core = CoreId::new(index);
+            match &tables[first[core].index()] {
+                Some(Ok(usage)) => verify_core(program, core, image, *usage, populations, limits).err(),
+                Some(Err(violation)) => (first[core] == core).then(|| violation.clone()),
+                None => None,
+            }
+        })
+        .collect();
+    found.into_iter().next().map_or(Ok(()), Err)
+}
+
+/// The first core that holds the same tables as each, and equal formats and compartments.
+fn first_with_tables(program: &Program) -> IdVec<CoreId, CoreId> {
+    let mut known: HashMap<usize, CoreId> = HashMap::new();
+    let first = |(core, image): (CoreId, &CoreImage)| {
+        let first = *known.entry(image.inputs.address()).or_insert(core);
+        let of_first = &program.cores()[first];
+        let alike = of_first.formats == image.formats && of_first.compartments == image.compartments;
+        if alike { first } else { core }
+    };
+    program.cores().enumerate().map(first).collect()
+}
+
+fn verify_messages(
+    program: &Program,
+    messages: &[AxonTarget],
+    populations: bool,
+    name: impl Fn() -> String,
+) -> Result<(), Violation> {
+    if !messages.windows(2).all(|pair| pair[0].core < pair[1].core) {
+        return Err(Violation::Multicast(name()));
+    }
+    if !populations {
+        return Ok(());
+    }
+    let atom = |message: &AxonTarget| match program.cores()[message.core].inputs.axon(message.axon.into()) {
+        InputAxon::Member { atom, .. } => Some(atom),
+        InputAxon::Discrete { .. } => None,
+    };
+    let mut atoms = messages.iter().filter_map(atom);
+    match atoms.next() {
+        Some(first) if atoms.any(|atom| atom != first) => {
+            Err(Violation::Population { place: name(), what: "it is another atom on another core" })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Whether a population axon is a pop32 axon: more atoms than a pop16 axon has, or a base that it cannot have.
+pub(super) fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
+    match limits.output_axons {
+        OutputAxons::PerCompartment => false,
+        OutputAxons::PerPosition { atoms, .. } => axon.atoms > atoms || !axon.base.is_multiple_of(BASE_STEP),
+    }
+}
+
+/// Whether each list belongs to a table; checks population axons.
+fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<Vec<bool>, Violation> {
+    let wrong = |what| Err(Violation::Population { place: core.to_string(), what });
+    let mut in_table = vec![false; inputs.lists.len()];
+    if inputs.populations.is_empty() {
+        return Ok(in_table);
+    }
+    let mut tables: Vec<(u32, u16)> = inputs.populations.iter().map(|axon| (axon.table, axon.atoms)).collect();
+    tables.sort_unstable();
+    tables.dedup();
+    if tables.windows(2).any(|pair| pair[0].0 + u32::from(pair[0].1) > pair[1].0) {
+        return wrong("two tables of population axons overlap");
+    }
+    let atoms = tables.iter().map(|table| table.1).max().unwrap_or(0);
+    if u32::from(atoms) > 1 << ATOM_BITS.1 {
+        return wrong("a population axon has more atoms than a message can tell");
+    }
+    let is_short = |axon: &&PopulationAxon| !is_long(axon, limits);
+    let short = inputs.populations.iter().filter(is_short).count() as u64;
+    let (most_short, most) = match limits.output_axons {
+        OutputAxons::PerCompartment => {
+            let bits = (ATOM_BITS.0..ATOM_BITS.1).find(|&bits| u32::from(atoms) <= 1 << bits).unwrap_or(ATOM_BITS.1);
+            (1 << (NUMBER_AND_ATOM - bits), u64::MAX)
+        }
+        OutputAxons::PerPosition { .. } => (1 << 10, 1 << 12),
+    };
+    if short > most_short || inputs.populations.len() as u64 > most {
+        return wrong("there are more population axons than a message can tell beside their atoms");
+    }
+    if inputs
+        .populations
+        .iter()
+        .any(|axon| !is_long(axon, limits) && !axon.base.is_multiple_of(BASE_STEP) || axon.base >= BASE_END)
+    {
+        return wrong("a population axon has a base that cannot be stored");
+    }
+    for &(table, atoms) in &tables {
+        in_table[table as usize..table as usize + usize::from(atoms)].fill(true);
+    }
+    let members = inputs.axons.iter().filter_map(|axon| match *axon {
+        InputAxon::Member { axon, atom } => Some((axon, atom)),
+        InputAxon::Discrete { .. } => None,
+    });
+    let mut members: Vec<(u16, u16)> = members.collect();
+    members.sort_unstable();
+    if members.windows(2).any(|pair| pair[0] == pair[1]) {
+        return wrong("two sources are the same atom of a population axon");
+    }
+    // What each population axon has lists for is what its members are.
+    let mut members = members.into_iter();
+    for (number, axon) in inputs.populations.iter().enumerate() {
+        for atom in 0..axon.atoms {
+            let list = axon.table as usize + usize::from(atom);
+            let selected = !inputs.lists.get(list).is_empty();
+            if selected && members.next() != Some((number as u16, atom)) {
+                return Err(Violation::EmptyAxon { core, list });
+            }
+        }
+    }
+    match members.next() {
+        Some((axon, atom)) => {
+            let list = inputs.populations[usize::from(axon)].table as usize + usize::from(atom);
+            Err(Violation::EmptyAxon { core, list })
+        }
+        None => Ok(in_table),
+    }
+}
+
+/// Words of a core's lists, those of a table as many times the longest as it has lists; and the most of one list.
+fn words_of(inputs: &Stored, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) {
+    let widest = of_lists.iter().copied().max().unwrap_or(0);
+    let discrete =
+        of_lists.iter().zip(in_table).filter(|(_, in_table)| !**in_table).map(|(words, _)| u64::from(*words));
+    let tables: BTreeSet<(u32, u16)> = inputs.populations.iter().map(|axon| (axon.table, axon.atoms)).collect();
+    let of_table = |(table, atoms): (u32, u16)| {
+        let lists = &of_lists[table as usize..table as usize + usize::from(atoms)];
+        u64::from(atoms) * u64::from(lists.iter().copied().max().unwrap_or(0))
+    };
+    (discrete.sum::<u64>() + tables.into_iter().map(of_table).sum::<u64>(), widest)
+}
+
+fn verify_core(
+    program: &Program,
+    core: CoreId,
+    image: &CoreImage,
+    mut usage: CoreUsage,
+    populations: bool,
+    limits: &Limits,
+) -> Result<(), Violation> {
+    for (slot, messages) in image.axons_out.iter().enumerate() {
+        verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
+    }
+    usage[Resource::AxonsOut] = output_slots(program, image, populations, limits);
+    usage[Resource::AxonsOutPerCompartment] = image.axons_out.iter().map(|list| list.len() as u64).max().unwrap_or(0);
+    match usage.excesses(limits).next() {
+        Some((capacity, need, limit)) => Err(Violation::Excess { core, capacity, need, limit }),
+        None => Ok(()),
+    }
+}
+
+/// Output axon slots of a core, from the messages of its compartments. By position, compartments whose messages all go to
+/// population axons have one list of them where they go to the same ones.
+fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits: &Limits) -> u64 {
+    let by_position = match limits.output_axons {
+        OutputAxons::PerPosition { more_slots, .. } if populations => Some(more_slots),
+        OutputAxons::PerPosition { .. } | OutputAxons::PerCompartment => None,
+    };
+    let population = |message: &AxonTarget| match program.cores()[message.core].inputs.axon(message.axon.into()) {
+        InputAxon::Member { axon, .. } => Some(axon),
+        InputAxon::Discrete { .. } => None,
+    };
+    let slots = |message: &AxonTarget| {
+        let target = &program.cores()[message.core];
+        let on_chip = target.site.chip == image.site.chip;
+        let plain = if on_chip { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
+        // Tables of other cores are looked into only where that matters.
+        let axon = by_position.and_then(|more| Some((more, population(message)?)));
+        let is_long = |axon: u16| is_long(&target.inputs.populations[usize::from(axon)], limits);
+        plain + axon.filter(|&(_, axon)| is_long(axon)).map_or(0, |(more, _)| more)
+    };
+    let (mut sum, mut shared) = (0, BTreeSet::new());
+    for messages in image.axons_out.iter() {
+        let of_populations = messages.iter().map(|message| Some((message.core, population(message)?)));
+        let list: Option<Vec<(CoreId, u16)>> = by_position.and_then(|_| of_populations.collect());
+        if list.is_none_or(|list| shared.insert(list)) {
+            sum += messages.iter().map(|message| u64::from(slots(message))).sum::<u64>();
+        }
+    }
+    sum
+}
+
+/// Checks the rules for a core's own tables; returns what they use, output axons left out.
+///
+/// # Errors
+/// The first [`Violation`].
+pub(super) fn verify_tables(core: CoreId, image: &CoreImage, limits: &Limits) -> Result<CoreUsage, Violation> {
+    let in_table = verify_populations(core, &image.inputs, limits)?;
+    let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
+    let layout = Layout::of_core(image.compartments.len() as u32, longest, limits);
+    verify_formats(core, image, layout)?;
+    let mut of_lists = Vec::with_capacity(image.inputs.lists.len());
+    let (mut used, mut kinds) = (vec![false; image.formats.len()], Vec::new());
+    for (list, synapses) in image.inputs.lists.iter().enumerate() {
+        if synapses.is_empty() && !in_table[list] {
+            return Err(Violation::EmptyAxon { core, list });
+        }
+        let mut list_words = 0;
+        kinds.clear();
+        for group in synapses.chunk_by(|a, b| a.format == b.format) {
+            let format = image.formats[usize::from(group[0].format)];
+            used[usize::from(group[0].format)] = true;
+            if kinds.contains(&format.synapse) {
+                return Err(Violation::Scattered { core, list });
+            }
+            kinds.push(format.synapse);
+            verify_group(core, list, group, format)?;
+            list_words += layout.words(format, group.len() as u32, in_table[list]);
+        }
+        of_lists.push(list_words);
+    }
+    if let Some(format) = used.iter().position(|&used| !used) {
+        return Err(Violation::Format { core, format, what: "is not used" });
+    }
+    Ok(usage_of(image, longest, words_of(&image.inputs, &of_lists, &in_table)))
+}
+
+fn verify_formats(core: CoreId, image: &CoreImage, layout: Layout) -> Result<(), Violation> {
+    let mut distinct = BTreeSet::new();
+    for (number, format) in image.formats.iter().enumerate() {
+        let wrong = |what| Err(Violation::Format { core, format: number, what });
+        if !distinct.insert(format) {
+            return wrong("is there twice");
+        }
+        if format.synapse.bits.get() == 7 {
+            return wrong("has weights of 7 bits");
+        }
+        if format.delay_bits != 0 && format.delay_bits != layout.delay {
+            return wrong("has delays of another width than its core");
+        }
+        if format.index_bits.is_some_and(|bits| bits != layout.index) {
+            return wrong("has indices of another width than its core");
+        }
+        if format.skip_bits.is_some_and(|bits| format.index_bits.is_none() || !RUNS.contains(&bits)) {
+            return wrong("has runs of a width that cannot be stored");
+        }
+    }
+    Ok(())
+}
+
+fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat) -> Result<(), Violation> {
+    let in_order = match format.index_bits {
+        None => group.windows(2).all(|pair| u32::from(pair[1].slot) == u32::from(pair[0].slot) + 1),
+        Some(bits) => {
+            group.windows(2).all(|pair| pair[0].slot <= pair[1].slot)
+                && group.iter().all(|s| u32::from(s.slot) < 1 << bits)
+        }
+    };
+    // A run holds the number of slots left out, so no slot occurs twice and no gap is wider than a run can hold.
+    let holds = |bits: u8| {
+        group.windows(2).all(|pair| {
+            u32::from(pair[1].slot).checked_sub(u32::from(pair[0].slot) + 1).is_some_and(|gap| gap < 1 << bits)
+        })
+    };
+    if !in_order || !format.skip_bits.is_none_or(holds) {
+        return Err(Violation::Slots { core, list });
+    }
+    let longest = group.iter().map(|s| s.delay.get()).max().unwrap_or(0);
+    if (longest > 0) != (format.delay_bits > 0) || u32::from(longest) >= 1 << format.delay_bits {
+        return Err(Violation::Delay { core, list });
+    }
+    let (low, high) = format.synapse.sign.range(format.synapse.bits);
+    let step = format.synapse.sign.step(format.synapse.bits);
+    match group.iter().find(|s| !(low..=high).contains(&s.weight) || s.weight % step != 0) {
+        Some(synapse) => Err(Violation::Weight { core, list, weight: synapse.weight }),
+        None => Ok(()),
+    }
+}
+
+fn usage_of(image: &CoreImage, longest: Delay, (words, widest): (u64, u32)) -> CoreUsage {
+    let compartments = image.compartments.len() as u32;
+    let profiles = |neuron: &Neuron| ((neuron.du, neuron.dv, neuron.refractory), neuron.vth);
+    let distinct = image.compartments.iter().map(|c| profiles(&c.neuron));
+    let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
+    let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u64;
+    let of = |resource| match resource {
+        Resource::Compartments => u64::from(compartments),
+        Resource::AxonsIn => axons_in,
+        // These depend on the chips of other cores.
+        Resource::AxonsOut | Resource::AxonsOutPerCompartment => 0,
+        Resource::SynapseWords => words,
+        Resource::SynapseWordsPerAxon => u64::from(widest),
+        Resource::SynapseFormats => image.formats.len() as u64,
+        Resource::CompartmentProfiles => profiles.len() as u64,
+        Resource::ThresholdProfiles => thresholds.len() as u64,
+        Resource::Accumulators => u64::from(compartments) * u64::from(delay_slots(longest)),
+    };
+    CoreUsage { synapses: image.inputs.count(), of: PerResource::from_fn(of) }
+}

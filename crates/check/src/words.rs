@@ -1,0 +1,92 @@
+//! Words of synapse memory that lists take, counted again from the layout of an entry.
+//!
+//! Input: a core's size, longest delay and limits, then the format and size of each group of synapses. Output: words of
+//! 64 bits. This is a second count, synapse by synapse, of what the compiler's packing says in closed form; the two
+//! share no code, so a mistake in one is found by the other.
+//!
+//! An entry holds up to so many synapses: a header of 4 bits for the format and 6 for the count (nengo-loihi e564f66
+//! `builder/validate.py`, `bits_per_axon`), then perhaps the index of its first slot, then the synapses. A synapse has its
+//! weight, its delay where its group has one, and its slot: nothing where slots follow each other, the slots left out
+//! where they ascend, an index otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first
+//! slot wherever there is no index, and a word more where the last one has 0 or at least 59 bits.
+
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::program::CoreFormat;
+use nsim_ir::resource::{Limits, Packing};
+
+/// Bits of a word.
+const WORD: u32 = 64;
+/// Bits of a format's number and of a count of synapses.
+const HEADER: u32 = 4 + 6;
+/// Widths of a run: slots left out before a synapse.
+pub(crate) const RUNS: std::ops::RangeInclusive<u8> = 2..=5;
+/// The narrowest and the widest index of a slot.
+const INDEX: (u8, u8) = (6, 12);
+
+/// The layout of a core's entries.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Layout {
+    /// Bits of the index of a slot.
+    pub index: u8,
+    /// Bits of a delay, where there is one.
+    pub delay: u8,
+    per_entry: u32,
+    nxtf: bool,
+}
+
+impl Layout {
+    /// The layout of a core with so many compartments and this longest delay.
+    pub fn of_core(compartments: u32, longest: Delay, limits: &Limits) -> Self {
+        let nxtf = limits.packing == Packing::Nxtf;
+        let mut index = INDEX.0;
+        while index < INDEX.1 && compartments > 1 << index {
+            index += 1;
+        }
+        let mut delay = 0;
+        while u32::from(longest.get()) >= 1 << delay {
+            delay += 1;
+        }
+        if nxtf && delay > 0 {
+            delay = delay.max(3);
+        }
+        let per_entry = limits.synapses_per_entry.min(if nxtf { 60 } else { u32::MAX });
+        Layout { index, delay, per_entry, nxtf }
+    }
+
+    /// Words of a group of so many synapses of a format, in the list of a discrete axon or in a table of a population axon.
+    pub fn words(&self, format: CoreFormat, synapses: u32, in_table: bool) -> u32 {
+        let slot = match (format.index_bits, format.skip_bits) {
+            (None, _) => 0,
+            (Some(_), Some(run)) => run,
+            (Some(_), None) => self.index,
+        };
+        let delay = if format.delay_bits > 0 { self.delay } else { 0 };
+        let each = u32::from(format.synapse.bits.get()) + u32::from(delay) + u32::from(slot);
+        // The first slot is stored where synapses only tell how far it is to the next, or nothing that a table could add to.
+        let first = match format.index_bits {
+            None => in_table || self.nxtf,
+            Some(_) => format.skip_bits.is_some(),
+        };
+        let begin = HEADER + if first { u32::from(self.index) } else { 0 };
+        let (mut words, mut left) = (0, synapses);
+        while left > 0 {
+            let of_entry = left.min(self.per_entry.max(1));
+            let bits = begin + of_entry * each;
+            words += bits.div_ceil(WORD);
+            if self.nxtf && (bits.is_multiple_of(WORD) || bits % WORD >= 59) {
+                words += 1;
+            }
+            left -= of_entry;
+        }
+        words
+    }
+}
+
+/// Slots of a core's accumulators: a power of two above the longest delay.
+pub(crate) fn delay_slots(longest: Delay) -> u32 {
+    let mut slots = 1;
+    while slots <= u32::from(longest.get()) {
+        slots *= 2;
+    }
+    slots
+}

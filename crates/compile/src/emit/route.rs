@@ -1,0 +1,386 @@
+//! From seats and sites to tables: the program.
+//!
+//! Input: a network, its partition and placement. Output: a [`Program`]. Each source sends one message to each core that
+//! holds a target of it, the own core included; there an input axon of its own leads to the list of its synapses, which
+//! is one of a table where [`crate::resources::axon_sharing`] says so.
+//! Input axons of a core are numbered by source: channels in order, then compartments in order. A list is sorted by
+//! format, then slot, delay and weight; formats are numbered as they first appear. Widths are those of
+//! [`crate::resources::packing`].
+//!
+//! Cores are written down in parallel, from their own synapses alone; then messages are sorted from cores to sources, a
+//! range of sources each.
+
+use rayon::prelude::*;
+
+use crate::emit::twins::{Twin, twins};
+use crate::resources::axon_sharing::{EqualPlace, Places};
+use crate::resources::by_core;
+use crate::resources::by_core::{Key, by_core_from};
+use crate::resources::counter::stored;
+use crate::resources::exact::{StoredLists, group_of, longest_delays};
+use crate::resources::fan_in::first_source;
+use crate::resources::formats::Formats;
+use crate::resources::packing::{Compression, Group, Widths};
+use nsim_ir::base::csr::Csr;
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, PopulationId};
+use nsim_ir::base::shared::Shared;
+use nsim_ir::dealt::Dealt;
+use nsim_ir::partition::Partition;
+use nsim_ir::placement::Placement;
+use nsim_ir::program::{
+    AxonTarget, Compartment, Compartments, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon, Program,
+    Stored, Synapse,
+};
+use nsim_ir::quantised::{Population, Quantised, Units};
+use nsim_ir::resource::Limits;
+
+/// Sources whose messages are sorted by one task. With fewer the sources of each core are read in shorter runs: 4,096 took twice the
+/// time.
+const PIECE: u32 = 1 << 14;
+
+/// The program of a network, so many equal copies that share nothing, on its places. What equal cores of several copies store
+/// is written once. Of a program that is dealt out and held in part, only what is held is written.
+///
+/// # Errors
+/// A sentence when the tables contradict each other or a core has more formats than can be numbered: a fault of the
+/// stages before, whose limits exclude it.
+pub fn route(
+    network: &Quantised,
+    partition: &Partition,
+    placement: &Placement,
+    (copies, dealt): (u32, Option<Dealt>),
+    limits: &Limits,
+) -> Result<Program, String> {
+    if partition.cores() != placement.len() {
+        return Err("the partition and the placement have different numbers of cores".to_string());
+    }
+    let tables = Tables::new(network, partition, placement, limits);
+    let (channels, compartments) = (network.channels(), network.compartments());
+    let of_copy = |units: usize| units as u32 / copies.max(1);
+    let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
+    // A part writes each of its cores by itself: the first of its kind may be another rank's.
+    let twins = match dealt.as_ref().is_some_and(|dealt| dealt.held.is_some()) {
+        true => partition.members().ids().map(|first| Twin { first, later: 0 }).collect(),
+        false => twins(partition.members(), of_copy(compartments as usize)),
+    };
+    let (mut cores, mut sources): (Vec<CoreImage>, Vec<Vec<u32>>) =
+        (Vec::with_capacity(twins.len()), Vec::with_capacity(twins.len()));
+    // The copies of which a core is the first of its kind.
+    let mut written_down = vec![false; copies as usize];
+    for (core, _) in twins.enumerate().filter(|(core, twin)| twin.first == *core && holds(*core)) {
+        let copies_of = partition.members()[core].iter().map(|id| id.0 / of_copy(compartments as usize).max(1));
+        copies_of.for_each(|copy| written_down[copy as usize] = true);
+    }
+    let populations = of_copy(network.populations().len()).max(1);
+    let counts = |id: PopulationId| written_down.get((id.0 / populations) as usize).copied().unwrap_or(true);
+    let longest = longest_delays(network, partition.seats(), partition.cores(), counts);
+    let wanted = (counts, holds);
+    let written = by_core_from(network, &tables.formats, partition.seats(), twins.len(), wanted, |core, keys| {
+        (holds(core) && twins[core].first == core).then(|| tables.image(core, keys, longest[core])).transpose()
+    });
+    let nothing = Shared::from(Stored::default());
+    for (core, written) in twins.ids().zip(written) {
+        let Twin { first, later } = twins[core];
+        let (image, of_core) = match written? {
+            Some(written) => written,
+            None if !holds(core) => (tables.empty_image(core, &nothing), Vec::new()),
+            None => {
+                let later_source = |&source: &u32| match source < channels {
+                    true => source + later * of_copy(channels as usize),
+                    false => source + later * of_copy(compartments as usize),
+                };
+                let (site, ids) = (placement.site(core), partition.members()[core].clone());
+                let image = CoreImage { site, ids, ..cores[first.index()].clone() };
+                (image, sources[first.index()].iter().map(later_source).collect())
+            }
+        };
+        cores.push(image);
+        sources.push(of_core);
+    }
+    assemble(network, partition, (placement, dealt), (cores, sources))
+}
+
+/// The program of these cores, in order, each with the source of each of its input axons.
+///
+/// # Errors
+/// As [`route`].
+pub(super) fn assemble(
+    network: &Quantised,
+    partition: &Partition,
+    (placement, dealt): (&Placement, Option<Dealt>),
+    (mut cores, sources): (Vec<CoreImage>, Vec<Vec<u32>>),
+) -> Result<Program, String> {
+    let (channels, compartments) = (network.channels(), network.compartments());
+    let messages = messages(&sources, channels, compartments);
+    drop(sources);
+    cores.par_iter_mut().for_each(|image| {
+        let of = |id: &CompartmentId| messages.compartments[(id.0 / PIECE) as usize].get((id.0 % PIECE) as usize);
+        for id in &image.ids {
+            image.axons_out.push(of(id).iter().copied());
+        }
+        image.axons_out.shrink_to_fit();
+    });
+    let populations = network.populations().iter().map(Compartments::in_population).collect();
+    let parts = network.parts();
+    Program::new(Parts {
+        mesh: *placement.mesh(),
+        cores: cores.into(),
+        channels: messages.channels,
+        seats: partition.seats().clone(),
+        populations,
+        graded: graded(network),
+        output: parts.output,
+        decision: parts.decision,
+        output_start: network.output().start_step,
+        semantics: parts.semantics,
+        threshold: parts.threshold,
+        reset: parts.reset,
+        dealt,
+    })
+    .map_err(|error| error.to_string())
+}
+
+/// The populations of graded spikes, channels first.
+fn graded(network: &Quantised) -> Vec<Graded> {
+    let of = |population: &Population| {
+        let first = first_source(network, population);
+        Some(Graded { sources: first..first + population.shape.len(), payload: population.payload? })
+    };
+    let mut graded: Vec<Graded> = network.populations().iter().filter_map(of).collect();
+    graded.sort_unstable_by_key(|graded| graded.sources.start);
+    graded
+}
+
+/// What the tables of every core are written from.
+pub(super) struct Tables<'a> {
+    network: &'a Quantised,
+    partition: &'a Partition,
+    placement: &'a Placement,
+    limits: &'a Limits,
+    pub(super) formats: Formats,
+    places: Places,
+}
+
+impl<'a> Tables<'a> {
+    pub(super) fn new(
+        network: &'a Quantised,
+        partition: &'a Partition,
+        placement: &'a Placement,
+        limits: &'a Limits,
+    ) -> Self {
+        let (formats, places) = (Formats::for_network(network), Places::for_network(network, limits));
+        Tables { network, partition, placement, limits, formats, places }
+    }
+
+    /// The image of a core whose tables another process holds.
+    pub(super) fn empty_image(&self, core: CoreId, nothing: &Shared<Stored>) -> CoreImage {
+        let held = &self.partition.members()[core];
+        CoreImage {
+            site: self.placement.site(core),
+            compartments: compartments(self.network, held).into(),
+            ids: held.clone(),
+            formats: Vec::new(),
+            inputs: nothing.clone(),
+            axons_out: Csr::default(),
+        }
+    }
+
+    /// The image of a core with these synapses, without messages, and the source of each input axon.
+    pub(super) fn image(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<(CoreImage, Vec<u32>), String> {
+        let held = &self.partition.members()[core];
+        let widths = Widths::for_core(held.len() as u32, longest, self.limits.packing);
+        let lists = StoredLists::new(keys, &self.formats, widths, self.limits, &self.places);
+        let (formats, inputs, sources) = write_lists(keys, &self.formats, widths, &lists, self.limits)
+            .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
+        let image = CoreImage {
+            site: self.placement.site(core),
+            compartments: compartments(self.network, held).into(),
+            ids: held.clone(),
+            formats,
+            inputs: inputs.into(),
+            axons_out: Csr::default(),
+        };
+        Ok((image, sources))
+    }
+}
+
+/// Parameters of compartments in slot order.
+pub fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
+    let mut known = None;
+    held.iter()
+        .filter_map(|&id| {
+            // Neighbours mostly are of one population.
+            let inside = |population: &PopulationId| {
+                let population = &network.populations()[*population];
+                population
+                    .first_compartment()
+                    .is_some_and(|first| id.0.checked_sub(first.0).is_some_and(|index| index < population.shape.len()))
+            };
+            let population = known.filter(inside).unwrap_or_else(|| network.population_of(id).0);
+            known = Some(population);
+            let Units::Compartments { first, neurons, start_step } = &network.populations()[population].units else {
+                return None;
+            };
+            Some(Compartment { neuron: neurons.get(id.0 - first.0), start_step: *start_step })
+        })
+        .collect()
+}
+
+/// The formats of a core, its input axons with their lists, and the source of each input axon.
+type Written = (Vec<CoreFormat>, Stored, Vec<u32>);
+
+/// Writes the lists of a core's image.
+struct Writer<'a> {
+    formats: &'a Formats,
+    widths: Widths,
+    limits: &'a Limits,
+    runs: bool,
+    known: Vec<CoreFormat>,
+    /// The last group's make-up and the number of its format.
+    last: Option<((u16, Group), u8)>,
+    lists: Csr<Synapse>,
+}
+
+impl Writer<'_> {
+    /// The number of the format of a group of this make-up.
+    fn number(&mut self, (format, made): (u16, Group)) -> Option<u8> {
+        if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
+            return Some(number);
+        }
+        let [_, (compression, _)] = stored(made, self.widths, self.limits);
+        let stored = CoreFormat {
+            synapse: self.formats.get(format),
+            delay_bits: if made.delayed { self.widths.delay } else { 0 },
+            index_bits: (!made.dense).then_some(self.widths.index),
+            skip_bits: match compression {
+                Compression::RunLength(bits) if self.runs => Some(bits),
+                _ => None,
+            },
+        };
+        let number = number_of(&mut self.known, stored)?;
+        self.last = Some(((format, made), number));
+        Some(number)
+    }
+
+    /// Writes a list, its slots counted from a base.
+    fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
+        for group in by_core::groups(list) {
+            let number = self.number(group_of(group, self.formats))?;
+            for key in group {
+                let delay = Delay::new(key.delay().into()).ok()?;
+                let synapse = Synapse { slot: key.slot() - base, weight: key.weight(), format: number, delay };
+                self.lists.extend_last([synapse]);
+            }
+        }
+        self.lists.end();
+        Some(())
+    }
+}
+
+/// What a core keeps of its synapses; `None` when it has more input axons or formats than can be numbered.
+fn write_lists(
+    keys: &[Key],
+    formats: &Formats,
+    widths: Widths,
+    stored: &StoredLists,
+    limits: &Limits,
+) -> Option<Written> {
+    let (runs, lists) = (stored.stores_runs(limits), Csr::with_capacity(0, keys.len()));
+    let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), last: None, lists };
+    let shared: Vec<_> = stored.shared(limits).filter(|&(_, places)| places > 0).collect();
+    let sources: Vec<u32> = by_core::lists(keys).map(|list| list[0].source()).collect();
+    u16::try_from(sources.len().saturating_sub(1)).ok()?;
+    if shared.is_empty() {
+        by_core::lists(keys).try_for_each(|list| writer.list(list, 0))?;
+        writer.lists.shrink_to_fit();
+        return Some((writer.known, Stored::discrete(writer.lists), sources));
+    }
+    let all: Vec<&[Key]> = by_core::lists(keys).collect();
+    let (mut populations, mut members) = (Vec::new(), vec![None; all.len()]);
+    for (alike, places) in shared {
+        let first = alike.places.first()?;
+        let (table, atoms) = (writer.lists.len() as u32, alike.atoms());
+        let mut of_atoms = first.lists.iter().peekable();
+        for atom in 0..atoms {
+            match of_atoms.next_if(|(of, _)| *of == atom) {
+                Some((_, number)) => writer.list(all[*number as usize], first.base)?,
+                None => writer.lists.end(),
+            }
+        }
+        for EqualPlace { base, lists, .. } in &alike.places[..places as usize] {
+            let axon = u16::try_from(populations.len()).ok()?;
+            populations.push(PopulationAxon { table, atoms, base: *base });
+            lists.iter().for_each(|&(atom, number)| members[number as usize] = Some(InputAxon::Member { axon, atom }));
+        }
+    }
+    let mut axons = Vec::with_capacity(all.len());
+    for (list, member) in all.into_iter().zip(members) {
+        axons.push(member.unwrap_or(InputAxon::Discrete { list: writer.lists.len() as u32 }));
+        if member.is_none() {
+            writer.list(list, 0)?;
+        }
+    }
+    writer.lists.shrink_to_fit();
+    Some((writer.known, Stored::with_populations(writer.lists, populations, axons), sources))
+}
+
+/// Messages by source.
+struct Messages {
+    channels: Csr<AxonTarget>,
+    /// In pieces of [`PIECE`] compartments.
+    compartments: Vec<Csr<AxonTarget>>,
+}
+
+/// Sorts what cores know, the sources of their input axons, by source.
+fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages {
+    let pieces = |from: u32, count: u32| (0..count.div_ceil(PIECE)).map(move |piece| from + piece * PIECE);
+    let all = channels + compartments;
+    let starts: Vec<u32> = pieces(0, channels).chain(pieces(channels, compartments)).chain([all]).collect();
+    // Where the sources of each piece begin among those of each core, which ascend.
+    let cut = |of_core: &Vec<u32>| {
+        let mut at = 0;
+        let begins = starts.iter().map(|&start| {
+            at += of_core[at..].iter().take_while(|&&source| source < start).count();
+            at as u32
+        });
+        begins.collect()
+    };
+    let cuts: Vec<Vec<u32>> = sources.par_iter().map(cut).collect();
+    let of_piece = |piece: usize| {
+        let (from, to) = (starts[piece], starts[piece + 1]);
+        let parts = || cuts.iter().map(|cuts| cuts[piece] as usize..cuts[piece + 1] as usize);
+        let mut counts = vec![0u32; (to - from) as usize];
+        for (of_core, part) in sources.iter().zip(parts()) {
+            of_core[part].iter().for_each(|source| counts[(source - from) as usize] += 1);
+        }
+        let mut lists = Csr::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
+        // Where the next message of each source goes; cores ascend, so lists do.
+        let mut next = lists.firsts()[..counts.len()].to_vec();
+        let items = lists.items_mut();
+        for (core, (of_core, part)) in sources.iter().zip(parts()).enumerate() {
+            for (axon, &source) in part.clone().zip(&of_core[part]) {
+                let next = &mut next[(source - from) as usize];
+                items[*next as usize] = AxonTarget { core: CoreId::new(core), axon: axon as u16 };
+                *next += 1;
+            }
+        }
+        lists
+    };
+    let mut of_pieces: Vec<Csr<AxonTarget>> = (0..starts.len() - 1).into_par_iter().map(of_piece).collect();
+    let of_compartments = of_pieces.split_off(channels.div_ceil(PIECE) as usize);
+    let mut of_channels = Csr::default();
+    of_pieces.iter().flat_map(Csr::iter).for_each(|list| of_channels.push(list.iter().copied()));
+    of_channels.shrink_to_fit();
+    Messages { channels: of_channels, compartments: of_compartments }
+}
+
+/// The number of a format on its core, which is new when the core has not had it yet.
+fn number_of(formats: &mut Vec<CoreFormat>, format: CoreFormat) -> Option<u8> {
+    let known = formats.iter().position(|&f| f == format);
+    let number = known.unwrap_or_else(|| {
+        formats.push(format);
+        formats.len() - 1
+    });
+    u8::try_from(number).ok()
+}

@@ -1,0 +1,94 @@
+//! What placed boxes are expected to carry and cost, at a rate for each population.
+//!
+//! Input: boxes and places, and how often the sources of each population spike. Output: traffic, link loads and the
+//! [`Score`] of a step, counted as [`crate::explore::traffic`] and [`crate::explore::cost_estimate`] count those of a program.
+
+use crate::explore::cost_estimate::{Score, score_of};
+use crate::explore::traffic;
+use crate::explore::traffic::{Links, Traffic};
+use crate::partition::box_fan_out::PopulationRates;
+use crate::partition::boxes::Boxes;
+use nsim_ir::activity::StepActivity;
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::id::{CoreId, Id};
+use nsim_ir::firing_rates::UNIT;
+use nsim_ir::hardware::Target;
+use nsim_ir::placement::Placement;
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::resource::Resource;
+
+/// Boxes with their places.
+#[derive(Debug, Clone, Copy)]
+pub struct PlacedBoxes<'a> {
+    /// The network, all copies.
+    pub network: &'a Quantised,
+    /// Its boxes.
+    pub boxes: &'a Boxes,
+    /// Their places.
+    pub placement: &'a Placement,
+}
+
+impl<'a> PlacedBoxes<'a> {
+    fn flows(
+        self,
+        rates: &'a PopulationRates,
+    ) -> impl Iterator<Item = (Option<CoreId>, impl Iterator<Item = CoreId> + Clone, u64)> {
+        self.boxes.flows(rates).map(|(own, to, weight)| (own, to.iter().map(|&to| CoreId(to)), weight))
+    }
+
+    /// The expected traffic.
+    #[must_use]
+    pub fn traffic(self, rates: &PopulationRates) -> Traffic {
+        traffic::of_flows(self.placement, self.flows(rates)).traffic()
+    }
+
+    /// The expected messages over each link.
+    #[must_use]
+    pub fn links(self, rates: &PopulationRates) -> Links {
+        traffic::of_flows(self.placement, self.flows(rates)).links()
+    }
+
+    /// What a mean step with this traffic, that at these rates, is expected to cost.
+    ///
+    /// # Errors
+    /// As [`score_of`].
+    pub fn score(self, rates: &PopulationRates, traffic: &Traffic, target: &Target, copies: u32) -> Result<Score> {
+        let PlacedBoxes { network, boxes, placement } = self;
+        let mut sum = StepActivity::new(boxes.uses.len());
+        for (core, used) in boxes.uses.iter().enumerate() {
+            let core = CoreId::new(core);
+            let counts = &mut sum.cores[core];
+            for arriving in used.arriving.iter() {
+                counts.events_dense += arriving.dense * rates[arriving.source];
+                counts.events_sparse += arriving.sparse * rates[arriving.source];
+            }
+            let steps = used.usage[Resource::Compartments] * UNIT as u64;
+            counts.visited += steps;
+            counts.active += steps;
+            counts.spikes += used.usage[Resource::Compartments] * rates[boxes.layer[core]];
+        }
+        for (id, population) in network.populations().enumerate() {
+            if let Units::Input(_) = population.units {
+                sum.spikes_in += u64::from(population.shape.len()) * rates[id];
+            }
+        }
+        let (mesh, site) = (placement.mesh(), |core| placement.site(core));
+        for (own, to, weight) in self.flows(rates) {
+            for core in to {
+                sum.cores[core].messages_in += weight;
+                let route = match own {
+                    Some(own) => {
+                        sum.cores[own].messages_out += weight;
+                        mesh.route(site(own), site(core))
+                    }
+                    None => {
+                        sum.messages_from_inputs += weight;
+                        mesh.route_from_corner(site(core))
+                    }
+                };
+                sum.add_routes(route, weight);
+            }
+        }
+        score_of(&sum, traffic, placement, target, copies)
+    }
+}

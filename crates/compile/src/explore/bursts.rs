@@ -1,0 +1,80 @@
+//! Steps in which many sources spike at once, in which candidates for the shortest step are compared.
+//!
+//! Output: the rates of steps in which all sources spike, and in which those of one population do, for the expected step
+//! ([`crate::explore::cost_estimate`]); and the time of a step in which drawn compartments spike, every message followed
+//! as in a run ([`nsim_cost::transport::queue`]). The expected step knows how busy links are; that messages hold up others
+//! behind them it does not, and that is most of a step in which many compartments spike.
+
+use crate::explore::cost_estimate::first_constants;
+use crate::partition::box_fan_out::{PopulationRates, everywhere, only};
+use crate::resources::fan_in::first_source;
+use nsim_cost::deployment::{Deployment, HostWork};
+use nsim_cost::transport::{MessageRoutes, QueueMemory, Transport};
+use nsim_ir::activity::StepActivity;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::CompartmentId;
+use nsim_ir::base::rng;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::hardware::Target;
+use nsim_ir::placement::Placement;
+use nsim_ir::program::Program;
+use nsim_ir::quantised::Quantised;
+
+/// Populations whose bursts candidates are compared in.
+const MOST_BURSTS: usize = 16;
+/// Where the draws of compartments begin.
+const SEED: u64 = 0xb0_4575;
+
+/// Rates of steps in which all sources spike, and in which those of one population do, for as many as are affordable.
+#[must_use]
+pub fn bursts(network: &Quantised) -> Vec<Rates> {
+    let mut bursts = vec![Rates::assumed(1.0)];
+    for population in network.populations().iter().take(MOST_BURSTS) {
+        let mut spikes = vec![0u64; (network.channels() + network.compartments()) as usize];
+        let first = first_source(network, population) as usize;
+        spikes[first..first + population.shape.len() as usize].fill(1);
+        let (channels, compartments) = spikes.split_at(network.channels() as usize);
+        bursts.push(Rates::profile(channels, compartments, 1));
+    }
+    bursts
+}
+
+/// [`bursts`], at a rate for each population.
+#[must_use]
+pub fn population_bursts(network: &Quantised) -> Vec<PopulationRates> {
+    let once = Rates::assumed(1.0);
+    let of_one = network.populations().ids().take(MOST_BURSTS).map(|id| only(network, id, &once));
+    std::iter::once(everywhere(network, &once)).chain(of_one).collect()
+}
+
+/// Messages when every compartment of a program spikes once.
+#[must_use]
+pub fn messages(program: &Program) -> u64 {
+    program.cores().iter().flat_map(|core| core.axons_out.iter()).map(|messages| messages.len() as u64).sum()
+}
+
+/// The time of a step in which every compartment spikes with this chance, the same ones in every mapping of a network, and no
+/// input; in microseconds, under the target's first preset.
+///
+/// # Errors
+/// A diagnostic when the target's constants cannot be used or there are none.
+pub fn followed_us(
+    program: &Program,
+    placement: &Placement,
+    target: &Target,
+    copies: u32,
+    chance: f64,
+) -> Result<f64, Diagnostic> {
+    let tables = [first_constants(target)?];
+    let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
+    let mut step = StepActivity::new(program.cores().len());
+    for (counts, image) in step.cores.as_mut_slice().iter_mut().zip(program.cores()) {
+        let compartments = image.compartments.len() as u64;
+        (counts.visited, counts.active) = (compartments, compartments);
+    }
+    let spikes = |&id: &u32| rng::unit(SEED, id.into(), 0) < chance;
+    step.fired = (0..program.compartments()).filter(spikes).map(CompartmentId).collect();
+    let timing = deployment.timing(Transport::Queued, copies);
+    let times = MessageRoutes::of_program(program).step_times(&step, &tables, timing, &mut QueueMemory::default());
+    Ok(times.iter().map(|time| time.total().microseconds()).sum())
+}

@@ -1,0 +1,386 @@
+//! Several mappings of a network, compared by what a step of them is expected to cost.
+//!
+//! Input: a network, a target and an objective. Output: the best of several *candidates*. A candidate is a strategy and
+//! the part of each core that it may fill: cores that hold half as much take half as long and are twice as many. The first
+//! candidates are always the sequential order, unplaced as the public tools leave it and placed.
+//! [`choice`](crate::explore::choice) says which is better.
+
+use std::time::{Duration, Instant};
+
+use rayon::prelude::*;
+
+use crate as compile;
+use crate::error::{CompileError, Result};
+use crate::explore::box_costs::PlacedBoxes;
+use crate::explore::bursts::{bursts, followed_us, messages, population_bursts};
+use crate::explore::choice::{Bursts, Candidate, Choice, Found, Made};
+use crate::explore::cost_estimate::{Score, score_at};
+use crate::form::Form;
+use crate::mapping::{Mapping, Synapses};
+use crate::mapping_file::file_of_boxes;
+use crate::options::{Effort, Objective, Options, Strategy};
+use crate::partition::box_fan_out::{PopulationRates, everywhere};
+use crate::partition::boxes::{Boxes, Layers};
+use crate::place::spread::spread;
+use crate::reason::Reason;
+use crate::stages::{Front, Unchecked};
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::hardware::Target;
+use nsim_ir::mapping::MappingFile;
+use nsim_ir::placement::Placement;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::resource::Resource;
+
+/// Parts of a core, as divisors, that candidates fill.
+const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
+/// Those for the shortest step, in the order in which they are likely to take it, for networks so large that the effort is
+/// not enough for all (`nsim bench map`). The first two are always tried.
+const SHORTEST: [u32; 7] = [4, 1, 8, 32, 16, 64, 2];
+/// The part that is tried when none of these is taken.
+const HALF: u32 = 2;
+/// Compartments that a second of effort allows to be cut into boxes, over all candidates.
+const COMPARTMENTS_PER_SECOND: u64 = 20_000_000;
+/// Synapses that a second of effort allows to be mapped, over all candidates.
+const SYNAPSES_PER_SECOND: u64 = 4_000_000;
+
+/// Synapses of 8 bits in a word.
+const SYNAPSES_PER_WORD: u64 = 8;
+
+/// Stages that follow once cores have their places.
+const FINISHING: [&str; 3] = ["route", "verify", "check"];
+/// How much more time than the last time is kept for them.
+const SLACK: f64 = 1.2;
+/// The part of the time that must be left for looking for a better mapping to be worth it.
+const LEAST_LEFT: f64 = 0.1;
+/// The part of what is left that the partition may take; the rest is for placing.
+const PARTITIONING: f64 = 0.7;
+
+/// A core's limits divided, but for the words that one compartment needs, as far as they are known.
+fn divided(target: &Target, divisor: u32, words: u32) -> Target {
+    let limits = target.limits();
+    let words = (limits[Resource::SynapseWords] / divisor).max(limits[Resource::SynapseWordsPerAxon]).max(words);
+    let compartments = (limits[Resource::Compartments] / divisor).max(1);
+    let divided = limits.clone().with(Resource::Compartments, compartments).with(Resource::SynapseWords, words);
+    target.clone().with_limits(divided)
+}
+
+/// The synapses of a core that is filled to a part: those of 8 bits that the part's words hold; of a whole one as many as there may be.
+fn most_synapses(target: &Target, divisor: u32) -> Option<u64> {
+    let words = u64::from(target.limits()[Resource::SynapseWords]);
+    (divisor > 1).then(|| words * SYNAPSES_PER_WORD / u64::from(divisor))
+}
+
+/// The words that one compartment alone needs, when they are all that a divided core lacks and a whole one has them.
+fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
+    let CompileError::DoesNotFit(reasons) = error else { return None };
+    let words = |reason: &Reason| Some(reason.need).filter(|_| reason.resource == Resource::SynapseWords);
+    let needs: Option<Vec<u64>> = reasons.iter().map(words).collect();
+    let most = needs?.into_iter().max()?.try_into().ok()?;
+    Some(most).filter(|&most| most <= target.limits()[Resource::SynapseWords])
+}
+
+/// What is kept of a candidate until one is taken.
+enum Kept {
+    /// The mapping, which has not been checked.
+    Written(Box<Unchecked>),
+    /// Of a symbolic mapping, which takes much memory, only where its boxes are: it is made again from there. With the name
+    /// of the placement, and steps in which sources spike at once when they are needed.
+    Symbolic { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
+}
+
+/// Messages of a step that are followed to compare candidates.
+const FOLLOWED: f64 = (1 << 20) as f64;
+
+/// The bursts of what is kept of candidates, of which the first that is asked for says how many are affordable.
+struct KeptBursts<'a> {
+    target: &'a Target,
+    copies: u32,
+    rates: Option<Vec<Rates>>,
+    /// Of a compartment to spike in a step that is followed.
+    chance: Option<f64>,
+}
+
+impl<'a> KeptBursts<'a> {
+    fn new(target: &'a Target, copies: u32) -> Self {
+        KeptBursts { target, copies, rates: None, chance: None }
+    }
+}
+
+impl Bursts<Kept> for KeptBursts<'_> {
+    fn expected(&mut self, kept: &Kept) -> Result<Vec<Score>> {
+        match kept {
+            Kept::Written(unchecked) => {
+                let Mapping { quantised, placement, program: Synapses::Written(program), .. } = unchecked.mapping()
+                else {
+                    return Ok(Vec::new());
+                };
+                let bursts = self.rates.get_or_insert_with(|| bursts(quantised));
+                let score = |rates: &Rates| score_at(program, placement, self.copies, rates, self.target);
+                Ok(bursts.iter().map(score).collect::<Result<_, _>>()?)
+            }
+            Kept::Symbolic { bursts, .. } => Ok(bursts.clone()),
+        }
+    }
+
+    fn followed_us(&mut self, kept: &Kept) -> Result<Option<f64>> {
+        let Kept::Written(unchecked) = kept else { return Ok(None) };
+        let Mapping { placement, program: Synapses::Written(program), .. } = unchecked.mapping() else {
+            return Ok(None);
+        };
+        let affordable = || (FOLLOWED / messages(program).max(1) as f64).min(1.0);
+        let chance = *self.chance.get_or_insert_with(affordable);
+        Ok(Some(followed_us(program, placement, self.target, self.copies, chance)?))
+    }
+}
+
+/// A mapping for an objective: with [`Objective::Cores`] the one that the options say, otherwise the best of several.
+/// `rates` are of one copy.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Mapping> {
+    let target = &*form.counted_on(front.quantised(), target);
+    let one = |front: Front, options: &Options| {
+        let mapping = map(front, target, options, rates, form)?;
+        Ok((mapping.partition.members().clone(), mapping.placement, mapping.placed))
+    };
+    if let Some(spread) = spread(&front, target, options, rates, form, one)? {
+        return spread.emit(target, options)?.check(target);
+    }
+    if options.objective == Objective::Cores {
+        return match options.effort {
+            Effort::Work(_) => compile::map(front, target, options, rates, form),
+            Effort::Within { end, .. } => by_the_clock(front, target, options, rates, (form, end)),
+        };
+    }
+    let begin = Instant::now();
+    let search = Search { form, front: &front, target, options, rates };
+    let ways = search.ways()?;
+    let mut made = search.all(&ways, 0)?;
+    if made.is_empty() {
+        return Err(CompileError::Fault("there is no candidate".to_string()));
+    }
+    let (plain, found) = (made.remove(0), made.iter().map(|made| made.found).collect::<Vec<_>>());
+    let mut choice = Choice::new(&plain, options.objective, KeptBursts::new(target, options.copies));
+    let mut taken = choice.best_of(made)?;
+    if let (None, Some(way)) = (&taken, search.further(&ways, &found)) {
+        taken = choice.best_of(search.all(&[way], ways.len())?)?;
+    }
+    let mut best = match taken.unwrap_or(plain.kept) {
+        Kept::Written(unchecked) => unchecked.check(target)?,
+        Kept::Symbolic { file, placed, .. } => {
+            let compared = ("compare", begin.elapsed().as_secs_f64());
+            let mut again = compile::load(front, target, options, &file, Form::Symbolic)?;
+            again.placed = placed;
+            again.seconds.insert(0, compared);
+            again
+        }
+    };
+    best.options = *options;
+    Ok(best)
+}
+
+/// The best mapping found until a time: the quickest, unless there is time for a better one.
+fn by_the_clock(
+    front: Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    (form, end): (Form, Instant),
+) -> Result<Mapping> {
+    let begin = Instant::now();
+    let given = end.saturating_duration_since(begin);
+    let quick = Options { effort: Effort::Work(0), ..*options };
+    let mut best = compile::map(front.clone(), target, &quick, rates, form)?;
+    best.options = *options;
+    // What a mapping takes once its cores have their places.
+    let finishing = |mapping: &Mapping| {
+        let stages = mapping.seconds.iter().filter(|(stage, _)| FINISHING.contains(stage));
+        Duration::from_secs_f64(SLACK * stages.map(|(_, seconds)| seconds).sum::<f64>())
+    };
+    let left = || end.saturating_duration_since(Instant::now());
+    let reserve = finishing(&best);
+    if left() < given.mul_f64(LEAST_LEFT) + reserve + begin.elapsed() {
+        return Ok(best);
+    }
+    let until = |part: f64| {
+        let end = Instant::now() + left().saturating_sub(reserve).mul_f64(part);
+        Options { effort: Effort::Within { budget_ms: 0, end }, ..*options }
+    };
+    let partitioned = front.partition(target, &until(PARTITIONING), rates, form)?;
+    let mut other = partitioned.place(target, &until(1.0))?.emit(target, options)?.check(target)?;
+    let costs = |mapping: &Mapping| (mapping.partition.cores(), mapping.traffic().hops_multicast_per_step);
+    let ((cores, hops), (most_cores, most_hops)) = (costs(&other), costs(&best));
+    if (cores, hops) < (most_cores, most_hops) {
+        other.options = *options;
+        best = other;
+    }
+    Ok(best)
+}
+
+/// Every candidate that fits and that the effort allows for, the one that others are measured by first.
+///
+/// # Errors
+/// [`CompileError`] of the first candidate, when none fits.
+pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Vec<Found>> {
+    let target = &*form.counted_on(front.quantised(), target);
+    let search = Search { form, front, target, options, rates };
+    Ok(search.all(&search.ways()?, 0)?.into_iter().map(|made| made.found).collect())
+}
+
+/// What candidates are made of.
+struct Search<'a> {
+    front: &'a Front,
+    form: Form,
+    target: &'a Target,
+    options: &'a Options,
+    rates: &'a Rates,
+}
+
+impl Search<'_> {
+    /// Strategies, and the part of a core that each may fill, for as many as the effort allows.
+    fn ways(&self) -> Result<Vec<(Strategy, u32)>> {
+        let Search { front, target, options, .. } = self;
+        let (one, copies) = (front.quantised(), u64::from(options.copies));
+        let affordable = |each_second: u64, size: u64| options.effort.work(each_second) / size.max(1);
+        if self.form == Form::Symbolic {
+            let layers = Layers::new(one)?;
+            let most = affordable(COMPARTMENTS_PER_SECOND, u64::from(one.compartments()) * copies).max(1);
+            let may_fit = |&divisor: &u32| {
+                divisor == 1 || {
+                    let most_synapses = most_synapses(target, divisor);
+                    layers.may_fit(&divided(target, divisor, 0), copies, most_synapses)
+                }
+            };
+            let divisors = DIVISORS.into_iter().take(most as usize).filter(may_fit);
+            return Ok(divisors.map(|divisor| (options.strategy, divisor)).collect());
+        }
+        let mut ways = vec![(Strategy::Sequential, 1)];
+        let (divisors, least) = match options.objective {
+            // The host draws its power for as long as a step lasts, and draws more than the cores.
+            Objective::Latency | Objective::Energy => (&SHORTEST[..], 2),
+            Objective::Cores | Objective::EnergyChip => (&DIVISORS[..], 1),
+        };
+        let wanted = divisors.iter().map(|&divisor| (options.strategy, divisor)).filter(|way| *way != ways[0]);
+        let most = affordable(SYNAPSES_PER_SECOND, one.synapses() * copies).max(least);
+        ways.extend(wanted.take(most as usize).collect::<Vec<_>>());
+        Ok(ways)
+    }
+
+    /// One way more for the shortest step, where none of those that the effort allowed for is taken: cores filled to a half, unless a
+    /// quarter of a core takes no more cores than a whole one.
+    fn further(&self, ways: &[(Strategy, u32)], found: &[Found]) -> Option<(Strategy, u32)> {
+        let Search { form, options, .. } = self;
+        let way = (options.strategy, HALF);
+        let cores = |divisor| {
+            let of =
+                |found: &&Found| (found.candidate.strategy, found.candidate.divisor) == (options.strategy, divisor);
+            found.iter().find(of).map(|found| found.score.cores)
+        };
+        let wanted = options.objective == Objective::Latency
+            && options.effort.end().is_none()
+            && *form == Form::Written
+            && !ways.contains(&way)
+            && cores(1) != cores(SHORTEST[0]);
+        wanted.then_some(way)
+    }
+
+    /// What these ways come to, behind so many others; those that do not fit left out.
+    fn all(&self, ways: &[(Strategy, u32)], behind: usize) -> Result<Vec<Made<Kept>>> {
+        // The effort is for all of them together.
+        let options = Options { effort: self.options.effort.shared_by(ways.len() + behind), ..*self.options };
+        let one_way = |(number, &(strategy, divisor)): (usize, &(Strategy, u32))| {
+            // The first is tried unplaced too.
+            let places = if number + behind == 0 && options.place { &[false, true][..] } else { &[options.place] };
+            let made = self.mapped(&Options { strategy, ..options }, divisor, places);
+            if let Err(error) = &made {
+                tracing::debug!(strategy = strategy.name(), divisor, %error, "candidate");
+            }
+            made
+        };
+        let ways = ways.iter().enumerate();
+        let made: Vec<Result<Vec<Made<Kept>>>> = match self.form {
+            Form::Written if self.options.effort.end().is_none() => {
+                ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect()
+            }
+            // One after the other: each takes as much memory as a mapping, and uses all threads.
+            // By the clock, those that there is time for.
+            Form::Written | Form::Symbolic => self.in_turn(ways, one_way),
+        };
+        let fits = made.iter().any(Result::is_ok);
+        let mut found = Vec::new();
+        for (number, made) in made.into_iter().enumerate() {
+            match made {
+                Ok(made) => found.extend(made),
+                Err(error) if number + behind == 0 && (!fits || self.form == Form::Symbolic) => return Err(error),
+                Err(_) => {}
+            }
+        }
+        Ok(found)
+    }
+
+    /// What ways come to, one after the other, until the next would take longer than there is time; the first in any case.
+    fn in_turn<W, T>(&self, ways: impl Iterator<Item = (usize, W)>, map: impl Fn((usize, W)) -> T) -> Vec<T> {
+        let (mut made, mut longest) = (Vec::new(), Duration::ZERO);
+        for (number, way) in ways {
+            let begin = Instant::now();
+            if number > 0 && self.options.effort.end().is_some_and(|end| begin + longest > end) {
+                break;
+            }
+            made.push(map((number, way)));
+            longest = longest.max(begin.elapsed());
+        }
+        made
+    }
+
+    /// One partition, in these ways of placing it.
+    fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<Made<Kept>>> {
+        let Search { front, form, target, rates, .. } = *self;
+        let options = &Options { most_synapses: most_synapses(target, divisor), ..*options };
+        let partitioned = |words| front.clone().partition(&divided(target, divisor, words), options, rates, form);
+        let partitioned = match (partitioned(0), form) {
+            (Err(error), Form::Written) => match words_for_one(&error, target) {
+                Some(words) => partitioned(words)?,
+                None => return Err(error),
+            },
+            (made, _) => made?,
+        };
+        let partitioned = partitioned.within(target)?;
+        let made = |&placed: &bool| {
+            let options = &Options { place: placed, ..*options };
+            let candidate = Candidate { strategy: options.strategy, divisor, placed };
+            let (score, kept) = match &partitioned.boxes {
+                None => {
+                    let unchecked = partitioned.clone().place(target, options)?.emit(target, options)?;
+                    let mapping = unchecked.mapping();
+                    (mapping.score(&mapping.traffic(), target)?, Kept::Written(Box::new(unchecked)))
+                }
+                Some(boxes) => self.symbolic(&partitioned.all, boxes, partitioned.placement(target, options)?)?,
+            };
+            let found = Found { candidate, score };
+            tracing::debug!(?found, "candidate");
+            Ok(Made { found, kept })
+        };
+        places.iter().map(made).collect()
+    }
+
+    /// What is kept of boxes at these places, and what they cost.
+    fn symbolic(
+        &self,
+        all: &Quantised,
+        boxes: &Boxes,
+        (placement, placed): (Placement, &'static str),
+    ) -> Result<(Score, Kept)> {
+        let Search { target, options, rates, .. } = *self;
+        let at_places = PlacedBoxes { network: all, boxes, placement: &placement };
+        let bursts = match options.objective {
+            Objective::Latency => population_bursts(all),
+            _ => Vec::new(),
+        };
+        let score = |rates: &PopulationRates| at_places.score(rates, &at_places.traffic(rates), target, options.copies);
+        let bursts = bursts.iter().map(score).collect::<Result<_, _>>()?;
+        let score = score(&everywhere(all, rates))?;
+        let file = Box::new(file_of_boxes(all, boxes, &placement, target.name(), options));
+        Ok((score, Kept::Symbolic { file, placed, bursts }))
+    }
+}

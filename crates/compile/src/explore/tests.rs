@@ -1,0 +1,493 @@
+//! Symbolic mappings against the same mappings with every synapse written out.
+
+use crate::emit::boxes::route_boxes;
+use crate::emit::route::route;
+use crate::emit::sample::sample;
+use crate::explore::box_costs::PlacedBoxes;
+use crate::explore::cost_estimate::{Score, score_at};
+use crate::explore::traffic;
+use crate::explore::traffic::traffic;
+use crate::mapping_file::one_copy;
+use crate::partition::box_fan_out::{PopulationRates, everywhere, only};
+use crate::partition::boxes::Boxes;
+use crate::partition::lattice;
+use crate::partition::members::row_of_chips;
+use crate::resources::fan_in::first_source;
+use crate::*;
+use nsim_check::sampled;
+use nsim_check::sampled::SampledCore;
+use nsim_ir::base::fixed::SignMode;
+use nsim_ir::base::id::CoreId;
+use nsim_ir::base::rng;
+use nsim_ir::graph::{PerCompartment, Shape, Window};
+use nsim_ir::mapping::{MappedLayer, OnChip};
+use nsim_ir::partition::{CoreUsage, Partition};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim_ir::resource::{Limits, OutputAxons, Packing, Resource};
+use nsim_testing::{Builder, format, neurons, plain_format, target};
+
+/// Limits with which output axons are counted by compartment.
+fn limits() -> Limits {
+    Limits { output_axons: OutputAxons::PerCompartment, ..nsim_testing::limits() }
+}
+
+/// A symbolic mapping of a network of any size.
+fn symbolic(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
+    let rates = Rates::assumed(DEFAULT_RATE);
+    explore::map(network.into(), board, options, &rates, Form::Symbolic)
+}
+
+fn load_symbolic(
+    network: Quantised,
+    board: &Target,
+    options: &Options,
+    file: &MappingFile,
+) -> Result<Mapping, CompileError> {
+    load(network.into(), board, options, file, Form::Symbolic)
+}
+
+fn boxes(mapping: &Mapping) -> &Boxes {
+    let Synapses::Symbolic(boxes) = &mapping.program else { panic!("it is written") };
+    boxes
+}
+
+/// The score of a symbolic mapping at other rates than it was made for.
+fn score_of(mapping: &Mapping, rates: &PopulationRates, board: &Target) -> Score {
+    let at_places = PlacedBoxes { network: &mapping.quantised, boxes: boxes(mapping), placement: &mapping.placement };
+    at_places.score(rates, &at_places.traffic(rates), board, mapping.options.copies).unwrap()
+}
+
+/// A weight of a format; those near each other differ: kernels in which parts repeat would share more tables than geometry
+/// can tell.
+fn weight(format: SynapseFormat, seed: u64, layer: u64, at: u64) -> i16 {
+    let (low, high) = format.sign.range(format.bits);
+    let step = format.sign.step(format.bits);
+    let levels = ((high - low) / step + 1) as u64;
+    low + step * ((rng::below(levels, seed, layer, at / levels) + at) * 37 % levels) as i16
+}
+
+/// Two inputs and layers of windows, some of which skip a layer or see their own channel only, and a dense one at the end.
+fn layered(seed: u64) -> Quantised {
+    let draw = |n: u64, k: u64| rng::below(n, seed, 9, k) as u32;
+    let mut net = Builder::new();
+    let side = |k: u64| 5 + draw(14, k);
+    let (h, w) = (side(0), side(1));
+    let volume = |c, h, w| Shape::Volume(c, h, w);
+    let mut all = vec![(net.input_shape("in", volume(2, h, w)), (2, h, w))];
+    for layer in 0..3u64 {
+        let k = 100 * (layer + 1);
+        let (from, source) = all[all.len() - 1];
+        let (kernel, stride) = ((1 + draw(3, k), 1 + draw(3, k + 1)), (1 + draw(2, k + 2), 1 + draw(2, k + 3)));
+        let (padding, dilation) = ((draw(2, k + 4), draw(2, k + 5)), (1 + draw(2, k + 6), 1));
+        let own = draw(3, k + 7) == 0;
+        let groups = if own { source.0 } else { [1, 2][draw(2, k + 8) as usize] };
+        let channels = if own { source.0 } else { 2 * (1 + draw(4, k + 9)) };
+        let reach = |size: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
+            (size + 2 * padding).saturating_sub(dilation * (kernel - 1) + 1) / stride + 1
+        };
+        let shape = (
+            channels,
+            reach(source.1, kernel.0, stride.0, padding.0, dilation.0),
+            reach(source.2, kernel.1, stride.1, padding.1, dilation.1),
+        );
+        let window = Window { source, target: shape, kernel, stride, padding, dilation, groups };
+        let mut own_neurons = neurons();
+        if draw(2, k + 10) == 0 {
+            let n = shape.0 * shape.1 * shape.2;
+            let du = |i: u32| nsim_ir::base::fixed::Decay::new(i64::from(i % 3) * 100).unwrap();
+            let neuron = |i| nsim_ir::quantised::Neuron { du: du(i), ..neurons().get(i) };
+            own_neurons = PerCompartment::Each((0..n).map(neuron).collect());
+        }
+        let to = net.loihi_with(&format!("layer{layer}"), volume(shape.0, shape.1, shape.2), own_neurons);
+        let sign = [SignMode::Mixed, SignMode::Excitatory][draw(2, k + 11) as usize];
+        let kind = format(0, sign, [8, 6][draw(2, k + 12) as usize]);
+        let delay = i64::from([0, 0, 2][draw(3, k + 13) as usize]);
+        if own && draw(2, k + 14) == 0 {
+            net.connect((from, to), kind, delay, Connectivity::SumPool2d { window, weight: 8 });
+        } else {
+            let weights = (shape.0 * source.0 / groups * kernel.0 * kernel.1) as usize;
+            let kernel = (0..weights).map(|i| weight(kind, seed, k, i as u64)).collect();
+            net.connect((from, to), kind, delay, Connectivity::Conv2d { window, kernel });
+        }
+        // Itself, as recurrent convolutions have it.
+        if draw(3, k + 15) == 0 {
+            let once = Window {
+                source: shape,
+                target: shape,
+                kernel: (3, 1),
+                stride: (1, 1),
+                padding: (1, 0),
+                dilation: (1, 1),
+                groups: 1,
+            };
+            let own = format(0, SignMode::Mixed, 8);
+            let weights = u64::from(shape.0 * shape.0 * 3);
+            let kernel = (0..weights).map(|i| weight(own, seed, k + 1, i)).collect();
+            net.connect((to, to), own, 0, Connectivity::Conv2d { window: once, kernel });
+        }
+        all.push((to, shape));
+    }
+    let out = net.loihi("out", 11);
+    let plain = plain_format();
+    net.dense(all[3].0, out, |s, t| weight(plain, seed, 1, u64::from(s * 11 + t)));
+    if draw(2, 50) == 0 {
+        net.dense(all[2].0, out, |s, t| weight(plain, seed, 2, u64::from(s * 11 + t)));
+    }
+    net.build()
+}
+
+fn small(seed: u64) -> Limits {
+    let packing = if seed.is_multiple_of(2) { Packing::Nengo } else { Packing::Nxtf };
+    // Every third counts output axons by position.
+    let all = if seed.is_multiple_of(3) { nsim_testing::limits() } else { limits() };
+    Limits { packing, ..all.with(Resource::Compartments, 24 + (seed % 40) as u32).with(Resource::SynapseWords, 2_000) }
+}
+
+#[test]
+fn counts_traffic_and_cost_are_those_of_the_written_program() {
+    let (mut several, mut fewer) = (0, 0);
+    for seed in 0..90 {
+        let board = target(8, 4, small(seed));
+        let options = Options {
+            copies: 1 + (seed % 3) as u32,
+            place: seed % 4 > 0,
+            effort: Effort::Work(0),
+            ..Options::default()
+        };
+        let made = symbolic(layered(seed), &board, &options).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
+        let network = &made.quantised;
+        let chips = row_of_chips(made.partition.cores(), &board);
+        let (members, seats) = (made.partition.members(), made.partition.seats());
+        let exact = resources::exact::usage(network, members, seats, &chips, board.limits());
+        let each = Limits { output_axons: OutputAxons::PerCompartment, ..board.limits().clone() };
+        let each = resources::exact::usage(network, members, seats, &chips, &each);
+        assert_eq!(made.partition.usage().as_slice(), exact.as_slice(), "seed {seed}");
+        let slots = exact.iter().map(|used| used[Resource::AxonsOut]);
+        fewer += slots.zip(&each).filter(|(slots, each)| *slots < each[Resource::AxonsOut]).count();
+        let written = compile_saved(layered(seed), &board, &options, &made.mapping_file()).unwrap();
+        let of_program = traffic(&written.program, &written.rates);
+        assert_eq!(made.traffic(), of_program, "seed {seed}");
+        assert_eq!(
+            made.links().busiest(),
+            traffic::of_program(&written.program, &written.rates).links().busiest(),
+            "seed {seed}"
+        );
+        let of_written = |rates| score_at(&written.program, &written.placement, options.copies, rates, &board).unwrap();
+        assert_eq!(made.score(&of_program, &board).unwrap(), of_written(&written.rates), "seed {seed}");
+        // A step in which all sources of one population spike.
+        let network = &made.quantised;
+        let ids: Vec<_> = network.populations().ids().collect();
+        let id = ids[seed as usize % ids.len()];
+        let mut spikes = vec![0; (network.channels() + network.compartments()) as usize];
+        let (first, population) = (first_source(network, &network.populations()[id]), &network.populations()[id]);
+        spikes[first as usize..(first + population.shape.len()) as usize].fill(1);
+        let (channels, compartments) = spikes.split_at(network.channels() as usize);
+        let meant = of_written(&Rates::profile(channels, compartments, 1));
+        let counted = score_of(&made, &only(network, id, &Rates::assumed(1.0)), &board);
+        assert_eq!(counted, meant, "seed {seed} {}", population.name);
+        several += usize::from(written.partition.cores() > 8);
+    }
+    assert!(several > 30, "{several} networks take several cores");
+    assert!(fewer > 100, "{fewer} cores have fewer output axons by position");
+}
+
+#[test]
+fn output_axons_make_boxes_smaller() {
+    let few = small(1).with(Resource::AxonsOut, 24);
+    let options = Options { effort: Effort::Work(0), ..Options::default() };
+    let (many, plain) = (target(8, 8, few.clone()), target(8, 8, few.clone().with(Resource::AxonsOut, 4096)));
+    let cores = |board: &Target| symbolic(layered(3), board, &options).unwrap().partition.cores();
+    assert!(cores(&many) > cores(&plain), "{} and {}", cores(&many), cores(&plain));
+    let none = few.clone().with(Resource::AxonsOut, 1);
+    let Err(CompileError::DoesNotFit(reasons)) = symbolic(layered(3), &target(8, 8, none), &options) else {
+        panic!("it fits")
+    };
+    assert!(reasons.iter().all(|reason| reason.resource == Resource::AxonsOut), "{reasons:?}");
+}
+
+#[test]
+fn what_cannot_be_mapped_by_kernels_is_refused() {
+    let board = target(1, 1, limits());
+    let mut net = Builder::new();
+    let (a, b) = (net.input("a", 20), net.loihi("b", 5));
+    net.random(a, b, 2, 1);
+    assert!(lattice::layers(&net.build()).is_none());
+    let sequential = Options { strategy: Strategy::Sequential, ..Options::default() };
+    let said = symbolic(layered(1), &board, &sequential).unwrap_err().to_string();
+    assert!(said.contains("no sequential mapping"), "{said}");
+    assert_eq!(Form::for_network(&layered(1), 1), Form::Written);
+    assert_eq!(Form::for_network(&layered(1), u32::MAX), Form::Symbolic);
+}
+
+/// The tables of these cores.
+fn sample_of(mapping: &Mapping, cores: &[CoreId], limits: &Limits) -> Vec<SampledCore> {
+    sample(&mapping.quantised, &mapping.partition, &mapping.placement, cores, limits).unwrap()
+}
+
+#[test]
+fn a_wrong_count_is_found() {
+    let board = target(8, 4, small(2));
+    let options = Options { effort: Effort::Work(0), ..Options::default() };
+    let made = symbolic(layered(2), &board, &options).unwrap();
+    let chips = row_of_chips(made.partition.cores(), &board);
+    let every: Vec<CoreId> = made.partition.usage().ids().collect();
+    let network = &made.quantised;
+    let sample = |cores: &[CoreId]| sample_of(&made, cores, board.limits());
+    let checked = |change: fn(&mut CoreUsage), sample: &[SampledCore]| {
+        let mut usage = made.partition.usage().clone();
+        change(&mut usage[CoreId(1)]);
+        let members = made.partition.members().clone();
+        let partition = Partition::new(network.compartments(), members, usage, board.limits()).unwrap();
+        sampled::check(network, &partition, &chips, sample, board.limits())
+    };
+    let every = sample(&every);
+    checked(|_| {}, &every).unwrap();
+    for change in [
+        |used: &mut CoreUsage| used.synapses -= 1,
+        |used: &mut CoreUsage| used[Resource::SynapseWords] -= 1,
+        |used: &mut CoreUsage| used[Resource::AxonsIn] -= 1,
+        |used: &mut CoreUsage| used[Resource::AxonsOut] += 1,
+        |used: &mut CoreUsage| used[Resource::CompartmentProfiles] += 1,
+    ] {
+        assert!(checked(change, &every).is_err());
+    }
+    // By position, from the tables of the cores that are reached.
+    let by_position = target(8, 4, small(3));
+    let counted = symbolic(layered(3), &by_position, &options).unwrap();
+    let all: Vec<CoreId> = counted.partition.usage().ids().collect();
+    let tables = sample_of(&counted, &all, by_position.limits());
+    let with_slots = |change: fn(&mut u64)| {
+        let mut usage = counted.partition.usage().clone();
+        usage.as_mut_slice().iter_mut().for_each(|used| change(&mut used[Resource::AxonsOut]));
+        let (network, members) = (&counted.quantised, counted.partition.members().clone());
+        let partition = Partition::new(network.compartments(), members, usage, by_position.limits()).unwrap();
+        let chips = row_of_chips(partition.cores(), &by_position);
+        sampled::check(network, &partition, &chips, &tables, by_position.limits())
+    };
+    with_slots(|_| {}).unwrap();
+    assert!(with_slots(|slots| *slots = slots.saturating_sub(1)).is_err());
+    assert!(with_slots(|slots| *slots = 4_096).is_err());
+    // The sum of synapses needs no core.
+    assert!(checked(|used| used.synapses -= 1, &[]).is_err());
+    // Tables that are not the network's.
+    let wrong = |change: &dyn Fn(&mut SampledCore)| {
+        let mut sample = every[1..2].to_vec();
+        change(&mut sample[0]);
+        checked(|_| {}, &sample).unwrap_err()
+    };
+    let weight = |one: &mut SampledCore| {
+        let format = one.image.formats[usize::from(one.image.inputs.lists.items()[0].format)].synapse;
+        let (low, high) = format.sign.range(format.bits);
+        let synapse = &mut one.image.inputs.lists.items_mut()[0];
+        synapse.weight = if synapse.weight == low { high - high % format.sign.step(format.bits) } else { low };
+    };
+    assert!(wrong(&weight).contains("or other ones"));
+    assert!(wrong(&|one| one.sources.swap(0, 1)).contains("or other ones"));
+    assert!(wrong(&|one| one.sources.truncate(1)).contains("input axons"));
+    assert!(wrong(&|one| one.image.ids.swap(0, 1)).contains("other compartments"));
+}
+
+/// A mapping in boxes, its board, and how it was made.
+fn saved(seed: u64, copies: u32) -> (Mapping, Target, Options) {
+    let board = target(8, 4, small(seed));
+    let options = Options { copies, place: !seed.is_multiple_of(4), effort: Effort::Work(0), ..Options::default() };
+    (symbolic(layered(seed), &board, &options).unwrap(), board, options)
+}
+
+#[test]
+fn a_saved_mapping_is_made_again_and_also_written_out() {
+    for seed in 0..24 {
+        let (made, board, options) = saved(seed, 1 + (seed % 3) as u32);
+        let file: MappingFile = ron::from_str(&ron::to_string(&made.mapping_file()).unwrap()).unwrap();
+        let again = load_symbolic(layered(seed), &board, &options, &file).unwrap();
+        assert_eq!(again.partition, made.partition, "seed {seed}");
+        assert_eq!((&again.placement, again.placed), (&made.placement, place::SAVED), "seed {seed}");
+        assert_eq!(again.mapping_file(), file, "seed {seed}");
+        let traffic = made.traffic();
+        assert_eq!(again.traffic(), traffic, "seed {seed}");
+        assert_eq!(again.score(&traffic, &board).unwrap(), made.score(&traffic, &board).unwrap(), "seed {seed}");
+        // A network that can be written out takes the same file.
+        let written = compile_saved(layered(seed), &board, &options, &file).unwrap();
+        assert_eq!((&written.partition, &written.placement), (&made.partition, &made.placement), "seed {seed}");
+        let one = Options { copies: 1, ..options };
+        let first = compile_saved(layered(seed), &board, &one, &one_copy(&file)).unwrap();
+        let of_first = written.placement.sites().as_slice();
+        assert_eq!(first.placement.sites().as_slice(), &of_first[..first.partition.cores()], "seed {seed}");
+    }
+}
+
+#[test]
+fn files_that_say_what_cannot_be_are_refused() {
+    let (made, board, options) = saved(2, 2);
+    let good = made.mapping_file();
+    let load = |file: &MappingFile| load_symbolic(layered(2), &board, &options, file);
+    load(&good).unwrap();
+    let refused = |change: &dyn Fn(&mut MappingFile), code: &str, word: &str| {
+        let mut file = good.clone();
+        change(&mut file);
+        match load(&file) {
+            Err(CompileError::Input(diagnostic)) => {
+                assert_eq!(diagnostic.code, code, "{diagnostic}");
+                assert!(diagnostic.message.contains(word), "{diagnostic}");
+            }
+            other => panic!("{code}: {:?}", other.map(|made| made.partition.cores())),
+        }
+    };
+    refused(&|f| f.model = "other".into(), "mapping.model", "other");
+    refused(&|f| f.target = "tiny".into(), "mapping.target", "tiny");
+    refused(&|f| f.copies = 3, "mapping.copies", "3 copies");
+    refused(&|f| f.layers[0].population = "ghost".into(), "mapping.population", "ghost");
+    refused(&|f| f.layers[0].population = "in".into(), "mapping.population", "in");
+    refused(&|f| f.layers[1].population = "layer0".into(), "mapping.twice", "layer0");
+    refused(&|f| f.layers[0].size.1 = 0, "mapping.box", "layer0");
+    refused(&|f| f.layers[0].size.2 = u32::MAX, "mapping.box", "layer0");
+    refused(&|f| f.layers[0].places[0].cores.push(0), "mapping.places", "layer0");
+    refused(&|f| f.layers[0].places.clear(), "mapping.places", "places for 0");
+    refused(&|f| drop(f.layers.pop()), "mapping.missing", "out@1");
+    refused(&|f| f.layers[0].places[0].chip = u32::MAX, "mapping.site", "chip");
+    refused(&|f| f.layers[0].places[0].cores[0] = u32::MAX, "mapping.site", "core");
+    let taken = |f: &mut MappingFile| f.layers[1].places[0] = f.layers[0].places[0].clone();
+    refused(&|f| f.layers.iter_mut().take(2).for_each(|of| of.size = (1, 1, 1)), "mapping.places", "boxes");
+    let one = |at: u32| vec![OnChip { chip: 0, cores: vec![at] }];
+    let whole = |population: &str, size, at| MappedLayer { population: population.into(), size, places: one(at) };
+    let shape = lattice::layers(&layered(2)).unwrap().as_slice()[1].shape;
+    // All of a layer on one core: more than it holds, though every number is legal.
+    let mut file = good.clone();
+    file.layers[0] = whole("layer0", shape, good.layers[0].places[0].cores[0]);
+    match load(&file) {
+        Err(CompileError::DoesNotFit(reasons)) => {
+            assert!(reasons.iter().any(|reason| reason.resource == Resource::Compartments), "{reasons:?}");
+        }
+        other => panic!("{:?}", other.map(|made| made.partition.cores())),
+    }
+    if good.layers[0].places[0].cores.len() == good.layers[1].places[0].cores.len() {
+        refused(&taken, "mapping.site", "same physical core");
+    }
+    refused(&|f| f.layers[1].places[0].cores[0] = f.layers[0].places[0].cores[0], "mapping.site", "same physical core");
+    refused(&|f| f.cores.push(listed()), "mapping.layers", "core by core");
+}
+
+fn listed() -> nsim_ir::mapping::MappedCore {
+    nsim_ir::mapping::MappedCore { chip: 0, x: 0, y: 0, core: 0, holds: Vec::new() }
+}
+
+#[test]
+fn no_file_makes_it_contradict_itself() {
+    let (made, board, options) = saved(3, 1);
+    let good = made.mapping_file();
+    let mut loaded = 0;
+    for seed in 0..300u64 {
+        let draw = |n: u64, k: u64| rng::below(n, seed, 77, k);
+        let mut file = good.clone();
+        for k in 0..1 + draw(3, 0) {
+            let k = 10 * (k + 1);
+            let value = [0, 1, 2, 3, 7, 64, 1 << 16, u32::MAX][draw(8, k) as usize];
+            let layers = file.layers.len() as u64;
+            let of = &mut file.layers[draw(layers, k + 1) as usize];
+            let places = of.places.len() as u64;
+            match draw(6, k + 2) {
+                0 => of.size.0 = value,
+                1 => of.size.1 = value,
+                2 => of.size.2 = value,
+                3 if places > 0 => of.places[draw(places, k + 3) as usize].chip = value,
+                4 if places > 0 => of.places[draw(places, k + 3) as usize].cores.push(value),
+                _ if places > 0 => of.places[draw(places, k + 3) as usize].cores.iter_mut().for_each(|c| *c ^= value),
+                _ => {}
+            }
+        }
+        for result in [
+            load_symbolic(layered(3), &board, &options, &file).map(drop),
+            compile_saved(layered(3), &board, &options, &file).map(drop),
+        ] {
+            match result {
+                Ok(()) => loaded += 1,
+                Err(CompileError::Fault(message)) => panic!("seed {seed}: {message}"),
+                Err(CompileError::Input(_) | CompileError::DoesNotFit(_)) => {}
+            }
+        }
+    }
+    assert!(loaded > 0, "some changes are harmless");
+}
+
+#[test]
+fn objectives_take_the_best_candidate_and_never_a_worse_one() {
+    let mut changed = [0, 0];
+    for seed in 0..8 {
+        // The cores of a real chip, and nothing spent on places: what differs is the size of boxes.
+        let board = target(8, 8, limits());
+        let options = Options { effort: Effort::Work(1), place: false, ..Options::default() };
+        let found =
+            explore::candidates(&layered(seed).into(), &board, &options, &Rates::assumed(DEFAULT_RATE), Form::Symbolic)
+                .unwrap();
+        assert!(found.len() > 2 && !found[0].candidate.placed && found[0].candidate.divisor == 1, "seed {seed}");
+        for (which, objective) in [Objective::Energy, Objective::Latency].into_iter().enumerate() {
+            let options = Options { objective, ..options };
+            let found = explore::candidates(
+                &layered(seed).into(),
+                &board,
+                &options,
+                &Rates::assumed(DEFAULT_RATE),
+                Form::Symbolic,
+            )
+            .unwrap();
+            let made = symbolic(layered(seed), &board, &options).unwrap();
+            let score = made.score(&made.traffic(), &board).unwrap();
+            assert!(found.iter().any(|one| one.score == score), "seed {seed}: the mapping is one of the candidates");
+            let plain = found[0].score;
+            if objective == Objective::Energy {
+                let least = found.iter().map(|one| one.score.energy_uj).fold(f64::INFINITY, f64::min);
+                assert_eq!(score.energy_uj, least, "seed {seed}");
+            } else {
+                assert!(score.step_us <= plain.step_us, "seed {seed}");
+                let all = everywhere(&made.quantised, &Rates::assumed(1.0));
+                let burst = score_of(&made, &all, &board).step_us;
+                let unplaced =
+                    symbolic(layered(seed), &board, &Options { place: false, objective: Objective::Cores, ..options });
+                let unplaced = score_of(&unplaced.unwrap(), &all, &board).step_us;
+                assert!(burst <= unplaced, "seed {seed}: {burst} and {unplaced} when all spike");
+            }
+            changed[which] += usize::from(score.cores > plain.cores);
+        }
+    }
+    assert!(changed[1] > 2, "smaller boxes are faster: {changed:?}");
+}
+
+#[test]
+fn profiles_make_boxes_smaller() {
+    // A population of which every third compartment has its own decay.
+    let few = small(1).with(Resource::CompartmentProfiles, 2);
+    let options = Options { effort: Effort::Work(0), ..Options::default() };
+    let several = (0..20).filter(|&seed| {
+        let plain = symbolic(layered(seed), &target(8, 8, small(1)), &options).unwrap();
+        plain.partition.usage().iter().any(|used| used[Resource::CompartmentProfiles] > 2)
+    });
+    let mut seen = 0;
+    for seed in several.collect::<Vec<_>>() {
+        let made = symbolic(layered(seed), &target(16, 16, few.clone()), &options).unwrap();
+        assert!(made.partition.usage().iter().all(|used| used[Resource::CompartmentProfiles] <= 2), "seed {seed}");
+        seen += 1;
+    }
+    assert!(seen > 3, "{seen} networks have several profiles");
+}
+
+/// What is written once for all boxes of a pattern is what each of them stores, and its sources are where they would be.
+#[test]
+fn programs_of_boxes_are_those_written_synapse_by_synapse() {
+    let (mut alike, mut cores) = (0, 0);
+    for seed in 0..120 {
+        let network = layered(seed);
+        let most = [12, 40, 1024][seed as usize % 3];
+        let counted = if seed.is_multiple_of(2) { nsim_testing::limits() } else { limits() };
+        let board = target(8, 8, counted.with(Resource::Compartments, most));
+        let Ok(mapping) = symbolic(network, &board, &Options::default()) else { continue };
+        let Mapping { quantised: all, partition, placement, .. } = &mapping;
+        let meant = route(all, partition, placement, (1, None), board.limits()).unwrap();
+        let (written, sample) = route_boxes(all, partition, (placement, None), board.limits()).unwrap();
+        assert!(written == meant, "seed {seed}");
+        (alike, cores) = (alike + partition.cores() - sample.len(), cores + partition.cores());
+        let compiled = with_program(mapping, &board).unwrap();
+        assert!(compiled.program == meant, "seed {seed}");
+    }
+    assert!(alike > 1_000 && cores > 2_000, "{alike} of {cores} cores are written as others are");
+}

@@ -1,0 +1,125 @@
+//! From a network to a program for the cores of a target.
+//!
+//! Input: a [`Network`], a [`Target`], [`Options`]. Output: a [`Mapping`], or every reason why the
+//! network does not fit. Its limits have been verified and its synapses compared with the network's by code that shares
+//! nothing with the stages that made it. [`map()`] makes one mapping; [`explore::map`] compares several for an objective.
+
+#[cfg(test)]
+mod copies_tests;
+pub mod emit;
+pub mod error;
+pub mod explore;
+pub mod form;
+pub mod groups;
+pub mod kept;
+pub mod mapping;
+pub mod mapping_file;
+pub mod options;
+pub mod parcel;
+pub mod partition;
+pub mod place;
+#[cfg(test)]
+mod prune_tests;
+pub mod reason;
+pub mod resources;
+pub mod reuse;
+pub mod stages;
+#[cfg(test)]
+mod tests;
+
+use crate::place::spread::spread;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::hardware::Target;
+use nsim_ir::mapping::MappingFile;
+
+pub use error::CompileError;
+pub use form::Form;
+pub use mapping::{Checked, Compiled, Mapping, Synapses};
+pub use options::{CopyPlacement, DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy};
+pub use reason::Reason;
+pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked, with_program};
+
+/// A mapping by one partition and one placement, for sources of one copy that spike this often.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn map(
+    front: Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    form: Form,
+) -> Result<Mapping, CompileError> {
+    let target = &*form.counted_on(front.quantised(), target);
+    let placed = place(front, target, options, rates, form)?;
+    let unchecked = placed.emit(target, options)?;
+    unchecked.check(target)
+}
+
+/// A network on the cores of a target, by one partition and one placement; the first half of [`map()`].
+///
+/// # Errors
+/// [`CompileError`].
+pub fn place(
+    front: Front,
+    target: &Target,
+    options: &Options,
+    rates: &Rates,
+    form: Form,
+) -> Result<Placed, CompileError> {
+    let target = &*form.counted_on(front.quantised(), target);
+    let one = |front: Front, options: &Options| {
+        let placed = place(front, target, options, rates, form)?;
+        Ok((placed.partitioned.partition.members().clone(), placed.placement, placed.name))
+    };
+    if let Some(spread) = spread(&front, target, options, rates, form, one)? {
+        return Ok(spread);
+    }
+    let partitioned = front.partition(target, options, rates, form)?;
+    partitioned.place(target, options)
+}
+
+/// The mapping that a file says, checked as any other. The network is pruned as it was for the file, whose copies
+/// `options` must have.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn load(
+    front: Front,
+    target: &Target,
+    options: &Options,
+    file: &MappingFile,
+    form: Form,
+) -> Result<Mapping, CompileError> {
+    let target = &*form.counted_on(front.quantised(), target);
+    let placed = front.place_as(target, options, file, form)?;
+    let unchecked = placed.emit(target, options)?;
+    unchecked.check(target)
+}
+
+/// A program for a network: [`map`] at the default rate.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
+    let front = front.into();
+    let form = Form::for_network(front.quantised(), options.copies);
+    form.require_program(front.quantised(), options.copies)?;
+    with_program(map(front, target, options, &Rates::assumed(DEFAULT_RATE), form)?, target)
+}
+
+/// A program for a network on the cores of a saved mapping: [`load`].
+///
+/// # Errors
+/// [`CompileError`].
+pub fn compile_saved(
+    front: impl Into<Front>,
+    target: &Target,
+    options: &Options,
+    file: &MappingFile,
+) -> Result<Compiled, CompileError> {
+    let front = front.into();
+    let form = Form::for_network(front.quantised(), options.copies);
+    form.require_program(front.quantised(), options.copies)?;
+    with_program(load(front, target, options, file, form)?, target)
+}

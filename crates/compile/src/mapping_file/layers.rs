@@ -1,0 +1,146 @@
+//! Boxes as a file, and back.
+//!
+//! A file holds, layer by layer, the size of a box and the core of each box. Loading one takes these from it after checking
+//! that they are of this network and target; everything else is counted again. Nothing is allocated by a number in the
+//! file before the file has been found to hold as many entries.
+
+use crate::partition::boxes::Lattices;
+use crate::partition::lattice;
+use crate::partition::lattice::Lattice;
+use crate::partition::members::Members;
+use crate::resources::closed_form::Layer;
+use crate::resources::packing::MOST_SLOTS;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
+use nsim_ir::hardware::Target;
+use nsim_ir::mapping::{MappedLayer, MappingFile, OnChip};
+use nsim_ir::placement::{Mesh, Placement, Site};
+use nsim_ir::quantised::Quantised;
+
+/// The layers of a file.
+#[must_use]
+pub fn layers_of(network: &Quantised, lattices: &Lattices, placement: &Placement) -> Vec<MappedLayer> {
+    let (mesh, mut sites) = (placement.mesh(), placement.sites().iter());
+    let mut layers = Vec::new();
+    for (id, population) in network.populations().enumerate() {
+        let Some(lattice) = &lattices[id] else { continue };
+        let mut places: Vec<OnChip> = Vec::new();
+        for site in sites.by_ref().take(lattice.boxes() as usize) {
+            let core = (site.y * mesh.width + site.x) * mesh.cores_per_tile + site.core;
+            match places.last_mut() {
+                Some(on) if on.chip == site.chip => on.cores.push(core),
+                _ => places.push(OnChip { chip: site.chip, cores: vec![core] }),
+            }
+        }
+        layers.push(MappedLayer { population: population.name.clone(), size: lattice.size, places });
+    }
+    layers
+}
+
+/// The core of this number on this chip.
+///
+/// # Errors
+/// `mapping.site` when there is none.
+pub fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site> {
+    let inside = chip < mesh.chips_x * mesh.chips_y && core < mesh.cores_per_chip;
+    let site = inside.then(|| mesh.site(chip * mesh.cores_per_chip + core)).flatten();
+    let none =
+        || Diagnostic::new("mapping.site", format!("core {core} of chip {chip} of the mapping is not on the target"));
+    site.ok_or_else(none)
+}
+
+/// Where a file cuts the layers of a network, all copies, and where it puts their boxes.
+///
+/// # Errors
+/// A diagnostic that names the population whose boxes are missing, not of its layer, or too many or too few for their
+/// places; or the place that is not on the target or taken.
+pub fn outline(
+    file: &MappingFile,
+    network: &Quantised,
+    layers: &IdVec<PopulationId, Layer>,
+    target: &Target,
+) -> Result<(Lattices, Placement)> {
+    let wrong = |code, message: String| Err(Diagnostic::new(code, message));
+    if !file.cores.is_empty() {
+        let message = "the mapping lists compartments core by core, where boxes of layers are wanted".to_string();
+        return wrong("mapping.layers", message);
+    }
+    if file.pruned.is_some() {
+        return wrong("mapping.pruned", "a mapping of boxes is of the whole network, not of a pruned one".to_string());
+    }
+    let mut found: IdVec<PopulationId, Option<(Lattice, &MappedLayer)>> = vec![None; layers.len()].into();
+    for mapped in &file.layers {
+        let MappedLayer { population: name, size, .. } = mapped;
+        let id = network.population_named(name);
+        let Some(id) = id.filter(|&id| network.populations()[id].first_compartment().is_some()) else {
+            return wrong(
+                "mapping.population",
+                format!("the mapping holds boxes of {name}, which is no population of compartments"),
+            );
+        };
+        if found[id].is_some() {
+            return wrong("mapping.twice", format!("layer {name} is mapped twice"));
+        }
+        let (shape, (channels, rows, columns)) = (layers[id].shape, *size);
+        let Some(lattice) = Lattice::new(shape, *size) else {
+            return wrong(
+                "mapping.box",
+                format!("boxes of {channels} x {rows} x {columns} do not fit {name}, which has {shape:?}"),
+            );
+        };
+        let held = u64::from(channels) * u64::from(rows) * u64::from(columns);
+        if held > u64::from(MOST_SLOTS) {
+            return wrong(
+                "mapping.slots",
+                format!("a box of {name} holds {held} compartments, more than {MOST_SLOTS}"),
+            );
+        }
+        let (boxes, places) = (u64::from(lattice.boxes()), mapped.places().count() as u64);
+        if boxes != places {
+            return wrong(
+                "mapping.places",
+                format!("layer {name} has {boxes} boxes, and the mapping places for {places}"),
+            );
+        }
+        found[id] = Some((lattice, mapped));
+    }
+    let mesh = Mesh::for_target(target);
+    let mut sites: IdVec<CoreId, Site> = IdVec::new();
+    for (id, population) in network.populations().enumerate() {
+        match found[id] {
+            Some((_, mapped)) => {
+                for place in mapped.places() {
+                    sites.push(site(&mesh, place)?);
+                }
+            }
+            None if population.first_compartment().is_some() => {
+                return wrong("mapping.missing", format!("layer {} is not in the mapping", population.name));
+            }
+            None => {}
+        }
+    }
+    let placement = Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))?;
+    Ok((found.iter().map(|found| found.map(|(lattice, _)| lattice)).collect(), placement))
+}
+
+/// The membership and the places that a file of boxes gives, for a network small enough to be written out.
+///
+/// # Errors
+/// As [`outline`]; `mapping.layers` when the network is not made of layers.
+pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, IdVec<CoreId, Site>)> {
+    let not_layers = || {
+        let message = "the mapping is of boxes of layers, and the network has projections that are neither windows nor all \
+                       to all";
+        Diagnostic::new("mapping.layers", message)
+    };
+    let layers = lattice::layers(network).filter(|_| network.pruned().is_none()).ok_or_else(not_layers)?;
+    let (lattices, placement) = outline(file, network, &layers, target)?;
+    let mut members = Members::new();
+    for (id, population) in network.populations().enumerate() {
+        let (Some(first), Some(lattice)) = (population.first_compartment(), lattices[id]) else { continue };
+        for held in lattice.members(&layers[id]) {
+            members.push(held.into_iter().map(|index| CompartmentId(first.0 + index)).collect());
+        }
+    }
+    Ok((members, placement.sites().clone()))
+}

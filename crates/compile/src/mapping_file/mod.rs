@@ -1,0 +1,400 @@
+//! Mappings as files, and back.
+//!
+//! A file says which compartments are on which core of which chip, as runs of populations ([`MappedCore`]) or as boxes of
+//! layers ([`mod@layers`]). Loading one checks that it is of this network and target and takes membership and places from
+//! it; everything else (what cores use, tables, messages, what is pruned) is computed again. Files number compartments as
+//! the model does, pruned or not.
+
+pub mod layers;
+pub mod pruned;
+
+use std::path::Path;
+
+use crate::error::CompileError;
+use crate::form::Form;
+use crate::mapping::{Compiled, Mapping, Synapses};
+use crate::mapping_file::pruned::pruned_file;
+use crate::options::Options;
+use crate::partition::boxes::{Boxes, Layers};
+use crate::partition::members::{Members, partition_of};
+use crate::resources::exact::usage;
+use crate::resources::packing::MOST_SLOTS;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use nsim_ir::hardware::Target;
+use nsim_ir::mapping::check_unchanged;
+use nsim_ir::mapping::{MappedCore, MappingFile, Run};
+use nsim_ir::partition::{Partition, seats};
+use nsim_ir::placement::{Mesh, Placement, Site};
+use nsim_ir::quantised::Quantised;
+
+impl Mapping {
+    /// The mapping as a file.
+    #[must_use]
+    pub fn mapping_file(&self) -> MappingFile {
+        let Mapping { quantised, partition, placement, target, options, .. } = self;
+        match &self.program {
+            Synapses::Written(_) => file_of_cores(quantised, partition, placement, target, options),
+            Synapses::Symbolic(boxes) => file_of_boxes(quantised, boxes, placement, target, options),
+        }
+    }
+}
+
+impl Compiled {
+    /// The mapping as a file.
+    #[must_use]
+    pub fn mapping_file(&self) -> MappingFile {
+        file_of_cores(&self.quantised, &self.partition, &self.placement, &self.target, &self.options)
+    }
+}
+
+/// A file that holds nothing yet.
+fn empty(network: &Quantised, target: &str, options: &Options) -> MappingFile {
+    MappingFile {
+        model: network.parts().name.clone(),
+        target: target.to_string(),
+        copies: options.copies,
+        strategy: options.strategy.name().to_string(),
+        seed: options.seed,
+        pruned: network.pruned().map(|pruned| pruned_file(pruned)),
+        cores: Vec::new(),
+        layers: Vec::new(),
+        checksum: None,
+    }
+}
+
+/// The file of boxes and their places.
+#[must_use]
+pub fn file_of_boxes(
+    network: &Quantised,
+    boxes: &Boxes,
+    placement: &Placement,
+    target: &str,
+    options: &Options,
+) -> MappingFile {
+    MappingFile { layers: layers::layers_of(network, &boxes.lattices(), placement), ..empty(network, target, options) }
+}
+
+/// The file of a partition and placement.
+fn file_of_cores(
+    network: &Quantised,
+    partition: &Partition,
+    placement: &Placement,
+    target: &str,
+    options: &Options,
+) -> MappingFile {
+    let population_of = populations_of(network);
+    let cores = partition
+        .members()
+        .enumerate()
+        .map(|(core, held)| {
+            let Site { chip, x, y, core } = placement.site(core);
+            let mut holds: Vec<Run> = Vec::new();
+            for &id in held {
+                let (name, first) = population_of(id);
+                match holds.last_mut() {
+                    Some(run) if run.population == name && run.first + run.count == first => run.count += 1,
+                    _ => holds.push(Run { population: name.to_string(), first, count: 1 }),
+                }
+            }
+            MappedCore { chip, x, y, core, holds }
+        })
+        .collect();
+    MappingFile { cores, ..empty(network, target, options) }
+}
+
+/// The partition and the placement that a file gives for all copies of a network, and the boxes of a symbolic mapping.
+///
+/// # Errors
+/// [`CompileError::Input`] when the file is of another network or target, names what there is not, or
+/// was changed;
+/// [`CompileError::DoesNotFit`] when a core exceeds a limit.
+pub fn load(
+    file: &MappingFile,
+    all: &Quantised,
+    target: &Target,
+    form: Form,
+) -> Result<(Partition, Placement, Option<Boxes>), CompileError> {
+    let loaded = loaded(file, all, target, form)?;
+    check_unchanged(file)?;
+    Ok(loaded)
+}
+
+/// As [`load`], of a file that may have been changed.
+fn loaded(
+    file: &MappingFile,
+    all: &Quantised,
+    target: &Target,
+    form: Form,
+) -> Result<(Partition, Placement, Option<Boxes>), CompileError> {
+    let limits = target.limits();
+    if form == Form::Symbolic {
+        belongs(file, all, target)?;
+        let layers = Layers::new(all)?;
+        let (lattices, placement) = layers::outline(file, all, &layers.layers, target)?;
+        let boxes = Boxes::of_lattices(&layers, &lattices, limits);
+        let (partition, boxes) = boxes.into_partition(all, &chips_of(&placement), limits)?;
+        return Ok((partition, placement, Some(boxes)));
+    }
+    let (members, sites) = membership(file, all, target)?;
+    let partition = partition_on(all, members, &sites, target)?;
+    let placement = Placement::new(Mesh::for_target(target), sites).map_err(CompileError::fault)?;
+    Ok((partition, placement, None))
+}
+
+/// The partition of these members on cores at these sites, counted exactly.
+///
+/// # Errors
+/// [`CompileError::Fault`] when a compartment is not on exactly one core; [`CompileError::DoesNotFit`] when a core exceeds a limit.
+pub fn partition_on(
+    all: &Quantised,
+    members: Members,
+    sites: &IdVec<CoreId, Site>,
+    target: &Target,
+) -> Result<Partition, CompileError> {
+    if members.iter().flatten().any(|id| id.0 >= all.compartments()) || members.len() != sites.len() {
+        return Err(CompileError::fault("the mapping is of another network"));
+    }
+    let seats = seats(all.compartments(), &members).map_err(CompileError::fault)?;
+    let chips = sites.iter().map(|site| site.chip).collect();
+    let usage = usage(all, &members, &seats, &chips, target.limits());
+    partition_of(all, members, usage, target.limits())
+}
+
+fn chips_of(placement: &Placement) -> IdVec<CoreId, u32> {
+    placement.sites().iter().map(|site| site.chip).collect()
+}
+
+/// The first copy alone, on the cores that hold a part of it.
+#[must_use]
+pub fn one_copy(file: &MappingFile) -> MappingFile {
+    // Populations of further copies are called name@k, and no population of a model has such a name.
+    let is_first = |population: &str| !population.contains('@');
+    let of_first = |core: &MappedCore| {
+        let holds: Vec<Run> = core.holds.iter().filter(|run| is_first(&run.population)).cloned().collect();
+        (!holds.is_empty()).then(|| MappedCore { holds, ..core.clone() })
+    };
+    let cores = file.cores.iter().filter_map(of_first).collect();
+    let layers = file.layers.iter().filter(|layer| is_first(&layer.population)).cloned().collect();
+    MappingFile { copies: 1, cores, layers, ..file.clone() }
+}
+
+/// Finds the name of a compartment's population, and the index that the model file gives it, by bisection.
+fn populations_of<'a>(network: &'a Quantised) -> impl Fn(CompartmentId) -> (&'a str, u32) {
+    let firsts: Vec<(u32, PopulationId, &str)> = network
+        .populations()
+        .enumerate()
+        .filter_map(|(id, population)| Some((population.first_compartment()?.0, id, population.name.as_str())))
+        .collect();
+    move |id| {
+        let (first, population, name) = firsts[firsts.partition_point(|&(first, ..)| first <= id.0) - 1];
+        (name, network.index_shown(population, id.0 - first))
+    }
+}
+
+/// Checks that a file is of this model and this target.
+///
+/// # Errors
+/// `mapping.model`, `mapping.target`.
+pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Result<()> {
+    let (model, board) = (&network.parts().name, target.name());
+    if file.model != *model {
+        let message = format!("the mapping was made for model {}, not {model}", file.model);
+        return Err(Diagnostic::new("mapping.model", message));
+    }
+    if file.target != board {
+        let message = format!("the mapping was made for target {}, not {board}", file.target);
+        return Err(Diagnostic::new("mapping.target", message));
+    }
+    Ok(())
+}
+
+/// An error about a saved mapping, with its file and what to do.
+#[must_use]
+pub fn explained(error: CompileError, path: &Path, model: &str) -> CompileError {
+    match error {
+        CompileError::Input(diagnostic) if diagnostic.code.starts_with("mapping.") => {
+            let help = || {
+                format!(
+                    "use it with the model, target and copies that it was made for, or make another: nsim map {model} -o FILE"
+                )
+            };
+            let has_help = diagnostic.help.is_some();
+            let diagnostic = diagnostic.or_in_file(path);
+            CompileError::Input(if has_help { diagnostic } else { diagnostic.help(help()) })
+        }
+        other => other,
+    }
+}
+
+/// Checks that a file is of so many copies.
+///
+/// # Errors
+/// `mapping.copies`.
+pub fn of_copies(file: &MappingFile, copies: u32) -> Result<()> {
+    if file.copies == copies {
+        return Ok(());
+    }
+    let message = format!("the mapping is of {} copies, not {copies}", file.copies);
+    Err(Diagnostic::new("mapping.copies", message).help(format!(
+        "say --copies {}, or make a mapping of {copies}: nsim map --copies {copies} -o FILE",
+        file.copies
+    )))
+}
+
+/// The places of all cores of a file, in order.
+///
+/// # Errors
+/// `mapping.site` for a core that the mesh does not have, and for one that is named twice.
+pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement> {
+    let listed = file.cores.iter().map(|at| Ok(Site { chip: at.chip, x: at.x, y: at.y, core: at.core }));
+    let boxes = file.places().map(|place| layers::site(&mesh, place));
+    let sites = listed.chain(boxes).collect::<Result<_>>()?;
+    Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))
+}
+
+/// The membership and the places that a file gives; `network` is all copies that the file is for.
+///
+/// # Errors
+/// A diagnostic that names what does not match: the model, the target, a population, a run, a compartment, a place.
+pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, IdVec<CoreId, Site>)> {
+    let wrong = |code, message: String| Err(Diagnostic::new(code, message));
+    belongs(file, network, target)?;
+    if !file.layers.is_empty() {
+        return layers::membership(file, network, target);
+    }
+    let names: std::collections::HashMap<&str, (PopulationId, u32, u32)> = network
+        .populations()
+        .enumerate()
+        .filter_map(|(id, p)| Some((p.name.as_str(), (id, p.first_compartment()?.0, network.units_shown(id)))))
+        .collect();
+    let mesh = Mesh::for_target(target);
+    let mut seated = vec![false; network.compartments() as usize];
+    let (mut members, mut sites) = (IdVec::new(), IdVec::new());
+    for (number, core) in file.cores.iter().enumerate() {
+        let site = Site { chip: core.chip, x: core.x, y: core.y, core: core.core };
+        let place = format!("chip {} tile ({}, {}) core {}", site.chip, site.x, site.y, site.core);
+        if site.x >= mesh.width
+            || site.y >= mesh.height
+            || site.core >= mesh.cores_per_tile
+            || mesh.number(site).is_none()
+        {
+            return wrong("mapping.site", format!("core {number} of the mapping: {place} is not on the target"));
+        }
+        let mut held = Vec::new();
+        for Run { population, first, count } in &core.holds {
+            let Some(&(id, base, size)) = names.get(population.as_str()) else {
+                return wrong(
+                    "mapping.population",
+                    format!("core {number} of the mapping holds {population}, which is no population of the model"),
+                );
+            };
+            if first.checked_add(*count).is_none_or(|end| end > size) {
+                return wrong(
+                    "mapping.run",
+                    format!(
+                        "core {number} of the mapping: {population} has {size} compartments, not {first} + {count}"
+                    ),
+                );
+            }
+            for shown in *first..first + count {
+                let Some(index) = network.index_of_shown(id, shown) else {
+                    return wrong(
+                        "mapping.pruned",
+                        format!(
+                            "compartment {shown} of {population} is mapped, but there is nothing to map: it is pruned"
+                        ),
+                    );
+                };
+                if std::mem::replace(&mut seated[(base + index) as usize], true) {
+                    return wrong("mapping.twice", format!("compartment {shown} of {population} is mapped twice"));
+                }
+                held.push(CompartmentId(base + index));
+            }
+        }
+        if held.len() > MOST_SLOTS as usize {
+            let (many, most) = (held.len(), MOST_SLOTS);
+            return wrong(
+                "mapping.slots",
+                format!("core {number} of the mapping holds {many} compartments, more than {most}"),
+            );
+        }
+        members.push(held);
+        sites.push(site);
+    }
+    if let Some(missing) = seated.iter().position(|&seated| !seated) {
+        let (name, index) = populations_of(network)(CompartmentId::new(missing));
+        return wrong("mapping.missing", format!("compartment {index} of {name} is not in the mapping"));
+    }
+    if let Some(core) = members.iter().position(Vec::is_empty) {
+        return wrong("mapping.empty", format!("core {core} of the mapping holds no compartment"));
+    }
+    match Placement::new(mesh, sites.clone()) {
+        Ok(_) => Ok((members, sites)),
+        Err(error) => wrong("mapping.site", error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{CopyPlacement, Options, compile, compile_saved};
+    use nsim_testing::{limits, slip, target};
+
+    fn saved() -> (Quantised, Target, MappingFile) {
+        let (network, target) = (slip(3150), target(1, 1, limits()));
+        let options = Options { copies: 3, ..Options::default() };
+        let compiled = compile(network.clone(), &target, &options).unwrap();
+        (network, target, compiled.mapping_file())
+    }
+
+    #[test]
+    fn a_saved_mapping_compiles_to_the_same_program() {
+        let (network, target, file) = saved();
+        let text = ron::to_string(&file).unwrap();
+        let read: MappingFile = ron::from_str(&text).unwrap();
+        assert_eq!(read, file);
+        let options = Options { copies: 3, ..Options::default() };
+        let first = compile(network.clone(), &target, &options).unwrap();
+        let again = compile_saved(network, &target, &options, &read).unwrap();
+        assert_eq!(first.program, again.program);
+    }
+
+    #[test]
+    fn one_copy_of_several_is_a_mapping_of_its_own() {
+        let target = target(1, 1, limits());
+        // Twelve copies share a core, so the first core holds more than the first copy.
+        let network = slip(100);
+        let options = Options { copies: 20, placement: CopyPlacement::Packed, ..Options::default() };
+        let file = compile(network.clone(), &target, &options).unwrap().mapping_file();
+        assert!(file.cores[0].holds.iter().any(|run| run.population.ends_with("@1")));
+        let one = one_copy(&file);
+        assert_eq!((one.copies, one.cores.len()), (1, 1));
+        let compiled = compile_saved(network, &target, &Options::default(), &one).unwrap();
+        assert_eq!(compiled.partition.members().as_slice()[0].len(), 62);
+        assert_eq!(one_copy(&one), one);
+    }
+
+    #[test]
+    fn what_does_not_match_is_named() {
+        let (network, target, good) = saved();
+        let network = nsim_quantise::copies::copies(&network, 3).unwrap();
+        let refused = |change: fn(&mut MappingFile), code: &str, word: &str| {
+            let mut file = good.clone();
+            change(&mut file);
+            let error = membership(&file, &network, &target).unwrap_err();
+            assert_eq!(error.code, code);
+            assert!(error.message.contains(word), "{}", error.message);
+        };
+        assert!(membership(&good, &network, &target).is_ok());
+        refused(|f| f.model = "other".into(), "mapping.model", "other");
+        refused(|f| f.target = "tiny".into(), "mapping.target", "tiny");
+        refused(|f| f.cores[0].holds[0].population = "ghost".into(), "mapping.population", "ghost");
+        refused(|f| f.cores[0].holds[0].count = u32::MAX, "mapping.run", "touch");
+        refused(|f| f.cores[1].holds[0].population = "touch".into(), "mapping.twice", "compartment 0 of touch");
+        refused(|f| f.cores[2].holds.clear(), "mapping.missing", "touch@2");
+        refused(|f| f.cores[1].chip = 1, "mapping.site", "chip 1");
+        refused(|f| f.cores[1].core = u32::MAX, "mapping.site", "core");
+        refused(|f| f.cores[1].core = 0, "mapping.site", "same physical core");
+    }
+}

@@ -1,0 +1,67 @@
+//! What was pruned, as a mapping file records it, and back.
+
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::ChannelId;
+use nsim_ir::mapping::{PrunedFile, Run};
+use nsim_ir::quantised::Pruned;
+use nsim_ir::quantised::Quantised;
+use nsim_quantise::prune::{Plan, Scene};
+
+/// What a file records so that the same is left out again.
+#[must_use]
+pub fn pruned_file(pruned: &Pruned) -> PrunedFile {
+    let populations = pruned.original.populations();
+    let mut dead: Vec<Run> = Vec::new();
+    for (id, population) in pruned.original.inputs() {
+        let Some(first) = population.first_channel() else { continue };
+        let within = pruned.dead.partition_point(|channel| *channel < first);
+        let of_population = pruned.dead[within..].iter().map(|channel| channel.0 - first.0);
+        for index in of_population.take_while(|&index| index < populations[id].shape.len()) {
+            match dead.last_mut() {
+                Some(run) if run.population == population.name && run.first + run.count == index => run.count += 1,
+                _ => dead.push(Run { population: population.name.clone(), first: index, count: 1 }),
+            }
+        }
+    }
+    let probed = pruned.probed.iter().map(|&id| populations[id].name.clone()).collect();
+    PrunedFile { stimulus: pruned.stimulus.clone(), dead, probed }
+}
+
+/// The pruning that a file records.
+///
+/// # Errors
+/// A diagnostic that names a population or a run of channels that the network does not have.
+pub fn plan(file: &PrunedFile, network: &Quantised) -> Result<Plan, Diagnostic> {
+    let wrong = |message: String| Err(Diagnostic::new("mapping.pruned", message));
+    let mut dead = Vec::new();
+    for Run { population, first, count } in &file.dead {
+        let found = network.inputs().find(|(_, input)| input.name == *population);
+        let Some((base, size)) = found.and_then(|(_, input)| Some((input.first_channel()?, input.shape.len()))) else {
+            return wrong(format!(
+                "the mapping was pruned of channels of {population}, which is no input of the model"
+            ));
+        };
+        match first.checked_add(*count) {
+            Some(end) if end <= size => dead.extend((*first..end).map(|index| ChannelId(base.0 + index))),
+            _ => {
+                return wrong(format!(
+                    "the mapping was pruned of {first} + {count} channels of {population}, which has {size}"
+                ));
+            }
+        }
+    }
+    dead.sort_unstable();
+    dead.dedup();
+    if file.stimulus.is_none() && !dead.is_empty() {
+        return wrong("the mapping was pruned of channels, but does not say for which stimulus".to_string());
+    }
+    let mut plan = Plan::fixed();
+    plan.scene = file.stimulus.clone().map(|stimulus| Scene { stimulus, dead });
+    for name in &file.probed {
+        match network.population_named(name).filter(|&id| network.populations()[id].first_compartment().is_some()) {
+            Some(id) => plan.probed.push(id),
+            None => return wrong(format!("the mapping keeps {name} whole, which is no population of compartments")),
+        }
+    }
+    Ok(plan)
+}

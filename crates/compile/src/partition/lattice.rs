@@ -1,0 +1,177 @@
+//! Ways of cutting the layers of a network into boxes, a core each.
+//!
+//! Input: a network in which every projection is a window or all to all. Output: its [`Layer`]s, and of each the grid of
+//! boxes that takes the fewest cores, with what every box uses ([`crate::resources::closed_form`]).
+
+use std::collections::HashMap;
+use std::ops::Range;
+
+use crate::partition::tiles;
+use crate::partition::tiles::Grid;
+use crate::resources::axon_sharing::Places;
+use crate::resources::closed_form::{BoxUse, Channels, Layer, Side, part, use_of};
+use crate::resources::formats::Formats;
+use crate::resources::packing;
+use crate::resources::receptive_field::WindowAxis;
+use nsim_ir::base::id::{IdVec, PopulationId};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::resource::{Limits, Resource};
+
+/// Grids of a layer that are tried.
+const TRIALS: usize = 200;
+
+/// The layers of a network, empty for inputs; `None` when a projection is neither a window nor all to all, or two join the
+/// same populations.
+#[must_use]
+pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
+    let (formats, places) = (Formats::for_network(network), Places::of_windows(network));
+    let of = |id| Layer::for_population(network, id, &formats, &places).filter(|layer| !layer.joined);
+    network.populations().ids().map(of).collect()
+}
+
+/// Where a layer is cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Lattice {
+    /// Channels, rows and columns of a box; those at the end may be smaller.
+    pub size: (u32, u32, u32),
+    /// Boxes along channels, rows and columns.
+    along: (u32, u32, u32),
+}
+
+impl Lattice {
+    /// A layer of this shape in boxes of this size; `None` when a box has no or more sides than the layer.
+    #[must_use]
+    pub fn new(shape: (u32, u32, u32), size: (u32, u32, u32)) -> Option<Self> {
+        let within = |length: u32, size: u32| (1..=length).contains(&size).then(|| length.div_ceil(size));
+        let along = (within(shape.0, size.0)?, within(shape.1, size.1)?, within(shape.2, size.2)?);
+        Some(Lattice { size, along })
+    }
+
+    /// Number of boxes.
+    #[must_use]
+    pub fn boxes(&self) -> u32 {
+        self.along.0 * self.along.1 * self.along.2
+    }
+
+    /// Boxes (channels, row, column) in the order of cores: rows of boxes run to and fro.
+    pub fn order(&self) -> impl Iterator<Item = (u32, u32, u32)> + use<> {
+        tiles::to_and_fro(self.along)
+    }
+
+    /// The place of a box in that order.
+    #[must_use]
+    pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
+        let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
+        (y * self.along.2 + x) * self.along.0 + c
+    }
+
+    /// Indices of the compartments of every box, in slot order.
+    pub fn members(self, layer: &Layer) -> impl Iterator<Item = Vec<u32>> + use<'_> {
+        self.order().map(move |at| tiles::cell(layer.shape, self.size, at, layer.by_channel))
+    }
+}
+
+/// A layer cut into boxes, a core each.
+#[derive(Debug, Clone)]
+pub struct Cut {
+    /// Where.
+    pub lattice: Lattice,
+    kinds: [Vec<u32>; 3],
+    /// Rows and columns of each kind.
+    sides: [Vec<Side>; 2],
+    uses: HashMap<(u32, u32, u32), BoxUse>,
+}
+
+fn parts(length: u32, size: u32) -> impl Iterator<Item = Range<u32>> {
+    (0..length.div_ceil(size)).map(move |at| part(length, size, at))
+}
+
+/// Distinct items and the number of each item's kind.
+fn kinds<T: Eq + std::hash::Hash + Clone>(items: impl Iterator<Item = T>) -> (Vec<T>, Vec<u32>) {
+    let (mut distinct, mut known): (Vec<T>, HashMap<T, u32>) = (Vec::new(), HashMap::new());
+    let numbers = items
+        .map(|item| {
+            *known.entry(item).or_insert_with_key(|item| {
+                distinct.push(item.clone());
+                distinct.len() as u32 - 1
+            })
+        })
+        .collect();
+    (distinct, numbers)
+}
+
+impl Cut {
+    /// A layer cut here.
+    #[must_use]
+    pub fn new(layer: &Layer, lattice: Lattice, formats: &Formats, limits: &Limits) -> Self {
+        let ((c, h, w), size) = (layer.shape, lattice.size);
+        let (channels, of_channels) = kinds(parts(c, size.0).map(|part| Channels::of_part(layer, &part)));
+        let (rows, of_rows) = kinds(parts(h, size.1).map(|part| Side::of_part(layer, WindowAxis::rows, &part)));
+        let (columns, of_columns) =
+            kinds(parts(w, size.2).map(|part| Side::of_part(layer, WindowAxis::columns, &part)));
+        let mut uses = HashMap::new();
+        for (i, channels) in channels.iter().enumerate() {
+            for (j, rows) in rows.iter().enumerate() {
+                for (k, columns) in columns.iter().enumerate() {
+                    let used = use_of(layer, formats, limits, (channels, rows, columns));
+                    uses.insert((i as u32, j as u32, k as u32), used);
+                }
+            }
+        }
+        Cut { lattice, kinds: [of_channels, of_rows, of_columns], sides: [rows, columns], uses }
+    }
+
+    /// The first grid, in the order of boxes and then of messages, of which every box fits a core with at most so many
+    /// compartments.
+    ///
+    /// # Errors
+    /// What one compartment alone uses, when no grid was found.
+    pub fn fewest_boxes(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Result<Self, BoxUse> {
+        let most = most.min(limits[Resource::Compartments]).min(packing::MOST_SLOTS);
+        let mut cut = None;
+        tiles::first_that_fits(&tiles::grids(layer, formats, limits, most), TRIALS, |Grid { size, .. }| {
+            // Most grids that do not fit are known by a box in the middle, whose windows are whole.
+            if layer.middle(*size, formats, limits).exceeds(limits) {
+                return false;
+            }
+            let Some(lattice) = Lattice::new(layer.shape, *size) else { return false };
+            let found = Cut::new(layer, lattice, formats, limits);
+            let fits = !found.uses.values().any(|used| used.exceeds(limits));
+            cut = fits.then_some(found);
+            fits
+        });
+        cut.map_or_else(
+            || {
+                let alone = layer.middle((1, 1, 1), formats, limits);
+                let lattice = Lattice { size: (1, 1, 1), along: layer.shape };
+                let found = Cut::new(layer, lattice, formats, limits);
+                if found.uses.values().any(|used| used.exceeds(limits)) { Err(alone) } else { Ok(found) }
+            },
+            Ok,
+        )
+    }
+
+    /// The kind of a box: boxes of one kind use the same.
+    #[must_use]
+    pub fn kind(&self, (c, y, x): (u32, u32, u32)) -> (u32, u32, u32) {
+        (self.kinds[0][c as usize], self.kinds[1][y as usize], self.kinds[2][x as usize])
+    }
+
+    /// The rows of the boxes in a row of them.
+    #[must_use]
+    pub fn rows(&self, row: u32) -> &Side {
+        &self.sides[0][self.kinds[1][row as usize] as usize]
+    }
+
+    /// The columns of the boxes in a column of them.
+    #[must_use]
+    pub fn columns(&self, column: u32) -> &Side {
+        &self.sides[1][self.kinds[2][column as usize] as usize]
+    }
+
+    /// What the core of a box uses.
+    #[must_use]
+    pub fn used(&self, at: (u32, u32, u32)) -> &BoxUse {
+        &self.uses[&self.kind(at)]
+    }
+}

@@ -1,0 +1,582 @@
+//! Compartments onto logical cores.
+//!
+//! Input: a quantised network. Output: a [`Partition`] in which every core keeps every limit, or every reason why there
+//! is none. Every strategy ends in the same way: an order of compartments is filled into cores ([`order`]), so that limits
+//! are kept exactly and cores are full. What differs is the order, and what is done afterwards:
+//!
+//! - `Sequential`: the order of the model file, as the public tools hand out cores (nengo-loihi, NxTF).
+//! - `Greedy`: populations over space in tiles ([`tiles`]); all others by growth, each compartment next to those that it
+//!   is joined to ([`levels::grown`]).
+//! - Both: where every synapse is listed, compartments that share sources on one core ([`sharing`]).
+//! - `Multilevel`: tiles; all others in the order of a hierarchy of groups ([`levels`]), and then groups of every size, the
+//!   largest first, are moved between cores while that saves messages ([`refine`]).
+//!
+//! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages. So none is
+//! ever worse than the one above. Copies of a network are one copy's partition repeated, so that no copy shares a core with
+//! another, unless filling all of them together takes fewer cores.
+
+pub mod box_fan_out;
+pub mod boxes;
+pub mod copies;
+pub mod hyper;
+pub mod lattice;
+pub mod levels;
+pub mod members;
+pub mod order;
+pub mod refine;
+pub mod sharing;
+pub mod structure;
+pub mod tiles;
+
+use std::time::Instant;
+
+use crate::error::{CompileError, Result};
+use crate::form::Form;
+use crate::options::{Objective, Options, Strategy, is_over};
+use crate::partition::copies::Pattern;
+use crate::partition::hyper::{Groups, Hypergraph, State};
+use crate::partition::levels::Levels;
+use crate::partition::members::{Members, row_of_chips};
+use crate::partition::order::{Chips, Filler, Found, Indices, Segment, file_order};
+use crate::partition::refine::Effort;
+use crate::reason::Reason;
+use crate::resources::axon_sharing::Places;
+use crate::resources::even_draws;
+use crate::resources::exact::{usage, usage_with_fan_out, with_fan_out};
+use crate::resources::fan_out::{cores_of, messages, slots_of_core};
+use crate::resources::incremental::Filling;
+use nsim_cost::constants::CostTable;
+use nsim_cost::model::core_time;
+use nsim_ir::activity::CoreCounts;
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use nsim_ir::base::rng;
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::firing_rates::{Rates, UNIT};
+use nsim_ir::hardware::Target;
+use nsim_ir::partition::{CoreUsage, Partition, PartitionError, seats};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::resource::{Capacity, Limits, Resource};
+
+/// How a partition is looked for.
+#[derive(Debug, Clone, Copy)]
+pub struct Search<'a> {
+    /// How compartments are grouped into cores.
+    pub strategy: Strategy,
+    /// How often sources of one copy spike.
+    pub rates: &'a Rates,
+    /// Units of work, about 5 ns each: what an effort of so many seconds comes to, the same on every machine.
+    pub work: u64,
+    /// When to end in any case.
+    pub end: Option<Instant>,
+    /// How many copies there are to be.
+    pub copies: u32,
+    /// Synapses of a core at most, as far as tiles decide.
+    pub most_synapses: Option<u64>,
+    /// Whether to say that cores were saved at the price of longer steps.
+    pub explains: bool,
+}
+
+impl<'a> Search<'a> {
+    /// As options say, for sources that spike this often.
+    #[must_use]
+    pub fn new(options: &Options, rates: &'a Rates) -> Self {
+        let (work, end) = (options.effort.work(WORK_PER_SECOND), options.effort.end());
+        let explains = options.objective == Objective::Cores && work > 0;
+        let Options { strategy, copies, most_synapses, .. } = *options;
+        Search { strategy, rates, work, end, copies, most_synapses, explains }
+    }
+}
+
+/// Units of work in a second, roughly; fixed, so that an effort means the same on every machine.
+const WORK_PER_SECOND: u64 = 200_000_000;
+/// Synapses that one unit of work visits when a hypergraph is built and coarsened, level after level.
+const WORK_PER_PIN: u64 = 60;
+/// Synapses from which on a network is not grouped by levels where its synapses are drawn evenly.
+const EVEN_SYNAPSES: u64 = 1 << 18;
+/// How many times as long as in the order of the file the busiest core may work where that saves fewer cores; where it saves more, as
+/// many times. Where no population is over space, so many times the cores saved.
+const MOST_LONGER: f64 = 1.1;
+/// Synapses of a network whose tiles are also tried with fewer words.
+const FEW_SYNAPSES: u64 = 1 << 23;
+/// How many times as many spikes as in the mean a step has in which networks over space are compared too.
+const BURST: u64 = 10;
+/// Passes of refinement on a level.
+const PASSES: usize = 3;
+/// Rounds of making tiles smaller because their output axons do not fit.
+const TILE_ROUNDS: usize = 6;
+/// Hundredths of the synapse words that refinement may count on, in the order of trial: words are estimates there.
+const WORD_MARGINS: [i64; 2] = [100, 85];
+/// Synapses of a network that is refined once more from shaken members; smaller ones are so as many times more often.
+const SHAKEN_SYNAPSES: u64 = 2_000;
+/// Times at most.
+const MOST_SHAKES: u64 = 16;
+/// Where the draws of shaking begin.
+const SHAKE_SEED: u64 = 0x5ba4e;
+
+/// Refuses what cannot fit by its sizes alone, before anything large is made; with the reasons of a single copy, if any.
+///
+/// # Errors
+/// [`CompileError::DoesNotFit`].
+pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, form: Form, search: Search<'_>) -> Result<()> {
+    let (limits, compartments) = (target.limits(), u64::from(one.compartments()));
+    let (all, room) =
+        (compartments * u64::from(copies), u64::from(target.cores()) * u64::from(limits[Resource::Compartments]));
+    let too_many = (all > room).then(|| Reason::of_compartments(target, limits, copies, all));
+    let bound = match form {
+        Form::Symbolic => return too_many.map_or(Ok(()), |reason| Err(reason.into())),
+        Form::Written => too_many.or_else(|| {
+            let cores = least_cores(one, copies, limits);
+            (cores > u64::from(target.cores()) && copies > 1).then(|| Reason::of_cores(target, copies, cores))
+        }),
+    };
+    // What a compartment needs is found by placing one copy, unless that would take long.
+    let quick = one.synapses() <= FEW_SYNAPSES || bound.is_some() && compartments <= room;
+    let mut reasons = match bound {
+        Some(bound) => vec![bound],
+        None => even_draws::reasons(one, target, copies, false),
+    };
+    if reasons.is_empty() {
+        return Ok(());
+    }
+    let search = Search { work: 0, explains: false, ..search };
+    if quick && let Err(CompileError::DoesNotFit(more)) = partition(one, one, target, search) {
+        let more = more.into_iter().filter(|reason| reason.resource != Capacity::Cores);
+        let same = |a: &Reason, b: &Reason| (&a.population, &a.resource) == (&b.population, &b.resource);
+        for reason in more {
+            if !reasons.iter().any(|known| same(known, &reason)) {
+                reasons.push(reason);
+            }
+        }
+    }
+    Err(CompileError::DoesNotFit(reasons))
+}
+
+/// Cores for a network of equal copies; `one` is a single copy and `all` is all of them, copy after copy.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Search<'_>) -> Result<Partition> {
+    let copies = (all.compartments() / one.compartments().max(1)).max(1);
+    let filler = Filler::new(one, target);
+    let found = searched(&filler, search, Chips::Row)?;
+    if copies > 1 {
+        return partition_copies(&filler, found.members, (all, copies), target, search);
+    }
+    if found.members.len() as u64 > u64::from(target.cores()) {
+        return Err(Reason::of_cores(target, copies, found.members.len() as u64).into());
+    }
+    counted(all, found, target).map_err(CompileError::fault)
+}
+
+/// Cores for copies of a network, one of which takes these.
+fn partition_copies(
+    filler: &Filler<'_>,
+    members: Members,
+    (all, copies): (&Quantised, u32),
+    target: &Target,
+    search: Search<'_>,
+) -> Result<Partition> {
+    let (one, limits) = (filler.network, target.limits());
+    let counted_once = |pattern: &Pattern| {
+        pattern.usage(target).ok_or_else(|| CompileError::fault("a group of copies has no seat for each compartment"))
+    };
+    let fits = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().all(|used| used.excesses(limits).next().is_none());
+    let on_board = |cores: usize| match cores as u64 > u64::from(target.cores()) {
+        true => Err(CompileError::from(Reason::of_cores(target, copies, cores as u64))),
+        false => Ok(()),
+    };
+    let mut pattern = Pattern::repeated(one, members, copies);
+    let mut usage = counted_once(&pattern)?;
+    if !fits(&usage) {
+        pattern = Pattern::repeated(one, searched(filler, search, Chips::Apart)?.members, copies);
+        usage = counted_once(&pattern)?;
+    }
+    if pattern.cores() as u64 > least_cores(one, copies, limits) {
+        let filled = [true, false].map(|keep_whole| Pattern::filled(one, copies, target, keep_whole));
+        let fewer = filled.into_iter().flatten().min_by_key(|filled| filled.cores);
+        if let Some(fewer) = fewer.filter(|fewer| fewer.cores < pattern.cores()) {
+            let counted_fewer =
+                fewer.pattern.map(|fewer| counted_once(&fewer).map(|used| (fewer, used))).transpose()?;
+            if let Some(found) = counted_fewer.filter(|(_, used)| fits(used)) {
+                (pattern, usage) = found;
+            } else if let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
+                && together.members.len() < pattern.cores()
+            {
+                // Output axons decide, which depend on the chips of all copies, or cores do not repeat copy by copy.
+                on_board(together.members.len())?;
+                return counted(all, together, target).map_err(CompileError::fault);
+            }
+        }
+    }
+    on_board(pattern.cores())?;
+    Partition::new(all.compartments(), pattern.members(), usage, limits).map_err(CompileError::fault)
+}
+
+/// A partition of these members, counted exactly with cores placed chip by chip.
+fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partition, PartitionError> {
+    let Found { members, fan_out, usage: filled } = found;
+    let seats = seats(network.compartments(), &members)?;
+    let usage = match (fan_out, filled) {
+        (Some(fan_out), Some(filled)) if fan_out.together.is_empty() => {
+            with_fan_out(filled.iter().copied(), &members, &fan_out)
+        }
+        (Some(fan_out), None) if fan_out.together.is_empty() => {
+            usage_with_fan_out(network, &members, &seats, &fan_out, target.limits())
+        }
+        _ => usage(network, &members, &seats, &row_of_chips(members.len(), target), target.limits()),
+    };
+    Partition::new(network.compartments(), members, usage, target.limits())
+}
+
+/// The members that a strategy finds for one copy.
+fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Found> {
+    let (network, target) = (filler.network, filler.target);
+    let sequential = || filler.fewest_cores(&file_order(network), chips);
+    if search.strategy == Strategy::Sequential {
+        return sequential();
+    }
+    let spatial: IdVec<PopulationId, bool> =
+        network.populations().ids().map(|population| tiles::is_spatial(network, population)).collect();
+    let mut fixed = vec![false; network.compartments() as usize];
+    for (_, population) in network.populations().enumerate().filter(|&(id, _)| spatial[id]) {
+        let Some(first) = population.first_compartment() else { continue };
+        fixed[first.index()..first.index() + population.shape.len() as usize].fill(true);
+    }
+    let any_spatial = spatial.iter().any(|&spatial| spatial);
+    let in_tiles =
+        || if any_spatial { tiled(filler, &spatial, chips, search.most_synapses) } else { Default::default() };
+    let (sequential, tiled) = rayon::join(sequential, in_tiles);
+    if matches!(&sequential, Ok(found) if found.members.len() == 1) {
+        return sequential;
+    }
+    let free: u64 = network
+        .projections()
+        .enumerate()
+        .map(|(id, p)| if spatial[p.target] { 0 } else { network.synapses_of(id) })
+        .sum();
+    let listed = !any_spatial && sharing::is_listed(network);
+    // Where synapses are drawn evenly there are no groups to be found.
+    let is_uniform = listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
+    let promising = search.end.is_some() || !is_uniform;
+    let affordable = promising && free.saturating_mul(WORK_PER_PIN) <= search.work;
+    let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
+    let by_sharing = match &sequential {
+        Ok(sequential) if listed && search.work > 0 => {
+            sharing::gathered(filler, sequential, chips, is_uniform, search.work)
+        }
+        _ => None,
+    };
+    let mut found: Vec<Found> = Vec::new();
+    let mut failure = None;
+    let mut keep = |one: Result<Found>| match one {
+        Ok(one) => found.push(one),
+        Err(error) => failure = Some(failure.take().unwrap_or(error)),
+    };
+    let begun = sequential.is_ok();
+    let typical =
+        sequential.as_ref().map_or(1, |one| network.compartments() as usize / one.members.len().max(1)).max(1);
+    keep(sequential);
+    by_sharing.into_iter().for_each(|found| keep(Ok(found)));
+    let whole_populations = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
+    if !tiled.is_empty() {
+        let order: Vec<Segment> = tiled.iter().cloned().chain(whole_populations).collect();
+        keep(filler.fewest_cores(&order, chips));
+    }
+    if search.work > 0 && !tiled.is_empty() && network.synapses() <= FEW_SYNAPSES {
+        // Room that tiles leave may save a core of those that come behind.
+        let mut filling = Filling::new(network, &filler.fan_in, target.limits());
+        for population in network.populations().ids().filter(|&id| spatial[id]) {
+            let fewer = tiles::tiles_of_fewer_words(network, population, &mut filling, target.limits());
+            let Some(fewer) = fewer else { continue };
+            let mut fewer = Some(fewer);
+            let mut order: Vec<Segment> = Vec::new();
+            for segment in &tiled {
+                match segment.population == population {
+                    true => order.extend(fewer.take().into_iter().flatten()),
+                    false => order.push(segment.clone()),
+                }
+            }
+            order.extend(file_order(network).into_iter().filter(|segment| !spatial[segment.population]));
+            keep(filler.fewest_cores(&order, chips));
+        }
+    }
+    if let Some(graph) = &graph {
+        let grown = || {
+            filler.fewest_cores(&with_ids(network, &tiled, &levels::grown(graph, &fixed, typical, search.end)), chips)
+        };
+        let in_levels = || {
+            let levels = (search.strategy == Strategy::Multilevel).then(|| Levels::new(graph, &fixed, search.end))?;
+            let members = filler.fewest_cores(&with_ids(network, &tiled, &levels.order()), chips);
+            Some((levels, members))
+        };
+        let (grown, in_levels) = rayon::join(grown, in_levels);
+        keep(grown);
+        if let Some((levels, members)) = in_levels {
+            keep(members);
+            // The levels have taken their part of the effort.
+            let mut work = search.work.saturating_sub(free.saturating_mul(WORK_PER_PIN));
+            if let Some(best) = fewest(filler, &found, search.rates) {
+                for percent in WORD_MARGINS {
+                    let refined = uncounted(refined(graph, &levels, best, target, percent, (&mut work, search.end)));
+                    if counted(network, refined.clone(), target).is_ok() {
+                        found.push(refined);
+                        break;
+                    }
+                }
+            }
+            for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
+                let Some(best) = fewest(filler, &found, search.rates) else { break };
+                let shaken = shaken(best, &fixed, attempt);
+                let (percent, end) = (WORD_MARGINS[0], search.end);
+                let refined = uncounted(refined(graph, &levels, &shaken, target, percent, (&mut work, end)));
+                if counted(network, refined.clone(), target).is_ok() {
+                    found.push(refined);
+                }
+            }
+        }
+    }
+    if begun && search.strategy == Strategy::Multilevel {
+        no_slower(filler, &mut found, search, any_spatial);
+    }
+    // Compartments in the order of the file make lists denser; refined cores take newcomers at their end.
+    let best = fewest(filler, &found, search.rates);
+    match (best, failure) {
+        (Some(best), _) => {
+            let sorted = uncounted(sorted(best, &fixed));
+            let same = *best == sorted.members;
+            if !same && counted(network, sorted.clone(), target).is_ok() {
+                return Ok(sorted);
+            }
+            let best = found.iter().position(|one| one.members == *best).unwrap_or_default();
+            let Found { members, fan_out, usage } = found.swap_remove(best);
+            // Chips that are assumed to be apart are not those that will be.
+            Ok(Found { members, fan_out: fan_out.filter(|_| chips == Chips::Row), usage })
+        }
+        (None, Some(failure)) => Err(failure),
+        (None, None) => Err(CompileError::fault("no strategy had an answer")),
+    }
+}
+
+/// Leaves out members whose busiest core works so much longer than that of the first, the order of the file, that the cores
+/// they save are not worth it; where the first fits at all.
+fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, over_space: bool) {
+    let first = found[0].members.len() as u64;
+    let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);
+    if !worth_comparing || first * u64::from(search.copies) > u64::from(filler.target.cores()) {
+        return;
+    }
+    let Some(table) = filler.target.constants().first().and_then(|constants| CostTable::new(constants).ok()) else {
+        return;
+    };
+    let events = filler.fan_in.events_into(filler.network, search.rates);
+    let busiest = |members: &Members, times: u64| {
+        let of_core = |held: &Vec<CompartmentId>| {
+            let events_sparse = held.iter().map(|id| events[id.index()]).sum::<u64>() * times;
+            let steps = held.len() as u64 * UNIT as u64;
+            let (visited, active) = (steps, steps);
+            core_time(&CoreCounts { events_sparse, visited, active, ..CoreCounts::default() }, &table)
+        };
+        members.iter().map(of_core).max().map_or(0.0, Picoseconds::microseconds)
+    };
+    // Tiles gather the compartments with the most synapses, which shows in steps of many spikes.
+    let ways = if over_space { &[1, BURST][..] } else { &[1] };
+    let least: Vec<f64> = ways.iter().map(|&times| busiest(&found[0].members, times)).collect();
+    let mut longest: f64 = 1.0;
+    found.retain(|one| {
+        let longer = |(&times, least): (&u64, &f64)| busiest(&one.members, times) / least.max(f64::MIN_POSITIVE);
+        let longer = ways.iter().zip(&least).map(longer).fold(0.0, f64::max);
+        let saved = first as f64 / one.members.len().max(1) as f64;
+        let most = match over_space {
+            true => MOST_LONGER.max(saved),
+            // The rest of a step, which takes as long in any case, is most of it there.
+            false => MOST_LONGER * saved.max(1.0),
+        };
+        let kept = longer <= most;
+        longest = if kept { longest.max(longer) } else { longest };
+        kept
+    });
+    if search.explains && longest > MOST_LONGER {
+        tracing::warn!(
+            "cores are saved against the order of the file, and the busiest is expected to work up to {longest:.2} times as long: \
+             nsim map --strategy sequential -o FILE makes a mapping with shorter steps, --mapping FILE takes it"
+        );
+    }
+}
+
+/// The members with the fewest cores, then the fewest messages; the first of equals.
+fn fewest<'m>(filler: &Filler<'_>, found: &'m [Found], rates: &Rates) -> Option<&'m Members> {
+    if let [only] = found {
+        return Some(&only.members);
+    }
+    let all = || found.iter().map(|one| &one.members);
+    let cores = all().map(IdVec::len).min()?;
+    let of_these = all().filter(|members| members.len() == cores);
+    of_these.min_by_key(|members| {
+        messages(filler.network, &cores_of(filler.network.compartments(), members), members.len(), rates)
+    })
+}
+
+/// Members whose output axons have not been counted.
+fn uncounted(members: Members) -> Found {
+    Found { members, fan_out: None, usage: None }
+}
+
+/// Members after some compartments of different cores have changed places, as a start that leads elsewhere.
+fn shaken(members: &Members, fixed: &[bool], attempt: u64) -> Members {
+    let mut shaken = members.clone();
+    let all: usize = members.iter().map(Vec::len).sum();
+    for change in 0..(all as u64 / 6).max(2) {
+        let draw = |k: u64, n: usize| rng::below(n.max(1) as u64, SHAKE_SEED ^ attempt, change, k) as usize;
+        let (a, b) = (CoreId::new(draw(0, members.len())), CoreId::new(draw(1, members.len())));
+        let (i, j) = (draw(2, shaken[a].len()), draw(3, shaken[b].len()));
+        let (Some(&one), Some(&other)) = (shaken[a].get(i), shaken[b].get(j)) else { continue };
+        if a != b && !fixed[one.index()] && !fixed[other.index()] {
+            (shaken[a][i], shaken[b][j]) = (other, one);
+        }
+    }
+    shaken
+}
+
+/// Members in the order of the file, on cores that hold no tile.
+fn sorted(members: &Members, fixed: &[bool]) -> Members {
+    let sort = |held: &Vec<CompartmentId>| {
+        let mut held = held.clone();
+        if !held.iter().any(|id| fixed[id.index()]) {
+            held.sort_unstable();
+        }
+        held
+    };
+    members.iter().map(sort).collect()
+}
+
+/// Populations over space as tiles, smaller where their output axons would not fit.
+fn tiled(
+    filler: &Filler<'_>,
+    spatial: &IdVec<PopulationId, bool>,
+    chips: Chips,
+    most_synapses: Option<u64>,
+) -> Vec<Segment> {
+    let (network, limits) = (filler.network, filler.target.limits());
+    let mut filling = Filling::new(network, &filler.fan_in, limits);
+    let mut most = tiles::most_compartments(network, limits, most_synapses);
+    let mut cut: IdVec<PopulationId, Option<Vec<Segment>>> = vec![None; spatial.len()].into();
+    let mut segments = Vec::new();
+    for _ in 0..TILE_ROUNDS {
+        segments.clear();
+        for population in network.populations().ids().filter(|&id| spatial[id]) {
+            if cut[population].is_none() {
+                let all = Indices::All(network.populations()[population].shape.len());
+                let whole = || vec![Segment { population, indices: all }];
+                let tiles = tiles::tiles(network, population, &mut filling, limits, most[population]);
+                cut[population] = Some(tiles.unwrap_or_else(whole));
+            }
+            segments.extend(cut[population].iter().flatten().cloned());
+        }
+        let rest = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
+        let order: Vec<Segment> = segments.iter().cloned().chain(rest).collect();
+        let Ok(members) = filler.once(&order, true) else { break };
+        let fan_out = filler.fan_out(&members, chips);
+        let mut again = false;
+        for held in &members {
+            let slots = slots_of_core(held, &fan_out);
+            if slots <= u64::from(limits[Resource::AxonsOut]) || held.len() < 2 {
+                continue;
+            }
+            let (population, _) = network.population_of(held[0]);
+            if spatial[population] {
+                let fitting = (held.len() as u64 * u64::from(limits[Resource::AxonsOut]) / slots).max(1) as u32;
+                if fitting < most[population] {
+                    (most[population], cut[population], again) = (fitting, None, true);
+                }
+            }
+        }
+        if !again {
+            break;
+        }
+    }
+    segments
+}
+
+/// Tiles, then compartments one by one in this order.
+fn with_ids(network: &Quantised, tiled: &[Segment], ids: &[u32]) -> Vec<Segment> {
+    let mut order = tiled.to_vec();
+    let mut last: Option<(PopulationId, u32, u32)> = None;
+    for &id in ids {
+        let inside = last.filter(|&(_, first, size)| id >= first && id - first < size);
+        let (population, first, size) = inside.unwrap_or_else(|| {
+            let (population, index) = network.population_of(CompartmentId(id));
+            (population, id - index, network.populations()[population].shape.len())
+        });
+        last = Some((population, first, size));
+        match order.last_mut() {
+            Some(Segment { population: p, indices: Indices::Listed(indices) })
+                if *p == population && inside.is_some() =>
+            {
+                indices.push(id - first);
+            }
+            _ => order.push(Segment { population, indices: Indices::Listed(vec![id - first]) }),
+        }
+    }
+    order
+}
+
+/// Members after groups of every level have been moved, the largest first, while there is work left.
+fn refined(
+    graph: &Hypergraph,
+    levels: &Levels,
+    members: &Members,
+    target: &Target,
+    percent: i64,
+    (work, end): (&mut u64, Option<Instant>),
+) -> Members {
+    let mut state = State::new(graph, members, target, percent);
+    let core_size = graph.own.len() / members.len().max(1);
+    for labels in levels.labels.iter().rev() {
+        if *work == 0 || is_over(end) {
+            break;
+        }
+        let groups = Groups::new(graph, within_cores(labels, &state.core_of));
+        // Groups of half a core and more cannot go anywhere.
+        if groups.len() * 2 < members.len() * 3 || groups.len() * core_size < graph.own.len() * 2 {
+            continue;
+        }
+        *work = refine::refine(&mut state, &groups, Effort { passes: PASSES, work: *work, end });
+    }
+    state.members(members)
+}
+
+/// Labels such that no group is on two cores.
+fn within_cores(labels: &[Option<u32>], core_of: &[u32]) -> Vec<Option<u32>> {
+    let mut known: std::collections::HashMap<(u32, u32), u32> = std::collections::HashMap::new();
+    let of = |(label, &core): (&Option<u32>, &u32)| {
+        let next = known.len() as u32;
+        label.map(|label| *known.entry((label, core)).or_insert(next))
+    };
+    labels.iter().zip(core_of).map(of).collect()
+}
+
+/// A number of cores below which no partition can be, from what copies cannot share.
+#[must_use]
+pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
+    let places = Places::for_network(one, limits);
+    let active: u64 = one
+        .populations()
+        .enumerate()
+        .map(|(id, population)| {
+            let outgoing = one.outgoing(id);
+            let active = |&index: &u32| {
+                outgoing.iter().any(|&p| match &one.projections()[p].connectivity {
+                    Connectivity::Random { fan_out, .. } => *fan_out > 0,
+                    connectivity => connectivity.count_from(index) > 0,
+                })
+            };
+            // Sources at one place may share an input axon.
+            let positions = places.positions(one, id).unwrap_or(population.shape.len());
+            (0..population.shape.len()).filter(active).count().min(positions as usize) as u64
+        })
+        .sum();
+    let (copies, compartments) = (u64::from(copies), u64::from(one.compartments()));
+    let by_compartments = (compartments * copies).div_ceil(u64::from(limits[Resource::Compartments]));
+    by_compartments.max((active * copies).div_ceil(u64::from(limits[Resource::AxonsIn])))
+}

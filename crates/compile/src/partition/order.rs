@@ -1,0 +1,462 @@
+//! Filling cores along an order of compartments, until output axons fit too.
+//!
+//! Input: segments of compartments in an order. Output: the compartments of each core. A core is closed when the next
+//! compartment would break a limit. Two things are not known while filling, and are settled around it:
+//!
+//! - *Whether to keep a segment whole* that fits into an empty core but not into the rest of the current one. Both ways
+//!   are tried for the whole network; the one with fewer cores is taken, on a tie the one that keeps segments whole,
+//!   because it sends fewer messages.
+//! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores are numbered chip by
+//!   chip, as [`mod@crate::place`] keeps them). The first filling ignores them, or in large networks what is not drawn evenly; if a core then sends too much, each
+//!   compartment is charged what it sent and a margin, which doubles from round to round, and the filling is repeated. It
+//!   ends because estimates only grow, and a core with a single compartment is never split.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use crate::error::CompileError;
+use crate::partition::members::{Members, row_of_chips};
+use crate::reason::Reason;
+use crate::resources::axon_sharing::Places;
+use crate::resources::even_draws;
+use crate::resources::fan_in::FanIn;
+use crate::resources::fan_out::{
+    ALONE, FanOut, MembersOfCores, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core,
+};
+use crate::resources::incremental::{Filling, Newcomer};
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use nsim_ir::hardware::Target;
+use nsim_ir::partition::CoreUsage;
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::resource::{Capacity, OutputAxons, Resource};
+
+/// Rounds of filling after which output axons are given up on: the margin is then 2^9 times the fan-out.
+const ROUNDS: u32 = 14;
+/// The first margin is a 2^5th of the fan-out.
+const FIRST_MARGIN: u32 = 5;
+
+/// Compartments from which on an order is filled in parts, and those of a part.
+const LARGE: u64 = 1 << 18;
+const PART: u32 = 1 << 15;
+
+/// What is assumed of the chips of cores while output axons are counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Chips {
+    /// Cores are numbered chip by chip.
+    Row,
+    /// The worst: no two cores share a chip.
+    Apart,
+}
+
+impl Chips {
+    /// The chip of each of so many cores.
+    #[must_use]
+    pub fn of_cores(self, cores: usize, target: &Target) -> IdVec<CoreId, u32> {
+        match self {
+            Chips::Row => row_of_chips(cores, target),
+            Chips::Apart => (0..cores as u32).collect(),
+        }
+    }
+}
+
+/// Compartments of one population to be kept together, in this order.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Segment {
+    /// The population.
+    pub population: PopulationId,
+    /// Their indices in it.
+    pub indices: Indices,
+}
+
+/// Indices of a population's compartments.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Indices {
+    /// All from the first, so many.
+    All(u32),
+    /// These.
+    Listed(Vec<u32>),
+    /// These, which are a tile: their lists may be shared when they are on one core.
+    Tile(Vec<u32>),
+}
+
+impl Indices {
+    /// How many.
+    #[must_use]
+    pub fn len(&self) -> u32 {
+        match self {
+            Indices::All(count) => *count,
+            Indices::Listed(indices) | Indices::Tile(indices) => indices.len() as u32,
+        }
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn get(&self, at: u32) -> u32 {
+        match self {
+            Indices::All(_) => at,
+            Indices::Listed(indices) | Indices::Tile(indices) => indices[at as usize],
+        }
+    }
+}
+
+/// Parts of an order that are filled side by side, when it is so long that the core left open at the end of each is
+/// nothing; long segments are cut.
+fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
+    let all: u64 = order.iter().map(|segment| u64::from(segment.indices.len())).sum();
+    let longest = order.iter().map(|segment| segment.indices.len()).max()?;
+    if all < LARGE || longest < PART {
+        return None;
+    }
+    let mut parts = Vec::new();
+    for Segment { population, indices } in order {
+        for from in (0..indices.len()).step_by(PART as usize) {
+            let to = (from + PART).min(indices.len());
+            let indices = Indices::Listed((from..to).map(|at| indices.get(at)).collect());
+            parts.push(Segment { population: *population, indices });
+        }
+    }
+    Some(parts)
+}
+
+/// Every population a segment, in the order of the model file.
+#[must_use]
+pub fn file_order(network: &Quantised) -> Vec<Segment> {
+    let of = |(population, p): (PopulationId, &nsim_ir::quantised::Population)| {
+        p.first_compartment().map(|_| Segment { population, indices: Indices::All(p.shape.len()) })
+    };
+    network.populations().enumerate().filter_map(of).collect()
+}
+
+/// The needs beyond a limit, the greatest for each population and resource.
+#[derive(Default)]
+struct Misfits(BTreeMap<(PopulationId, Capacity), (u64, u64)>);
+
+impl Misfits {
+    fn note(&mut self, population: PopulationId, (capacity, need, limit): (Capacity, u64, u64)) {
+        let known = self.0.entry((population, capacity)).or_insert((need, limit));
+        known.0 = known.0.max(need);
+    }
+
+    fn none(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    fn reasons(self, network: &Quantised) -> CompileError {
+        let reason = |((population, capacity), (need, limit)): ((PopulationId, Capacity), (u64, u64))| {
+            Reason::of_population(network, population, capacity, need, limit)
+        };
+        CompileError::DoesNotFit(self.0.into_iter().map(reason).collect())
+    }
+}
+
+/// Compartments of each core, and what is known of them besides.
+#[derive(Debug, Clone)]
+pub struct Found {
+    /// The compartments.
+    pub members: Members,
+    /// Their fan-out on the chips that were assumed, where it has been counted.
+    pub fan_out: Option<FanOut>,
+    /// What each core uses but for output axons, where filling has counted it exactly.
+    pub usage: Option<IdVec<CoreId, CoreUsage>>,
+}
+
+/// Cores that were filled, and what each of them uses; none once it is not known of one.
+struct Filled {
+    members: Vec<Vec<CompartmentId>>,
+    usage: Option<Vec<CoreUsage>>,
+}
+
+impl Filled {
+    fn nothing() -> Self {
+        Filled { members: Vec::new(), usage: Some(Vec::new()) }
+    }
+
+    fn push(&mut self, held: Vec<CompartmentId>, used: Option<CoreUsage>) {
+        self.members.push(held);
+        match (&mut self.usage, used) {
+            (Some(usage), Some(used)) => usage.push(used),
+            _ => self.usage = None,
+        }
+    }
+
+    fn append(&mut self, other: Filled) {
+        self.members.extend(other.members);
+        match (&mut self.usage, other.usage) {
+            (Some(usage), Some(more)) => usage.extend(more),
+            _ => self.usage = None,
+        }
+    }
+}
+
+/// What compartments are expected to send ([`FanOut`]).
+#[derive(Debug)]
+struct Estimate {
+    slots: Vec<u32>,
+    /// Empty where no compartment shares output axons.
+    together: Vec<u64>,
+}
+
+impl Estimate {
+    fn nothing(network: &Quantised) -> Self {
+        Estimate { slots: vec![0; network.compartments() as usize], together: Vec::new() }
+    }
+
+    /// What evenly drawn targets take, so that a large network need not be filled twice.
+    fn expected(network: &Quantised, target: &Target) -> Self {
+        let mut estimate = Estimate::nothing(network);
+        for (id, population) in network.populations().enumerate() {
+            let Some(first) = population.first_compartment() else { continue };
+            let of_population = first.index()..first.index() + population.shape.len() as usize;
+            estimate.slots[of_population].fill(even_draws::expected_slots(network, id, target));
+        }
+        estimate
+    }
+}
+
+/// Fills cores with one network's compartments.
+#[derive(Debug)]
+pub struct Filler<'a> {
+    /// The network.
+    pub network: &'a Quantised,
+    /// The target.
+    pub target: &'a Target,
+    /// The network read backwards.
+    pub fan_in: FanIn,
+}
+
+impl<'a> Filler<'a> {
+    /// A filler.
+    #[must_use]
+    pub fn new(network: &'a Quantised, target: &'a Target) -> Self {
+        Filler { network, target, fan_in: FanIn::new(network) }
+    }
+
+    /// The better of keeping segments whole and filling every core up.
+    ///
+    /// # Errors
+    /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that fits no core.
+    pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Found, CompileError> {
+        if !self.may_keep_whole(order) {
+            return self.settled(order, chips, true);
+        }
+        let (whole, full) = rayon::join(|| self.settled(order, chips, true), || self.settled(order, chips, false));
+        let whole = whole?;
+        match full {
+            Ok(full) if full.members.len() < whole.members.len() => Ok(full),
+            _ => Ok(whole),
+        }
+    }
+
+    /// Whether keeping segments whole could fill cores otherwise than not: a segment that is no tile is kept whole only where
+    /// one before it has begun a core, and where a core has seats for all of it; parts of a long order begin cores of their own.
+    fn may_keep_whole(&self, order: &[Segment]) -> bool {
+        let seats = self.target.limits()[Resource::Compartments];
+        let fits = |segment: &Segment| segment.indices.len() <= seats;
+        let is_tile = |segment: &Segment| matches!(segment.indices, Indices::Tile(_));
+        order.iter().any(is_tile) || order.iter().skip(1).any(fits) && parts(order).is_none()
+    }
+
+    /// Fills once, whatever the fan-out.
+    ///
+    /// # Errors
+    /// As [`Filler::fewest_cores`].
+    pub fn once(&self, order: &[Segment], keep_whole: bool) -> Result<Members, CompileError> {
+        Ok(self.fill(order, &Estimate::nothing(self.network), keep_whole)?.members.into())
+    }
+
+    /// The fan-out of these members on such chips.
+    #[must_use]
+    pub fn fan_out(&self, members: &Members, chips: Chips) -> FanOut {
+        let core_of = cores_of(self.network.compartments(), members);
+        let (chips, limits) = (chips.of_cores(members.len(), self.target), self.target.limits());
+        let places = Places::for_network(self.network, self.target.limits());
+        let shared = by_position(&places, limits).then(|| self.members_of_axons(members));
+        let shared = shared.as_ref().map(|members| SharedPlaces { places: &places, members });
+        network_fan_out(self.network, &core_of, &chips, limits, shared.as_ref())
+    }
+
+    /// The places that are members of population axons on each core.
+    fn members_of_axons(&self, members: &Members) -> MembersOfCores {
+        let newcomer = |&id: &CompartmentId| {
+            let (population, index) = self.network.population_of(id);
+            let Units::Compartments { neurons, .. } = &self.network.populations()[population].units else {
+                return None;
+            };
+            Some(Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: ALONE })
+        };
+        let filling = || Filling::new(self.network, &self.fan_in, self.target.limits());
+        let of_core = |filling: &mut Filling<'_>, held: &Vec<CompartmentId>| {
+            filling.members_of_axons(held.iter().filter_map(newcomer))
+        };
+        members.as_slice().par_iter().map_init(filling, of_core).collect::<Vec<_>>().into()
+    }
+
+    /// Fills until output axons fit too.
+    ///
+    /// # Errors
+    /// As [`Filler::fewest_cores`].
+    pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Found, CompileError> {
+        let limits = self.target.limits();
+        let mut estimate = match parts(order).is_some() {
+            true => Estimate::expected(self.network, self.target),
+            false => Estimate::nothing(self.network),
+        };
+        for round in 0.. {
+            let Filled { members, usage } = self.fill(order, &estimate, keep_whole)?;
+            let members: Members = members.into();
+            let fan_out = self.fan_out(&members, chips);
+            let mut misfits = Misfits::default();
+            for (id, population) in self.network.populations().enumerate() {
+                let Some(first) = population.first_compartment() else { continue };
+                let of_population = &fan_out.axons[first.index()..first.index() + population.shape.len() as usize];
+                let (need, limit) = (of_population.iter().max(), limits[Resource::AxonsOutPerCompartment]);
+                if let Some(&need) = need.filter(|&&need| need > limit) {
+                    misfits.note(id, (Resource::AxonsOutPerCompartment.into(), need.into(), limit.into()));
+                }
+            }
+            let mut again = false;
+            for held in &members {
+                let (need, limit) = (slots_of_core(held, &fan_out), u64::from(limits[Resource::AxonsOut]));
+                if need > limit && (held.len() == 1 || round == ROUNDS) {
+                    let (population, _) = self.network.population_of(held[0]);
+                    misfits.note(population, (Resource::AxonsOut.into(), need, limit));
+                }
+                again |= need > limit && held.len() > 1;
+            }
+            if !misfits.none() {
+                return Err(misfits.reasons(self.network));
+            }
+            if !again {
+                return Ok(Found { members, fan_out: Some(fan_out), usage: usage.map(IdVec::from) });
+            }
+            self.raise(&mut estimate.slots, &fan_out, round);
+            estimate.together = fan_out.together;
+        }
+        unreachable!("the last round gives reasons or members")
+    }
+
+    /// Raises each estimate to what was sent and a margin, though never above what every synapse on a core of its own sends.
+    fn raise(&self, estimate: &mut [u32], FanOut { slots, together, .. }: &FanOut, round: u32) {
+        let limits = self.target.limits();
+        let more = match limits.output_axons {
+            OutputAxons::PerPosition { more_slots, .. } if !together.is_empty() => more_slots,
+            OutputAxons::PerPosition { .. } | OutputAxons::PerCompartment => 0,
+        };
+        let dearest = u64::from(limits.axon_out_slots.max(limits.axon_out_slots_off_chip) + more);
+        for (population, description) in self.network.populations().enumerate() {
+            let Some(first) = description.first_compartment() else { continue };
+            for index in 0..description.shape.len() {
+                let at = first.index() + index as usize;
+                let margin = (u64::from(slots[at]) << round) >> FIRST_MARGIN;
+                let outgoing = self.network.outgoing(population).iter();
+                let synapses: u64 =
+                    outgoing.map(|&id| self.network.projections()[id].connectivity.count_from(index)).sum();
+                let raised = (u64::from(slots[at]) + margin).min(synapses.saturating_mul(dearest));
+                estimate[at] = estimate[at].max(u32::try_from(raised).unwrap_or(u32::MAX));
+            }
+        }
+    }
+
+    /// Fills cores in order, with these estimates of output axon slots.
+    fn fill(&self, order: &[Segment], estimate: &Estimate, keep_whole: bool) -> Result<Filled, CompileError> {
+        let limits = self.target.limits();
+        let filling = || Filling::new(self.network, &self.fan_in, limits);
+        let (filled, misfits) = match parts(order) {
+            None => self.fill_part(&mut filling(), order, estimate, keep_whole),
+            Some(parts) => {
+                let of_parts: Vec<(Filled, Misfits)> = parts
+                    .par_iter()
+                    .map_init(filling, |filling, part| {
+                        self.fill_part(filling, std::slice::from_ref(part), estimate, keep_whole)
+                    })
+                    .collect();
+                let (mut filled, mut misfits) = (Filled::nothing(), Misfits::default());
+                for (part, of_part) in of_parts {
+                    filled.append(part);
+                    of_part.0.into_iter().for_each(|((population, capacity), (need, limit))| {
+                        misfits.note(population, (capacity, need, limit));
+                    });
+                }
+                (filled, misfits)
+            }
+        };
+        if misfits.none() { Ok(filled) } else { Err(misfits.reasons(self.network)) }
+    }
+
+    /// Fills cores with a part of an order.
+    fn fill_part(
+        &self,
+        filling: &mut Filling,
+        order: &[Segment],
+        estimate: &Estimate,
+        keep_whole: bool,
+    ) -> (Filled, Misfits) {
+        filling.next_core();
+        let mut filled = Filled::nothing();
+        let mut misfits = Misfits::default();
+        for Segment { population, indices } in order {
+            let population = *population;
+            let Units::Compartments { first, neurons, .. } = &self.network.populations()[population].units else {
+                continue;
+            };
+            let newcomer = |at: u32| {
+                let index = indices.get(at);
+                let id = CompartmentId(first.0 + index);
+                let slots_out = estimate.slots[id.index()];
+                let together = estimate.together.get(id.index()).copied().unwrap_or(ALONE);
+                Newcomer { id, population, index, neuron: neurons.get(index), slots_out, together }
+            };
+            let size = indices.len();
+            if keep_whole && matches!(indices, Indices::Tile(_)) {
+                let before = filling.len();
+                if filling.add_whole((0..size).map(newcomer)).is_ok() {
+                    continue;
+                }
+                let mut held = filling.next_core();
+                held.truncate(before);
+                if !held.is_empty() {
+                    filled.push(held, None);
+                    if filling.add_whole((0..size).map(newcomer)).is_ok() {
+                        continue;
+                    }
+                    filling.next_core();
+                }
+            }
+            let before = filling.len();
+            let mut may_move = keep_whole && before > 0 && size <= self.target.limits()[Resource::Compartments];
+            let mut next = 0;
+            while next < size {
+                let Err(used) = filling.add(&newcomer(next)) else {
+                    next += 1;
+                    continue;
+                };
+                let used_by_held = filling.used();
+                let mut held = filling.next_core();
+                if held.is_empty() {
+                    used.excesses(self.target.limits()).for_each(|excess| misfits.note(population, excess));
+                    next += 1;
+                } else if std::mem::take(&mut may_move) {
+                    if (0..size).all(|at| filling.add(&newcomer(at)).is_ok()) {
+                        held.truncate(before);
+                        next = size;
+                    } else {
+                        filling.next_core();
+                    }
+                    filled.push(held, None);
+                } else {
+                    filled.push(held, used_by_held);
+                }
+            }
+        }
+        if !filling.is_empty() {
+            let used = filling.used();
+            filled.push(filling.next_core(), used);
+        }
+        (filled, misfits)
+    }
+}

@@ -1,0 +1,236 @@
+//! Moving groups of compartments between cores while that saves messages.
+//!
+//! Input: a [`State`] and [`Groups`]. Output: a state that is no worse. Passes are those of Fiduccia and
+//! Mattheyses ("A linear-time heuristic for improving network partitions", DAC 1982): the best move first, each group once
+//! a pass, moves that cost something are tried too, and at the end of a pass the state returns to the best that it has
+//! been in. Gains are exact: a group's gain is computed again when its turn comes. What differs from the paper: there are
+//! many cores, so a group looks only at cores that already share one of its nets; and cores are nearly full, so a group
+//! that does not fit where it wants to go may change places with one from there.
+//!
+//! Everything is decided by (gain, number of the group), so the result is the same on every machine.
+
+use std::collections::BinaryHeap;
+use std::time::Instant;
+
+use crate::options::is_over;
+use crate::partition::hyper::{Groups, State};
+use nsim_ir::base::rng;
+
+/// Moves without a new best after which a pass ends.
+const PATIENCE: usize = 400;
+/// Groups of the other core that are considered for a swap.
+const PARTNERS: u64 = 12;
+/// Work of looking one net up for a partner: a search through the cores that it reaches, several times.
+const PARTNER_WORK: u64 = 24;
+const SEED: u64 = 0x5eed;
+
+/// Groups from one look at the clock to the next.
+const LOOKS: u32 = 64;
+
+/// How much is tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Effort {
+    /// Passes over all groups.
+    pub passes: usize,
+    /// Gains that may be computed in all passes together, as a measure of time that is the same everywhere.
+    pub work: u64,
+    /// When to end in any case.
+    pub end: Option<Instant>,
+}
+
+/// Scores of cores, cleared by touching only what was set.
+#[derive(Debug)]
+struct Scores {
+    of: Vec<u64>,
+    touched: Vec<u32>,
+}
+
+impl Scores {
+    fn add(&mut self, core: u32, weight: u64) {
+        let score = &mut self.of[core as usize];
+        if *score == 0 {
+            self.touched.push(core);
+        }
+        *score += weight;
+    }
+
+    /// The cores with the best scores, best first, without `own`.
+    fn best(&mut self, own: u32) -> [Option<u32>; 3] {
+        let mut best = [None::<(u64, u32)>; 3];
+        for &core in &self.touched {
+            let mut entry = Some((std::mem::take(&mut self.of[core as usize]), core)).filter(|_| core != own);
+            for place in &mut best {
+                let better = match (entry, *place) {
+                    (Some((a, x)), Some((b, y))) => (a, std::cmp::Reverse(x)) > (b, std::cmp::Reverse(y)),
+                    (Some(_), None) => true,
+                    (None, _) => false,
+                };
+                if better {
+                    std::mem::swap(place, &mut entry);
+                }
+            }
+        }
+        self.touched.clear();
+        best.map(|entry| entry.map(|(_, core)| core))
+    }
+}
+
+/// Refines a state by moving groups; returns what is left of the work.
+pub fn refine(state: &mut State, groups: &Groups, effort: Effort) -> u64 {
+    let mut work = effort.work;
+    for _ in 0..effort.passes {
+        let before = state.cost();
+        if work == 0 || groups.is_empty() || state.cores() < 2 {
+            break;
+        }
+        pass(state, groups, &mut work, effort.end);
+        if state.cost() >= before {
+            break;
+        }
+    }
+    work
+}
+
+/// A move that was made.
+type Move = (u32, u32, u32);
+
+fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>) {
+    let mut scores = Scores { of: vec![0; state.cores()], touched: Vec::new() };
+    let mut heap: BinaryHeap<(i64, std::cmp::Reverse<u32>)> = BinaryHeap::new();
+    let core_of = |state: &State, group: u32| state.core_of[groups.members.get(group as usize)[0] as usize];
+    for group in 0..groups.len() as u32 {
+        if let Some((gain, _)) = wish(state, groups, group, core_of(state, group), &mut scores, work) {
+            heap.push((gain, std::cmp::Reverse(group)));
+        }
+        if *work == 0 || group % LOOKS == 0 && is_over(end) {
+            break;
+        }
+    }
+    let mut by_core: Vec<Vec<u32>> = vec![Vec::new(); state.cores()];
+    for group in 0..groups.len() as u32 {
+        by_core[core_of(state, group) as usize].push(group);
+    }
+    let mut locked = vec![false; groups.len()];
+    let (mut made, mut sum, mut best, mut kept): (Vec<Move>, i64, i64, usize) = (Vec::new(), 0, 0, 0);
+    while let Some((said, std::cmp::Reverse(group))) = heap.pop() {
+        if *work == 0 || (made.len() - kept) > PATIENCE || is_over(end) {
+            break;
+        }
+        if locked[group as usize] {
+            continue;
+        }
+        let from = core_of(state, group);
+        let Some((gain, to)) = wish(state, groups, group, from, &mut scores, work) else { continue };
+        if gain < said && heap.peek().is_some_and(|next| next.0 > gain) {
+            heap.push((gain, std::cmp::Reverse(group)));
+            continue;
+        }
+        if gain <= 0 && made.len() == kept && kept > 0 && gain < -best.max(1) {
+            break;
+        }
+        let moved = match state.may_move(groups, group, from, to) {
+            true => {
+                state.apply(groups, group, from, to);
+                made.push((group, from, to));
+                sum += gain;
+                by_core[to as usize].push(group);
+                true
+            }
+            false => {
+                let swapped = swap(state, groups, (group, from, to), &by_core, &locked, work);
+                if let Some((partner, gained)) = swapped {
+                    made.push((group, from, to));
+                    made.push((partner, to, from));
+                    locked[partner as usize] = true;
+                    sum += gained;
+                    by_core[to as usize].push(group);
+                    by_core[from as usize].push(partner);
+                }
+                swapped.is_some()
+            }
+        };
+        locked[group as usize] = moved;
+        if sum > best {
+            (best, kept) = (sum, made.len());
+        }
+    }
+    while made.len() > kept {
+        if let Some((group, from, to)) = made.pop() {
+            state.apply(groups, group, to, from);
+        }
+    }
+}
+
+/// The core that a group would rather be on, and what that would save.
+fn wish(
+    state: &State,
+    groups: &Groups,
+    group: u32,
+    from: u32,
+    scores: &mut Scores,
+    work: &mut u64,
+) -> Option<(i64, u32)> {
+    let mut looked = 1;
+    state.for_each_shared(groups, group, |core, weight| {
+        looked += 1;
+        scores.add(core, weight);
+    });
+    // Three gains are looked up besides.
+    *work = work.saturating_sub(4 * looked);
+    let wanted = scores.best(from);
+    let gains = wanted.into_iter().flatten().map(|to| (state.gain(groups, group, from, to), std::cmp::Reverse(to)));
+    gains.max().map(|(gain, std::cmp::Reverse(to))| (gain, to))
+}
+
+/// Changes places with a group of the other core, if that saves something and fits; returns it and what was saved.
+fn swap(
+    state: &mut State,
+    groups: &Groups,
+    (group, from, to): Move,
+    by_core: &[Vec<u32>],
+    locked: &[bool],
+    work: &mut u64,
+) -> Option<(u32, i64)> {
+    let others = &by_core[to as usize];
+    if others.is_empty() {
+        return None;
+    }
+    let first = state.gain(groups, group, from, to);
+    if first <= 0 {
+        return None;
+    }
+    state.apply(groups, group, from, to);
+    let size = groups.members.get(group as usize).len();
+    let mut best: Option<(i64, u32)> = None;
+    for draw in 0..PARTNERS {
+        let partner = others[rng::below(others.len() as u64, SEED, u64::from(group), draw) as usize];
+        let there = state.core_of[groups.members.get(partner as usize)[0] as usize] == to;
+        if partner == group
+            || locked[partner as usize]
+            || !there
+            || groups.members.get(partner as usize).len() > 2 * size
+        {
+            continue;
+        }
+        *work = work.saturating_sub(PARTNER_WORK * (1 + groups.into.get(partner as usize).len() as u64));
+        let gain = first + state.gain(groups, partner, to, from);
+        if gain > 0 && best.is_none_or(|(most, _)| gain > most) {
+            best = Some((gain, partner));
+        }
+    }
+    let fits = best.filter(|&(_, partner)| {
+        state.apply(groups, partner, to, from);
+        let fits = state.within(from) && state.within(to) && state.senders_within(groups, group, partner);
+        if !fits {
+            state.apply(groups, partner, from, to);
+        }
+        fits
+    });
+    match fits {
+        Some((gain, partner)) => Some((partner, gain)),
+        None => {
+            state.apply(groups, group, to, from);
+            None
+        }
+    }
+}

@@ -1,0 +1,263 @@
+//! Compartments gathered core by core, each next to those with which it shares most sources.
+//!
+//! Input: a network whose synapses are listed, and an estimate of each compartment's output axons. Output: the compartments
+//! of each core. A core begins with the next compartment in the order of the file and takes the one that shares most
+//! sources with those it holds, until a limit would be broken; a source that reaches a core already costs no further input
+//! axon there and no further message.
+//!
+//! Candidates are those of a pool of consecutive compartments, so that compartments with k synapses in and out take
+//! k^2 * `POOL` steps in all and a look over its pool each, and pools are filled side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where
+//! synapses are drawn evenly; one of all would save 9 in five times the time. Pools shrink until a round keeps within the effort. Where
+//! that leaves few candidates, or synapses are drawn evenly and a pool is a small part of the network, nothing is gathered.
+
+use rayon::prelude::*;
+
+use crate::partition::members::Members;
+use crate::partition::order::{Chips, Filler, Found};
+use crate::resources::fan_out::{ALONE, slots_of_core};
+use crate::resources::incremental::{Filling, Newcomer};
+use nsim_ir::base::csr::Csr;
+use nsim_ir::base::id::{CompartmentId, Id, PopulationId};
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::resource::Resource;
+
+/// Compartments of a pool.
+const POOL: u32 = 1 << 13;
+/// Compartments below which a pool offers too little choice.
+const LEAST_POOL: u64 = 1 << 8;
+/// Part of an evenly drawn network that a pool has to be: of a million compartments, 122 pools, gathering saved 2 in a hundred messages
+/// and took as long as all other stages of the mapping together.
+const PART: u64 = 32;
+/// Rounds of gathering: the first counts on the output axons of the order of the file, the next on what the one before sends.
+const ROUNDS: u32 = 2;
+/// Part of a core's output axons that is left free, because what compartments will send is known only in the mean.
+const FREE: u64 = 100;
+/// Times that compartments are taken from cores that send too much.
+const TRIMS: usize = 6;
+
+/// A compartment as gathering sees it.
+#[derive(Debug, Clone, Copy)]
+struct Unit {
+    population: PopulationId,
+    index: u32,
+    first: u32,
+}
+
+/// Whether every synapse is listed, so that sources differ in what they reach.
+#[must_use]
+pub fn is_listed(network: &Quantised) -> bool {
+    let listed =
+        |connectivity: &Connectivity| matches!(connectivity, Connectivity::Sparse { .. } | Connectivity::Random { .. });
+    network.projections().iter().all(|projection| listed(&projection.connectivity))
+}
+
+/// Compartments of a pool so that a round takes no more than this work; `None` where gathering is not worth its time.
+fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
+    let compartments = u64::from(network.compartments());
+    let sources = (u64::from(network.channels()) + compartments).max(1);
+    if is_uniform && compartments > u64::from(POOL) * PART {
+        return None;
+    }
+    // Each synapse that brings a core a source touches all compartments of the pool that the source reaches.
+    let synapses = u128::from(network.synapses());
+    let reached =
+        |pool: u64| synapses * synapses * u128::from(pool) / u128::from(sources) / u128::from(compartments.max(1));
+    let sizes =
+        std::iter::successors(Some(u64::from(POOL)), |&size| Some(size / 2)).take_while(|&size| size >= LEAST_POOL);
+    sizes.into_iter().find(|&size| reached(size.min(compartments)) <= u128::from(work)).map(|size| size as u32)
+}
+
+/// Compartments on cores, gathered by shared sources; `sequential` is the order of the file on such chips. `None` where a core
+/// cannot be held within every limit, and where gathering within this work would gain little.
+#[must_use]
+pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_uniform: bool, work: u64) -> Option<Found> {
+    let pool = pool_size(filler.network, is_uniform, work)?;
+    let units: Vec<Unit> = units(filler.network);
+    let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
+    let mut estimate = match &sequential.fan_out {
+        Some(fan_out) => fan_out.slots.clone(),
+        None => filler.fan_out(&sequential.members, chips).slots,
+    };
+    let mut best: Option<Found> = None;
+    for round in 0..ROUNDS {
+        let members = once(filler, &units, pool, &estimate)?;
+        let Some(found) = within_axons(filler, &units, members, chips) else { break };
+        let fan_out = found.fan_out.as_ref()?;
+        let full = found.members.iter().map(|held| slots_of_core(held, fan_out)).max().unwrap_or(0);
+        estimate = fan_out.slots.iter().map(|&slots| slots + slots.div_ceil(FREE as u32)).collect();
+        if best.as_ref().is_none_or(|best| found.members.len() <= best.members.len()) {
+            best = Some(found);
+        }
+        // Where output axons do not decide, another round finds the same.
+        if round == 0 && full < most / 2 {
+            break;
+        }
+    }
+    best
+}
+
+/// The compartments in the order of the file.
+fn units(network: &Quantised) -> Vec<Unit> {
+    let mut units = Vec::with_capacity(network.compartments() as usize);
+    for (population, description) in network.populations().enumerate() {
+        if let Some(first) = description.first_compartment() {
+            units.extend((0..description.shape.len()).map(|index| Unit { population, index, first: first.0 }));
+        }
+    }
+    units
+}
+
+/// Members once each core has been trimmed to the output axons that it has, and what was taken off is on further cores.
+fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips: Chips) -> Option<Found> {
+    let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
+    for _ in 0..TRIMS {
+        let fan_out = filler.fan_out(&members, chips);
+        let mut spare: Vec<u32> = Vec::new();
+        for held in members.iter_mut() {
+            let mut slots = slots_of_core(held, &fan_out);
+            if slots > most {
+                while held.len() > 1 && slots > most - most / FREE {
+                    let last = held.pop()?;
+                    slots -= u64::from(fan_out.slots[last.index()]);
+                    spare.push(last.0);
+                }
+                if slots > most {
+                    return None;
+                }
+            }
+        }
+        if spare.is_empty() {
+            let most = filler.target.limits()[Resource::AxonsOutPerCompartment];
+            return fan_out.axons.iter().all(|&axons| axons <= most).then_some(Found {
+                members,
+                fan_out: Some(fan_out),
+                usage: None,
+            });
+        }
+        spare.sort_unstable();
+        for held in filled(filler, units, &spare, &fan_out.slots)? {
+            members.push(held);
+        }
+    }
+    None
+}
+
+/// Gathers every pool, then what the last core of each holds.
+fn once(filler: &Filler<'_>, units: &[Unit], pool: u32, estimate: &[u32]) -> Option<Members> {
+    let pools: Vec<&[Unit]> = units.chunks(pool as usize).collect();
+    let alone = pools.len() == 1;
+    let found: Vec<Option<Vec<Vec<CompartmentId>>>> = pools
+        .into_par_iter()
+        .map_init(
+            || Filling::new(filler.network, &filler.fan_in, filler.target.limits()),
+            |filling, pool| pool_of(filler, filling, pool, estimate),
+        )
+        .collect();
+    let (mut members, mut rest) = (Vec::new(), Vec::new());
+    for pool in found {
+        let mut pool = pool?;
+        if !alone {
+            rest.extend(pool.pop().unwrap_or_default().into_iter().map(|id| id.0));
+        }
+        members.extend(pool);
+    }
+    members.extend(filled(filler, units, &rest, estimate)?);
+    Some(members.into())
+}
+
+fn newcomer(filler: &Filler<'_>, unit: Unit, estimate: &[u32]) -> Option<Newcomer> {
+    let Unit { population, index, first } = unit;
+    let Units::Compartments { neurons, .. } = &filler.network.populations()[population].units else { return None };
+    let id = CompartmentId(first + index);
+    Some(Newcomer {
+        id,
+        population,
+        index,
+        neuron: neurons.get(index),
+        slots_out: estimate[id.index()],
+        together: ALONE,
+    })
+}
+
+/// Cores filled with these compartments in this order.
+fn filled(filler: &Filler<'_>, units: &[Unit], ids: &[u32], estimate: &[u32]) -> Option<Vec<Vec<CompartmentId>>> {
+    let mut filling = Filling::new(filler.network, &filler.fan_in, filler.target.limits());
+    let mut members = Vec::new();
+    for &id in ids {
+        let newcomer = newcomer(filler, units[id as usize], estimate)?;
+        if filling.add(&newcomer).is_err() {
+            members.push(filling.next_core());
+            filling.add(&newcomer).ok()?;
+        }
+    }
+    members.push(filling.next_core());
+    members.retain(|held| !held.is_empty());
+    Some(members)
+}
+
+/// The cores of one pool, the last of which need not be full.
+fn pool_of(
+    filler: &Filler<'_>,
+    filling: &mut Filling<'_>,
+    pool: &[Unit],
+    estimate: &[u32],
+) -> Option<Vec<Vec<CompartmentId>>> {
+    filling.next_core();
+    let sources = (filler.network.channels() + filler.network.compartments()) as usize;
+    let sources_of = |unit: Unit, f: &mut dyn FnMut(u32)| {
+        filler.fan_in.for_each_into(unit.population, unit.index, |source, _, _, _| f(source));
+    };
+    // The compartments of the pool that each source reaches.
+    let reached: Csr<u16> = Csr::by_row(sources, |put| {
+        for (at, &unit) in pool.iter().enumerate() {
+            sources_of(unit, &mut |source| put(source as usize, at as u16));
+        }
+    });
+    // One more than the sources shared with the core that is being filled; 0 once a compartment is on a core.
+    let mut shared = vec![1i16; pool.len()];
+    let (mut core_of_source, mut core) = (vec![0u32; sources], 1u32);
+    let (mut members, mut next) = (Vec::new(), 0);
+    for _ in 0..pool.len() {
+        let mut at = if filling.is_empty() { None } else { most_shared(&shared) };
+        loop {
+            let taken = match at {
+                Some(taken) => taken,
+                None => {
+                    while shared[next] == 0 {
+                        next += 1;
+                    }
+                    next
+                }
+            };
+            if filling.add(&newcomer(filler, pool[taken], estimate)?).is_ok() {
+                shared[taken] = 0;
+                sources_of(pool[taken], &mut |source| {
+                    if std::mem::replace(&mut core_of_source[source as usize], core) != core {
+                        for &other in reached.get(source as usize) {
+                            let count = &mut shared[usize::from(other)];
+                            *count += i16::from(*count > 0 && *count < i16::MAX);
+                        }
+                    }
+                });
+                break;
+            }
+            let held = filling.next_core();
+            if held.is_empty() {
+                return None;
+            }
+            members.push(held);
+            core += 1;
+            shared.iter_mut().for_each(|count| *count = (*count).min(1));
+            at = None;
+        }
+    }
+    members.push(filling.next_core());
+    Some(members)
+}
+
+/// The first of those that share most.
+fn most_shared(shared: &[i16]) -> Option<usize> {
+    let most = shared.iter().fold(0, |most: i16, &count| most.max(count));
+    shared.iter().position(|&count| count == most && most > 0)
+}

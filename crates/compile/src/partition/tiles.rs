@@ -1,0 +1,392 @@
+//! Populations over space, cut into tiles.
+//!
+//! Input: a population of `[channels, height, width]` that convolutions or poolings reach. Output: segments, each a
+//! rectangle of positions with all or an equal share of the channels. A core that holds a rectangle needs the sources
+//! under the rectangle and its rim; a core that holds as many compartments in the order of the file, channel by channel,
+//! needs nearly all sources of the layer before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks
+//! for the fewest cores with a beam search over them, here every grid is counted in closed form and the first that fits,
+//! in the order of cores and then of messages, is taken; cores are tiles and those that the layer before takes more because
+//! its output axons reach many tiles. Grids whose sources or whose weights alone are too many for a core
+//! are not tried, with lists of their own or shared ([`crate::resources::axon_sharing`]), whichever are fewer.
+//!
+//! Slots of a tile are ordered position by position, channels together, so that the targets of a spike are consecutive;
+//! channel by channel where each channel only receives its own (pooling, depthwise convolution). Where a base may be any
+//! slot ([`OutputAxons::PerPosition`]), both orders are counted and the one of fewer words is taken: channel by channel a
+//! neighbour's lists are one slot further on, so all positions of a tile are within the reach of a base and share one
+//! table, whose lists have runs; position by position lists are dense, but a table is stored once for every 256 slots.
+
+use std::collections::BTreeSet;
+
+use crate::partition::order::{Indices, Segment};
+use crate::resources::axon_sharing::Places;
+use crate::resources::closed_form::{Incoming, Layer, middle, middle_of, part};
+use crate::resources::fan_out::ALONE;
+use crate::resources::formats::Formats;
+use crate::resources::incremental::{Filling, Newcomer};
+use crate::resources::packing::MOST_SLOTS;
+use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
+use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId};
+use nsim_ir::graph::Window;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::resource::{Limits, OutputAxons, Resource};
+
+/// Grids that are tried on a core before giving up.
+const TRIALS: usize = 60;
+/// Grids of as many cores that are tried one after the other.
+const OF_AS_MANY: usize = 3;
+
+/// The part of a core's words, as a divisor, that tiles of fewer words have to leave.
+const LEAST_SAVED: u64 = 8;
+/// Grids of as many cores whose words are counted, and those of them that are tried.
+const OF_FEWER_WORDS: usize = 64;
+const TRIALS_OF_FEWER_WORDS: usize = 4;
+
+/// Whether a population is one that is cut into tiles.
+#[must_use]
+pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
+    let mut into = network.incoming(population).map(|(_, p)| p).peekable();
+    network.populations()[population].shape.volume().is_some()
+        && into.peek().is_some()
+        && into.all(|p| matches!(p.connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. }))
+}
+
+/// By population, the compartments that a core may hold: as many as its limits say, or fewer where their synapses are to be no more
+/// than so many.
+#[must_use]
+pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Option<u64>) -> IdVec<PopulationId, u32> {
+    let held = limits[Resource::Compartments].min(MOST_SLOTS);
+    // The synapses of a compartment whose windows are whole.
+    let mut each: IdVec<PopulationId, u64> = vec![0; network.populations().len()].into();
+    for (id, projection) in network.projections().enumerate() {
+        each[projection.target] += match &projection.connectivity {
+            Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. } => {
+                let channels = u64::from(window.source.0 / window.groups.max(1));
+                channels * u64::from(window.kernel.0) * u64::from(window.kernel.1)
+            }
+            _ => {
+                let compartments = network.populations()[projection.target].shape.len();
+                network.synapses_of(id).div_ceil(u64::from(compartments).max(1))
+            }
+        };
+    }
+    let fitting = |each: &u64| most_synapses.map_or(held, |most| (most / (*each).max(1)).clamp(1, held.into()) as u32);
+    each.iter().map(fitting).collect()
+}
+
+/// Numbers of parts into which a length is cut, each with the size of a part; parts that are no smaller are left out.
+fn cuts(length: u32) -> Vec<(u32, u32)> {
+    let mut cuts: Vec<(u32, u32)> =
+        (1..=length).map(|parts| length.div_ceil(parts)).map(|s| (length.div_ceil(s), s)).collect();
+    cuts.dedup();
+    cuts
+}
+
+/// Source positions under a part of a target axis.
+fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64 {
+    let reach = u64::from(size - 1) * u64::from(stride) + u64::from(kernel - 1) * u64::from(dilation) + 1;
+    // Where strides skip sources, only those under a kernel are reached.
+    let seen = u64::from(size) * u64::from(kernel);
+    reach.min(seen).min(u64::from(source))
+}
+
+/// What the sources of the part in the middle of an axis reach of it: targets of all sources, and of those whose targets
+/// and places in the kernel are not another's shifted.
+fn reached(axis: WindowAxis, length: u32, size: u32) -> (u64, u64) {
+    let fields = axis.fields(&part(length, size, middle_of(length, size)));
+    let all = fields.iter().map(|(field, sources)| field.len() as u64 * sources).sum();
+    let distinct: BTreeSet<ReceptiveField> = fields.iter().map(|(field, _)| relative(field)).collect();
+    (all, distinct.iter().map(|field| field.len() as u64).sum())
+}
+
+/// A grid of tiles: how many cores it takes, the messages that a spike everywhere would cost, and what a tile is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Grid {
+    /// Tiles, and cores that the sources take beyond those of their compartments because of the output axons to the tiles.
+    cores: u64,
+    messages: u64,
+    /// Channels, height and width of a tile; those at the end may be smaller.
+    pub size: (u32, u32, u32),
+}
+
+/// A cut of an axis: parts, the size of one, and what sources reach of it ([`reached`]) by projection.
+type Along = (u32, u32, Vec<(u64, u64)>);
+
+/// Grids that may fit a core of so many compartments, the best first.
+#[must_use]
+pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Vec<Grid> {
+    let (c, h, w) = layer.shape;
+    let along = |length: u32, axis: fn(&Window) -> WindowAxis| -> Vec<Along> {
+        let cuts = cuts(length).into_iter().filter(|&(_, size)| size <= most);
+        let reached =
+            |size| layer.incoming.iter().map(|i| reached(axis(&i.window).uniform(i.uniform), length, size)).collect();
+        cuts.map(|(parts, size)| (parts, size, reached(size))).collect()
+    };
+    let (rows, columns) = (along(h, WindowAxis::rows), along(w, WindowAxis::columns));
+    let mut grids = Vec::new();
+    for (nc, tc) in cuts(c) {
+        for &(nh, th, ref of_rows) in &rows {
+            for &(nw, tw, ref of_columns) in &columns {
+                let size = u64::from(tc) * u64::from(th) * u64::from(tw);
+                if size > u64::from(most) {
+                    continue;
+                }
+                let tiles = u64::from(nc) * u64::from(nh) * u64::from(nw);
+                // Sources, input axons at least, and bits of weights at least.
+                let (mut sources, mut axons, mut bits, mut cores) = (0, 0, 0, tiles);
+                for (&Incoming { window, format, from, placed, .. }, (rows, columns)) in
+                    layer.incoming.iter().zip(of_rows.iter().zip(of_columns))
+                {
+                    let weight_bits = formats.get(format).bits.get();
+                    let out_of_group = (window.target.0 / window.groups).max(1);
+                    let groups = tc.div_ceil(out_of_group).min(window.groups);
+                    let channels = u64::from(groups) * u64::from(window.source.0 / window.groups);
+                    let places = under(th, window.kernel.0, window.stride.0, window.dilation.0, window.source.1)
+                        * under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
+                    let (all, distinct) = ((rows.0, columns.0), (rows.1, columns.1));
+                    sources += channels * places;
+                    // As many targets on the same chip as on another are assumed, and all channels of a position on a core.
+                    let slots = u64::from(limits.axon_out_slots) + u64::from(limits.axon_out_slots_off_chip);
+                    let slots = match limits.output_axons {
+                        OutputAxons::PerPosition { atoms, more_slots } if placed.is_some() => {
+                            slots + if channels > atoms.into() { 2 * u64::from(more_slots) } else { 0 }
+                        }
+                        _ => channels * slots,
+                    };
+                    let senders = (tiles * places * slots).div_ceil(2 * u64::from(limits[Resource::AxonsOut].max(1)));
+                    let anyway = from.map(|from| u64::from(from.div_ceil(limits[Resource::Compartments].max(1))));
+                    cores += anyway.map_or(0, |anyway| senders.saturating_sub(anyway));
+                    axons += places;
+                    // Of every group the sources reach its own channels, which are the tile's together.
+                    let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
+                    bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
+                }
+                if axons <= u64::from(limits[Resource::AxonsIn])
+                    && bits <= 64 * u64::from(limits[Resource::SynapseWords])
+                {
+                    grids.push(Grid { cores, messages: tiles * sources, size: (tc, th, tw) });
+                }
+            }
+        }
+    }
+    grids.sort_unstable();
+    grids
+}
+
+/// The tiles of a population as segments, each fit for a core with at most so many compartments; `None` when no grid
+/// was found that fits.
+#[must_use]
+pub fn tiles(
+    network: &Quantised,
+    population: PopulationId,
+    filling: &mut Filling,
+    limits: &Limits,
+    most: u32,
+) -> Option<Vec<Segment>> {
+    chosen_tiles(network, population, filling, limits, (most, Rank::Messages))
+}
+
+/// Tiles on as many cores that take fewer words and may send more messages; `None` where there are none that leave room worth
+/// having.
+#[must_use]
+pub fn tiles_of_fewer_words(
+    network: &Quantised,
+    population: PopulationId,
+    filling: &mut Filling,
+    limits: &Limits,
+) -> Option<Vec<Segment>> {
+    chosen_tiles(network, population, filling, limits, (limits[Resource::Compartments], Rank::Words))
+}
+
+/// What is minimised among grids of as many cores.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Rank {
+    Messages,
+    Words,
+}
+
+fn chosen_tiles(
+    network: &Quantised,
+    population: PopulationId,
+    filling: &mut Filling,
+    limits: &Limits,
+    (most, rank): (u32, Rank),
+) -> Option<Vec<Segment>> {
+    let description = &network.populations()[population];
+    let formats = Formats::for_network(network);
+    let layer = Layer::for_population(network, population, &formats, &Places::for_network(network, limits))?;
+    let shape = layer.shape;
+    let mut orders = vec![layer];
+    if !orders[0].by_channel && matches!(limits.output_axons, OutputAxons::PerPosition { .. }) {
+        orders.push(Layer { by_channel: true, ..orders[0].clone() });
+    }
+    let Units::Compartments { first, neurons, .. } = &description.units else { return None };
+    let mut fits = |indices: &[u32]| {
+        filling.next_core();
+        let fits = filling.add_whole(indices.iter().map(|&index| {
+            let id = CompartmentId(first.0 + index);
+            Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: ALONE }
+        }));
+        filling.next_core();
+        fits.is_ok()
+    };
+    let all = grids(&orders[0], &formats, limits, most.min(limits[Resource::Compartments]).min(MOST_SLOTS));
+    // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.
+    let ways_of = |grid: &Grid| {
+        let words = |layer: &Layer| {
+            let middle = layer.middle(grid.size, &formats, limits);
+            (layer.joined || !middle.exceeds(limits)).then_some(middle.usage[Resource::SynapseWords])
+        };
+        let mut ways: Vec<(u64, bool)> =
+            orders.iter().filter_map(|layer| Some((words(layer)?, layer.by_channel))).collect();
+        ways.sort_unstable();
+        ways
+    };
+    let mut fits_in_a_way = |grid: &Grid| {
+        let tile = |way| cell(shape, grid.size, middle(shape, grid.size), way);
+        ways_of(grid).into_iter().find(|&(_, way)| fits(&tile(way)))
+    };
+    let mut way = None;
+    let found = first_that_fits(&all, TRIALS, |grid| {
+        way = fits_in_a_way(grid);
+        way.is_some()
+    });
+    let (grid, (words, by_channel)) = found.zip(way)?;
+    if rank == Rank::Messages {
+        return Some(segments(population, shape, grid.size, by_channel));
+    }
+    let tiles = |grid: &Grid| {
+        let along = |length: u32, size: u32| u64::from(length.div_ceil(size));
+        along(shape.0, grid.size.0) * along(shape.1, grid.size.1) * along(shape.2, grid.size.2)
+    };
+    let most = (words * tiles(&grid)).saturating_sub(u64::from(limits[Resource::SynapseWords]) / LEAST_SAVED);
+    let as_many = all.iter().filter(|other| other.cores == grid.cores).take(OF_FEWER_WORDS);
+    let words_of = |other: &Grid| ways_of(other).first().map(|(words, _)| words * tiles(other));
+    let mut others: Vec<(u64, Grid)> = as_many.filter_map(|other| Some((words_of(other)?, *other))).collect();
+    others.retain(|&(words, _)| words <= most);
+    others.sort_unstable();
+    let mut fitting = others.iter().take(TRIALS_OF_FEWER_WORDS).filter_map(|(_, other)| {
+        let (_, by_channel) = fits_in_a_way(other)?;
+        Some(segments(population, shape, other.size, by_channel))
+    });
+    fitting.next()
+}
+
+/// The first of these grids that fits, among those tried.
+pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) -> bool) -> Option<Grid> {
+    // Of as many cores some are tried, which differ in what their lists have in common; a grid that failed says that others
+    // with a few more cores are likely to fail too, so the trials thin out as they go on.
+    let (mut tried, mut of_as_many, mut at) = (0, 0, 0);
+    while at < all.len() && tried < trials {
+        let grid = all[at];
+        if fits(&grid) {
+            return Some(grid);
+        }
+        tried += 1;
+        of_as_many += 1;
+        at += 1;
+        if of_as_many < OF_AS_MANY && at < all.len() && all[at].cores == grid.cores {
+            continue;
+        }
+        of_as_many = 0;
+        // Skip ahead to grids with more cores, the faster the more have failed.
+        let wanted = grid.cores + 1 + grid.cores * tried as u64 / 64;
+        while at < all.len() && all[at].cores < wanted {
+            at += 1;
+        }
+    }
+    None
+}
+
+/// Indices of one tile, in slot order.
+#[must_use]
+pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), by_channel: bool) -> Vec<u32> {
+    let (c, y, x) = (part(shape.0, size.0, at.0), part(shape.1, size.1, at.1), part(shape.2, size.2, at.2));
+    let index = |c: u32, y: u32, x: u32| (c * shape.1 + y) * shape.2 + x;
+    if by_channel {
+        return c
+            .flat_map(|c| y.clone().flat_map(move |y| (0..shape.2).map(move |x| (c, y, x))))
+            .filter(|(_, _, column)| x.contains(column))
+            .map(|(c, y, x)| index(c, y, x))
+            .collect();
+    }
+    let mut indices = Vec::new();
+    for y in y {
+        for x in x.clone() {
+            indices.extend(c.clone().map(|c| index(c, y, x)));
+        }
+    }
+    indices
+}
+
+/// The tiles (channels, row, column) of a grid; rows of them run to and fro, so that neighbours in the order are neighbours
+/// in space.
+pub fn to_and_fro((channels, rows, columns): (u32, u32, u32)) -> impl Iterator<Item = (u32, u32, u32)> {
+    (0..rows).flat_map(move |y| {
+        let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
+        (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
+    })
+}
+
+/// All tiles, in the order of [`to_and_fro`].
+fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u32), by_channel: bool) -> Vec<Segment> {
+    let along = (shape.0.div_ceil(size.0), shape.1.div_ceil(size.1), shape.2.div_ceil(size.2));
+    let tile = |at| Segment { population, indices: Indices::Tile(cell(shape, size, at, by_channel)) };
+    to_and_fro(along).map(tile).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_hold_every_compartment_once() {
+        for (shape, size) in [((3, 5, 7), (3, 2, 3)), ((4, 4, 4), (1, 4, 4)), ((5, 6, 7), (2, 6, 4))] {
+            for by_channel in [false, true] {
+                let segments = segments(PopulationId(0), shape, size, by_channel);
+                let mut all: Vec<u32> = segments
+                    .into_iter()
+                    .flat_map(|segment| match segment.indices {
+                        Indices::Tile(indices) => indices,
+                        _ => panic!("tiles are tiles"),
+                    })
+                    .collect();
+                all.sort_unstable();
+                assert_eq!(all, (0..shape.0 * shape.1 * shape.2).collect::<Vec<_>>());
+            }
+        }
+    }
+
+    #[test]
+    fn a_part_of_an_axis_sees_what_its_windows_cover() {
+        assert_eq!(under(4, 3, 1, 1, 100), 6);
+        assert_eq!(under(4, 5, 2, 1, 100), 11);
+        assert_eq!(under(4, 5, 2, 1, 9), 9);
+        // A stride beyond the kernel skips sources.
+        assert_eq!(under(3, 1, 4, 1, 100), 3);
+        assert_eq!(cuts(10), [(1, 10), (2, 5), (3, 4), (4, 3), (5, 2), (10, 1)]);
+    }
+
+    #[test]
+    fn compartments_are_as_many_as_their_synapses_allow() {
+        use nsim_ir::graph::Shape;
+        use nsim_testing::{Builder, limits, neurons, plain_format};
+        let mut net = Builder::new();
+        let image = net.input_shape("image", Shape::Volume(2, 5, 5));
+        let layer = net.loihi_with("layer", Shape::Volume(4, 5, 5), neurons());
+        let out = net.loihi("out", 3);
+        let once = (1, 1);
+        let (source, target) = ((2, 5, 5), (4, 5, 5));
+        let window = Window { source, target, kernel: (3, 3), stride: once, padding: once, dilation: once, groups: 1 };
+        let kernel = vec![2; 72].into();
+        net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+        net.dense(layer, out, |_, _| 2);
+        let network = net.build();
+        let most = |synapses| most_compartments(&network, &limits(), synapses).iter().copied().collect::<Vec<u32>>();
+        let all = limits()[Resource::Compartments];
+        assert_eq!(most(None), [all, all, all]);
+        // 18 synapses of a position in the middle, though those at the rim have fewer; 100 of each source.
+        assert_eq!(most(Some(180)), [180.min(all), 10, 1]);
+        assert_eq!(most(Some(5)), [5, 1, 1]);
+    }
+}

@@ -1,0 +1,277 @@
+//! Messages between cores, and the links that they cross.
+//!
+//! Input: a network, its partition and rates. Output: *nets*: a core, or the corner where a chip's inputs enter, and the
+//! cores that its messages go to, with their rate. Sources of one core that reach the same cores are one net. Given places,
+//! a net costs links: those of the multicast tree, in which a spike is sent once and copied where routes part, and those
+//! of all routes together (unicast). Routes are those of [`nsim_ir::placement`]: east or west first.
+
+use std::collections::HashMap;
+
+use rayon::prelude::*;
+
+use crate::options::Objective;
+use crate::place::link_loads::LinkLoads;
+use crate::resources::fan_out::by_source;
+use nsim_ir::base::csr::Csr;
+use nsim_ir::base::id::{CoreId, Id, IdVec};
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::partition::Partition;
+use nsim_ir::placement::{Mesh, Site};
+use nsim_ir::quantised::Quantised;
+
+/// Nets that a thread takes at once.
+const PIECE: usize = 1 << 11;
+
+/// One net's source and rate.
+#[derive(Debug, Clone, Copy)]
+pub struct Net {
+    /// The core; none for inputs.
+    pub source: Option<u32>,
+    /// Spikes in as many steps as rates count.
+    pub weight: u64,
+}
+
+/// All nets.
+#[derive(Debug)]
+pub struct Nets {
+    /// Sources and rates.
+    pub nets: Vec<Net>,
+    /// Cores that each net reaches, ascending; a net of inputs reaches cores of one chip.
+    pub reached: Csr<u32>,
+    /// Nets that each core is in.
+    pub of_core: Csr<u32>,
+}
+
+/// What places cost.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Costs {
+    /// Links of multicast trees, times rates.
+    pub multicast: u64,
+    /// Links of single messages, times rates.
+    pub unicast: u64,
+    /// The rates over the link that carries most single messages.
+    pub busiest: u64,
+    /// Links of the longest route.
+    pub longest: u32,
+}
+
+impl Costs {
+    /// What is to be small, as one number.
+    #[must_use]
+    pub fn objective(&self, objective: Objective) -> u128 {
+        let hops = 2 * u128::from(self.multicast) + u128::from(self.unicast);
+        match objective {
+            Objective::Cores | Objective::Energy | Objective::EnergyChip => hops,
+            Objective::Latency => hops + u128::from(self.busiest) * 8 + (u128::from(self.longest) << 80),
+        }
+    }
+}
+
+/// Tiles by column while a net is measured.
+#[derive(Debug)]
+pub struct Columns {
+    of: Vec<(u32, u32, u32)>,
+    stamp: u32,
+    used: Vec<u32>,
+}
+
+impl Columns {
+    /// For a board.
+    #[must_use]
+    pub fn new(mesh: &Mesh) -> Self {
+        Columns { of: vec![(0, 0, 0); (mesh.chips_x * mesh.width) as usize], stamp: 0, used: Vec::new() }
+    }
+
+    /// Links of the multicast tree and of all single routes from a tile to others.
+    pub fn links(&mut self, (sx, sy): (u32, u32), to: impl Iterator<Item = (u32, u32)>) -> (u64, u64) {
+        self.stamp += 1;
+        self.used.clear();
+        let (mut west, mut east, mut unicast) = (sx, sx, 0u64);
+        for (x, y) in to {
+            (west, east) = (west.min(x), east.max(x));
+            unicast += u64::from(x.abs_diff(sx) + y.abs_diff(sy));
+            let column = &mut self.of[x as usize];
+            if column.0 != self.stamp {
+                *column = (self.stamp, y.min(sy), y.max(sy));
+                self.used.push(x);
+            } else {
+                *column = (self.stamp, column.1.min(y), column.2.max(y));
+            }
+        }
+        let down: u64 = self.used.iter().map(|&x| self.of[x as usize]).map(|(_, top, end)| u64::from(end - top)).sum();
+        (u64::from(east - west) + down, unicast)
+    }
+}
+
+impl Nets {
+    /// The nets of a partition whose cores are numbered chip by chip.
+    #[must_use]
+    pub fn new(network: &Quantised, partition: &Partition, rates: &Rates) -> Self {
+        let core_of = partition.seats().iter().map(|seat| seat.core).collect();
+        let flows: Vec<(Option<u32>, u64, Vec<u32>)> =
+            by_source(network, &core_of, partition.cores(), true, |source, own, reached| {
+                let mut reached: Vec<u32> = reached.iter().map(|core| core.0).collect();
+                reached.sort_unstable();
+                (own.map(|core| core.0), rates.rate_of(source), reached)
+            });
+        Nets::from_flows(partition.cores(), flows.into_iter())
+    }
+
+    /// The nets of so many cores, given as (core, none for inputs; rate; cores reached, ascending).
+    #[must_use]
+    pub fn from_flows(all_cores: usize, flows: impl Iterator<Item = (Option<u32>, u64, Vec<u32>)>) -> Self {
+        let mut known: HashMap<(Option<u32>, Vec<u32>), usize> = HashMap::new();
+        let (mut nets, mut reached): (Vec<Net>, Csr<u32>) = (Vec::new(), Csr::default());
+        for (source, weight, cores) in flows {
+            // A message within its own core crosses no link and pulls nowhere.
+            if cores.is_empty() || (source.is_some() && cores.len() == 1 && cores.first() == source.as_ref()) {
+                continue;
+            }
+            let at = *known.entry((source, cores)).or_insert_with_key(|(_, cores)| {
+                nets.push(Net { source, weight: 0 });
+                reached.push(cores.iter().copied());
+                nets.len() - 1
+            });
+            nets[at].weight += weight;
+        }
+        drop(known);
+        let mut of_core: Vec<Vec<u32>> = vec![Vec::new(); all_cores];
+        for (net, Net { source, .. }) in nets.iter().enumerate() {
+            let net = net as u32;
+            let cores = reached.get(net as usize);
+            cores.iter().for_each(|&core| of_core[core as usize].push(net));
+            if let Some(source) = source.filter(|source| cores.binary_search(source).is_err()) {
+                of_core[source as usize].push(net);
+            }
+        }
+        let mut lists = Csr::default();
+        of_core.into_iter().for_each(|list| lists.push(list));
+        Nets { nets, reached, of_core: lists }
+    }
+
+    /// Whether a core sends messages to another.
+    #[must_use]
+    pub fn sends(&self, core: CoreId) -> bool {
+        self.of_core.get(core.index()).iter().any(|&net| self.nets[net as usize].source.is_some())
+    }
+
+    /// Rate of inputs into a core.
+    #[must_use]
+    pub fn input(&self, core: CoreId) -> u64 {
+        let of = self.of_core.get(core.index()).iter().map(|&net| self.nets[net as usize]);
+        of.filter(|net| net.source.is_none()).map(|net| net.weight).sum()
+    }
+
+    /// Links of the multicast tree and of all single routes of one net.
+    #[must_use]
+    pub fn links(&self, net: u32, mesh: &Mesh, sites: &[Site], columns: &mut Columns) -> (u64, u64) {
+        let reached = self.reached.get(net as usize);
+        let tile = |core: u32| mesh.tile(sites[core as usize]);
+        match self.nets[net as usize].source {
+            Some(source) => columns.links(tile(source), reached.iter().map(|&core| tile(core))),
+            // Inputs enter every chip at its corner, and are copied from there.
+            None => {
+                let chip = |core: &u32| sites[*core as usize].chip;
+                let (mut tree, mut all) = (0, 0);
+                let mut cores = reached;
+                while let Some(first) = cores.first() {
+                    let here = chip(first);
+                    let of_chip = cores.iter().take_while(|core| chip(core) == here).count();
+                    let site = sites[*first as usize];
+                    let (x, y) = mesh.tile(site);
+                    let corner = (x - site.x, y - site.y);
+                    let to = cores[..of_chip].iter().map(|&core| tile(core));
+                    let (t, a) = columns.links(corner, to);
+                    (tree, all) = (tree + t, all + a);
+                    cores = &cores[of_chip..];
+                }
+                (tree, all)
+            }
+        }
+    }
+
+    /// What places cost; the busiest link and the longest route only where the objective looks at them.
+    #[must_use]
+    pub fn costs(&self, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
+        self.costs_of_every(1, mesh, sites, objective)
+    }
+
+    /// What places cost by every so-many-th net, for comparing places.
+    #[must_use]
+    pub fn costs_of_every(&self, nth: usize, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
+        let (sites, of_links) = (sites.as_slice(), objective == Objective::Latency);
+        let of_part = |part: std::ops::Range<usize>| {
+            let mut columns = Columns::new(mesh);
+            let mut loads = of_links.then(|| LinkLoads::new(mesh));
+            let mut costs = Costs::default();
+            for net in part.step_by(nth.max(1)) {
+                let of = self.nets[net];
+                let (tree, all) = self.links(net as u32, mesh, sites, &mut columns);
+                costs.multicast += of.weight * tree;
+                costs.unicast += of.weight * all;
+                let Some(loads) = &mut loads else { continue };
+                for &core in self.reached.get(net) {
+                    let site = sites[core as usize];
+                    let (tx, ty) = mesh.tile(site);
+                    let (fx, fy) = match of.source {
+                        Some(source) => mesh.tile(sites[source as usize]),
+                        None => (tx - site.x, ty - site.y),
+                    };
+                    costs.longest = costs.longest.max(fx.abs_diff(tx) + fy.abs_diff(ty));
+                    loads.add((fx, fy), (tx, ty), of.weight as i64);
+                }
+            }
+            if let Some(loads) = loads {
+                [costs.busiest, ..] = loads.greatest(mesh);
+            }
+            costs
+        };
+        // The busiest link is that of all nets together.
+        if of_links || self.nets.len() / nth.max(1) < PIECE {
+            return of_part(0..self.nets.len());
+        }
+        let part = PIECE * nth.max(1);
+        let parts: Vec<usize> = (0..self.nets.len()).step_by(part).collect();
+        let sums = parts.into_par_iter().map(|from| of_part(from..(from + part).min(self.nets.len())));
+        sums.reduce(Costs::default, |a, b| Costs {
+            multicast: a.multicast + b.multicast,
+            unicast: a.unicast + b.unicast,
+            ..a
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use nsim_ir::base::rng;
+
+    const MESH: Mesh = Mesh { chips_x: 2, chips_y: 2, width: 4, height: 3, cores_per_tile: 2, cores_per_chip: 24 };
+
+    #[test]
+    fn a_tree_is_the_union_of_ways() {
+        let mut columns = Columns::new(&MESH);
+        for seed in 0..200 {
+            let draw = |k: u64, n: u64| rng::below(n, seed, 3, k) as u32;
+            let from = (draw(0, 8), draw(1, 6));
+            let to: Vec<(u32, u32)> =
+                (0..1 + u64::from(draw(2, 9))).map(|k| (draw(10 + k, 8), draw(50 + k, 6))).collect();
+            let (mut links, mut all) = (BTreeSet::new(), 0);
+            for &(x, y) in &to {
+                let mut at = from;
+                while at != (x, y) {
+                    let next = match at.0 == x {
+                        false => (if at.0 < x { at.0 + 1 } else { at.0 - 1 }, at.1),
+                        true => (at.0, if at.1 < y { at.1 + 1 } else { at.1 - 1 }),
+                    };
+                    links.insert((at, next));
+                    all += 1;
+                    at = next;
+                }
+            }
+            assert_eq!(columns.links(from, to.into_iter()), (links.len() as u64, all), "seed {seed}");
+        }
+    }
+}

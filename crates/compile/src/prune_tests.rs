@@ -1,0 +1,192 @@
+//! Each kind of pruning on a network made for it, and what people see of a pruned network.
+
+use crate::{CompileError, Options, compile, compile_saved};
+use nsim_dynamics::{Arrivals, may_spike};
+use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+use nsim_ir::base::fixed::{BiasMantissa, SignMode, ThresholdMantissa};
+use nsim_ir::base::id::{ChannelId, PopulationId};
+use nsim_ir::graph::PerCompartment;
+use nsim_ir::graph::Shape;
+use nsim_ir::pruned::Kind;
+use nsim_ir::quantised::Neuron;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::spikes::Sample;
+use nsim_quantise::prune::*;
+use nsim_testing::{Builder, format, limits, neurons, target};
+
+/// Counts in the order of `Kind::ALL`.
+fn counts(network: &Quantised) -> [u64; 5] {
+    Kind::ALL.map(|kind| network.pruned().unwrap().count(kind))
+}
+
+/// Four channels to four compartments, one each, and those to one output.
+fn fan(weights: [i16; 4]) -> Builder {
+    let mut builder = Builder::new();
+    let (input, hidden, out) = (builder.input("in", 4), builder.loihi("hidden", 4), builder.loihi("out", 1));
+    let sparse = |weights: [i16; 4]| Connectivity::Sparse {
+        first: (0..5).collect(),
+        targets: (0..4).collect(),
+        weights: weights.into(),
+    };
+    builder.connect((input, hidden), format(0, SignMode::Mixed, 8), 0, sparse(weights));
+    builder.dense(hidden, out, |_, _| 100);
+    builder
+}
+
+fn scene(dead: &[u32]) -> Plan {
+    let dead = dead.iter().map(|&channel| ChannelId(channel)).collect();
+    Plan { scene: Some(Scene { stimulus: vec!["quiet.npy".to_string()], dead }), probed: Vec::new() }
+}
+
+#[test]
+fn weights_of_zero_go_and_what_they_alone_drove() {
+    let whole = fan([100, 0, 100, 0]).build();
+    let pruned = prune(&whole, &Plan::fixed()).unwrap();
+    assert_eq!(counts(&pruned), [0, 2, 2, 0, 2]);
+    assert_eq!((pruned.compartments(), pruned.synapses(), pruned.channels()), (3, 4, 4));
+    let hidden = PopulationId(1);
+    assert_eq!(pruned.kept(hidden), Some(&[0, 2][..]));
+    assert_eq!((pruned.index_shown(hidden, 1), pruned.index_of_shown(hidden, 2)), (2, Some(1)));
+    assert_eq!((pruned.index_of_shown(hidden, 3), pruned.units_shown(hidden)), (None, 4));
+    assert_eq!(pruned.pruned().unwrap().rows[0].of, [("in -> hidden".to_string(), 2)]);
+}
+
+#[test]
+fn a_negative_exponent_turns_small_weights_to_zero() {
+    let mut builder = Builder::new();
+    let (input, out) = (builder.input("in", 3), builder.loihi("out", 1));
+    let weights = Connectivity::Dense { targets: 1, weights: [6, 8, -6].into() };
+    builder.connect((input, out), format(-3, SignMode::Mixed, 8), 0, weights);
+    let pruned = prune(&builder.build(), &Plan::fixed()).unwrap();
+    assert_eq!((counts(&pruned), pruned.synapses()), ([0, 2, 0, 0, 0], 1));
+}
+
+#[test]
+fn dead_channels_lose_their_synapses_and_silence_what_they_alone_drove() {
+    let whole = fan([100; 4]).build();
+    let pruned = prune(&whole, &scene(&[1, 3])).unwrap();
+    assert_eq!(counts(&pruned), [2, 0, 2, 0, 4]);
+    let at = |step, channel| Sample::new(9, &[(step, ChannelId(channel))], None).unwrap();
+    assert!(check_stimulus(&pruned, &[&at(0, 0), &at(8, 2)], 0).is_ok());
+    let refused = check_stimulus(&pruned, &[&at(0, 0), &at(8, 3)], 5).unwrap_err();
+    assert_eq!(refused.code, "input.pruned");
+    for word in ["sample 6", "channel 3 of 'in'", "step 8", "quiet.npy"] {
+        assert!(refused.message.contains(word), "{refused}");
+    }
+    assert!(check_stimulus(&whole, &[&at(8, 3)], 0).is_ok());
+    assert!(prune(&whole, &scene(&[4])).is_err() && prune(&pruned, &Plan::fixed()).is_err());
+}
+
+#[test]
+fn what_reaches_nothing_goes_unless_it_is_probed() {
+    let mut builder = Builder::new();
+    let input = builder.input("in", 2);
+    let (aside, beyond, out) = (builder.loihi("aside", 3), builder.loihi("beyond", 2), builder.loihi("out", 1));
+    for (source, target) in [(input, aside), (aside, beyond), (beyond, aside), (input, out)] {
+        builder.dense(source, target, |_, _| 100);
+    }
+    let whole = builder.build();
+    let pruned = prune(&whole, &Plan::fixed()).unwrap();
+    assert_eq!(counts(&pruned), [0, 0, 0, 5, 18]);
+    assert_eq!(pruned.populations()[aside].shape.len(), 0, "the name stays");
+    let probed = prune(&whole, &Plan::fixed().probing([beyond])).unwrap();
+    assert_eq!(counts(&probed), [0; 5]);
+    assert!(compile(pruned, &target(1, 1, limits()), &Options { copies: 3, ..Options::default() }).is_ok());
+}
+
+#[test]
+fn a_loop_that_nothing_starts_is_silent_and_one_with_a_bias_is_not() {
+    let looped = |bias: i64| {
+        let mut builder = Builder::new();
+        let input = builder.input("in", 1);
+        let biased = PerCompartment::Same(Neuron { bias_mant: BiasMantissa::new(bias).unwrap(), ..neurons().get(0) });
+        let ring = builder.loihi_with("ring", Shape::Line(3), biased);
+        let out = builder.loihi("out", 1);
+        builder.dense(ring, ring, |_, _| 200);
+        builder.dense(ring, out, |_, _| 200);
+        builder.dense(input, out, |_, _| 200);
+        counts(&prune(&builder.build(), &Plan::fixed()).unwrap())
+    };
+    assert_eq!(looped(0), [0, 0, 3, 0, 12]);
+    // 128 / 4096 decay of v: a bias of 160 ends at (160 - 1) * 32 + 1 = 5089 <= 80 * 64, one of 161 at 5121 > 80 * 64.
+    assert_eq!(looped(160), [0, 0, 3, 0, 12]);
+    assert_eq!(looped(161), [0; 5]);
+}
+
+#[test]
+fn a_silent_output_stays_but_is_no_source() {
+    let mut builder = Builder::new();
+    let input = builder.input("in", 1);
+    let high = PerCompartment::Same(Neuron { vth: ThresholdMantissa::MAX, ..neurons().get(0) });
+    let out = builder.loihi_with("out", Shape::Line(2), high);
+    builder.dense(input, out, |_, _| 2);
+    builder.dense(out, out, |_, _| 2);
+    let pruned = prune(&builder.build(), &Plan::fixed()).unwrap();
+    assert_eq!((counts(&pruned), pruned.compartments(), pruned.synapses()), ([0, 0, 0, 0, 4], 2, 2));
+}
+
+#[test]
+fn a_projection_that_loses_nothing_is_left_as_it_was() {
+    let mut builder = Builder::new();
+    let (input, out) = (builder.input("in", 3), builder.loihi("out", 2));
+    builder.dense(input, out, |_, _| 40);
+    let pruned = prune(&builder.build(), &Plan::fixed()).unwrap();
+    assert!(matches!(pruned.projections().as_slice()[0].connectivity, Connectivity::Dense { .. }));
+    assert_eq!(counts(&pruned), [0; 5]);
+}
+
+#[test]
+fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
+    let whole = fan([100, 0, 100, 100]).build();
+    let board = target(1, 1, limits());
+    let options = Options { copies: 2, ..Options::default() };
+    let pruned = prune(&whole, &scene(&[2])).unwrap();
+    let compiled = compile(pruned, &board, &options).unwrap();
+    let file = compiled.mapping_file();
+    let said = file.pruned.as_ref().unwrap();
+    assert_eq!((said.dead.len(), said.dead[0].first, said.dead[0].count), (1, 2, 1));
+    let runs: Vec<_> =
+        file.cores.iter().flat_map(|core| &core.holds).filter(|run| run.population == "hidden").collect();
+    assert_eq!(runs.iter().map(|run| (run.first, run.count)).collect::<Vec<_>>(), [(0, 1), (3, 1)]);
+    let again = compile_saved(whole.clone(), &board, &options, &file).unwrap();
+    assert_eq!(again.program, compiled.program);
+    assert_eq!(again.one.pruned().unwrap().dead, [ChannelId(2)]);
+    assert_eq!(again.mapping_file(), file);
+
+    let refused = |change: &dyn Fn(&mut nsim_ir::mapping::MappingFile)| {
+        let mut file = file.clone();
+        change(&mut file);
+        match compile_saved(whole.clone(), &board, &options, &file) {
+            Err(CompileError::Input(diagnostic)) => diagnostic,
+            other => panic!("{other:?}"),
+        }
+    };
+    let dead = |file: &mut nsim_ir::mapping::MappingFile, first, count| {
+        let run = &mut file.pruned.as_mut().unwrap().dead[0];
+        (run.first, run.count) = (first, count);
+    };
+    assert_eq!(refused(&|file| dead(file, 2, u32::MAX)).code, "mapping.pruned");
+    assert_eq!(refused(&|file| dead(file, 3, 1)).code, "mapping.pruned", "compartment 3 is mapped but would be pruned");
+    assert_eq!(refused(&|file| file.pruned.as_mut().unwrap().dead[0].population = "out".into()).code, "mapping.pruned");
+    assert_eq!(refused(&|file| file.pruned.as_mut().unwrap().probed.push("in".into())).code, "mapping.pruned");
+    assert_eq!(refused(&|file| file.pruned.as_mut().unwrap().stimulus = None).code, "mapping.pruned");
+    assert_eq!(refused(&|file| file.pruned = None).code, "mapping.missing");
+    let whole_file = compile(whole.clone(), &board, &options).unwrap().mapping_file();
+    let pruned = prune(&whole, &Plan::fixed()).unwrap();
+    assert!(compile_saved(pruned, &board, &options, &whole_file).is_err());
+}
+
+#[test]
+fn a_threshold_that_may_be_met_at_rest_is_no_silence() {
+    let mut neuron = neurons().get(0);
+    neuron.vth = ThresholdMantissa::new(0).unwrap();
+    let none = Arrivals::default();
+    for semantics in [Semantics::Hardware, Semantics::Lava, Semantics::Slayer] {
+        assert!(may_spike(&neuron, semantics, ThresholdTest::Inclusive, none));
+        assert!(!may_spike(&neuron, semantics, ThresholdTest::Strict, none));
+    }
+    neuron.bias_mant = BiasMantissa::new(-1).unwrap();
+    assert!(!may_spike(&neuron, Semantics::Hardware, ThresholdTest::Inclusive, none));
+    assert!(may_spike(&neuron, Semantics::Slayer, ThresholdTest::Inclusive, none), "SLAYER has no bias");
+}

@@ -1,0 +1,425 @@
+//! Which input axons of a core become members of population axons, so that a kernel is stored once.
+//!
+//! In come the lists of a core; out go classes of places whose lists are the same, and how many places of each share one
+//! stored table. A *place* is one position of a population over space from which a window (convolution or pooling) goes
+//! out; its channels are its *atoms*. All that a convolution sends from one place to a core is a list for each atom; from
+//! the next place it is the same lists, a few slots further on. A population axon stands for a place: it has a table (a
+//! list for each atom, which several population axons may have in common) and a base that is added to all slots. The
+//! message of a spike carries the atom.
+//!
+//! What the hardware allows (nengo-loihi `hardware/builder.py`, `block.py`, `builder/split_blocks.py` and
+//! `builder/validate.py`), by how a target counts output axons ([`OutputAxons`]):
+//!
+//! | | pop16 | pop32 |
+//! |---|---|---|
+//! | numbers of axons on a core | 10 bits | 12 bits |
+//! | atoms | 32 | 512 (inferred) |
+//! | base | multiples of 4 below 256 | below 256 |
+//! | slots of an output axon | those of a discrete one | one more |
+//!
+//! - Counted for each position, a population axon is pop16 where its atoms and its base allow it, pop32 otherwise
+//!   ([`is_long`]).
+//! - Counted for each compartment, all are pop16 in the widest form of nengo-loihi's emulator: an atom has up to 9 bits,
+//!   those beyond five are taken from the ten of the axon's number ([`most_axons`]).
+//! - Places that begin farther on than a base reaches keep whole 256s in the slots of their lists, so that they share with
+//!   others between the same 256s only, as nengo-loihi has it (`conv.py`, `conv2d_loihi_weights`).
+//! - A compartment belongs to one population, so its atom is the same on every core: it is the channel.
+//!
+//! A population that all of another's sources reach may have more sources than a core has input axons. Such sources are
+//! gathered too: each 512 of them are the atoms of a population axon, whose lists stay their own, so that input axons are
+//! saved and no words. Only networks that say so (`Parts::gathers`, `nsim map --relays`) are mapped in this way.
+//!
+//! How a table is stored: the lists of its atoms follow each other at equal distances. NxTF (`nxsdk_modules_ncl/dnn`) pads
+//! lists to the longest; here places whose lists differ in words do not share, so there is nothing to pad but atoms that
+//! send nothing. The entry of a population axon has one base and no more, so the first slot of a dense group stands in the
+//! table ([`packing::words_in_table`]).
+//!
+//! The rule: a class shares when that takes no more words than lists of its own for each source, and fewer words or fewer
+//! input axons; those that save most come first while there are numbers for population axons. [`crate::resources::exact`] counts
+//! so, [`crate::emit::route`] writes so, [`crate::resources::incremental`] asks so for whole tiles, and
+//! [`crate::resources::closed_form`] counts classes from geometry.
+//!
+//! [`packing::words_in_table`]: crate::resources::packing::words_in_table
+
+use std::collections::HashMap;
+
+use crate::resources::by_core;
+use crate::resources::by_core::Key;
+use crate::resources::fan_in::first_source;
+use nsim_ir::base::id::PopulationId;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Projection, Quantised};
+use nsim_ir::resource::{Limits, OutputAxons, Resource};
+
+/// Bits of an atom at most.
+const MOST_ATOM_BITS: u32 = 9;
+/// Bits of an atom that the number of an axon does not miss.
+const FREE_ATOM_BITS: u32 = 5;
+/// Bits of the number of a population axon whose atoms need no more than [`FREE_ATOM_BITS`].
+const AXON_BITS: u32 = 10;
+/// Bits of the number of a pop32 axon.
+const LONG_AXON_BITS: u32 = 12;
+/// Bases of pop16 axons are multiples of this.
+pub const BASE_STEP: u16 = 4;
+/// Bases are below this.
+pub const BASE_END: u16 = 256;
+/// Members of population axons and discrete axons that a core of a program can number.
+pub const MOST_NUMBERED: u64 = 1 << 16;
+/// The most atoms.
+pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
+
+/// pop16 axons that a core can number when its tables have so many atoms, at most [`MOST_ATOMS`].
+#[must_use]
+pub fn most_axons(atoms: u16) -> u32 {
+    let bits = u16::BITS - atoms.saturating_sub(1).leading_zeros();
+    1 << (AXON_BITS - bits.clamp(FREE_ATOM_BITS, MOST_ATOM_BITS) + FREE_ATOM_BITS)
+}
+
+/// Population axons that a core can number: of so many atoms at most, and all together.
+#[must_use]
+pub fn numbers(most_atoms: u16, limits: &Limits) -> (u32, u32) {
+    match limits.output_axons {
+        OutputAxons::PerCompartment => (most_axons(most_atoms), most_axons(most_atoms)),
+        OutputAxons::PerPosition { .. } => (1 << AXON_BITS, 1 << LONG_AXON_BITS),
+    }
+}
+
+/// Whether a population axon is a pop32 axon.
+#[inline]
+#[must_use]
+pub fn is_long(atoms: u16, base: u16, limits: &Limits) -> bool {
+    match limits.output_axons {
+        OutputAxons::PerCompartment => false,
+        OutputAxons::PerPosition { atoms: of_short, .. } => atoms > of_short || !base.is_multiple_of(BASE_STEP),
+    }
+}
+
+/// The base of a place whose lists begin at this slot.
+#[inline]
+#[must_use]
+pub fn base_of(first_slot: u16, limits: &Limits) -> u16 {
+    let base = first_slot % BASE_END;
+    match limits.output_axons {
+        OutputAxons::PerCompartment => base / BASE_STEP * BASE_STEP,
+        OutputAxons::PerPosition { .. } => base,
+    }
+}
+
+/// A population whose sources have places.
+#[derive(Debug, Clone, Copy)]
+struct Spatial {
+    /// Its sources.
+    first: u32,
+    end: u32,
+    /// Positions of a channel.
+    positions: u32,
+    /// The number of its first place.
+    place: u32,
+}
+
+/// The places of a network's sources.
+#[derive(Debug, Clone, Default)]
+pub struct Places {
+    populations: Vec<Spatial>,
+    /// Whether any of them are compartments.
+    of_compartments: bool,
+    /// Whether any of them are there because input axons are too few.
+    of_need: bool,
+}
+
+/// Whether the sources of a population are gathered in population axons, if they may be, because a population that all of them reach has more
+/// sources than a core has input axons. Lists stay their own, so nothing but input axons is saved.
+fn gathers(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
+    let is_dense = |p: &Projection| matches!(p.connectivity, Connectivity::Dense { .. });
+    let outgoing = || network.outgoing(id).iter().map(|&p| &network.projections()[p]);
+    let too_many = |target: PopulationId| {
+        let into = network.incoming(target).map(|(_, p)| p).filter(|p| is_dense(p));
+        let sources: u64 = into.map(|p| u64::from(network.populations()[p.source].shape.len())).sum();
+        (u64::from(limits[Resource::AxonsIn]) + 1..=MOST_NUMBERED).contains(&sources)
+    };
+    network.parts().gathers
+        && matches!(limits.output_axons, OutputAxons::PerPosition { .. })
+        && outgoing().all(is_dense)
+        && outgoing().any(|p| too_many(p.target))
+}
+
+impl Places {
+    /// Of all populations over space from which a window goes out; and of those whose sources all reach a population that has
+    /// more of them than a core has input axons, where these may be population axons of any atoms.
+    #[must_use]
+    pub fn for_network(network: &Quantised, limits: &Limits) -> Self {
+        Places::gathered(network, Some(limits))
+    }
+
+    /// Of all populations over space from which a window goes out, whatever the limits.
+    #[must_use]
+    pub fn of_windows(network: &Quantised) -> Self {
+        Places::gathered(network, None)
+    }
+
+    fn gathered(network: &Quantised, limits: Option<&Limits>) -> Self {
+        let mut places = Places::default();
+        let mut next = 0;
+        for (id, population) in network.populations().enumerate() {
+            let is_window = |connectivity: &Connectivity| {
+                matches!(connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. })
+            };
+            let sends = network.outgoing(id).iter().any(|&p| is_window(&network.projections()[p].connectivity));
+            let positions = match population.shape.volume() {
+                Some((channels, height, width)) if sends && channels <= MOST_ATOMS.into() => height * width,
+                _ if limits.is_some_and(|limits| gathers(network, id, limits)) => {
+                    places.of_need = true;
+                    population.shape.len().div_ceil(MOST_ATOMS.into())
+                }
+                _ => continue,
+            };
+            let first = first_source(network, population);
+            places.populations.push(Spatial { first, end: first + population.shape.len(), positions, place: next });
+            next += positions;
+            places.of_compartments |= population.first_compartment().is_some();
+        }
+        places.populations.sort_unstable_by_key(|population| population.first);
+        places
+    }
+
+    /// Whether there are places without which a compartment has more sources than input axons.
+    #[must_use]
+    pub fn are_of_need(&self) -> bool {
+        self.of_need
+    }
+
+    /// How many places the sources of a population have, if any.
+    #[must_use]
+    pub fn positions(&self, network: &Quantised, population: PopulationId) -> Option<u32> {
+        let first = first_source(network, &network.populations()[population]);
+        self.populations.iter().find(|population| population.first == first).map(|population| population.positions)
+    }
+
+    /// Whether no source has a place.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.populations.is_empty()
+    }
+
+    /// Whether compartments have places, and not only input channels.
+    #[must_use]
+    pub fn are_of_compartments(&self) -> bool {
+        self.of_compartments
+    }
+
+    /// Whether the sources of a population have places.
+    #[must_use]
+    pub fn holds(&self, network: &Quantised, population: PopulationId) -> bool {
+        self.of_source(first_source(network, &network.populations()[population])).is_some()
+    }
+
+    /// The place and the atom of a source.
+    #[inline]
+    #[must_use]
+    pub fn of_source(&self, source: u32) -> Option<(u32, u16)> {
+        let at = self.populations.partition_point(|population| population.end <= source);
+        let population = self.populations.get(at).filter(|population| population.first <= source)?;
+        let index = source - population.first;
+        Some((population.place + index % population.positions, (index / population.positions) as u16))
+    }
+}
+
+/// Places whose lists are the same, counted from their bases, and what one of them takes in one way of storing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Class {
+    /// How many places.
+    pub places: u32,
+    /// Lists of a place: sources at it that reach the core.
+    pub lists: u32,
+    /// The highest atom and one.
+    pub atoms: u16,
+    /// Words of a place's lists as lists of discrete axons.
+    pub words: u32,
+    /// The fewest and the most words that one of its lists takes in a table.
+    pub list_words: (u32, u32),
+}
+
+impl Class {
+    /// Words of its table.
+    #[must_use]
+    pub fn table(&self) -> u64 {
+        u64::from(self.atoms) * u64::from(self.list_words.1)
+    }
+
+    /// Words that so many places save by sharing; less than none when the table is dearer.
+    #[must_use]
+    pub fn saving(&self, places: u32) -> i64 {
+        (u64::from(places) * u64::from(self.words)) as i64 - self.table() as i64
+    }
+
+    fn pays(&self, places: u32, limits: &Limits) -> bool {
+        let saving = self.saving(places);
+        places > 0
+            && self.list_words.0 == self.list_words.1
+            && self.list_words.1 <= limits[Resource::SynapseWordsPerAxon]
+            && (saving > 0 || saving == 0 && self.lists > 1)
+    }
+}
+
+/// How many places of each class share its table.
+#[must_use]
+pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
+    let most_atoms = classes.iter().map(|class| class.atoms).max().unwrap_or(1);
+    let (mut short, mut left) = numbers(most_atoms, limits);
+    // Those that may be short count as such, whatever their bases.
+    let may_be_short = |class: &Class| !is_long(class.atoms, 0, limits);
+    let mut order: Vec<usize> = (0..classes.len()).collect();
+    // Classes that are equal in all respects can take each other's part, so counts do not depend on the order they came in.
+    order.sort_by_key(|&at| std::cmp::Reverse((classes[at].saving(classes[at].places), classes[at])));
+    let mut sharing = vec![0; classes.len()];
+    for at in order {
+        let places = classes[at].places.min(if may_be_short(&classes[at]) { left.min(short) } else { left });
+        if classes[at].pays(places, limits) {
+            sharing[at] = places;
+            left -= places;
+            if may_be_short(&classes[at]) {
+                short -= places;
+            }
+        }
+    }
+    sharing
+}
+
+/// A place on a core.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EqualPlace {
+    /// Its number.
+    pub place: u32,
+    /// Its base.
+    pub base: u16,
+    /// Atom and number of each of its lists, by atom.
+    pub lists: Vec<(u16, u32)>,
+}
+
+/// Places of a core whose lists are the same, counted from their bases.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EqualPlaces {
+    /// Each place, ascending.
+    pub places: Vec<EqualPlace>,
+}
+
+impl EqualPlaces {
+    /// The highest atom and one.
+    #[must_use]
+    pub fn atoms(&self) -> u16 {
+        self.places.first().and_then(|place| place.lists.last()).map_or(0, |&(atom, _)| atom + 1)
+    }
+}
+
+/// Classes of a core's lists, given by their synapses; in the order of their first places.
+#[must_use]
+pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<EqualPlaces> {
+    let lists: Vec<&[Key]> = by_core::lists(keys).collect();
+    let placed = lists.iter().zip(0u32..).filter_map(|(list, number)| {
+        let (place, atom) = places.of_source(list[0].source())?;
+        Some((place, atom, number))
+    });
+    let mut placed: Vec<(u32, u16, u32)> = placed.collect();
+    placed.sort_unstable();
+    let (mut classes, mut known): (Vec<EqualPlaces>, HashMap<Vec<u64>, usize>) = (Vec::new(), HashMap::new());
+    for of_place in placed.chunk_by(|a, b| a.0 == b.0) {
+        let of = |&(_, _, number): &(u32, u16, u32)| lists[number as usize];
+        let first_slot = of_place.iter().flat_map(of).map(|key| key.slot()).min();
+        let base = base_of(first_slot.unwrap_or(0), limits);
+        // Two lists are told apart by their atoms, so concatenations of different lists differ.
+        let key =
+            of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.relative_to(placed.1, base))).collect();
+        let class = *known.entry(key).or_insert_with(|| {
+            classes.push(EqualPlaces { places: Vec::new() });
+            classes.len() - 1
+        });
+        let lists = of_place.iter().map(|&(_, atom, number)| (atom, number)).collect();
+        classes[class].places.push(EqualPlace { place: of_place[0].0, base, lists });
+    }
+    classes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::graph::{Shape, Window};
+    use nsim_ir::quantised::Parts;
+    use nsim_testing::{Builder, limits, plain_format};
+
+    const CLASS: Class = Class { places: 9, lists: 16, atoms: 16, words: 32, list_words: (2, 2) };
+
+    #[test]
+    fn numbers_and_bases_are_those_of_pop16_axons() {
+        // nengo-loihi: ten bits for up to 32 atoms, then one fewer for each bit of the atom, nine at most.
+        assert_eq!(
+            [1, 2, 32, 33, 64, 65, 256, 257, 512].map(most_axons),
+            [1024, 1024, 1024, 512, 512, 256, 128, 64, 64]
+        );
+        let by_compartment = Limits { output_axons: OutputAxons::PerCompartment, ..limits() };
+        let bases = |limits: &Limits| [0, 3, 4, 7, 252, 255, 256, 1023].map(|slot| base_of(slot, limits));
+        assert_eq!(bases(&by_compartment), [0, 0, 4, 4, 252, 252, 0, 252]);
+        assert_eq!(bases(&limits()), [0, 3, 4, 7, 252, 255, 0, 255]);
+        assert_eq!([(32, 4), (33, 4), (32, 5)].map(|(a, b)| is_long(a, b, &limits())), [false, true, true]);
+        assert!(!is_long(512, 3, &by_compartment));
+        assert_eq!((numbers(512, &limits()), numbers(512, &by_compartment)), ((1024, 4096), (64, 64)));
+    }
+
+    #[test]
+    fn what_saves_most_shares_while_there_are_numbers() {
+        let limits = limits();
+        assert_eq!(sharing(&[CLASS], &limits), [9]);
+        assert_eq!(sharing(&[CLASS], &limits.clone().with(Resource::SynapseWordsPerAxon, 1)), [0]);
+        assert_eq!(sharing(&[Class { list_words: (1, 2), ..CLASS }], &limits), [0]);
+        // A place of its own pays by fewer axons, unless a table takes more words.
+        assert_eq!(sharing(&[Class { places: 1, ..CLASS }], &limits), [1]);
+        assert_eq!(sharing(&[Class { places: 1, words: 31, ..CLASS }], &limits), [0]);
+        assert_eq!(sharing(&[Class { places: 1, lists: 1, atoms: 1, words: 2, list_words: (2, 2) }], &limits), [0]);
+        // 512 atoms leave 64 numbers: the class that saves more takes 60 of them.
+        let wide = Class { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
+        assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &limits), [10, 60]);
+        let by_compartment = Limits { output_axons: OutputAxons::PerCompartment, ..limits.clone() };
+        assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &by_compartment), [4, 60]);
+        // 1,024 numbers of short axons, 4,096 of all.
+        let many = [Class { places: 1020, ..CLASS }, Class { places: 5, ..CLASS }, Class { places: 4000, ..wide }];
+        assert_eq!(sharing(&many, &limits), [96, 0, 4000]);
+        assert_eq!(sharing(&[many[0], many[1], wide], &limits), [1020, 4, 60]);
+    }
+
+    #[test]
+    fn sources_are_gathered_only_where_input_axons_are_too_few() {
+        let mut net = Builder::new();
+        let (wide, out) = (net.input("wide", 2_000), net.loihi("out", 4));
+        net.dense(wide, out, |s, t| ((s + t) % 60) as i16 * 2);
+        let network = net.build();
+        assert!(Places::for_network(&network, &limits().with(Resource::AxonsIn, 9)).is_empty(), "unless it is allowed");
+        let network = Quantised::new(Parts { gathers: true, ..network.parts().clone() }).unwrap();
+        let places = |axons| Places::for_network(&network, &limits().with(Resource::AxonsIn, axons));
+        assert!(places(2_000).is_empty());
+        let gathered = places(1_999);
+        assert!(gathered.are_of_need() && !gathered.are_of_compartments());
+        assert_eq!(gathered.positions(&network, PopulationId(0)), Some(4));
+        assert_eq!(gathered.of_source(1_999), Some((3, 499)));
+        let by_compartment = Limits { output_axons: OutputAxons::PerCompartment, ..limits() };
+        assert!(Places::for_network(&network, &by_compartment.with(Resource::AxonsIn, 9)).is_empty());
+    }
+
+    #[test]
+    fn places_are_positions_and_atoms_channels() {
+        let mut net = Builder::new();
+        let flat = net.input("flat", 7);
+        let image = net.input_shape("image", Shape::Volume(3, 4, 5));
+        let to = net.loihi_with("to", Shape::Volume(1, 4, 5), nsim_testing::neurons());
+        net.dense(flat, to, |_, _| 2);
+        let (source, target) = ((3, 4, 5), (1, 4, 5));
+        let once = (1, 1);
+        let window = Window { source, target, kernel: once, stride: once, padding: (0, 0), dilation: once, groups: 1 };
+        net.connect((image, to), plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2, 4, 6].into() });
+        let places = Places::for_network(&net.build(), &limits());
+        assert_eq!(places.of_source(6), None);
+        assert_eq!(places.of_source(7), Some((0, 0)));
+        assert_eq!(places.of_source(7 + 20 + 3), Some((3, 1)));
+        assert_eq!(places.of_source(7 + 59), Some((19, 2)));
+        // The compartments send nothing over a window.
+        assert_eq!(places.of_source(7 + 60), None);
+    }
+}

@@ -1,0 +1,344 @@
+//! All synapses of a network, sorted by the core that they end on.
+//!
+//! In come a network and the seats of its compartments; out goes, core by core, what a function makes of the core's
+//! synapses in the order of their lists: by source, then format, slot, delay and weight. [`crate::resources::exact`] counts
+//! them and [`crate::emit::route`] writes them down; both therefore mean the same lists.
+//!
+//! Sources are enumerated in pieces of a fixed size, on any number of threads; each piece sorts its synapses into ranges
+//! of cores, and each range then reads the pieces in order. So nothing depends on threads, no synapse is allocated by
+//! itself, and memory is read and written in long runs. A synapse takes eight bytes on its way; a network with more than
+//! `AT_ONCE` of them is enumerated several times, for some of its cores each time.
+
+use rayon::prelude::*;
+
+use crate::resources::fan_in::first_source;
+use crate::resources::formats::Formats;
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, ProjectionId};
+use nsim_ir::partition::Seat;
+use nsim_ir::quantised::{Projection, Quantised};
+
+/// Synapses that are held at once: two gigabytes of them.
+const AT_ONCE: u64 = 1 << 28;
+/// Room for keys of a piece and a range that is kept from piece to piece.
+const MOST_KEPT: usize = 1 << 16;
+/// Bits of a source's number within its piece.
+const PIECE_BITS: u32 = 14;
+/// Most cores of a range: their numbers within the range have the bits that a key leaves.
+const MOST_OF_RANGE: usize = 1 << 14;
+/// Cores of a range where there are many: a range's synapses should stay in a processor's cache while they are sorted.
+const OF_RANGE: usize = 128;
+
+const WEIGHT_BITS: u32 = 9;
+const DELAY_BITS: u32 = 6;
+const SLOT_BITS: u32 = 12;
+const FORMAT_BITS: u32 = 9;
+/// Bits of everything but the source and the core.
+const SYNAPSE_BITS: u32 = WEIGHT_BITS + DELAY_BITS + SLOT_BITS + FORMAT_BITS;
+/// Weights are from -256 to 255; they are stored from 0 on so that keys sort as weights do.
+const WEIGHT_ZERO: i16 = 1 << (WEIGHT_BITS - 1);
+
+/// A synapse at its core, in 64 bits that sort as lists are sorted: source (channels first, then compartments), format,
+/// slot, delay, weight.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Key(u64);
+
+const fn field(key: u64, above: u32, bits: u32) -> u64 {
+    (key >> above) & ((1 << bits) - 1)
+}
+
+impl Key {
+    /// A synapse; the source is below 2^28, the index of the format below 2^9, the slot below 2^12.
+    #[inline]
+    #[must_use]
+    pub fn new(source: u32, format: u16, slot: u16, delay: u8, weight: i16) -> Self {
+        Key(u64::from(source) << SYNAPSE_BITS | rest(format, slot, delay, weight))
+    }
+
+    /// Number of the source: channels first, then compartments.
+    #[inline]
+    #[must_use]
+    pub fn source(self) -> u32 {
+        (self.0 >> SYNAPSE_BITS) as u32
+    }
+
+    /// Index of the format among [`Formats`].
+    #[inline]
+    #[must_use]
+    pub fn format(self) -> u16 {
+        field(self.0, SYNAPSE_BITS - FORMAT_BITS, FORMAT_BITS) as u16
+    }
+
+    /// The target's slot.
+    #[inline]
+    #[must_use]
+    pub fn slot(self) -> u16 {
+        field(self.0, WEIGHT_BITS + DELAY_BITS, SLOT_BITS) as u16
+    }
+
+    /// Delay field.
+    #[inline]
+    #[must_use]
+    pub fn delay(self) -> u8 {
+        field(self.0, WEIGHT_BITS, DELAY_BITS) as u8
+    }
+
+    /// Everything but the source: its atom instead, and the slot counted from a base that is not above it.
+    #[inline]
+    #[must_use]
+    pub fn relative_to(self, atom: u16, base: u16) -> u64 {
+        let rest = field(self.0, 0, SYNAPSE_BITS) - (u64::from(base) << (WEIGHT_BITS + DELAY_BITS));
+        u64::from(atom) << SYNAPSE_BITS | rest
+    }
+
+    /// Weight mantissa.
+    #[inline]
+    #[must_use]
+    pub fn weight(self) -> i16 {
+        field(self.0, 0, WEIGHT_BITS) as i16 - WEIGHT_ZERO
+    }
+}
+
+#[inline]
+fn rest(format: u16, slot: u16, delay: u8, weight: i16) -> u64 {
+    let mut key = u64::from(format);
+    key = key << SLOT_BITS | u64::from(slot);
+    key = key << DELAY_BITS | u64::from(delay);
+    key << WEIGHT_BITS | (weight + WEIGHT_ZERO) as u64
+}
+
+/// The lists of a core, one for each source that reaches it, in the order of sources.
+pub fn lists(keys: &[Key]) -> impl Iterator<Item = &[Key]> {
+    keys.chunk_by(|a, b| a.source() == b.source())
+}
+
+/// The groups of a list, in the order of formats.
+pub fn groups(list: &[Key]) -> impl Iterator<Item = &[Key]> {
+    list.chunk_by(|a, b| a.format() == b.format())
+}
+
+/// Consecutive sources of one population.
+struct Piece<'a> {
+    /// Number of the first.
+    source: u32,
+    /// Its index in its population.
+    index: u32,
+    length: u32,
+    outgoing: Vec<(&'a Projection, u16, u32)>,
+}
+
+/// The sources of populations that count, in pieces: channels in order, then compartments in order.
+fn pieces<'a>(network: &'a Quantised, formats: &Formats, counts: impl Fn(PopulationId) -> bool) -> Vec<Piece<'a>> {
+    let mut pieces = Vec::new();
+    let of =
+        |inputs: bool| network.populations().enumerate().filter(move |(_, p)| p.first_channel().is_some() == inputs);
+    for (id, population) in of(true).chain(of(false)) {
+        let format = |id: ProjectionId| formats.by_projection()[id.index()];
+        let outgoing: Vec<_> = network.targets_of(id).map(|(id, p, first)| (p, format(id), first.0)).collect();
+        if outgoing.is_empty() || !counts(id) {
+            continue;
+        }
+        let (first, size) = (first_source(network, population), population.shape.len());
+        let mut index = 0;
+        while index < size {
+            let length = (size - index).min(1 << PIECE_BITS);
+            pieces.push(Piece { source: first + index, index, length, outgoing: outgoing.clone() });
+            index += length;
+        }
+    }
+    pieces
+}
+
+impl Piece<'_> {
+    /// Calls `f(source within the piece, seat, rest of the key)` for every synapse to a core that is wanted.
+    #[inline]
+    fn for_each(
+        &self,
+        seats: &IdVec<CompartmentId, Seat>,
+        wanted: impl Fn(CoreId) -> bool,
+        mut f: impl FnMut(u32, CoreId, u64),
+    ) {
+        for local in 0..self.length {
+            for &(projection, format, first) in &self.outgoing {
+                let delay = projection.delay.get();
+                let is_wanted = |target: u32| wanted(seats[CompartmentId(first + target)].core);
+                projection.connectivity.for_each_wanted(self.index + local, is_wanted, |target, weight| {
+                    let seat = seats[CompartmentId(first + target)];
+                    f(local, seat.core, rest(format, seat.slot, delay, weight));
+                });
+            }
+        }
+    }
+}
+
+/// The number within its range of a core in a bucket's key.
+fn core_of(key: u64) -> usize {
+    (key >> (SYNAPSE_BITS + PIECE_BITS)) as usize
+}
+
+/// The keys of each core in a sorted bucket.
+fn runs(bucket: &[u64]) -> impl Iterator<Item = &[u64]> {
+    bucket.chunk_by(|&a, &b| core_of(a) == core_of(b))
+}
+
+/// A bucket by core, then source, then the rest. Its sources ascend as they came, so it is dealt out to cores in the order
+/// in which it is; only the synapses of one source on one core are still to be compared.
+fn sorted(bucket: &[u64], cores: usize) -> Vec<u64> {
+    let mut places = vec![0u32; cores];
+    bucket.iter().for_each(|&key| places[core_of(key)] += 1);
+    let mut sum = 0;
+    for place in &mut places {
+        sum += std::mem::replace(place, sum);
+    }
+    let mut sorted = vec![0; bucket.len()];
+    for &key in bucket {
+        let place = &mut places[core_of(key)];
+        sorted[*place as usize] = key;
+        *place += 1;
+    }
+    for list in sorted.chunk_by_mut(|a, b| a >> SYNAPSE_BITS == b >> SYNAPSE_BITS) {
+        if !list.is_sorted() {
+            list.sort_unstable();
+        }
+    }
+    sorted
+}
+
+/// What `f` makes of each core and its synapses.
+pub fn by_core<T: Send>(
+    network: &Quantised,
+    formats: &Formats,
+    seats: &IdVec<CompartmentId, Seat>,
+    cores: usize,
+    f: impl Fn(CoreId, &[Key]) -> T + Sync,
+) -> Vec<T> {
+    by_core_from(network, formats, seats, cores, (|_| true, |_| true), f)
+}
+
+/// The same, of the synapses from the populations that count to the cores that are wanted; the others have none.
+pub fn by_core_from<T: Send>(
+    network: &Quantised,
+    formats: &Formats,
+    seats: &IdVec<CompartmentId, Seat>,
+    cores: usize,
+    (counts, wanted): (impl Fn(PopulationId) -> bool, impl Fn(CoreId) -> bool + Sync),
+    f: impl Fn(CoreId, &[Key]) -> T + Sync,
+) -> Vec<T> {
+    let pieces = pieces(network, formats, &counts);
+    let from = |(id, p): (ProjectionId, &Projection)| if counts(p.source) { network.synapses_of(id) } else { 0 };
+    let synapses: u64 = network.projections().enumerate().map(from).sum();
+    let waves = synapses.div_ceil(AT_ONCE).max(1) as usize;
+    let of_wave = cores.div_ceil(waves).max(1);
+    let of_range = OF_RANGE.max(of_wave.div_ceil(1 << 12)).min(MOST_OF_RANGE);
+    let mut results = Vec::with_capacity(cores);
+    for first in (0..cores).step_by(of_wave) {
+        let wave = first..(first + of_wave).min(cores);
+        let ranges = wave.len().div_ceil(of_range);
+        // Every piece's synapses by range, sorted by core, then source.
+        let sorted: Vec<Vec<Vec<u64>>> = pieces
+            .par_iter()
+            .map_init(
+                || vec![Vec::new(); ranges],
+                |buckets, piece| {
+                    let is_wanted = |core: CoreId| core.index().wrapping_sub(wave.start) < wave.len() && wanted(core);
+                    piece.for_each(seats, is_wanted, |local, core, rest| {
+                        let within = core.index() - wave.start;
+                        let key = ((within % of_range) as u64) << PIECE_BITS | u64::from(local);
+                        buckets[within / of_range].push(key << SYNAPSE_BITS | rest);
+                    });
+                    let take = |bucket: &mut Vec<u64>| {
+                        let sorted = sorted(bucket, of_range);
+                        bucket.clear();
+                        bucket.shrink_to(MOST_KEPT);
+                        sorted
+                    };
+                    buckets.iter_mut().map(take).collect()
+                },
+            )
+            .collect();
+        let made: Vec<Vec<T>> = (0..ranges)
+            .into_par_iter()
+            .map_init(Vec::new, |keys, range| {
+                let held = of_range.min(wave.len() - range * of_range);
+                let mut first = vec![0; held + 1];
+                sorted
+                    .iter()
+                    .flat_map(|buckets| runs(&buckets[range]))
+                    .for_each(|run| first[core_of(run[0]) + 1] += run.len());
+                (0..held).for_each(|core| first[core + 1] += first[core]);
+                let mut next = first.clone();
+                keys.clear();
+                keys.resize(first[held], Key(0));
+                for (piece, buckets) in pieces.iter().zip(&sorted) {
+                    for run in runs(&buckets[range]) {
+                        let next = &mut next[core_of(run[0])];
+                        for (place, &key) in keys[*next..].iter_mut().zip(run) {
+                            let local = field(key, SYNAPSE_BITS, PIECE_BITS) as u32;
+                            *place = Key(u64::from(piece.source + local) << SYNAPSE_BITS | field(key, 0, SYNAPSE_BITS));
+                        }
+                        *next += run.len();
+                    }
+                }
+                let of_core = |core| {
+                    let id = CoreId::new(wave.start + range * of_range + core);
+                    f(id, &keys[first[core]..first[core + 1]])
+                };
+                (0..held).map(of_core).collect()
+            })
+            .collect();
+        results.extend(made.into_iter().flatten());
+    }
+    results
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_testing::random_network;
+
+    #[test]
+    fn a_key_holds_what_it_was_given() {
+        for (source, format, slot, delay, weight) in
+            [(0, 0, 0, 0, -256), ((1 << 28) - 1, 511, 4095, 63, 255), (12_345, 383, 1023, 5, -3)]
+        {
+            let key = Key::new(source, format, slot, delay, weight);
+            assert_eq!(
+                (key.source(), key.format(), key.slot(), key.delay(), key.weight()),
+                (source, format, slot, delay, weight)
+            );
+        }
+        assert!(Key::new(1, 0, 0, 0, -2) < Key::new(1, 0, 0, 0, 2));
+    }
+
+    #[test]
+    fn every_synapse_is_gathered_once_at_its_core_in_order() {
+        for seed in 0..40 {
+            let network = random_network(seed);
+            let formats = Formats::for_network(&network);
+            let cores = 1 + seed as usize % 5;
+            let seat = |i: u32| Seat { core: CoreId::new((i as usize * 7) % cores), slot: (i / cores as u32) as u16 };
+            let seats: IdVec<CompartmentId, Seat> = (0..network.compartments()).map(seat).collect();
+            let mut meant: Vec<Vec<Key>> = vec![Vec::new(); cores];
+            for (id, projection) in network.projections().enumerate() {
+                let source = &network.populations()[projection.source];
+                let first = network.populations()[projection.target].first_compartment().unwrap();
+                for s in 0..source.shape.len() {
+                    projection.connectivity.for_each_from(s, |target, weight| {
+                        let seat = seats[CompartmentId(first.0 + target)];
+                        let format = formats.by_projection()[id.index()];
+                        let from = first_source(&network, source) + s;
+                        meant[seat.core.index()].push(Key::new(
+                            from,
+                            format,
+                            seat.slot,
+                            projection.delay.get(),
+                            weight,
+                        ));
+                    });
+                }
+            }
+            meant.iter_mut().for_each(|keys| keys.sort_unstable());
+            let found = by_core(&network, &formats, &seats, cores, |_, keys| keys.to_vec());
+            assert_eq!(found, meant, "seed {seed}");
+        }
+    }
+}

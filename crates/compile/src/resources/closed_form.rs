@@ -1,0 +1,411 @@
+//! Boxes of a layer on cores, from the geometry of its windows alone.
+//!
+//! In comes a population that windows (or all sources) reach; out goes what a core uses that holds a box of it (channels x
+//! rows x columns). A window reaches rows and columns independently of each other, so the lists of a box are the products
+//! of fields of rows, of columns and of channels: sources with the same fields have lists of the same make-up, which is
+//! counted once, and places whose fields are the same but for where they begin are a class that may share a table
+//! ([`crate::resources::axon_sharing`]). The counts are those of [`crate::resources::exact`], output axons and profiles excepted; a test
+//! holds them to it. They could only be greater where two different parts of a kernel have the same weights.
+
+use std::collections::{BTreeMap, HashMap};
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::resources::axon_sharing;
+use crate::resources::axon_sharing::{Class, Places};
+use crate::resources::counter::{CoreTotals, ListCounter, Words, skip_bits_for};
+use crate::resources::formats::Formats;
+use crate::resources::packing::{Group, Widths};
+use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{Id, PopulationId};
+use nsim_ir::graph::Window;
+use nsim_ir::partition::CoreUsage;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::resource::{Limits, OutputAxons};
+
+/// A projection into a layer.
+#[derive(Debug, Clone, Copy)]
+pub struct Incoming {
+    /// Where spikes come from.
+    pub source: PopulationId,
+    /// Its window; a layer that all sources reach is a window of one position.
+    pub window: Window,
+    /// Whether every source reaches every target.
+    pub all_to_all: bool,
+    /// Channels and positions of a source population that has places.
+    pub placed: Option<(u32, u64)>,
+    /// Whether all its weights are the same.
+    pub uniform: bool,
+    /// Compartments of the source; `None` for inputs, which take no output axon.
+    pub from: Option<u32>,
+    /// Its format among those of the network.
+    pub format: u16,
+    /// Its delay.
+    pub delay: Delay,
+}
+
+/// A population and what reaches it.
+#[derive(Debug, Clone)]
+pub struct Layer {
+    /// Channels, height and width.
+    pub shape: (u32, u32, u32),
+    /// What reaches it, in the order of the file.
+    pub incoming: Vec<Incoming>,
+    /// Whether compartments stand channel by channel; they do where each channel sees its own channel only.
+    pub by_channel: bool,
+    /// Whether two projections come from one population: its lists are then both together, which is not counted here.
+    pub joined: bool,
+}
+
+impl Layer {
+    /// A population and what reaches it; `None` when a projection into it is neither a window nor all to all.
+    #[must_use]
+    pub fn for_population(
+        network: &Quantised,
+        population: PopulationId,
+        formats: &Formats,
+        places: &Places,
+    ) -> Option<Self> {
+        let shape_of = |id: PopulationId| network.populations()[id].shape;
+        let shape = shape_of(population).volume().unwrap_or((shape_of(population).len(), 1, 1));
+        let (mut incoming, mut joined): (Vec<Incoming>, _) = (Vec::new(), false);
+        for (id, projection) in network.incoming(population) {
+            let source = projection.source;
+            let (window, all_to_all) = match &projection.connectivity {
+                Connectivity::Conv2d { window, .. } => (*window, false),
+                Connectivity::SumPool2d { window, .. } => (Window { groups: window.source.0, ..*window }, false),
+                Connectivity::Dense { targets, .. } if (shape.1, shape.2) == (1, 1) => {
+                    let (source, target, once) = ((shape_of(source).len(), 1, 1), (*targets, 1, 1), (1, 1));
+                    let (kernel, stride, dilation) = (once, once, once);
+                    (Window { source, target, kernel, stride, padding: (0, 0), dilation, groups: 1 }, true)
+                }
+                _ => return None,
+            };
+            joined |= incoming.iter().any(|other| other.source == source);
+            let positions = |(channels, height, width)| (channels, u64::from(height) * u64::from(width));
+            incoming.push(Incoming {
+                source,
+                window,
+                all_to_all,
+                placed: shape_of(source).volume().map(positions).filter(|_| places.holds(network, source)),
+                from: network.populations()[source].first_compartment().map(|_| shape_of(source).len()),
+                uniform: matches!(projection.connectivity, Connectivity::SumPool2d { .. }),
+                format: formats.by_projection()[id.index()],
+                delay: projection.delay,
+            });
+        }
+        let own =
+            |incoming: &Incoming| incoming.window.groups == incoming.window.source.0 && incoming.window.groups > 1;
+        let by_channel = !incoming.is_empty() && incoming.iter().all(own);
+        Some(Layer { shape, incoming, by_channel, joined })
+    }
+
+    /// What a core uses that holds the box in the middle, whose windows are whole, when boxes have this size.
+    #[must_use]
+    pub fn middle(&self, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
+        let at = middle(self.shape, size);
+        let channels = Channels::of_part(self, &part(self.shape.0, size.0, at.0));
+        let rows = Side::of_part(self, WindowAxis::rows, &part(self.shape.1, size.1, at.1));
+        let columns = Side::of_part(self, WindowAxis::columns, &part(self.shape.2, size.2, at.2));
+        use_of(self, formats, limits, (&channels, &rows, &columns))
+    }
+}
+
+/// A part of an axis, with the fields of every projection into the layer.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Side {
+    /// Length of the part.
+    pub size: u32,
+    /// By projection: fields, and how many sources have each.
+    fields: Vec<Vec<(ReceptiveField, u64)>>,
+}
+
+impl Side {
+    /// Of a layer.
+    #[must_use]
+    pub fn of_part(layer: &Layer, axis: fn(&Window) -> WindowAxis, part: &Range<u32>) -> Self {
+        let fields = |incoming: &Incoming| axis(&incoming.window).uniform(incoming.uniform).fields(part);
+        Side { size: part.end - part.start, fields: layer.incoming.iter().map(fields).collect() }
+    }
+
+    /// The number of a field among those of a projection.
+    #[must_use]
+    pub fn number_of(&self, projection: usize, field: &ReceptiveField) -> Option<u32> {
+        self.fields[projection].binary_search_by(|(other, _)| other.cmp(field)).ok().map(|at| at as u32)
+    }
+}
+
+/// A part of the channels: how many of them sources reach, and how many sources reach so many; and the last such source.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Channels {
+    /// How many.
+    pub size: u32,
+    reached: Vec<Vec<(u32, u64)>>,
+    last: Vec<u32>,
+}
+
+impl Channels {
+    /// Of a layer.
+    #[must_use]
+    pub fn of_part(layer: &Layer, part: &Range<u32>) -> Self {
+        let of = |incoming: &Incoming| {
+            let window = &incoming.window;
+            let (of_group, sources) = (window.target.0 / window.groups, window.source.0 / window.groups);
+            let mut reached: BTreeMap<u32, u64> = BTreeMap::new();
+            for group in part.start / of_group..=(part.end - 1) / of_group {
+                let (from, to) = (part.start.max(group * of_group), part.end.min((group + 1) * of_group));
+                *reached.entry(to - from).or_default() += u64::from(sources);
+            }
+            reached.into_iter().collect()
+        };
+        let last = |incoming: &Incoming| {
+            let window = &incoming.window;
+            let group = (part.end - 1) / (window.target.0 / window.groups);
+            (group + 1) * (window.source.0 / window.groups) - 1
+        };
+        let (reached, last) = layer.incoming.iter().map(|incoming| (of(incoming), last(incoming))).unzip();
+        Channels { size: part.end - part.start, reached, last }
+    }
+}
+
+/// The box in the middle of a grid, whose windows are whole.
+#[must_use]
+pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
+    (middle_of(shape.0, size.0), middle_of(shape.1, size.1), middle_of(shape.2, size.2))
+}
+
+/// A part of an axis that is cut into parts of this size; the last may be smaller.
+#[must_use]
+pub fn part(length: u32, size: u32, at: u32) -> Range<u32> {
+    at * size..((at + 1) * size).min(length)
+}
+
+/// The part in the middle of an axis that is cut into parts of this size.
+#[must_use]
+pub fn middle_of(length: u32, size: u32) -> u32 {
+    (length.div_ceil(size) - 1) / 2
+}
+
+/// Synapses of a box with sources in one population.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Arriving {
+    /// The sources' population.
+    pub source: PopulationId,
+    /// In lists without indices.
+    pub dense: u64,
+    /// In lists with indices or runs.
+    pub sparse: u64,
+}
+
+/// What a core that holds a box uses.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BoxUse {
+    /// Everything but output axons and profiles.
+    pub usage: CoreUsage,
+    /// Its synapses, by where they come from.
+    pub arriving: Arc<[Arriving]>,
+    /// By projection into the layer, which of its positions are population axons.
+    pub members: Arc<[Members]>,
+}
+
+/// How the lists that a position sends to a box are stored.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Membership {
+    /// Each for itself, or perhaps so: of a class of positions not all of which share their table, none is counted as a member.
+    #[default]
+    Discrete,
+    /// As those of a population axon that takes the slots of a discrete one (pop16).
+    Short,
+    /// As those of any other (pop32).
+    Long,
+}
+
+/// Which positions of a projection are members of population axons: by the numbers of their fields of rows and of columns.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Members {
+    columns: usize,
+    of: Vec<Membership>,
+}
+
+impl Members {
+    /// That of the positions with these fields.
+    #[must_use]
+    pub fn get(&self, rows: u32, columns: u32) -> Membership {
+        self.of.get(rows as usize * self.columns + columns as usize).copied().unwrap_or_default()
+    }
+}
+
+impl BoxUse {
+    /// Whether it needs more than there is.
+    #[must_use]
+    pub fn exceeds(&self, limits: &Limits) -> bool {
+        self.usage.excesses(limits).next().is_some()
+    }
+}
+
+/// What a core uses that holds the box of these channels, rows and columns.
+#[must_use]
+pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, &Side, &Side)) -> BoxUse {
+    let (channels, rows, columns) = parts;
+    let compartments = channels.size * rows.size * columns.size;
+    let reaching = |i: usize| !rows.fields[i].is_empty() && !columns.fields[i].is_empty();
+    let reaching: Vec<usize> = (0..layer.incoming.len()).filter(|&i| reaching(i)).collect();
+    let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
+    let widths = Widths::for_core(compartments, longest, limits.packing);
+    let (mut counter, mut arriving) = (ListCounter::new(formats, widths, limits), Vec::new());
+    let mut classes = Classes::default();
+    // By projection and pair of fields: the classes of these positions, and whether their axons are long.
+    let mut of_fields: Vec<Vec<Tables>> = vec![Vec::new(); layer.incoming.len()];
+    let mut slots: Vec<u16> = Vec::new();
+    for &i in &reaching {
+        let Incoming { source, format, delay, placed, all_to_all, .. } = layer.incoming[i];
+        let (mut dense, mut sparse) = (0, 0);
+        for (reached_rows, of_rows) in &rows.fields[i] {
+            for (reached_columns, of_columns) in &columns.fields[i] {
+                let mut place = Place::default();
+                for &(reached, of_channels) in &channels.reached[i] {
+                    slots.clear();
+                    if layer.by_channel {
+                        let height = rows.size;
+                        let row = |c: u32, y: u16| (c * height + u32::from(y)) * columns.size;
+                        let starts = (0..reached).flat_map(|c| reached_rows.iter().map(move |&(y, _)| row(c, y)));
+                        slots.extend(
+                            starts.flat_map(|start| reached_columns.iter().map(move |&(x, _)| start as u16 + x)),
+                        );
+                    } else {
+                        for &(y, _) in reached_rows {
+                            let starts =
+                                reached_columns.iter().map(|&(x, _)| u32::from(y) * columns.size + u32::from(x));
+                            slots.extend(
+                                starts.flat_map(|at| (0..reached).map(move |c| (at * channels.size + c) as u16)),
+                            );
+                        }
+                    }
+                    let group = Group {
+                        weight_bits: formats.get(format).bits,
+                        synapses: slots.len() as u32,
+                        delayed: delay > Delay::MIN,
+                        dense: slots.windows(2).all(|pair| pair[1] == pair[0] + 1),
+                        skip: skip_bits_for(slots.windows(2).map(|pair| pair[1] - pair[0])),
+                    };
+                    let lists = of_rows * of_columns * of_channels;
+                    let words = counter.group((format, group));
+                    counter.lists(lists, words);
+                    place.lists(of_channels, words);
+                    *if group.dense { &mut dense } else { &mut sparse } += lists * slots.len() as u64;
+                }
+                let first_slot = {
+                    let at = u32::from(reached_rows[0].0) * columns.size + u32::from(reached_columns[0].0);
+                    if layer.by_channel { at } else { at * channels.size }
+                };
+                let Some((atoms, positions)) = placed else { continue };
+                let base = axon_sharing::base_of(first_slot as u16, limits);
+                let (of_these, atoms) = if all_to_all {
+                    // Every source has weights of its own; all channels of a position reach the box.
+                    let (first, place) = (classes.len(), place.part(positions));
+                    (0..positions).for_each(|_| classes.alone(place, atoms as u16));
+                    (first..classes.len(), atoms as u16)
+                } else {
+                    let kind = (i, relative(reached_rows), relative(reached_columns), first_slot as u16 - base);
+                    let atoms = channels.last[i] as u16 + 1;
+                    let class = classes.add(kind, of_rows * of_columns, place, atoms);
+                    (class..class + 1, atoms)
+                };
+                of_fields[i].push(Tables { classes: of_these, long: axon_sharing::is_long(atoms, base, limits) });
+            }
+        }
+        arriving.push(Arriving { source, dense, sparse });
+    }
+    let mut totals = CoreTotals { lists: counter.totals(), ..CoreTotals::new(compartments, longest) };
+    let of_ways = totals.lists.iter_mut().zip(&classes.ways);
+    let sharing: Vec<Vec<u32>> = of_ways.map(|(lists, classes)| lists.share(classes, limits)).collect();
+    let way = usize::from(totals.stores_runs(limits));
+    let membership = |tables: &Tables| {
+        let shared = |class: usize| sharing[way][class] == classes.ways[way][class].places;
+        match (tables.classes.clone().all(shared), tables.long) {
+            (false, _) => Membership::Discrete,
+            (true, false) => Membership::Short,
+            (true, true) => Membership::Long,
+        }
+    };
+    let by_position = matches!(limits.output_axons, OutputAxons::PerPosition { .. });
+    let members = |(i, of): (usize, &Vec<Tables>)| match by_position {
+        true => Members { columns: columns.fields[i].len(), of: of.iter().map(membership).collect() },
+        false => Members::default(),
+    };
+    let members = of_fields.iter().enumerate().map(members).collect();
+    totals.synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
+    BoxUse { usage: totals.usage(limits), arriving: arriving.into(), members }
+}
+
+/// The classes of the positions with a pair of fields, and whether their axons are pop32 axons.
+#[derive(Debug, Clone)]
+struct Tables {
+    classes: Range<usize>,
+    long: bool,
+}
+
+/// The lists of one place.
+#[derive(Debug, Clone, Copy, Default)]
+struct Place {
+    lists: u64,
+    /// Without and with runs: words as lists of discrete axons, and the fewest and the most of a list in a table.
+    ways: [(u64, Option<(u32, u32)>); 2],
+}
+
+impl Place {
+    fn lists(&mut self, lists: u64, words: [Words; 2]) {
+        self.lists += lists;
+        for (way, words) in self.ways.iter_mut().zip(words) {
+            way.0 += lists * u64::from(words.discrete);
+            let (least, most) = way.1.unwrap_or((words.in_table, words.in_table));
+            way.1 = Some((least.min(words.in_table), most.max(words.in_table)));
+        }
+    }
+
+    /// One of so many places with the same lists each.
+    fn part(mut self, places: u64) -> Self {
+        self.lists /= places;
+        self.ways.iter_mut().for_each(|way| way.0 /= places);
+        self
+    }
+
+    fn class(&self, way: usize, atoms: u16) -> Class {
+        let (words, list_words) = self.ways[way];
+        let list_words = list_words.unwrap_or_default();
+        Class { places: 1, lists: self.lists as u32, atoms, words: words as u32, list_words }
+    }
+}
+
+/// Projection, relative fields of rows and columns, and how far behind its base a place begins.
+type Kind = (usize, ReceptiveField, ReceptiveField, u16);
+
+/// Classes of places of a box.
+#[derive(Debug, Default)]
+struct Classes {
+    known: HashMap<Kind, usize>,
+    ways: [Vec<Class>; 2],
+}
+
+impl Classes {
+    fn alone(&mut self, place: Place, atoms: u16) {
+        self.ways.iter_mut().enumerate().for_each(|(way, classes)| classes.push(place.class(way, atoms)));
+    }
+
+    fn len(&self) -> usize {
+        self.ways[0].len()
+    }
+
+    /// The number of the class that these places are of.
+    fn add(&mut self, kind: Kind, places: u64, place: Place, atoms: u16) -> usize {
+        let at = *self.known.entry(kind).or_insert(self.ways[0].len());
+        if at == self.ways[0].len() {
+            self.alone(place, atoms);
+            self.ways.iter_mut().for_each(|classes| classes[at].places = 0);
+        }
+        self.ways.iter_mut().for_each(|classes| classes[at].places += places as u32);
+        at
+    }
+}

@@ -1,0 +1,326 @@
+//! What a core uses of each resource: the rules that every way of counting shares.
+//!
+//! Input: [`CoreTotals`], what was counted on a core. Output: its [`CoreUsage`]. The totals come in three forms, which are
+//! tested against each other on random networks:
+//!
+//! | form | counts | for |
+//! |---|---|---|
+//! | [`exact`](crate::resources::exact) | the synapses of each core of a partition | what a partition claims |
+//! | [`incremental`](crate::resources::incremental) | compartments, one by one | filling a core |
+//! | [`closed_form`](crate::resources::closed_form) | products of receptive fields | boxes of a layer |
+//!
+//! The rules:
+//!
+//! - input axons: distinct sources with a synapse on the core, the members of a population axon as one
+//!   ([`axon_sharing`]);
+//! - output axons: one for each compartment and destination core, in slots ([`Limits::axon_out_slots`]);
+//! - words: as [`packing`] counts them. A core stores its lists without runs or with them, whichever takes fewer words
+//!   while its formats suffice, so both are counted ([`LISTS`]); a table of population axons is stored once;
+//! - formats: distinct (synapse format, delayed or not, compression), because widths are the same for all groups of a core;
+//! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct mantissas;
+//! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse into the core.
+//!
+//! [`check::verify`](nsim_check::verify) counts again from finished tables and shares none of this but the
+//! formula of [`packing`], which tests hold to the words that tables encode to.
+
+use std::collections::BTreeSet;
+
+use crate::resources::axon_sharing;
+use crate::resources::axon_sharing::Class;
+use crate::resources::formats::Formats;
+use crate::resources::packing;
+use crate::resources::packing::{Compression, Group, Widths};
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::partition::CoreUsage;
+use nsim_ir::quantised::Neuron;
+use nsim_ir::resource::{Limits, PerResource, Resource};
+
+/// A core's lists without runs and with runs.
+pub const LISTS: usize = 2;
+
+/// How a group of a discrete axon is stored without and with runs, and in how many words.
+#[inline]
+#[must_use]
+pub fn stored(group: Group, widths: Widths, limits: &Limits) -> [(Compression, u32); LISTS] {
+    let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
+    let plain = (compression, packing::words(group, widths, limits));
+    if group.dense { [plain; LISTS] } else { [plain, packing::best(group, widths, limits)] }
+}
+
+/// The fewest bits of runs over these distances between slots.
+#[must_use]
+pub fn skip_bits_for(mut distances: impl Iterator<Item = u16>) -> Option<u8> {
+    let widest = distances.try_fold(0, |widest: u16, distance| Some(widest.max(distance.checked_sub(1)?)))?;
+    packing::skip_bits(widest)
+}
+
+/// How many groups a core has of each format, delayed or not and compression.
+#[derive(Debug, Clone, Default)]
+pub struct FormatCounts {
+    groups: Vec<[u32; 12]>,
+    distinct: u32,
+}
+
+impl FormatCounts {
+    /// Of a core without groups, in a network of so many formats.
+    #[must_use]
+    pub fn new(formats: usize) -> Self {
+        FormatCounts { groups: vec![[0; 12]; formats], distinct: 0 }
+    }
+
+    fn count(&mut self, format: u16, delayed: bool, compression: Compression) -> &mut u32 {
+        let kind = match compression {
+            Compression::Dense => 0,
+            Compression::RunLength(bits) => usize::from(bits) - 1,
+            Compression::Sparse => 5,
+        };
+        &mut self.groups[usize::from(format)][usize::from(delayed) * 6 + kind]
+    }
+
+    /// One group more.
+    #[inline]
+    pub fn add(&mut self, format: u16, delayed: bool, compression: Compression) {
+        let count = self.count(format, delayed, compression);
+        *count += 1;
+        if *count == 1 {
+            self.distinct += 1;
+        }
+    }
+
+    /// One group less.
+    #[inline]
+    pub fn remove(&mut self, format: u16, delayed: bool, compression: Compression) {
+        let count = self.count(format, delayed, compression);
+        *count -= 1;
+        if *count == 0 {
+            self.distinct -= 1;
+        }
+    }
+
+    /// Formats in use.
+    #[must_use]
+    pub fn distinct(&self) -> u32 {
+        self.distinct
+    }
+
+    /// Begins another core.
+    pub fn clear(&mut self) {
+        self.groups.fill([0; 12]);
+        self.distinct = 0;
+    }
+}
+
+/// What the lists of a core take, stored in one way.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ListTotals {
+    /// Input axons.
+    pub axons: u64,
+    /// Words of all lists.
+    pub words: u64,
+    /// Words of the longest list.
+    pub longest: u32,
+    /// Formats in use.
+    pub formats: u32,
+}
+
+impl ListTotals {
+    /// So many lists of so many words each.
+    #[inline]
+    pub fn add(&mut self, lists: u64, words: u32) {
+        self.axons += lists;
+        self.words += lists * u64::from(words);
+        self.longest = self.longest.max(words);
+    }
+
+    /// Stores the tables of these classes instead of a list for each of their sources; returns how many places of each
+    /// class share its table. None does on a core of more sources than a program can number, which then has too many input axons.
+    pub fn share(&mut self, classes: &[Class], limits: &Limits) -> Vec<u32> {
+        if self.axons > axon_sharing::MOST_NUMBERED {
+            return vec![0; classes.len()];
+        }
+        let sharing = axon_sharing::sharing(classes, limits);
+        for (class, &places) in classes.iter().zip(&sharing).filter(|(_, places)| **places > 0) {
+            self.words = self.words.saturating_add_signed(-class.saving(places));
+            self.axons -= u64::from(places) * u64::from(class.lists - 1);
+            self.longest = self.longest.max(class.list_words.1);
+        }
+        sharing
+    }
+}
+
+/// Words of a list.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Words {
+    /// As the list of a discrete axon.
+    pub discrete: u32,
+    /// In the table of a population axon.
+    pub in_table: u32,
+}
+
+/// Counts lists, without and with runs.
+#[derive(Debug)]
+pub struct ListCounter<'a> {
+    widths: Widths,
+    limits: &'a Limits,
+    totals: [ListTotals; LISTS],
+    formats: [FormatCounts; LISTS],
+}
+
+impl<'a> ListCounter<'a> {
+    /// Of a core without lists.
+    #[must_use]
+    pub fn new(formats: &Formats, widths: Widths, limits: &'a Limits) -> Self {
+        let formats = std::array::from_fn(|_| FormatCounts::new(formats.len()));
+        ListCounter { widths, limits, totals: Default::default(), formats }
+    }
+
+    /// Notes the format of a group; returns what the group takes.
+    pub fn group(&mut self, (format, group): (u16, Group)) -> [Words; LISTS] {
+        let ways = stored(group, self.widths, self.limits);
+        for (formats, (compression, _)) in self.formats.iter_mut().zip(ways) {
+            formats.add(format, group.delayed, compression);
+        }
+        ways.map(|(compression, discrete)| Words {
+            discrete,
+            in_table: packing::words_in_table(group, compression, self.widths, self.limits),
+        })
+    }
+
+    /// Counts so many lists of so many words each.
+    pub fn lists(&mut self, lists: u64, words: [Words; LISTS]) {
+        for (totals, words) in self.totals.iter_mut().zip(words) {
+            totals.add(lists, words.discrete);
+        }
+    }
+
+    /// What was counted.
+    #[must_use]
+    pub fn totals(&self) -> [ListTotals; LISTS] {
+        std::array::from_fn(|way| ListTotals { formats: self.formats[way].distinct(), ..self.totals[way] })
+    }
+}
+
+/// What was counted on a core.
+#[derive(Debug, Clone, Copy)]
+pub struct CoreTotals {
+    /// Compartments.
+    pub compartments: u32,
+    /// Synapses.
+    pub synapses: u64,
+    /// The longest delay of a synapse.
+    pub longest_delay: Delay,
+    /// Lists without runs and with runs.
+    pub lists: [ListTotals; LISTS],
+    /// Distinct compartment profiles.
+    pub compartment_profiles: u32,
+    /// Distinct thresholds.
+    pub threshold_profiles: u32,
+    /// Output axon slots of all compartments.
+    pub axons_out: u64,
+    /// The most output axons of one compartment.
+    pub most_axons_out: u32,
+}
+
+impl CoreTotals {
+    /// Of a core with so many compartments and this longest delay, before anything else is counted.
+    #[must_use]
+    pub fn new(compartments: u32, longest_delay: Delay) -> Self {
+        CoreTotals {
+            compartments,
+            synapses: 0,
+            longest_delay,
+            lists: Default::default(),
+            compartment_profiles: 0,
+            threshold_profiles: 0,
+            axons_out: 0,
+            most_axons_out: 0,
+        }
+    }
+
+    /// Whether the core stores runs: where that takes fewer words and its formats suffice.
+    #[must_use]
+    pub fn stores_runs(&self, limits: &Limits) -> bool {
+        let [plain, with_runs] = &self.lists;
+        with_runs.words < plain.words && with_runs.formats <= limits[Resource::SynapseFormats]
+    }
+
+    /// What the core uses.
+    #[inline]
+    #[must_use]
+    pub fn usage(&self, limits: &Limits) -> CoreUsage {
+        let lists = self.lists[usize::from(self.stores_runs(limits))];
+        let used = |resource| match resource {
+            Resource::Compartments => u64::from(self.compartments),
+            Resource::AxonsIn => lists.axons,
+            Resource::AxonsOut => self.axons_out,
+            Resource::AxonsOutPerCompartment => u64::from(self.most_axons_out),
+            Resource::SynapseWords => lists.words,
+            Resource::SynapseWordsPerAxon => u64::from(lists.longest),
+            Resource::SynapseFormats => u64::from(lists.formats),
+            Resource::CompartmentProfiles => u64::from(self.compartment_profiles),
+            Resource::ThresholdProfiles => u64::from(self.threshold_profiles),
+            Resource::Accumulators => {
+                u64::from(self.compartments) * u64::from(packing::delay_slots(self.longest_delay))
+            }
+        };
+        CoreUsage { synapses: self.synapses, of: PerResource::from_fn(used) }
+    }
+}
+
+/// The distinct profiles of a core's compartments.
+#[derive(Debug, Clone, Default)]
+pub struct Profiles {
+    /// (du, dv, refractory period).
+    compartments: BTreeSet<(u16, u16, u8)>,
+    /// Mantissas.
+    thresholds: BTreeSet<u32>,
+}
+
+impl Profiles {
+    /// Notes those of a compartment.
+    pub fn insert(&mut self, neuron: &Neuron) {
+        self.compartments.insert((neuron.du.get(), neuron.dv.get(), neuron.refractory.get()));
+        self.thresholds.insert(neuron.vth.get());
+    }
+
+    /// Distinct compartment profiles and threshold profiles.
+    #[must_use]
+    pub fn counts(&self) -> (u32, u32) {
+        (self.compartments.len() as u32, self.thresholds.len() as u32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_testing::limits;
+
+    #[test]
+    fn sharing_leaves_one_table_for_its_places() {
+        let class = Class { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
+        let mut lists = ListTotals { axons: 40_000, words: 100_000, longest: 1, formats: 1 };
+        assert_eq!(lists.share(&[class], &limits()), [60]);
+        assert_eq!((lists.axons, lists.words, lists.longest), (40_000 - 60 * 511, 100_000 - 59 * 1024, 2));
+        // What takes more words than it saves is left alone.
+        let before = ListTotals { axons: 10, words: 100, longest: 2, formats: 1 };
+        let mut lists = before;
+        lists.share(&[Class { places: 1, words: 1023, ..class }], &limits());
+        assert_eq!(lists, before);
+        // A program numbers 65,536 sources of a core.
+        let share = |axons| ListTotals { axons, ..before }.share(&[class], &limits());
+        assert_eq!((share(65_536), share(65_537)), (vec![60], vec![0]));
+    }
+
+    #[test]
+    fn formats_in_use_are_those_with_groups() {
+        let mut counts = FormatCounts::new(2);
+        counts.add(0, false, Compression::Dense);
+        counts.add(0, false, Compression::Dense);
+        counts.add(1, true, Compression::RunLength(5));
+        counts.add(1, true, Compression::Sparse);
+        assert_eq!(counts.distinct(), 3);
+        counts.remove(0, false, Compression::Dense);
+        counts.remove(1, true, Compression::Sparse);
+        assert_eq!(counts.distinct(), 2);
+    }
+}

@@ -1,0 +1,237 @@
+//! What each core of a given membership uses of each resource, counted from its synapses.
+//!
+//! Input: a network, the compartments of each core in slot order and the chip of each core. Output: a [`CoreUsage`] each,
+//! by the rules of [`counter`](crate::resources::counter), which is what [`crate::emit::route`] writes.
+//! Limits are not looked at.
+
+use crate::resources::axon_sharing;
+use crate::resources::axon_sharing::{Class, EqualPlace, EqualPlaces, Places};
+use crate::resources::by_core;
+use crate::resources::by_core::Key;
+use crate::resources::counter::{CoreTotals, LISTS, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
+use crate::resources::fan_out;
+use crate::resources::fan_out::{FanOut, MembersOfCores, SharedPlaces};
+use crate::resources::formats::Formats;
+use crate::resources::packing::{Group, Widths};
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use nsim_ir::partition::{CoreUsage, Seat};
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::resource::{Limits, Resource};
+
+/// The longest delay of a synapse into each core, of those from the populations that count.
+#[must_use]
+pub fn longest_delays(
+    network: &Quantised,
+    seats: &IdVec<CompartmentId, Seat>,
+    cores: usize,
+    counts: impl Fn(PopulationId) -> bool,
+) -> IdVec<CoreId, Delay> {
+    let mut longest: IdVec<CoreId, Delay> = vec![Delay::MIN; cores].into();
+    for projection in network.projections().iter().filter(|p| p.delay > Delay::MIN && counts(p.source)) {
+        let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
+        for source in 0..network.populations()[projection.source].shape.len() {
+            projection.connectivity.for_each_target(source, |target| {
+                let core = seats[CompartmentId(first.0 + target)].core;
+                longest[core] = longest[core].max(projection.delay);
+            });
+        }
+    }
+    longest
+}
+
+/// The use of each core.
+///
+/// # Panics
+/// When `seats` and `members` differ or `chips` is shorter than `members`: a mistake of the caller.
+#[must_use]
+pub fn usage(
+    network: &Quantised,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    seats: &IdVec<CompartmentId, Seat>,
+    chips: &IdVec<CoreId, u32>,
+    limits: &Limits,
+) -> IdVec<CoreId, CoreUsage> {
+    let places = Places::for_network(network, limits);
+    let (totals, shared) = totals(network, members, seats, limits, &places);
+    let shared = SharedPlaces { places: &places, members: &shared };
+    let shared = fan_out::by_position(&places, limits).then_some(&shared);
+    let core_of = seats.iter().map(|seat| seat.core).collect();
+    with_outputs(totals, members, &fan_out::network_fan_out(network, &core_of, chips, limits, shared), limits)
+}
+
+/// The use of each core, where the fan-out of compartments is known and [`fan_out::by_position`] is not asked for.
+///
+/// # Panics
+/// As [`usage`].
+#[must_use]
+pub fn usage_with_fan_out(
+    network: &Quantised,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    seats: &IdVec<CompartmentId, Seat>,
+    fan_out: &FanOut,
+    limits: &Limits,
+) -> IdVec<CoreId, CoreUsage> {
+    let (totals, _) = totals(network, members, seats, limits, &Places::for_network(network, limits));
+    with_outputs(totals, members, fan_out, limits)
+}
+
+fn with_outputs(
+    totals: Vec<CoreTotals>,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    fan_out: &FanOut,
+    limits: &Limits,
+) -> IdVec<CoreId, CoreUsage> {
+    with_fan_out(totals.into_iter().map(|totals| totals.usage(limits)), members, fan_out)
+}
+
+/// The use of each core, where that of all but output axons is known.
+#[must_use]
+pub fn with_fan_out(
+    usage: impl IntoIterator<Item = CoreUsage>,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    fan_out: &FanOut,
+) -> IdVec<CoreId, CoreUsage> {
+    let of_core = |(used, held): (CoreUsage, &Vec<CompartmentId>)| {
+        let most = held.iter().map(|id| fan_out.axons[id.index()]).max().unwrap_or(0);
+        let slots = fan_out::slots_of_core(held, fan_out);
+        used.with(Resource::AxonsOut, slots).with(Resource::AxonsOutPerCompartment, most.into())
+    };
+    usage.into_iter().zip(members).map(of_core).collect()
+}
+
+/// What is counted on each core but for its output axons, and which places are members of population axons on it.
+fn totals(
+    network: &Quantised,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+    seats: &IdVec<CompartmentId, Seat>,
+    limits: &Limits,
+    places: &Places,
+) -> (Vec<CoreTotals>, MembersOfCores) {
+    let longest = longest_delays(network, seats, members.len(), |_| true);
+    let profiles = profiles(network, seats, members.len());
+    let formats = Formats::for_network(network);
+    let counted = by_core::by_core(network, &formats, seats, members.len(), |core, keys| {
+        let held = &members[core];
+        let mut totals = CoreTotals::new(held.len() as u32, longest[core]);
+        let widths = Widths::for_core(totals.compartments, longest[core], limits.packing);
+        let lists = StoredLists::new(keys, &formats, widths, limits, places);
+        totals.lists = lists.totals;
+        totals.synapses = keys.len() as u64;
+        (totals.compartment_profiles, totals.threshold_profiles) = profiles[core].counts();
+        (totals, lists.members(limits))
+    });
+    let (totals, shared): (Vec<CoreTotals>, Vec<_>) = counted.into_iter().unzip();
+    (totals, shared.into())
+}
+
+/// The profiles of each core.
+fn profiles(network: &Quantised, seats: &IdVec<CompartmentId, Seat>, cores: usize) -> IdVec<CoreId, Profiles> {
+    let mut profiles: IdVec<CoreId, Profiles> = vec![Profiles::default(); cores].into();
+    for population in network.populations() {
+        let Units::Compartments { first, neurons, .. } = &population.units else { continue };
+        for index in 0..population.shape.len() {
+            profiles[seats[CompartmentId(first.0 + index)].core].insert(&neurons.get(index));
+        }
+    }
+    profiles
+}
+
+/// The lists of a core, stored without and with runs.
+#[derive(Debug, Clone, Default)]
+pub struct StoredLists {
+    /// What they take.
+    pub totals: [ListTotals; LISTS],
+    /// Places whose lists are the same.
+    equal: Vec<EqualPlaces>,
+    /// How many places of each class share its table.
+    sharing: [Vec<u32>; LISTS],
+}
+
+impl StoredLists {
+    /// Of the synapses of a core.
+    #[must_use]
+    pub fn new(keys: &[Key], formats: &Formats, widths: Widths, limits: &Limits, places: &Places) -> Self {
+        let mut counter = ListCounter::new(formats, widths, limits);
+        // Neighbours mostly have the same make-up.
+        let mut last: Option<((u16, Group), [Words; LISTS])> = None;
+        let mut of_lists: Vec<[Words; LISTS]> = Vec::new();
+        for list in by_core::lists(keys) {
+            let mut of_list = [Words::default(); LISTS];
+            for group in by_core::groups(list) {
+                let made = group_of(group, formats);
+                let words = match last {
+                    Some((same, words)) if same == made => words,
+                    _ => last.insert((made, counter.group(made))).1,
+                };
+                for (of_list, words) in of_list.iter_mut().zip(words) {
+                    of_list.discrete += words.discrete;
+                    of_list.in_table += words.in_table;
+                }
+            }
+            counter.lists(1, of_list);
+            if !places.is_empty() {
+                of_lists.push(of_list);
+            }
+        }
+        let mut lists = StoredLists { totals: counter.totals(), ..Self::default() };
+        if !places.is_empty() {
+            lists.equal = axon_sharing::equal_places(keys, places, limits);
+            for (way, totals) in lists.totals.iter_mut().enumerate() {
+                let class = |equal: &EqualPlaces| {
+                    let lists = equal.places.first().map_or(&[][..], |place| &place.lists);
+                    let words = || lists.iter().map(|&(_, number)| of_lists[number as usize][way]);
+                    Class {
+                        places: equal.places.len() as u32,
+                        lists: lists.len() as u32,
+                        atoms: equal.atoms(),
+                        words: words().map(|words| words.discrete).sum(),
+                        list_words: words()
+                            .map(|words| words.in_table)
+                            .fold((u32::MAX, 0), |(least, most), words| (least.min(words), most.max(words))),
+                    }
+                };
+                let classes: Vec<Class> = lists.equal.iter().map(class).collect();
+                lists.sharing[way] = totals.share(&classes, limits);
+            }
+        }
+        lists
+    }
+
+    /// Whether the core stores runs.
+    #[must_use]
+    pub fn stores_runs(&self, limits: &Limits) -> bool {
+        CoreTotals { lists: self.totals, ..CoreTotals::new(0, Delay::MIN) }.stores_runs(limits)
+    }
+
+    /// The places that are members of population axons, ascending, and whether it is a pop32 axon.
+    fn members(&self, limits: &Limits) -> Vec<(u32, bool)> {
+        let of_class = |(equal, sharing): (&EqualPlaces, u32)| {
+            let atoms = equal.atoms();
+            let long = |place: &EqualPlace| (place.place, axon_sharing::is_long(atoms, place.base, limits));
+            equal.places[..sharing as usize].iter().map(long).collect::<Vec<_>>()
+        };
+        let mut members: Vec<(u32, bool)> = self.shared(limits).flat_map(of_class).collect();
+        members.sort_unstable();
+        members
+    }
+
+    /// Classes of places, and how many places of each share its table, as the core stores them.
+    pub fn shared(&self, limits: &Limits) -> impl Iterator<Item = (&EqualPlaces, u32)> {
+        self.equal.iter().zip(self.sharing[usize::from(self.stores_runs(limits))].iter().copied())
+    }
+}
+
+/// The make-up of a group, and its format.
+#[must_use]
+pub fn group_of(group: &[Key], formats: &Formats) -> (u16, Group) {
+    let format = group[0].format();
+    let made = Group {
+        weight_bits: formats.get(format).bits,
+        synapses: group.len() as u32,
+        delayed: group.iter().any(|key| key.delay() > 0),
+        dense: group.windows(2).all(|pair| pair[1].slot() == pair[0].slot() + 1),
+        skip: skip_bits_for(group.windows(2).map(|pair| pair[1].slot() - pair[0].slot())),
+    };
+    (format, made)
+}

@@ -1,0 +1,307 @@
+//! What reaches one compartment: the network read backwards.
+//!
+//! In comes a network, whose synapses are enumerated source by source; out goes, compartment by compartment, the sources of
+//! its synapses. Listed and random synapses are sorted by target once, at four bytes a synapse; dense layers and windows
+//! are computed. Copies of a network share their index.
+//!
+//! Where all that a population sends goes out through windows of the same groups, what holds of one channel of a group
+//! holds of all: at a position they reach the same compartments. Such channels are a *bundle*, which is told once.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::graph::Window;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Population, Quantised};
+
+/// Sources of spikes under one number: channels first, then compartments.
+#[must_use]
+pub fn first_source(network: &Quantised, population: &Population) -> u32 {
+    match (population.first_channel(), population.first_compartment()) {
+        (Some(first), _) => first.0,
+        (None, Some(first)) => network.channels() + first.0,
+        (None, None) => 0,
+    }
+}
+
+/// Sources, and targets, that one task looks at where there are many; the number of one within its piece has half of 32 bits.
+const PIECE: u32 = 1 << 14;
+
+/// Sources by target.
+#[derive(Debug)]
+struct Transposed {
+    /// One more than targets.
+    first: Vec<u64>,
+    /// Ascending within a target.
+    sources: Vec<u32>,
+}
+
+impl Transposed {
+    /// Pieces of sources sort their synapses into ranges of targets, then ranges read the pieces in order; so sources
+    /// ascend, and threads change nothing.
+    fn new(connectivity: &Connectivity, sources: u32, targets: u32) -> Self {
+        let ranges = targets.div_ceil(PIECE) as usize;
+        let pieces: Vec<Vec<Vec<u32>>> = (0..sources.div_ceil(PIECE))
+            .into_par_iter()
+            .map(|piece| {
+                let mut by_range = vec![Vec::new(); ranges];
+                for source in piece * PIECE..((piece + 1) * PIECE).min(sources) {
+                    connectivity.for_each_target(source, |target| {
+                        by_range[(target / PIECE) as usize].push(((target % PIECE) << 16) | (source % PIECE));
+                    });
+                }
+                by_range
+            })
+            .collect();
+        let parts: Vec<(Vec<u32>, Vec<u32>)> = (0..ranges)
+            .into_par_iter()
+            .map(|range| {
+                let held = PIECE.min(targets - range as u32 * PIECE) as usize;
+                let mut counts = vec![0u32; held];
+                let of_range = || pieces.iter().map(|by_range| &by_range[range]);
+                of_range().flatten().for_each(|both| counts[(both >> 16) as usize] += 1);
+                let mut at = Vec::with_capacity(held);
+                let mut sum = 0usize;
+                for &count in &counts {
+                    at.push(sum);
+                    sum += count as usize;
+                }
+                let mut list = vec![0u32; sum];
+                for (first, piece) in (0..).step_by(PIECE as usize).zip(of_range()) {
+                    for both in piece {
+                        let place = &mut at[(both >> 16) as usize];
+                        list[*place] = first + (both & 0xffff);
+                        *place += 1;
+                    }
+                }
+                (counts, list)
+            })
+            .collect();
+        drop(pieces);
+        let mut transposed = Transposed { first: vec![0], sources: Vec::new() };
+        transposed.sources.reserve_exact(parts.iter().map(|(_, list)| list.len()).sum());
+        let mut sum = 0u64;
+        for (counts, list) in parts {
+            for count in counts {
+                sum += u64::from(count);
+                transposed.first.push(sum);
+            }
+            transposed.sources.extend(list);
+        }
+        transposed
+    }
+}
+
+/// What makes two projections' indices equal.
+#[derive(PartialEq, Eq, Hash)]
+enum Key {
+    Listed { list: (usize, usize), sources: u32, targets: u32 },
+    Random { targets: u32, fan_out: u32, seed: u64, first_source: u32, sources: u32 },
+}
+
+/// How one projection is read backwards.
+#[derive(Debug)]
+enum Backwards {
+    Dense {
+        sources: u32,
+    },
+    /// Channels of a bundle: those of a group, or one.
+    Conv {
+        window: Window,
+        bundle: u32,
+    },
+    Pool(Window),
+    Listed(Arc<Transposed>),
+}
+
+/// A network read backwards.
+#[derive(Debug)]
+pub struct FanIn {
+    incoming: IdVec<PopulationId, Vec<ProjectionId>>,
+    projections: IdVec<ProjectionId, (u32, Backwards)>,
+}
+
+impl FanIn {
+    /// The index of a network.
+    #[must_use]
+    pub fn new(network: &Quantised) -> Self {
+        let mut incoming: IdVec<PopulationId, Vec<ProjectionId>> =
+            network.populations().iter().map(|_| Vec::new()).collect();
+        let mut known: HashMap<Key, Arc<Transposed>> = HashMap::new();
+        let mut projections = IdVec::new();
+        for (id, projection) in network.projections().enumerate() {
+            incoming[projection.target].push(id);
+            let source = &network.populations()[projection.source];
+            let (sources, targets) = (source.shape.len(), network.populations()[projection.target].shape.len());
+            let mut listed = |key| {
+                let index = || Arc::new(Transposed::new(&projection.connectivity, sources, targets));
+                Backwards::Listed(known.entry(key).or_insert_with(index).clone())
+            };
+            let backwards = match &projection.connectivity {
+                Connectivity::Dense { .. } => Backwards::Dense { sources },
+                Connectivity::Conv2d { window, .. } => {
+                    Backwards::Conv { window: *window, bundle: bundle(network, projection.source) }
+                }
+                Connectivity::SumPool2d { window, .. } => Backwards::Pool(*window),
+                Connectivity::Sparse { first, targets: list, .. } => {
+                    let list = (first.as_ptr() as usize, list.as_ptr() as usize);
+                    listed(Key::Listed { list, sources, targets })
+                }
+                &Connectivity::Random { fan_out, seed, first_source, .. } => {
+                    listed(Key::Random { targets, fan_out, seed, first_source, sources })
+                }
+            };
+            projections.push((first_source(network, source), backwards));
+        }
+        FanIn { incoming, projections }
+    }
+
+    /// Calls `f(source, projection, part, bundle)` for every synapse into a compartment of a population, by projection, then
+    /// source; synapses of the channels of a bundle, so many, are one call with the first of their sources. Synapses of a
+    /// projection that are the same part of a kernel, between sources of the same atom, have the same weight.
+    #[inline]
+    pub fn for_each_into(&self, population: PopulationId, index: u32, mut f: impl FnMut(u32, ProjectionId, u64, u32)) {
+        // Where there is no kernel each synapse is a part of its own.
+        let own = |source: u32| u64::from(source) << 32 | u64::from(index);
+        for &id in &self.incoming[population] {
+            let (first, backwards) = &self.projections[id];
+            match backwards {
+                Backwards::Dense { sources } => (0..*sources).for_each(|source| f(first + source, id, own(source), 1)),
+                Backwards::Listed(index_of) => {
+                    let range = index_of.first[index as usize] as usize..index_of.first[index as usize + 1] as usize;
+                    for &source in &index_of.sources[range] {
+                        f(first + source, id, own(source), 1);
+                    }
+                }
+                &Backwards::Conv { ref window, bundle } => {
+                    let per_group_in = window.source.0 / window.groups;
+                    let per_group_out = window.target.0 / window.groups;
+                    let out = u64::from(index / (window.target.1 * window.target.2));
+                    let group = out as u32 / per_group_out;
+                    let of_channel = u64::from(window.kernel.0) * u64::from(window.kernel.1);
+                    for within in (0..per_group_in).step_by(bundle as usize) {
+                        let part = (out * u64::from(per_group_in) + u64::from(within)) * of_channel;
+                        let channel = group * per_group_in + within;
+                        for_each_covered(window, index, channel, |source, at| f(first + source, id, part + at, bundle));
+                    }
+                }
+                Backwards::Pool(window) => {
+                    let channel = index / (window.target.1 * window.target.2);
+                    for_each_covered(window, index, channel, |source, _| f(first + source, id, 0, 1));
+                }
+            }
+        }
+    }
+}
+
+impl FanIn {
+    /// Synaptic events of each compartment in as many steps as rates count; sources of a bundle are taken to spike as its first does.
+    #[must_use]
+    pub fn events_into(&self, network: &Quantised, rates: &Rates) -> Vec<u64> {
+        let of_population = |(id, population): (PopulationId, &Population)| {
+            let size = if population.first_compartment().is_some() { population.shape.len() } else { 0 };
+            (0..size).into_par_iter().map(move |index| {
+                let mut events = 0;
+                self.for_each_into(id, index, |source, _, _, bundle| {
+                    events += u64::from(bundle) * rates.rate_of(source);
+                });
+                events
+            })
+        };
+        network.populations().enumerate().flat_map(|one| of_population(one).collect::<Vec<u64>>()).collect()
+    }
+}
+
+/// Channels of a bundle of a population: those of a group where all that it sends goes out through convolutions of the same
+/// groups, one otherwise.
+#[must_use]
+pub fn bundle(network: &Quantised, population: PopulationId) -> u32 {
+    let mut bundle = None;
+    for &id in network.outgoing(population) {
+        let Connectivity::Conv2d { window, .. } = &network.projections()[id].connectivity else { return 1 };
+        let of_group = window.source.0 / window.groups;
+        if bundle.replace(of_group).is_some_and(|other| other != of_group) {
+            return 1;
+        }
+    }
+    bundle.unwrap_or(1)
+}
+
+/// The sources of one channel that the window of a target covers, and their places in the window.
+fn for_each_covered(window: &Window, target: u32, channel: u32, mut f: impl FnMut(u32, u64)) {
+    let within = target % (window.target.1 * window.target.2);
+    let (y, x) = (within / window.target.2, within % window.target.2);
+    let covered = |at: u32, stride: u32, padding: u32, dilation: u32, kernel: u32, size: u32| {
+        (0..kernel).filter_map(move |k| {
+            // Wide, because a stride and a position may each be large; see `Window::for_each_position` for the relation.
+            let s = (u64::from(at) * u64::from(stride) + u64::from(k) * u64::from(dilation))
+                .checked_sub(u64::from(padding))?;
+            (s < u64::from(size)).then_some((s as u32, u64::from(k)))
+        })
+    };
+    let (stride, padding, dilation) = (window.stride, window.padding, window.dilation);
+    for (sy, ky) in covered(y, stride.0, padding.0, dilation.0, window.kernel.0, window.source.1) {
+        for (sx, kx) in covered(x, stride.1, padding.1, dilation.1, window.kernel.1, window.source.2) {
+            f((channel * window.source.1 + sy) * window.source.2 + sx, ky * u64::from(window.kernel.1) + kx);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_testing::random_network;
+
+    #[test]
+    fn sources_of_each_target_ascend_whatever_the_pieces() {
+        let random =
+            |targets| Connectivity::Random { targets, fan_out: 3, low: -8, high: 8, step: 2, seed: 5, first_source: 7 };
+        for (sources, targets) in [(40_000, 50), (20, 40_000), (17_000, 33_000)] {
+            let mut meant = vec![Vec::new(); targets as usize];
+            for source in 0..sources {
+                random(targets).for_each_target(source, |target| meant[target as usize].push(source));
+            }
+            let found = Transposed::new(&random(targets), sources, targets);
+            let list = |target| &found.sources[found.first[target] as usize..found.first[target + 1] as usize];
+            assert!((0..targets as usize).all(|target| list(target) == meant[target]), "{sources} to {targets}");
+        }
+    }
+
+    #[test]
+    fn backwards_and_forwards_are_the_same_synapses() {
+        let mut bundled = false;
+        for seed in 0..60 {
+            let network = random_network(seed);
+            let mut forwards = Vec::new();
+            for (id, projection) in network.projections().enumerate() {
+                let source = &network.populations()[projection.source];
+                for s in 0..source.shape.len() {
+                    let from = first_source(&network, source) + s;
+                    projection.connectivity.for_each_from(s, |t, _| forwards.push((projection.target, t, id, from)));
+                }
+            }
+            let (fan_in, mut backwards) = (FanIn::new(&network), Vec::new());
+            for (id, population) in network.populations().enumerate() {
+                for t in 0..population.shape.len() {
+                    fan_in.for_each_into(id, t, |source, projection, _, bundle| {
+                        let positions = match &network.projections()[projection].connectivity {
+                            Connectivity::Conv2d { window, .. } => window.source.1 * window.source.2,
+                            _ => 0,
+                        };
+                        bundled |= bundle > 1;
+                        backwards.extend((0..bundle).map(|k| (id, t, projection, source + k * positions)));
+                    });
+                }
+            }
+            forwards.sort_unstable();
+            backwards.sort_unstable();
+            assert_eq!(forwards, backwards, "seed {seed}");
+            assert!(!forwards.is_empty());
+        }
+        assert!(bundled);
+    }
+}

@@ -1,0 +1,611 @@
+//! One core while it is being filled: what its compartments so far need of every resource, kept up to date.
+//!
+//! Input: compartments one by one. Output: whether the core still holds them all. The counts are those of
+//! [`crate::resources::exact`] but for output axons, which depend on where the targets end up: for these the
+//! caller gives an estimate for each compartment. Adding never lowers a need (formats excepted, and
+//! the widest list when a core changes its mind about runs), so that a core that is too
+//! full stays too full; the caller then begins another.
+//!
+//! Lists that sources share through population axons ([`crate::resources::axon_sharing`]) are counted only where a core does not
+//! hold its compartments without: while a tile is added row by row its lists differ, and only when it is whole are they
+//! the same. So compartments that came one by one are counted with lists of their own, which is never too little.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::resources::axon_sharing;
+use crate::resources::axon_sharing::{Class, Places};
+use crate::resources::counter::{CoreTotals, FormatCounts, LISTS, Profiles, stored};
+use crate::resources::fan_in::FanIn;
+use crate::resources::fan_out::ALONE;
+use crate::resources::formats::Formats;
+use crate::resources::packing;
+use crate::resources::packing::{Compression, Group, MOST_SLOTS, Widths};
+use nsim_ir::base::fixed::{Delay, WeightBits};
+use nsim_ir::base::id::{CompartmentId, PopulationId};
+use nsim_ir::base::rng;
+use nsim_ir::partition::CoreUsage;
+use nsim_ir::quantised::{Neuron, Quantised};
+use nsim_ir::resource::{Limits, Resource};
+
+/// A compartment that wants a seat.
+#[derive(Debug, Clone, Copy)]
+pub struct Newcomer {
+    /// Its number in the network.
+    pub id: CompartmentId,
+    /// Its population.
+    pub population: PopulationId,
+    /// Its index there.
+    pub index: u32,
+    /// Its parameters.
+    pub neuron: Neuron,
+    /// Estimate of its output axon slots.
+    pub slots_out: u32,
+    /// What it shares them by with others of the core ([`FanOut::together`]).
+    ///
+    /// [`FanOut::together`]: crate::resources::fan_out::FanOut::together
+    pub together: u64,
+}
+
+/// The input axons of a bundle of sources ([`crate::resources::fan_in`]) so far, which are alike.
+#[derive(Debug, Clone, Copy)]
+struct Axon {
+    /// How many.
+    bundle: u32,
+    /// The last of its groups, which leads to the others.
+    last: Option<u32>,
+    /// Without and with runs.
+    words: [u32; 2],
+    /// Where the first of its sources stands, if it has a place.
+    placed: Option<PlacedAxon>,
+}
+
+/// The list of a source that has a place, as far as it is to be distinguished from others.
+#[derive(Debug, Clone, Copy)]
+struct PlacedAxon {
+    place: u32,
+    atom: u16,
+    /// Of the place.
+    base: u16,
+    /// A digest of its synapses' slots, counted from the base, and the parts of kernels that they are. Two different lists
+    /// with the same digest would be found out when the cores are counted exactly.
+    digest: u64,
+}
+
+impl PlacedAxon {
+    fn tell(&mut self, slot: u16, format: u16, projection: usize, part: u64) {
+        let from_base = u64::from(slot - self.base);
+        let which = from_base << 48 | u64::from(format) << 32 | projection as u64;
+        self.digest = rng::digest(rng::digest(self.digest, which), part);
+    }
+}
+
+/// The synapses of one format of one axon so far.
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    axon: u32,
+    previous: Option<u32>,
+    format: u16,
+    last_slot: u16,
+    synapses: u32,
+    /// Without and with runs.
+    words: [u32; 2],
+    delayed: bool,
+    dense: bool,
+    /// The widest gap between its slots; `None` once a slot stands twice.
+    gap: Option<u16>,
+    /// With runs.
+    compression: Compression,
+}
+
+impl Entry {
+    fn group(&self, weight_bits: WeightBits) -> Group {
+        let skip = self.gap.and_then(packing::skip_bits);
+        Group { weight_bits, synapses: self.synapses, delayed: self.delayed, dense: self.dense, skip }
+    }
+
+    /// How it is stored without and with runs.
+    fn compressions(&self) -> [Compression; LISTS] {
+        [if self.dense { Compression::Dense } else { Compression::Sparse }, self.compression]
+    }
+}
+
+/// A make-up of a group at some widths, and how it is stored without and with runs.
+type Packed = ((Widths, Group), [(Compression, u32); LISTS]);
+
+/// Places of a class, ascending, with their bases.
+type PlacesOfClass = Vec<(u32, u16)>;
+
+/// Input axons by source: a table of open addresses, small enough to stay in a cache where one of all sources would not.
+#[derive(Debug)]
+struct AxonTable {
+    /// Source, input axon, and the core by count on which it has it; a power of two of them, at most half of them in use.
+    slots: Vec<(u32, u32, u32)>,
+    held: usize,
+    /// The present core by count.
+    core: u32,
+}
+
+impl AxonTable {
+    fn new() -> Self {
+        AxonTable { slots: vec![(0, 0, 0); 1 << 10], held: 0, core: 1 }
+    }
+
+    fn clear(&mut self) {
+        (self.core, self.held) = (self.core.wrapping_add(1), 0);
+        if self.core == 0 {
+            *self = AxonTable::new();
+        }
+    }
+
+    /// The axon of a source; `next` if it had none, which it then has.
+    #[inline]
+    fn get_or_insert(&mut self, source: u32, next: u32) -> u32 {
+        let mask = self.slots.len() - 1;
+        // The upper bits of the product depend on all bits of the source.
+        let mut at = (source.wrapping_mul(0x9e37_79b1) >> (u32::BITS - self.slots.len().ilog2())) as usize;
+        loop {
+            let slot = &mut self.slots[at];
+            if slot.2 != self.core {
+                *slot = (source, next, self.core);
+                self.held += 1;
+                if self.held * 2 > self.slots.len() {
+                    self.grow();
+                }
+                return next;
+            }
+            if slot.0 == source {
+                return slot.1;
+            }
+            at = (at + 1) & mask;
+        }
+    }
+
+    #[cold]
+    fn grow(&mut self) {
+        let (more, core) = (2 * self.slots.len(), self.core);
+        let before = std::mem::replace(&mut self.slots, vec![(0, 0, 0); more]);
+        (self.core, self.held) = (1, 0);
+        for (source, axon, _) in before.into_iter().filter(|slot| slot.2 == core) {
+            self.get_or_insert(source, axon);
+        }
+    }
+}
+
+/// A core that is being filled.
+#[derive(Debug)]
+pub struct Filling<'a> {
+    fan_in: &'a FanIn,
+    limits: &'a Limits,
+    formats: Formats,
+    weight_bits: Vec<WeightBits>,
+    delays: Vec<Delay>,
+    /// The input axon of each source that has one.
+    axon_of: AxonTable,
+    members: Vec<CompartmentId>,
+    axons: Vec<Axon>,
+    entries: Vec<Entry>,
+    /// Without and with runs.
+    format_counts: [FormatCounts; LISTS],
+    profiles: Profiles,
+    widths: Widths,
+    /// Synapses, lists and the longest delay so far.
+    totals: CoreTotals,
+    /// Estimate of output axon slots.
+    slots_out: u64,
+    /// Of compartments that share output axons, those counted so far.
+    together: HashSet<u64>,
+    places: Places,
+    /// The first slot that each place reaches.
+    begins: HashMap<u32, u16>,
+    /// Whether the core holds its compartments only because lists are shared.
+    shares: bool,
+    /// What a group took when last asked, by format: neighbours mostly are made up alike.
+    last: Vec<Option<Packed>>,
+    /// Whether a list became shorter, so that the longest may be one that no longer is.
+    shortened: bool,
+    /// What the members use, where that is known exactly.
+    used: Option<CoreUsage>,
+}
+
+impl<'a> Filling<'a> {
+    /// An empty core.
+    #[must_use]
+    pub fn new(network: &Quantised, fan_in: &'a FanIn, limits: &'a Limits) -> Self {
+        let formats = Formats::for_network(network);
+        let places = Places::for_network(network, limits);
+        Filling {
+            fan_in,
+            limits,
+            weight_bits: network.projections().iter().map(|p| p.format.bits).collect(),
+            delays: network.projections().iter().map(|p| p.delay).collect(),
+            axon_of: AxonTable::new(),
+            members: Vec::new(),
+            axons: Vec::new(),
+            entries: Vec::new(),
+            format_counts: std::array::from_fn(|_| FormatCounts::new(formats.len())),
+            last: vec![None; formats.len()],
+            formats,
+            profiles: Profiles::default(),
+            widths: Widths::for_core(0, Delay::MIN, limits.packing),
+            totals: CoreTotals::new(0, Delay::MIN),
+            slots_out: 0,
+            together: HashSet::new(),
+            begins: HashMap::new(),
+            shares: places.are_of_need(),
+            places,
+            shortened: false,
+            used: None,
+        }
+    }
+
+    /// Begins another core and hands out the compartments of this one.
+    pub fn next_core(&mut self) -> Vec<CompartmentId> {
+        self.axon_of.clear();
+        self.axons.clear();
+        self.entries.clear();
+        self.format_counts.iter_mut().for_each(FormatCounts::clear);
+        self.profiles = Profiles::default();
+        self.widths = Widths::for_core(0, Delay::MIN, self.limits.packing);
+        (self.totals, self.slots_out) = (CoreTotals::new(0, Delay::MIN), 0);
+        self.begins.clear();
+        self.together.clear();
+        self.shares = self.places.are_of_need();
+        (self.shortened, self.used) = (false, None);
+        std::mem::take(&mut self.members)
+    }
+
+    /// Compartments so far.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.members.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.members.is_empty()
+    }
+
+    /// Adds a compartment.
+    ///
+    /// # Errors
+    /// What the core would use, when it cannot hold the compartment. It is not a member then, but the running counts are
+    /// spoiled: begin another core.
+    pub fn add(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
+        self.put(newcomer)?;
+        match self.holds() {
+            Ok(used) => {
+                self.used = (self.places.is_empty() && !self.shortened).then_some(used);
+                Ok(())
+            }
+            Err(used) => {
+                self.members.pop();
+                Err(used)
+            }
+        }
+    }
+
+    /// What the compartments added one by one use, output axons left out: exactly what is counted from their synapses.
+    /// None where lists may be shared, or have become shorter, because only counting anew tells then.
+    #[must_use]
+    pub fn used(&self) -> Option<CoreUsage> {
+        self.used
+    }
+
+    /// Adds compartments that make a whole, whose lists may be shared.
+    ///
+    /// # Errors
+    /// As [`Filling::add`]; begin another core then.
+    pub fn add_whole(&mut self, newcomers: impl ExactSizeIterator<Item = Newcomer>) -> Result<(), CoreUsage> {
+        let compartments = (self.members.len() + newcomers.len()) as u32;
+        if compartments > self.limits[Resource::Compartments].min(MOST_SLOTS) {
+            return Err(self.usage().with(Resource::Compartments, compartments.into()));
+        }
+        self.used = None;
+        for newcomer in newcomers {
+            self.put(&newcomer)?;
+        }
+        if self.holds().is_err() {
+            self.shares = !self.places.is_empty();
+        }
+        self.holds().map(|_| ())
+    }
+
+    fn put(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
+        if self.members.len() as u32 >= self.limits[Resource::Compartments].min(MOST_SLOTS) {
+            return Err(self.usage().with(Resource::Compartments, self.members.len() as u64 + 1));
+        }
+        let slot = self.members.len() as u16;
+        self.members.push(newcomer.id);
+        let fan_in = self.fan_in;
+        fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection, part, bundle| {
+            let projection = projection.0 as usize;
+            self.totals.longest_delay = self.totals.longest_delay.max(self.delays[projection]);
+            self.synapse((source, bundle), projection, part, slot);
+        });
+        let widths = Widths::for_core(self.members.len() as u32, self.totals.longest_delay, self.limits.packing);
+        if widths != self.widths {
+            self.widths = widths;
+            self.recount();
+        }
+        self.profiles.insert(&newcomer.neuron);
+        if newcomer.together == ALONE || self.together.insert(newcomer.together) {
+            self.slots_out += u64::from(newcomer.slots_out);
+        }
+        Ok(())
+    }
+
+    /// What it has uses, where the core holds it.
+    fn holds(&self) -> Result<CoreUsage, CoreUsage> {
+        // One compartment alone cannot be split any further; whether its output axons fit is asked when targets are seated.
+        let mut used = self.usage();
+        if self.shares && !self.limits.hold(&used.of) {
+            used = self.usage_shared();
+        }
+        let fits = self.limits.hold(&used.of)
+            && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits[Resource::AxonsOut]));
+        if fits { Ok(used) } else { Err(used) }
+    }
+
+    /// Adds a synapse of each source of a bundle.
+    fn synapse(&mut self, (source, bundle): (u32, u32), projection: usize, part: u64, slot: u16) {
+        let format = self.formats.by_projection()[projection];
+        let weight_bits = self.weight_bits[projection];
+        let next = self.axons.len() as u32;
+        let axon_index = self.axon_of.get_or_insert(source, next);
+        if axon_index == next {
+            let placed = self.places.of_source(source).map(|(place, atom)| {
+                let first_slot = *self.begins.entry(place).or_insert(slot);
+                PlacedAxon { place, atom, base: axon_sharing::base_of(first_slot, self.limits), digest: 0 }
+            });
+            self.axons.push(Axon { bundle, last: None, words: [0; 2], placed });
+            self.totals.lists.iter_mut().for_each(|lists| lists.axons += u64::from(bundle));
+        }
+        let axon = &mut self.axons[axon_index as usize];
+        if let Some(placed) = &mut axon.placed {
+            placed.tell(slot, format, projection, part);
+        }
+        let mut at = axon.last;
+        while let Some(index) = at {
+            if self.entries[index as usize].format == format {
+                break;
+            }
+            at = self.entries[index as usize].previous;
+        }
+        let index = at.unwrap_or_else(|| {
+            let index = self.entries.len() as u32;
+            let (previous, last_slot) = (axon.last.replace(index), slot);
+            let empty = Entry {
+                axon: axon_index,
+                previous,
+                format,
+                last_slot,
+                synapses: 0,
+                words: [0; 2],
+                delayed: false,
+                dense: true,
+                gap: Some(0),
+                compression: Compression::Dense,
+            };
+            self.entries.push(empty);
+            index
+        });
+        let entry = &mut self.entries[index as usize];
+        if entry.synapses > 0 {
+            for (counts, compression) in self.format_counts.iter_mut().zip(entry.compressions()) {
+                counts.remove(format, entry.delayed, compression);
+            }
+            entry.dense &= slot == entry.last_slot + 1;
+            entry.gap = entry.gap.and_then(|gap| Some(gap.max((slot - entry.last_slot).checked_sub(1)?)));
+        }
+        entry.delayed |= self.delays[projection] > Delay::MIN;
+        entry.synapses += 1;
+        entry.last_slot = slot;
+        let group = entry.group(weight_bits);
+        let made = (self.widths, group);
+        let last = &mut self.last[usize::from(format)];
+        let ways = match *last {
+            Some((same, ways)) if same == made => ways,
+            _ => last.insert((made, stored(group, self.widths, self.limits))).1,
+        };
+        entry.compression = ways[1].0;
+        for (counts, (compression, _)) in self.format_counts.iter_mut().zip(ways) {
+            counts.add(format, entry.delayed, compression);
+        }
+        let words = ways.map(|(_, words)| words);
+        let before = std::mem::replace(&mut entry.words, words);
+        for (way, before) in before.into_iter().enumerate() {
+            // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
+            axon.words[way] = axon.words[way] + entry.words[way] - before;
+            self.shortened |= entry.words[way] < before;
+            let lists = &mut self.totals.lists[way];
+            lists.longest = lists.longest.max(axon.words[way]);
+            let [now, before] = [entry.words[way], before].map(|words| u64::from(words) * u64::from(bundle));
+            lists.words = lists.words + now - before;
+        }
+        self.totals.synapses += u64::from(bundle);
+    }
+
+    /// Counts all words again, with other widths.
+    fn recount(&mut self) {
+        self.totals.lists.iter_mut().for_each(|lists| (lists.words, lists.longest) = (0, 0));
+        self.axons.iter_mut().for_each(|axon| axon.words = [0; LISTS]);
+        for entry in &mut self.entries {
+            let ways = stored(entry.group(self.formats.get(entry.format).bits), self.widths, self.limits);
+            let with_runs = &mut self.format_counts[1];
+            with_runs.remove(entry.format, entry.delayed, entry.compression);
+            entry.compression = ways[1].0;
+            with_runs.add(entry.format, entry.delayed, entry.compression);
+            entry.words = ways.map(|(_, words)| words);
+            let axon = &mut self.axons[entry.axon as usize];
+            for way in 0..LISTS {
+                axon.words[way] += entry.words[way];
+                self.totals.lists[way].words += u64::from(entry.words[way]) * u64::from(axon.bundle);
+            }
+        }
+        self.shortened = false;
+        for (way, lists) in self.totals.lists.iter_mut().enumerate() {
+            lists.longest = self.axons.iter().map(|axon| axon.words[way]).max().unwrap_or(0);
+        }
+    }
+
+    /// Classes of places whose lists are the same, without and with runs; and the places of each, with their bases.
+    fn classes(&self) -> ([Vec<Class>; LISTS], Vec<PlacesOfClass>) {
+        let mut in_table = vec![[0u32; 2]; self.axons.len()];
+        for entry in &self.entries {
+            let group = entry.group(self.formats.get(entry.format).bits);
+            for (way, compression) in entry.compressions().into_iter().enumerate() {
+                in_table[entry.axon as usize][way] +=
+                    packing::words_in_table(group, compression, self.widths, self.limits);
+            }
+        }
+        let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
+        let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
+        placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
+        let mut classes: [Vec<Class>; LISTS] = Default::default();
+        let mut of_classes: Vec<PlacesOfClass> = Vec::new();
+        let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
+        for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
+            let digests = of_place.iter().map(|(placed, _)| (placed.atom, placed.digest)).collect();
+            let next = classes[0].len();
+            let class = *known.entry(digests).or_insert(next);
+            if class == next {
+                of_classes.push(Vec::new());
+            }
+            of_classes[class].push((of_place[0].0.place, of_place[0].0.base));
+            for (way, classes) in classes.iter_mut().enumerate() {
+                if class == next {
+                    let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
+                    classes.push(Class {
+                        places: 0,
+                        lists: of_place.iter().map(|&(_, at)| self.axons[at].bundle).sum(),
+                        atoms: of_place.last().map_or(0, |&(placed, at)| placed.atom + self.axons[at].bundle as u16),
+                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[way] * self.axons[at].bundle).sum(),
+                        list_words: (words().min().unwrap_or(0), words().max().unwrap_or(0)),
+                    });
+                }
+                classes[class].places += 1;
+            }
+        }
+        (classes, of_classes)
+    }
+
+    /// The places that are members of population axons on a core of these compartments, ascending, and whether it is a
+    /// pop32 axon.
+    pub fn members_of_axons(&mut self, newcomers: impl Iterator<Item = Newcomer>) -> Vec<(u32, bool)> {
+        self.next_core();
+        for newcomer in newcomers {
+            if self.put(&newcomer).is_err() {
+                break;
+            }
+        }
+        let (mut totals, (classes, places)) = (self.totals(), self.classes());
+        let sharing: Vec<Vec<u32>> =
+            totals.lists.iter_mut().zip(&classes).map(|(lists, classes)| lists.share(classes, self.limits)).collect();
+        let way = usize::from(totals.stores_runs(self.limits));
+        let of_class = |((class, places), &sharing): ((&Class, &PlacesOfClass), &u32)| {
+            let long = |&(place, base): &(u32, u16)| (place, axon_sharing::is_long(class.atoms, base, self.limits));
+            places[..sharing as usize].iter().map(long).collect::<Vec<_>>()
+        };
+        let mut members: Vec<(u32, bool)> =
+            classes[way].iter().zip(&places).zip(&sharing[way]).flat_map(of_class).collect();
+        members.sort_unstable();
+        self.next_core();
+        members
+    }
+
+    fn totals(&self) -> CoreTotals {
+        let mut totals = CoreTotals { compartments: self.members.len() as u32, ..self.totals };
+        (totals.compartment_profiles, totals.threshold_profiles) = self.profiles.counts();
+        for (lists, counts) in totals.lists.iter_mut().zip(&self.format_counts) {
+            lists.formats = counts.distinct();
+        }
+        totals
+    }
+
+    /// What the compartments so far use with lists of their own, output axons left out.
+    #[must_use]
+    pub fn usage(&self) -> CoreUsage {
+        self.totals().usage(self.limits)
+    }
+
+    /// What the compartments so far use when lists are shared, output axons left out.
+    #[must_use]
+    pub fn usage_shared(&self) -> CoreUsage {
+        let mut totals = self.totals();
+        for (lists, classes) in totals.lists.iter_mut().zip(self.classes().0) {
+            lists.share(&classes, self.limits);
+        }
+        totals.usage(self.limits)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::resources::exact::usage;
+    use nsim_ir::base::id::IdVec;
+    use nsim_ir::partition::seats;
+    use nsim_ir::quantised::Units;
+    use nsim_ir::resource::Packing;
+    use nsim_testing::{limits, random_network};
+
+    /// What a core uses that holds the first so many of these compartments, counted from its synapses.
+    fn exact(network: &Quantised, order: &[CompartmentId], held: usize, limits: &Limits) -> CoreUsage {
+        let (held, rest) = order.split_at(held);
+        let members: IdVec<_, _> = vec![held.to_vec(), rest.to_vec()].into();
+        let seats = seats(network.compartments(), &members).unwrap();
+        let used = usage(network, &members, &seats, &vec![0, 0].into(), limits).as_slice()[0];
+        used.with(Resource::AxonsOut, 0).with(Resource::AxonsOutPerCompartment, 0)
+    }
+
+    #[test]
+    fn a_table_of_axons_knows_each_source_once_for_each_core() {
+        let mut table = AxonTable::new();
+        for core in 0..3 {
+            // Sources far apart and neighbours, more than there are slots at first.
+            let sources: Vec<u32> = (0..3_000).map(|k| if k % 2 == 0 { k } else { k * 65_536 + core }).collect();
+            for (next, &source) in (0..).zip(&sources) {
+                assert_eq!(table.get_or_insert(source, next), next);
+            }
+            for (axon, &source) in (0..).zip(&sources) {
+                assert_eq!(table.get_or_insert(source, 9_999), axon);
+            }
+            table.clear();
+        }
+    }
+
+    #[test]
+    fn running_counts_equal_exact_ones_after_any_additions() {
+        let (mut compared, mut one_by_one) = (0, 0);
+        for seed in 0..80 {
+            let network = random_network(seed);
+            let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
+            let limits = Limits { packing, ..limits() };
+            let mut order: Vec<CompartmentId> = (0..network.compartments()).map(CompartmentId).collect();
+            // Parts of a kernel that happen to have the same weights are told apart while a core is filled, so lists that
+            // are shared are compared whole and in the order of the file only.
+            let shared = !Places::for_network(&network, &limits).is_empty();
+            if !shared {
+                order.sort_by_key(|id| rng::digest(seed, u64::from(id.0)));
+            }
+            let fan_in = FanIn::new(&network);
+            let mut filling = Filling::new(&network, &fan_in, &limits);
+            for (held, &id) in (1..).zip(&order) {
+                let (population, index) = network.population_of(id);
+                let Units::Compartments { neurons, .. } = &network.populations()[population].units else { continue };
+                let neuron = neurons.get(index);
+                filling.add(&Newcomer { id, population, index, neuron, slots_out: 0, together: ALONE }).unwrap();
+                if let Some(used) = filling.used().filter(|_| held % 5 == 0) {
+                    assert_eq!(used, exact(&network, &order, held, &limits), "seed {seed}: {held}, added one by one");
+                    one_by_one += 1;
+                }
+                if held == order.len() || !shared && held % 13 == 0 {
+                    assert_eq!(filling.usage_shared(), exact(&network, &order, held, &limits), "seed {seed}: {held}");
+                    compared += 1;
+                }
+            }
+        }
+        assert!(compared > 100 && one_by_one > 100, "{compared} and {one_by_one} comparisons");
+    }
+}

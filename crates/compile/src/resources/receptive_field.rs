@@ -1,0 +1,128 @@
+//! One axis of a window: who reaches whom.
+//!
+//! In comes a window (convolution or pooling); out go, for its rows or its columns alone, the targets of a source, and the
+//! fields in which the sources of a part of the targets reach it. A window reaches rows and columns independently, so
+//! both are counted in the length of an axis instead of the area.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use nsim_ir::graph::Window;
+
+/// One axis of a window.
+#[derive(Debug, Clone, Copy)]
+pub struct WindowAxis {
+    kernel: u64,
+    stride: u64,
+    padding: u64,
+    dilation: u64,
+    source: u32,
+    target: u32,
+    uniform: bool,
+}
+
+/// Targets that a source reaches in a part of an axis, ascending, each with its place in the kernel.
+pub type ReceptiveField = Vec<(u16, u32)>;
+
+impl WindowAxis {
+    /// From north to south.
+    #[must_use]
+    pub fn rows(window: &Window) -> Self {
+        WindowAxis::along(window, |pair| pair.0, window.source.1, window.target.1)
+    }
+
+    /// With the same weight at every place of the kernel.
+    #[must_use]
+    pub fn uniform(self, uniform: bool) -> Self {
+        WindowAxis { uniform, ..self }
+    }
+
+    /// From west to east.
+    #[must_use]
+    pub fn columns(window: &Window) -> Self {
+        WindowAxis::along(window, |pair| pair.1, window.source.2, window.target.2)
+    }
+
+    fn along(window: &Window, side: fn((u32, u32)) -> u32, source: u32, target: u32) -> Self {
+        let of = |pair| u64::from(side(pair));
+        let (kernel, stride) = (of(window.kernel), of(window.stride));
+        WindowAxis {
+            kernel,
+            stride,
+            padding: of(window.padding),
+            dilation: of(window.dilation),
+            source,
+            target,
+            uniform: false,
+        }
+    }
+
+    /// Target positions, ascending, whose windows cover a source position.
+    pub fn reached(self, source: u32) -> impl Iterator<Item = u32> {
+        self.reached_by(source).map(|(at, _)| at)
+    }
+
+    /// Target positions, ascending, whose windows cover a source position, and the places in the kernel where they do; one
+    /// place for all where the kernel is the same everywhere.
+    fn reached_by(self, source: u32) -> impl Iterator<Item = (u32, u32)> {
+        // Output o covers s at k when o stride - padding + k dilation = s.
+        (0..self.kernel).rev().filter_map(move |k| {
+            let at = (u64::from(source) + self.padding).checked_sub(k * self.dilation)?;
+            let inside = at % self.stride == 0 && at / self.stride < u64::from(self.target);
+            inside.then_some(((at / self.stride) as u32, if self.uniform { 0 } else { k as u32 }))
+        })
+    }
+
+    /// Source positions that may reach a part of the targets.
+    fn under(self, part: &Range<u32>) -> Range<u32> {
+        let first = (u64::from(part.start) * self.stride).saturating_sub(self.padding);
+        let last = (u64::from(part.end) - 1) * self.stride + self.kernel.saturating_sub(1) * self.dilation;
+        let end = (last + 1).saturating_sub(self.padding).min(u64::from(self.source));
+        first.min(end) as u32..end as u32
+    }
+
+    /// What a source reaches of a part of the targets, counted from where the part begins.
+    #[must_use]
+    pub fn field(self, source: u32, part: &Range<u32>) -> ReceptiveField {
+        let inside = self.reached_by(source).filter(|(at, _)| part.contains(at));
+        inside.map(|(at, k)| ((at - part.start) as u16, k)).collect()
+    }
+
+    /// The first source that reaches a part of the targets, and what each of them reaches of it, by its distance from the
+    /// first; parts with equal patterns differ by a shift of all sources.
+    #[must_use]
+    pub fn pattern(self, part: &Range<u32>) -> (u32, Vec<(u32, ReceptiveField)>) {
+        let (mut first, mut pattern) = (0, Vec::new());
+        for source in self.under(part) {
+            let field = self.field(source, part);
+            if field.is_empty() {
+                continue;
+            }
+            if pattern.is_empty() {
+                first = source;
+            }
+            pattern.push((source - first, field));
+        }
+        (first, pattern)
+    }
+
+    /// What sources reach of a part, ascending, and how many sources reach the same.
+    #[must_use]
+    pub fn fields(self, part: &Range<u32>) -> Vec<(ReceptiveField, u64)> {
+        let mut fields: BTreeMap<ReceptiveField, u64> = BTreeMap::new();
+        for source in self.under(part) {
+            let field = self.field(source, part);
+            if !field.is_empty() {
+                *fields.entry(field).or_default() += 1;
+            }
+        }
+        fields.into_iter().collect()
+    }
+}
+
+/// Targets of a source, counted from where they begin, each with its place in the kernel.
+#[must_use]
+pub fn relative(field: &ReceptiveField) -> ReceptiveField {
+    let first = field.first().map_or(0, |&(at, _)| at);
+    field.iter().map(|&(at, k)| (at - first, k)).collect()
+}

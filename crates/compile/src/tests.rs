@@ -1,0 +1,660 @@
+//! The compiler as a whole: what fits, what does not and why, and that wrong programs are found out.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use crate::emit::route::route;
+use crate::emit::testing as memory;
+use crate::partition::tiles;
+use crate::place;
+use crate::resources::exact::usage;
+use crate::resources::fan_in::FanIn;
+use crate::resources::incremental::{Filling, Newcomer};
+use crate::{CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Options, Reason, compile, explore};
+use nsim_check::equivalence::{Difference, check};
+use nsim_check::verify::{Violation, verify};
+use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+use nsim_ir::base::csr::Csr;
+use nsim_ir::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightExponent};
+use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
+use nsim_ir::base::rng;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::graph::{PerCompartment, Shape, Window};
+use nsim_ir::partition::{Partition, seats};
+use nsim_ir::program::{AxonTarget, Parts, Program, Stored, Synapse};
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Neuron, Quantised, Reset, Units};
+use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Pool, Resource};
+use nsim_testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
+
+fn compiled(network: Quantised, limits: Limits) -> Compiled {
+    compile(network, &target(2, 2, limits), &Options::default()).unwrap()
+}
+
+fn reasons(network: Quantised, chips: u32, limits: Limits, copies: u32) -> Vec<Reason> {
+    let options = Options { copies, ..Options::default() };
+    match compile(network, &target(chips, 1, limits), &options) {
+        Err(CompileError::DoesNotFit(reasons)) => reasons,
+        other => panic!("{:?}", other.map(|c| c.partition.cores())),
+    }
+}
+
+#[test]
+fn the_slip_network_fits_one_core_with_the_published_counts() {
+    let compiled = compiled(slip(3150), limits());
+    let usage = compiled.partition.usage().as_slice();
+    assert_eq!(usage.len(), 1);
+    // vt-snn: 156 + 3150 + 60 sources; words by nengo's formula.
+    assert_eq!(
+        (usage[0][Resource::AxonsIn], usage[0][Resource::SynapseWords], usage[0][Resource::Compartments]),
+        (3_366, 7_452, 62)
+    );
+}
+
+#[test]
+fn a_dense_layer_of_18_432_words_is_split_over_exactly_two_cores() {
+    let mut builder = Builder::new();
+    let (input, output) = (builder.input("in", 1024), builder.loihi("out", 128));
+    builder.dense(input, output, |s, t| ((s + t) % 100) as i16 * 2);
+    let compiled = compiled(builder.build(), limits());
+    let words: Vec<u64> = compiled.partition.usage().iter().map(|used| used[Resource::SynapseWords]).collect();
+    assert_eq!(compiled.partition.cores(), 2);
+    // 118 targets still take 9 + 7 words an axon, all 16,384; the other 10 take 2.
+    assert_eq!(words, [16_384, 2_048]);
+}
+
+#[test]
+fn both_polarities_of_the_vision_layer_do_not_fit_and_the_ways_out_are_said() {
+    let found = reasons(slip(6300), 1, limits(), 1);
+    assert_eq!(found.len(), 1, "{found:?}");
+    let reason = &found[0];
+    assert_eq!((reason.population.as_deref(), reason.resource.name()), (Some("sight"), "axons_in"));
+    assert_eq!((reason.need, reason.limit, reason.code), (6_300, 4_096, "map.axons-in"));
+    for way in ["merge polarities", "prune inputs", "pool more", "intermediate populations"] {
+        assert!(reason.help.contains(way), "{}", reason.help);
+    }
+}
+
+#[test]
+fn sources_are_gathered_in_population_axons_where_input_axons_are_too_few() {
+    let mapped = |axons_in, channels| {
+        let board = target(1, 1, limits().with(Resource::AxonsIn, axons_in));
+        let front = Front::from(slip(channels)).relay(&board)?;
+        let options = Options::default();
+        explore::map(front, &board, &options, &Rates::assumed(DEFAULT_RATE), Form::Written)
+    };
+    // 6,300 lists of two words; the channels of a core's 10 compartments are 13 population axons.
+    let both = mapped(4_096, 6_300).unwrap();
+    assert_eq!(both.checked.how, "whole");
+    let used: Vec<_> = both.partition.usage().iter().map(|used| used[Resource::AxonsIn]).collect();
+    assert!(used.iter().sum::<u64>() < 400, "{used:?}");
+    // Hidden compartments, of which there are 60, are gathered too.
+    let all = mapped(40, 3_150).unwrap();
+    assert!(all.partition.usage().iter().all(|used| used[Resource::AxonsIn] <= 40));
+    // Words do not suffice.
+    assert!(matches!(mapped(4_096, 20_000), Err(CompileError::DoesNotFit(_))));
+}
+
+#[test]
+fn every_reason_is_given_over_all_populations() {
+    let mut builder = Builder::new();
+    let (wide, narrow) = (builder.input("wide", 30), builder.input("narrow", 4));
+    let (a, b, c) = (builder.loihi("a", 3), builder.loihi("b", 3), builder.loihi("c", 40));
+    builder.dense(wide, a, |_, _| 2);
+    builder.dense(narrow, b, |_, _| 2);
+    builder.random(narrow, b, 60, 1);
+    builder.dense(b, c, |_, _| 2);
+    let tiny =
+        limits().with(Resource::AxonsIn, 20).with(Resource::SynapseWordsPerAxon, 3).with(Resource::Compartments, 4);
+    let found: Vec<_> = reasons(builder.build(), 1, tiny, 1)
+        .into_iter()
+        .map(|r| (r.population.unwrap(), r.resource, r.limit))
+        .collect();
+    assert!(found.contains(&("a".to_string(), Resource::AxonsIn.into(), 20)), "{found:?}");
+    // About 20 synapses of 14 bits from each channel to each of three targets: 5 words.
+    assert!(found.contains(&("b".to_string(), Resource::SynapseWordsPerAxon.into(), 3)), "{found:?}");
+}
+
+#[test]
+fn output_axons_that_no_split_can_lower_are_a_reason() {
+    let network = || {
+        let mut builder = Builder::new();
+        let (a, b) = (builder.loihi("a", 5), builder.loihi("b", 40));
+        builder.dense(a, b, |_, _| 2);
+        builder.build()
+    };
+    // Ten cores of b: each spike of a takes 10 axons.
+    let per_compartment = limits().with(Resource::Compartments, 4).with(Resource::AxonsOutPerCompartment, 9);
+    let found = reasons(network(), 1, per_compartment, 1);
+    assert_eq!(found.len(), 1);
+    assert_eq!((found[0].resource.name(), found[0].need, found[0].limit), ("axons_out_per_compartment", 11, 9));
+    let slots = limits().with(Resource::Compartments, 4).with(Resource::AxonsOut, 9);
+    let found = reasons(network(), 1, slots, 1);
+    assert_eq!((found[0].population.as_deref(), found[0].resource.name()), (Some("a"), "axons_out"));
+    // With room for 22 slots, two compartments of a fit on a core.
+    let compiled = compiled(network(), limits().with(Resource::Compartments, 4).with(Resource::AxonsOut, 22));
+    assert!(compiled.partition.usage().iter().all(|used| used[Resource::AxonsOut] <= 22));
+}
+
+#[test]
+fn more_copies_than_the_target_holds_is_a_reason_before_anything_large_is_made() {
+    let found = reasons(slip(3150), 1, limits(), 4_096);
+    assert_eq!(found[0].resource, Resource::Compartments);
+    assert!(found[0].help.contains("fewer than 4096 copies"), "{}", found[0].help);
+    let found = reasons(slip(3150), 1, limits(), 200);
+    // 200 x 3,366 input axons need at least 165 cores.
+    assert_eq!((found[0].resource.name(), found[0].need, found[0].limit), ("cores", 165, 128));
+    assert!(found[0].help.contains("at least 165 cores"), "{}", found[0].help);
+}
+
+#[test]
+fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
+    let options = Options { copies: 32, placement: CopyPlacement::Packed, ..Options::default() };
+    let board = target(2, 2, limits());
+    let compiled = compile(slip(3150), &board, &options).unwrap();
+    assert_eq!(compiled.partition.cores(), 32);
+    let traffic = explore::traffic::traffic(&compiled.program, &Rates::assumed(1.0));
+    assert_eq!(traffic.cut_spikes_per_step, 32.0 * 3_306.0, "only inputs cross between cores");
+    let small = compile(slip(100), &board, &options).unwrap();
+    // 316 input axons and 62 compartments a copy: twelve copies share a core.
+    assert_eq!(small.partition.cores(), 3);
+}
+
+#[test]
+fn a_population_that_fits_an_empty_core_is_kept_whole_when_that_costs_no_core() {
+    let mut builder = Builder::new();
+    let input = builder.input("in", 4);
+    let (a, b) = (builder.loihi("a", 700), builder.loihi("b", 600));
+    builder.dense(input, a, |_, _| 2);
+    builder.dense(input, b, |_, _| 2);
+    let kept = compiled(builder.build(), limits());
+    let sizes: Vec<usize> = kept.partition.members().iter().map(Vec::len).collect();
+    assert_eq!(sizes, [700, 600]);
+    let mut builder = Builder::new();
+    let input = builder.input("in", 4);
+    for name in ["a", "b", "c"] {
+        let population = builder.loihi(name, 600);
+        builder.dense(input, population, |_, _| 2);
+    }
+    let filled = compiled(builder.build(), limits());
+    let sizes: Vec<usize> = filled.partition.members().iter().map(Vec::len).collect();
+    assert_eq!(sizes, [1024, 776], "whole would take three cores");
+}
+
+#[test]
+fn too_many_profiles_and_delays_split_a_population() {
+    let mut builder = Builder::new();
+    let input = builder.input("in", 4);
+    let neuron =
+        |i| Neuron { du: Decay::new(i).unwrap(), vth: ThresholdMantissa::new(i / 50).unwrap(), ..neurons().get(0) };
+    let each = PerCompartment::Each((0..100).map(neuron).collect());
+    let varied = builder.loihi_with("varied", Shape::Line(100), each);
+    builder.dense(input, varied, |_, _| 2);
+    let profiles = compiled(builder.build(), limits());
+    assert_eq!(profiles.partition.cores(), 4, "100 profiles, 32 a core");
+    let mut builder = Builder::new();
+    let (input, late) = (builder.input("in", 4), builder.loihi("late", 1000));
+    let weights = vec![2i16; 4000].into();
+    let dense = Connectivity::Dense { targets: 1000, weights };
+    builder.connect((input, late), plain_format(), 31, dense);
+    let delays = compiled(builder.build(), limits());
+    let used: Vec<u64> = delays.partition.usage().iter().map(|used| used[Resource::Compartments]).collect();
+    assert_eq!(used, [256, 256, 256, 232], "8,192 accumulators, 32 slots a compartment");
+}
+
+#[test]
+fn resources_that_share_a_pool_are_kept_within_it() {
+    let costs: BTreeMap<_, _> = [(Resource::SynapseWords, 8), (Resource::AxonsIn, 4)].into();
+    let (name, unit) = ("memory".to_string(), "bytes".to_string());
+    let pooled = |limit| {
+        let pool = Pool { name: name.clone(), unit: unit.clone(), limit, costs: costs.clone() };
+        Limits { pools: vec![Arc::new(pool)], ..limits() }
+    };
+    let network = || {
+        let mut builder = Builder::new();
+        let (a, b) = (builder.input("a", 100), builder.loihi("b", 80));
+        builder.random(a, b, 40, 1);
+        builder.build()
+    };
+    let (own, shared) = (compiled(network(), limits()), compiled(network(), pooled(6_000)));
+    assert_eq!(own.partition.cores(), 1);
+    assert!(shared.partition.cores() > 1);
+    for used in shared.partition.usage() {
+        assert!(8 * used[Resource::SynapseWords] + 4 * used[Resource::AxonsIn] <= 6_000, "{used:?}");
+    }
+    let excess = verify(&own.program, &target(2, 2, pooled(6_000))).unwrap_err();
+    assert!(matches!(&excess, Violation::Excess { capacity, .. } if capacity.name() == "memory"), "{excess}");
+    let reasons = reasons(network(), 1, pooled(100), 1);
+    assert_eq!((reasons[0].code, reasons[0].limit, reasons[0].population.as_deref()), ("map.pool", 100, Some("b")));
+    assert!(reasons[0].to_string().contains("bytes of the memory of its core, the limit is 100"), "{}", reasons[0]);
+}
+
+/// Limits drawn small enough to split and large enough to be met.
+fn drawn_limits(seed: u64) -> Limits {
+    let draw = |k, low: u64, high: u64| (low + rng::below(high - low + 1, seed, 99, k)) as u32;
+    let of = |resource| match resource {
+        Resource::Compartments => draw(0, 1, 40),
+        Resource::AxonsIn => draw(1, 60, 200),
+        Resource::AxonsOut => draw(2, 150, 800),
+        Resource::AxonsOutPerCompartment => draw(3, 100, 200),
+        Resource::SynapseWords => draw(4, 150, 800),
+        Resource::SynapseWordsPerAxon => draw(5, 12, 40),
+        Resource::SynapseFormats => draw(6, 12, 16),
+        Resource::CompartmentProfiles => draw(7, 1, 4),
+        Resource::ThresholdProfiles => draw(8, 1, 2),
+        Resource::Accumulators => draw(9, 8, 100),
+    };
+    let packing = if draw(10, 0, 1) == 0 { Packing::Nengo } else { Packing::Nxtf };
+    Limits { most: PerResource::from_fn(of), packing, ..limits() }
+}
+
+#[test]
+fn every_limit_is_kept_on_hundreds_of_random_networks() {
+    let (mut fitted, mut split, mut refused) = (0, 0, 0);
+    for seed in 0..500 {
+        let limits = drawn_limits(seed);
+        // Searching for places takes most of the time and changes no limit but slots off chip.
+        let place = seed.is_multiple_of(5);
+        let options = Options { copies: 1 + (seed % 3) as u32, place, ..Options::default() };
+        // Compiling verifies the tables against the limits and checks them against the network.
+        match compile(random_network(seed), &target(2, 2, limits.clone()), &options) {
+            Ok(compiled) => {
+                fitted += 1;
+                split += u32::from(compiled.partition.cores() > 1);
+                for (core, used) in compiled.partition.usage().enumerate() {
+                    assert_eq!(used.excesses(&limits).next(), None, "seed {seed} {core}");
+                }
+            }
+            Err(CompileError::DoesNotFit(reasons)) => {
+                refused += 1;
+                assert!(!reasons.is_empty() && reasons.iter().all(|r| r.need > r.limit), "seed {seed}: {reasons:?}");
+            }
+            Err(other) => panic!("seed {seed}: {other}"),
+        }
+    }
+    assert!(fitted > 300 && split > 250, "{fitted} fitted, {split} were split, {refused} did not fit");
+}
+
+#[test]
+fn compiling_twice_gives_the_same_program() {
+    for seed in 0..20 {
+        let program = || compiled(random_network(seed), limits().with(Resource::Compartments, 7)).program;
+        assert_eq!(program(), program());
+    }
+}
+
+/// A network with several cores, formats, delays and populations for programs to go wrong in.
+fn mutable() -> (Quantised, Parts) {
+    let mut builder = Builder::new();
+    let (x, y) = (builder.input("x", 6), builder.input("y", 5));
+    let (a, b) = (builder.loihi("a", 8), builder.loihi("b", 3));
+    builder.dense(x, a, |s, t| (s * 8 + t) as i16 * 2 - 60);
+    builder.dense(a, b, |s, t| (s * 3 + t) as i16 * 2 - 30);
+    builder.random(b, a, 3, 5);
+    let weights = (0..15i16).map(|w| w * 2 - 14).collect();
+    let format = nsim_testing::format(1, SignMode::Mixed, 8);
+    let dense = Connectivity::Dense { targets: 3, weights };
+    builder.connect((y, b), format, 2, dense);
+    let network = builder.build();
+    let parts = compiled(network.clone(), limits().with(Resource::Compartments, 4)).program.into_parts();
+    (network, parts)
+}
+
+/// Changes the synapses of one core.
+fn resynapse(parts: &mut Parts, core: u32, change: impl FnOnce(&mut Vec<Vec<Synapse>>)) {
+    let image = &mut parts.cores[CoreId(core)];
+    relist(&mut image.inputs.lists, change);
+}
+
+fn relist<T: Copy>(lists: &mut Csr<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
+    let mut all: Vec<Vec<T>> = lists.iter().map(<[T]>::to_vec).collect();
+    change(&mut all);
+    *lists = Csr::default();
+    all.into_iter().for_each(|list| lists.push(list));
+}
+
+#[test]
+fn mutated_programs_are_found_out() {
+    type Mutation = (&'static str, fn(&mut Parts));
+    let mutations: [Mutation; 24] = [
+        ("changed weight", |p| resynapse(p, 0, |l| l[0][1].weight += 2)),
+        ("weight of zero", |p| resynapse(p, 1, |l| l[2][0].weight = 0)),
+        ("changed slot", |p| resynapse(p, 0, |l| l[0][0].slot = 3)),
+        ("slot outside", |p| resynapse(p, 0, |l| l[0][0].slot = 400)),
+        ("changed delay", |p| resynapse(p, 0, |l| l[0][0].delay = Delay::new(1).unwrap())),
+        ("changed exponent", |p| p.cores[CoreId(0)].formats[0].synapse.exponent = WeightExponent::new(2).unwrap()),
+        ("changed sign mode", |p| p.cores[CoreId(1)].formats[0].synapse.sign = SignMode::Excitatory),
+        ("format outside", |p| resynapse(p, 0, |l| l[0][0].format = 200)),
+        ("dropped synapse", |p| resynapse(p, 0, |l| l[3].truncate(1))),
+        ("duplicated synapse", |p| {
+            resynapse(p, 0, |l| {
+                let last = *l[3].last().unwrap();
+                l[3].push(last);
+            });
+        }),
+        ("swapped weights of one axon", |p| {
+            resynapse(p, 0, |l| {
+                let (a, b) = (l[1][0].weight, l[1][1].weight);
+                (l[1][0].weight, l[1][1].weight) = (b, a);
+            });
+        }),
+        ("swapped axons", |p| resynapse(p, 0, |l| l.swap(0, 1))),
+        ("dropped axon", |p| resynapse(p, 0, |l| drop(l.pop()))),
+        ("extra axon", |p| {
+            resynapse(p, 0, |l| {
+                let copy = l[0].clone();
+                l.push(copy);
+            });
+        }),
+        ("redirected message", |p| relist(&mut p.channels, |l| l[0][0].axon += 1)),
+        ("dropped message", |p| relist(&mut p.channels, |l| l[2].clear())),
+        ("message to a core that is not there", |p| {
+            relist(&mut p.channels, |l| l[0].push(AxonTarget { core: CoreId(77), axon: 0 }));
+        }),
+        ("swapped channels", |p| relist(&mut p.channels, |l| l.swap(0, 1))),
+        ("swapped messages of compartments", |p| relist(&mut p.cores[CoreId(0)].axons_out, |l| l.swap(0, 1))),
+        ("changed decay", |p| p.cores[CoreId(0)].compartments[1].neuron.du = Decay::new(1025).unwrap()),
+        ("changed bias", |p| p.cores[CoreId(2)].compartments[0].neuron.bias_mant = BiasMantissa::new(1).unwrap()),
+        ("changed start step", |p| p.cores[CoreId(1)].compartments[0].start_step = 9),
+        ("swapped seats", |p| {
+            let (a, b) = (CompartmentId(0), CompartmentId(5));
+            let (sa, sb) = (p.seats[a], p.seats[b]);
+            (p.seats[a], p.seats[b]) = (sb, sa);
+            p.cores[sa.core].ids[usize::from(sa.slot)] = b;
+            p.cores[sb.core].ids[usize::from(sb.slot)] = a;
+        }),
+        ("seat of another", |p| p.seats[CompartmentId(0)] = p.seats[CompartmentId(1)]),
+    ];
+    let frames: [Mutation; 8] = [
+        ("changed threshold", |p| {
+            p.cores[CoreId(0)].compartments[0].neuron.vth = ThresholdMantissa::new(81).unwrap();
+        }),
+        ("changed reset", |p| p.reset = Some(Reset { interval: 3, offset: 0 })),
+        ("changed semantics", |p| p.semantics = Semantics::Lava),
+        ("changed threshold test", |p| p.threshold = ThresholdTest::Inclusive),
+        ("wrong channel count", |p| p.channels.push([])),
+        ("another output", |p| p.output = PopulationId(2)),
+        ("changed population", |p| p.populations[PopulationId(2)].as_mut().unwrap().count = 7),
+        ("changed positions", |p| p.populations[PopulationId(2)].as_mut().unwrap().positions = 7),
+    ];
+    let (network, good) = mutable();
+    let program = Program::new(good.clone()).unwrap();
+    assert_eq!(check(&network, &program), Ok(()));
+    for (name, mutate) in mutations.into_iter().chain(frames) {
+        let mut parts = good.clone();
+        mutate(&mut parts);
+        assert_ne!(parts, good, "{name} changes nothing");
+        let verdict = Program::new(parts).map(|program| check(&network, &program));
+        assert!(!matches!(verdict, Ok(Ok(()))), "{name} goes unnoticed");
+    }
+}
+
+#[test]
+fn the_checker_names_what_differs() {
+    let (network, good) = mutable();
+    let mut parts = good.clone();
+    let message = parts.channels.get(ChannelId(1).0 as usize)[0];
+    resynapse(&mut parts, message.core.0, |lists| lists[usize::from(message.axon)].truncate(3));
+    let difference = check(&network, &Program::new(parts).unwrap()).unwrap_err();
+    assert_eq!(difference, Difference::Synapses { source_name: "input channel in1".to_string(), decoded: 7, meant: 8 });
+}
+
+#[test]
+fn each_rule_of_the_verifier_can_fail() {
+    let (_, good) = mutable();
+    let limits = limits().with(Resource::Compartments, 4);
+    let board = target(2, 2, limits.clone());
+    let verdict = |mutate: &dyn Fn(&mut Parts)| {
+        let mut parts = good.clone();
+        mutate(&mut parts);
+        verify(&Program::new(parts).expect("still closed"), &board).unwrap_err()
+    };
+    assert_eq!(verify(&Program::new(good.clone()).unwrap(), &board), Ok(()));
+    assert_eq!(verify(&Program::new(good.clone()).unwrap(), &target(2, 1, limits.clone())), Err(Violation::Mesh));
+    let reversed = verdict(&|p| relist(&mut p.channels, |l| l[0].reverse()));
+    assert_eq!(reversed, Violation::Multicast("input channel 0".to_string()));
+    // The last core holds b, whose spikes reach both cores of a.
+    let reversed = verdict(&|p| relist(&mut p.cores[CoreId(2)].axons_out, |l| l.iter_mut().for_each(|m| m.reverse())));
+    assert!(matches!(&reversed, Violation::Multicast(who) if who.contains("core2")), "{reversed}");
+    assert!(matches!(verdict(&|p| resynapse(p, 0, |l| l[0].clear())), Violation::EmptyAxon { list: 0, .. }));
+    let format = |change: fn(&mut Parts)| matches!(verdict(&change), Violation::Format { .. });
+    assert!(format(|p| {
+        let copy = p.cores[CoreId(0)].formats[0];
+        p.cores[CoreId(0)].formats.push(copy);
+    }));
+    assert!(format(|p| p.cores[CoreId(0)].formats[0].synapse.bits = nsim_ir::base::fixed::WeightBits::new(7).unwrap()));
+    assert!(format(|p| p.cores[CoreId(0)].formats[0].delay_bits = 5));
+    assert!(format(|p| p.cores[CoreId(0)].formats[0].index_bits = Some(12)));
+    assert!(format(|p| {
+        let unused = nsim_testing::format(5, SignMode::Mixed, 8);
+        let first = p.cores[CoreId(0)].formats[0];
+        p.cores[CoreId(0)].formats.push(nsim_ir::program::CoreFormat { synapse: unused, ..first });
+    }));
+    // Core 0 holds a's first half: its first list is of channel 0, dense over slots 0 to 3.
+    let scattered = verdict(&|p| {
+        let image = &mut p.cores[CoreId(0)];
+        let other = nsim_ir::program::CoreFormat { index_bits: Some(6), ..image.formats[0] };
+        let number = image.formats.iter().position(|f| *f == other).unwrap_or_else(|| {
+            image.formats.push(other);
+            image.formats.len() - 1
+        });
+        resynapse(p, 0, |l| l[0][1].format = number as u8);
+    });
+    assert!(matches!(scattered, Violation::Scattered { list: 0, .. }), "{scattered}");
+    let slots = verdict(&|p| resynapse(p, 0, |l| l[0].swap(0, 1)));
+    assert!(matches!(slots, Violation::Slots { list: 0, .. }), "{slots}");
+    let delay = verdict(&|p| resynapse(p, 0, |l| l[0][0].delay = Delay::new(1).unwrap()));
+    assert!(matches!(delay, Violation::Delay { .. }), "{delay}");
+    let weight = verdict(&|p| resynapse(p, 0, |l| l[0][0].weight += 1));
+    assert!(matches!(weight, Violation::Weight { list: 0, .. }), "{weight}");
+    // Each resource, one below what the program uses.
+    let used = compiled(mutable().0, limits.clone()).partition.usage().clone();
+    for resource in Resource::ALL {
+        let need = used.iter().map(|used| used[resource]).max().unwrap();
+        let tight = limits.clone().with(resource, need as u32 - 1);
+        let found = verify(&Program::new(good.clone()).unwrap(), &target(2, 2, tight)).unwrap_err();
+        assert!(matches!(&found, Violation::Excess { capacity, .. } if *capacity == resource), "{found}");
+    }
+}
+
+#[test]
+fn a_network_larger_than_the_target_is_refused_by_its_size() {
+    let mut builder = Builder::new();
+    builder.loihi("large", 200_000);
+    let found = reasons(builder.build(), 1, limits(), 1);
+    assert_eq!((found[0].need, found[0].limit), (200_000, 131_072));
+}
+
+#[test]
+fn a_random_network_of_6_4_million_synapses_keeps_every_limit_of_768_chips() {
+    let mut builder = Builder::new();
+    let (input, all) = (builder.input("in", 100), builder.loihi("all", 100_000));
+    builder.random(input, all, 8, 1);
+    builder.random(all, all, 64, 2);
+    let board = nsim_files::target::load_target("pohoiki-springs").unwrap();
+    assert_eq!((board.limits()[Resource::AxonsIn], board.limits()[Resource::AxonsOut]), (4096, 4096));
+    let compiled = compile(builder.build(), &board, &Options::default()).unwrap();
+    let most = compiled.partition.usage().iter().map(|used| used[Resource::AxonsOut]).max().unwrap();
+    let cores = compiled.partition.cores();
+    println!("{cores} cores, {:?}", compiled.seconds);
+    // 64 targets on nearly 64 cores, most of them off chip: 4,096 / 128 compartments a core at worst.
+    assert!(most <= 4096 && cores <= 3_125, "{cores} cores, {most} slots");
+}
+
+/// A convolution of 16 x 14 positions, 8 channels to 8 in a kernel of 3 x 3, to a layer that sees half of it, and pools it.
+fn layers() -> Quantised {
+    let mut net = Builder::new();
+    let of = |channels, height, width| Shape::Volume(channels, height, width);
+    let input = net.input_shape("in", of(8, 16, 14));
+    let wide = net.loihi_with("wide", of(8, 16, 14), neurons());
+    let pooled = net.loihi_with("pooled", of(8, 8, 7), neurons());
+    let window = |target, kernel, stride, padding| Window {
+        source: (8, 16, 14),
+        target,
+        kernel,
+        stride,
+        padding,
+        dilation: (1, 1),
+        groups: 1,
+    };
+    let kernel: Vec<i16> = (0..8 * 8 * 9).map(|i| (i * 37 % 128) * 2 - 128).collect();
+    let conv = Connectivity::Conv2d { window: window((8, 16, 14), (3, 3), (1, 1), (1, 1)), kernel: kernel.into() };
+    net.connect((input, wide), plain_format(), 0, conv);
+    let pool = Connectivity::SumPool2d { window: window((8, 8, 7), (2, 2), (2, 2), (0, 0)), weight: 60 };
+    net.connect((wide, pooled), plain_format(), 1, pool);
+    net.build()
+}
+
+#[test]
+fn a_kernel_is_stored_once() {
+    for packing in [Packing::Nengo, Packing::Nxtf] {
+        // 7 x 8 positions with their 8 channels are a core: its kernel has 576 weights, its lists 8 x 3,380 synapses.
+        let limits = Limits { packing, ..limits().with(Resource::Compartments, 512) };
+        let compiled = compiled(layers(), limits.clone());
+        for (core, image) in compiled.program.cores().enumerate() {
+            let used = &compiled.partition.usage()[core];
+            assert!(!image.inputs.populations.is_empty(), "{packing:?} {core}");
+            let stored = image.inputs.lists.items().len() as u64;
+            assert!(stored * 3 < image.inputs.count(), "{packing:?} {core}: {stored} of {}", image.inputs.count());
+            assert!(
+                used[Resource::AxonsIn] * 4 < image.inputs.len() as u64,
+                "{packing:?} {core}: {}",
+                used[Resource::AxonsIn]
+            );
+            let memory = memory::encode(image, &limits);
+            assert_eq!(memory.words.len() as u64, used[Resource::SynapseWords], "{packing:?} {core}");
+            let meant: Vec<Vec<Synapse>> = image.inputs.iter().map(|list| list.synapses().collect()).collect();
+            assert_eq!(memory::decode(&memory, image, &limits), Some(meant), "{packing:?} {core}");
+        }
+    }
+}
+
+#[test]
+fn output_axons_are_counted_by_position_and_the_verifier_counts_the_same() {
+    // 16 x 14 positions of 8 channels, which are pooled 2 x 2 channel by channel: the channels of a position go to one core.
+    let roomy = limits().with(Resource::Compartments, 512);
+    let apart = Limits { output_axons: OutputAxons::PerCompartment, ..roomy.clone() };
+    let slots =
+        |compiled: &Compiled| -> u64 { compiled.partition.usage().iter().map(|used| used[Resource::AxonsOut]).sum() };
+    let (together, alone) = (compiled(layers(), roomy.clone()), compiled(layers(), apart));
+    assert!(slots(&together) * 3 < slots(&alone), "{} and {}", slots(&together), slots(&alone));
+    for limits in [roomy, Limits { output_axons: OutputAxons::PerPosition { atoms: 4, more_slots: 3 }, ..limits() }] {
+        for network in (0..30).map(random_network).chain([layers()]) {
+            let Ok(found) = compile(network, &target(2, 2, limits.clone()), &Options::default()) else { continue };
+            let most = found.partition.usage().iter().map(|used| used[Resource::AxonsOut]).max().unwrap_or(0) as u32;
+            let at = |most: u32| verify(&found.program, &target(2, 2, limits.clone().with(Resource::AxonsOut, most)));
+            assert_eq!(at(most), Ok(()));
+            assert!(
+                most == 0 || matches!(at(most - 1), Err(Violation::Excess { need, .. }) if need == u64::from(most))
+            );
+        }
+    }
+}
+
+#[test]
+fn more_sources_than_a_program_can_number_take_several_cores() {
+    // 128 channels at 20 x 33 positions are 84,480 sources of 18 x 31 compartments, on one core but for their numbers.
+    let mut builder = Builder::new();
+    let input = builder.input_shape("in", Shape::Volume(128, 20, 33));
+    let out = builder.loihi_with("out", Shape::Volume(1, 18, 31), neurons());
+    let (source, target, once) = ((128, 20, 33), (1, 18, 31), (1, 1));
+    let window = Window { source, target, kernel: (3, 3), stride: once, padding: (0, 0), dilation: once, groups: 1 };
+    let kernel = (0..128 * 9).map(|k| (k % 50) as i16 * 2 - 40).collect();
+    builder.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+    let compiled = compiled(builder.build(), limits());
+    let sources = |core: &nsim_ir::program::CoreImage| core.inputs.len();
+    let most = compiled.program.cores().iter().map(sources).max();
+    assert!(compiled.partition.cores() > 1 && most.is_some_and(|most| most <= 1 << 16), "{most:?}");
+}
+
+#[test]
+fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
+    let roomy = limits().with(Resource::Compartments, 512);
+    let most =
+        |compiled: &Compiled| compiled.partition.usage().iter().map(|used| used[Resource::SynapseWords]).max().unwrap();
+    let found = compiled(layers(), roomy.clone());
+    let tight = roomy.clone().with(Resource::SynapseWords, most(&found) as u32);
+    let same = compiled(layers(), tight.clone());
+    assert_eq!((same.partition.cores(), most(&same)), (found.partition.cores(), most(&found)));
+    // With a list for each source the words of a core suffice for a fraction of its compartments.
+    let (network, mut alone) = (layers(), 0);
+    let fan_in = FanIn::new(&network);
+    let mut filling = Filling::new(&network, &fan_in, &tight);
+    for &id in &same.partition.members()[CoreId(0)] {
+        let (population, index) = network.population_of(id);
+        let Units::Compartments { neurons, .. } = &network.populations()[population].units else { unreachable!() };
+        let newcomer = Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: 0 };
+        if filling.add(&newcomer).is_err() {
+            break;
+        }
+        alone += 1;
+    }
+    assert!(alone * 2 < same.partition.members()[CoreId(0)].len(), "{alone}");
+}
+
+#[test]
+fn population_axons_that_no_chip_has_are_found_out() {
+    let limits = limits().with(Resource::Compartments, 512);
+    let network = layers();
+    let good = compiled(network.clone(), limits.clone()).program.into_parts();
+    let board = target(1, 1, limits);
+    type Mutation = (&'static str, fn(&mut Stored));
+    let mutations: [Mutation; 8] = [
+        ("base between fours", |inputs| inputs.populations[0].base += 1),
+        ("base of another place", |inputs| inputs.populations[0].base += 4),
+        ("table of another", |inputs| inputs.populations[0].table += 1),
+        ("atom of another", |inputs| inputs.axons.swap(0, 1)),
+        ("atom outside", |inputs| inputs.populations[0].atoms = 600),
+        ("no atoms", |inputs| inputs.populations[0].atoms = 0),
+        ("a population too many", |inputs| inputs.populations.push(inputs.populations[0])),
+        ("an axon too few", |inputs| inputs.axons.truncate(1)),
+    ];
+    for (name, mutate) in mutations {
+        let mut parts = good.clone();
+        mutate(&mut parts.cores[CoreId(0)].inputs);
+        assert_ne!(parts, good, "{name} changes nothing");
+        let verdict = Program::new(parts).map(|program| (check(&network, &program), verify(&program, &board)));
+        assert!(!matches!(verdict, Ok((Ok(()), Ok(())))), "{name} goes unnoticed");
+    }
+}
+
+#[test]
+fn as_many_weights_are_stored_as_nengo_loihi_stores() {
+    // (source, filters, kernel, step), then lists, weights in them and axons of nengo-loihi 1.1's `conv2d_loihi_weights` for
+    // the convolution without padding, channels last, on one core.
+    type Layer = ((u32, u32, u32), u32, (u32, u32), (u32, u32));
+    let layers: [(Layer, [usize; 3]); 5] = [
+        (((4, 10, 9), 8, (3, 3), (1, 1)), [30, 3_456, 90]),
+        (((2, 16, 14), 4, (3, 2), (1, 1)), [21, 480, 224]),
+        (((3, 17, 15), 8, (3, 3), (2, 2)), [24, 960, 255]),
+        (((8, 14, 14), 4, (5, 5), (1, 1)), [82, 20_640, 196]),
+        (((2, 18, 18), 4, (3, 3), (1, 1)), [40, 1_296, 324]),
+    ];
+    for ((source, filters, kernel, stride), theirs) in layers {
+        let size = |source: u32, kernel: u32, stride: u32| (source - kernel) / stride + 1;
+        let target = (filters, size(source.1, kernel.0, stride.0), size(source.2, kernel.1, stride.1));
+        let mut net = Builder::new();
+        let input = net.input_shape("in", Shape::Volume(source.0, source.1, source.2));
+        let out = net.loihi_with("out", Shape::Volume(target.0, target.1, target.2), neurons());
+        let window = Window { source, target, kernel, stride, padding: (0, 0), dilation: (1, 1), groups: 1 };
+        let weights = i64::from(source.0 * filters * kernel.0 * kernel.1);
+        let kernel = (0..weights).map(|i| ((i * 37 + i / 128) % 128 * 2) as i16 - 128).collect();
+        net.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+        // Position by position, channels last, as a tile stands; lists of the same length in and outside of tables.
+        let (network, board) = (net.build(), nsim_testing::target(1, 1, limits()));
+        let order = tiles::cell(target, target, (0, 0, 0), false);
+        let members = IdVec::from(vec![order.into_iter().map(CompartmentId).collect::<Vec<_>>()]);
+        let seats = seats(network.compartments(), &members).unwrap();
+        let used = usage(&network, &members, &seats, &vec![0].into(), board.limits());
+        let partition = Partition::new(network.compartments(), members, used, board.limits()).unwrap();
+        let program =
+            route(&network, &partition, &place::sequential(1, &board).unwrap(), (1, None), board.limits()).unwrap();
+        check(&network, &program).unwrap();
+        verify(&program, &board).unwrap();
+        let [image] = program.cores().as_slice() else { unreachable!() };
+        let tables: BTreeSet<u32> = image.inputs.populations.iter().map(|axon| axon.table).collect();
+        let stored = image.inputs.lists.items().len();
+        assert_eq!([tables.len(), stored, image.inputs.populations.len()], theirs, "{source:?}");
+        assert_eq!(image.inputs.iter_discrete().count(), 0);
+    }
+}

@@ -1,0 +1,984 @@
+//! The rows of the energy table: power, latency, energy and energy-delay product.
+//!
+//! Input: the activity of a run ([`Activity`], [`StepMeter`]) and its deployment. Output: the rows
+//! with their intervals, the breakdown of the dynamic energy, and its distribution over the
+//! timesteps. Invariants: under the profiler's accounting x86 + neuron = total; static + dynamic =
+//! total; an unknown figure is `None`, and a note says why. Equations are those of
+//! `docs/energy.md`.
+
+use serde::Serialize;
+
+use crate::constants::CostTable;
+use crate::deployment::{Deployment, Host};
+use crate::job::Accounting;
+pub use crate::job::Convention;
+use crate::job::Mode;
+use crate::meter::{Distribution, Lane, StepMeter, StepPrice, StepSums};
+use crate::model::{StepTime, energy};
+use crate::quantiles::{Quantiles, Spread};
+use nsim_ir::activity::Activity;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::names::named_variants;
+use nsim_ir::base::units::{Femtojoules, Picoseconds};
+use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status};
+
+impl Convention {
+    /// Energy of a timestep in uJ. `published` needs the timesteps of a sample.
+    #[must_use]
+    pub fn energy_uj(self, total_mw: f64, latency_us: f64, steps_per_sample: Option<u32>) -> Option<f64> {
+        match self {
+            Convention::Physical => Some(total_mw * latency_us / 1e3),
+            Convention::Published => {
+                steps_per_sample.filter(|&steps| steps > 0).map(|steps| total_mw / f64::from(steps))
+            }
+        }
+    }
+}
+
+/// Where a row comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FigureSource {
+    /// From the counts of a simulated run.
+    Simulated,
+    /// Measured on this machine.
+    Measured,
+    /// Printed by its source.
+    Published,
+    /// From constants alone.
+    Modelled,
+    /// Given by the user.
+    Stated,
+    /// Chosen.
+    Assumed,
+}
+
+named_variants!(FigureSource {
+    Simulated = "simulated",
+    Measured = "measured",
+    Published = "published",
+    Modelled = "modelled",
+    Stated = "stated",
+    Assumed = "assumed",
+});
+
+/// One end of the intervals of a row's figures.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Bound {
+    /// Total power.
+    pub total_mw: Option<f64>,
+    /// Time of a timestep.
+    pub latency_us: Option<f64>,
+    /// Energy of a timestep.
+    pub energy_uj: Option<f64>,
+    /// That times the latency.
+    pub edp_pjs: Option<f64>,
+}
+
+/// What share of a figure comes from constants of each status.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct StatusShare {
+    /// Printed by their sources.
+    pub published: f64,
+    /// Fitted to measurements.
+    pub fitted: f64,
+    /// Assumed.
+    pub assumed: f64,
+}
+
+/// The same of each column.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Shares {
+    /// Of static power.
+    pub static_mw: Option<StatusShare>,
+    /// Of dynamic power.
+    pub dynamic_mw: Option<StatusShare>,
+    /// Of the time of a step.
+    pub latency_us: Option<StatusShare>,
+}
+
+/// A row of the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EnergyRow {
+    /// The simulated chip's name, or a baseline's hardware.
+    pub hardware: String,
+    /// `x86`, `neuron` or `total`; by rails `boot`, `idle` or `total`.
+    pub unit: &'static str,
+    /// What the energy and the energy-delay product mean.
+    pub convention: Convention,
+    /// Power drawn without activity.
+    pub static_mw: Option<f64>,
+    /// Power on top.
+    pub dynamic_mw: Option<f64>,
+    /// Their sum.
+    pub total_mw: Option<f64>,
+    /// Time of a timestep, the mean over the run.
+    pub latency_us: Option<f64>,
+    /// Energy of a timestep.
+    pub energy_uj: Option<f64>,
+    /// That times the latency, in pJ s.
+    pub edp_pjs: Option<f64>,
+    /// The low end of the 80 % interval of each figure.
+    pub low: Option<Bound>,
+    /// The high end.
+    pub high: Option<Bound>,
+    /// Of its total power, by the status of the constants.
+    pub share: Option<StatusShare>,
+    /// Of its other columns.
+    pub shares: Shares,
+    /// Processors that other programs kept busy while it was measured, where they were many.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub busy: Option<f64>,
+    /// Where it comes from.
+    pub source: FigureSource,
+    /// Where its power comes from, which may be another place than its time.
+    pub power_source: FigureSource,
+}
+
+impl EnergyRow {
+    /// A row of given power and time; energy and its product with time follow.
+    #[must_use]
+    pub fn new(
+        hardware: &str,
+        unit: &'static str,
+        convention: Convention,
+        (static_mw, dynamic_mw): (f64, Option<f64>),
+        latency_us: Option<f64>,
+        source: FigureSource,
+        steps_per_sample: Option<u32>,
+    ) -> Self {
+        let total_mw = dynamic_mw.map(|dynamic_mw| static_mw + dynamic_mw);
+        let energy_uj = total_mw
+            .zip(latency_us)
+            .and_then(|(total, latency)| convention.energy_uj(total, latency, steps_per_sample));
+        EnergyRow {
+            hardware: hardware.to_string(),
+            unit,
+            convention,
+            static_mw: Some(static_mw),
+            dynamic_mw,
+            total_mw,
+            latency_us,
+            energy_uj,
+            // 1 uJ for 1 us is 1 pJ s.
+            edp_pjs: energy_uj.zip(latency_us).map(|(energy, latency)| energy * latency),
+            low: None,
+            high: None,
+            share: None,
+            shares: Shares::default(),
+            busy: None,
+            source,
+            power_source: source,
+        }
+    }
+
+    /// A figure by the name that tables of measurements use.
+    #[must_use]
+    pub fn figure(&self, name: &str) -> Option<f64> {
+        match name {
+            "static_mw" => self.static_mw,
+            "dynamic_mw" => self.dynamic_mw,
+            "total_mw" => self.total_mw,
+            "latency_us" => self.latency_us,
+            "energy_uj" => self.energy_uj,
+            "edp_pjs" => self.edp_pjs,
+            _ => None,
+        }
+    }
+}
+
+/// A preset by how far its constants can be trusted.
+#[derive(Debug, Clone)]
+pub struct ByStatus {
+    /// The preset with the energies and powers of one status, all others 0: published, fitted,
+    /// assumed.
+    tables: [CostTable; 3],
+    /// The least trusted constant of each part of a step's time, in the order of
+    /// [`StepTime::parts`].
+    time: [Status; 6],
+}
+
+impl ByStatus {
+    /// Of these constants.
+    ///
+    /// # Errors
+    /// As [`CostTable::new`].
+    pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
+        let worst = |names: &dyn Fn(&str) -> bool| {
+            let of = constants.list().into_iter().filter(|(name, constant)| names(name) && constant.value.value > 0.0);
+            of.map(|(_, constant)| constant.status).max().unwrap_or(Status::Published)
+        };
+        let one = |name: &'static str| worst(&move |own: &str| own == name);
+        let host = ["injection_time", "turn_time", "chip_hop_time", "reset_word_time"];
+        let events = worst(&|name: &str| name.ends_with("_time") && !host.contains(&name));
+        let tiles = constants.barrier.iter().map(|entry| entry.time.status).max().unwrap_or(Status::Published);
+        let barrier = tiles.max(one("chip_hop_time"));
+        let time = [one(host[0]), one(host[1]), events, events, barrier, one(host[3])];
+        Ok(ByStatus { tables: CostTable::by_status(constants)?, time })
+    }
+}
+
+/// What is to be estimated.
+#[derive(Debug, Clone, Copy)]
+pub struct Case<'a> {
+    /// Counts of the whole run.
+    pub activity: &'a Activity,
+    /// Its steps, under every preset.
+    pub meter: &'a StepMeter,
+    /// The preset of the figures, an index into the meter's tables.
+    pub preset: usize,
+    /// The name of the hardware in the rows.
+    pub hardware: &'a str,
+    /// How far such predictions were off; empty where that is not known.
+    pub errors: &'a [ClassError],
+    /// The preset by the status of its constants.
+    pub by_status: Option<&'a ByStatus>,
+    /// Copies whose activity was counted: 1 when one copy stands for all, else the copies of the mapping.
+    pub copies_counted: u32,
+    /// Where the copies are.
+    pub deployment: &'a Deployment,
+    /// As fast as possible, or held to the timestep.
+    pub mode: Mode,
+    /// Which power counts.
+    pub accounting: Accounting,
+    /// Length of a timestep of the model.
+    pub timestep: Picoseconds,
+    /// What energy means.
+    pub convention: Convention,
+    /// Timesteps of a sample; `None` when samples differ.
+    pub steps_per_sample: Option<u32>,
+}
+
+impl<'a> Case<'a> {
+    /// All copies of a deployment as fast as possible, energy physical, under the first preset.
+    #[must_use]
+    pub fn new(activity: &'a Activity, meter: &'a StepMeter, deployment: &'a Deployment, timestep_ms: f64) -> Self {
+        Case {
+            activity,
+            meter,
+            preset: 0,
+            hardware: "chip",
+            errors: &[],
+            by_status: None,
+            copies_counted: deployment.copies,
+            deployment,
+            mode: Mode::Offline,
+            accounting: Accounting::Profiler,
+            timestep: Picoseconds::from_milliseconds(timestep_ms),
+            convention: Convention::Physical,
+            steps_per_sample: None,
+        }
+    }
+}
+
+/// What came out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// `x86`, `neuron`, `total`; by rails `boot`, `idle`, `total`.
+    pub rows: Vec<EnergyRow>,
+    /// Powers of all copies together.
+    pub job: JobPower,
+    /// Dynamic energy of the neuron cores by part, in pJ a timestep and copy; `None` without timesteps.
+    pub breakdown_pj: Option<Vec<(&'static str, f64)>>,
+    /// Energy of the timesteps, all power of the `total` row included, physical: its mean is that
+    /// row's energy. `None` without timesteps, and when the meter did not keep it for this preset
+    /// and price.
+    pub per_timestep_uj: Option<Spread>,
+    /// Of that, the dynamic energy of the neuron cores.
+    pub per_timestep_dynamic_uj: Option<Spread>,
+    /// Mean of each part of a step's time; `None` without timesteps.
+    pub time_us: Option<[(&'static str, f64); 6]>,
+    /// Why something is not known.
+    pub notes: Vec<String>,
+}
+
+/// Powers of a whole job, all copies together, in mW.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct JobPower {
+    /// Static power of the neuron cores in use.
+    pub core_static: f64,
+    /// Power of their events; `None` without timesteps.
+    pub core_dynamic: Option<f64>,
+    /// Static power of the x86 cores that run.
+    pub x86_static: f64,
+    /// Their clocks, one a chip.
+    pub x86_clock: f64,
+    /// Their work; `None` without timesteps where it depends on them.
+    pub x86_active: Option<f64>,
+    /// All chips of the board before a program is loaded, as the rails show it.
+    pub boot: f64,
+    /// What x86 cores add to that once a program is loaded, as the rails show it.
+    pub x86_on: f64,
+}
+
+impl JobPower {
+    /// Power of the x86 cores on top of static power.
+    #[must_use]
+    pub fn x86_dynamic(&self) -> Option<f64> {
+        Some(self.x86_clock + self.x86_active?)
+    }
+
+    /// All that the profiler attributes to the job.
+    #[must_use]
+    pub fn profiler(&self) -> Option<f64> {
+        Some(self.core_static + self.core_dynamic? + self.x86_static + self.x86_dynamic()?)
+    }
+
+    /// The whole board once a program is loaded, before it runs.
+    #[must_use]
+    pub fn rails_idle(&self) -> f64 {
+        self.boot + self.x86_on + self.x86_clock
+    }
+
+    /// The whole board while it runs.
+    #[must_use]
+    pub fn rails_running(&self) -> Option<f64> {
+        Some(self.rails_idle() + self.x86_active? + self.core_dynamic?)
+    }
+}
+
+/// What x86 cores do in a step, by equation (20): the power of those that inject, and the energy in
+/// fJ of those that reset.
+fn x86_work(table: &CostTable, deployment: &Deployment) -> (f64, f64) {
+    let each = table.x86_active_power.milliwatts() * deployment.x86_working as f64;
+    match deployment.host {
+        Host::None if !deployment.takes_turns() => (0.0, 0.0),
+        // An x86 core that resets works for as long as that and its turn take; 1 mW for 1 ps is 1
+        // fJ.
+        Host::None => (0.0, each * (deployment.reset.time(table.reset_word_time).0 + table.turn_time.0) as f64),
+        Host::Stream | Host::Memory => (each * table.x86_injecting_share.ratio(), 0.0),
+    }
+}
+
+/// Powers of a job whose copies together spend this energy on events in steps of this time.
+#[must_use]
+pub fn job_power(table: &CostTable, deployment: &Deployment, events_fj: f64, steps: u64, time_ps: u128) -> JobPower {
+    let (injecting, resetting) = x86_work(table, deployment);
+    let known = (time_ps > 0).then_some(time_ps as f64);
+    JobPower {
+        core_static: deployment.cores_used as f64 * table.core_static_power.milliwatts(),
+        // 1 fJ in 1 ps is 1 mW.
+        core_dynamic: known.map(|time| events_fj / time),
+        x86_static: deployment.x86_cores as f64 * table.x86_static_mw(),
+        x86_clock: deployment.x86_chips as f64 * table.x86_clock_power.milliwatts(),
+        x86_active: match resetting > 0.0 {
+            true => known.map(|time| resetting * steps as f64 / time),
+            false => Some(injecting),
+        },
+        boot: deployment.board_chips as f64 * table.chip_boot_power.milliwatts(),
+        x86_on: deployment.x86_cores as f64 * table.x86_on_power.milliwatts(),
+    }
+}
+
+/// Time and energy of a whole run, physical.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Spent {
+    /// Time of all steps.
+    pub time_us: f64,
+    /// Energy of all steps: all power of the `total` row times the time.
+    pub energy_uj: f64,
+}
+
+/// What the `total` row spends in these steps of the meter, summed under the case's preset,
+/// whatever the convention: for the whole run, the mean of a step (13) times the steps.
+///
+/// # Panics
+/// When the meter has no such preset: a mistake of the caller.
+#[must_use]
+pub fn spent(case: &Case<'_>, steps: &StepSums) -> Spent {
+    let price = case.price(&case.meter.tables()[case.preset]);
+    let time_us = case.time(steps) as f64 / 1e6;
+    let dynamic_fj = steps.energy.0 as f64 * price.events + price.step_fj * steps.steps as f64;
+    Spent { time_us, energy_uj: price.always_mw * time_us / 1e3 + dynamic_fj / 1e9 }
+}
+
+/// What the `total` row spends on the mean in the first, second, ... step of a sample, physical;
+/// empty unless the meter kept these sums for the case's preset.
+///
+/// # Panics
+/// When the meter has no such preset: a mistake of the caller.
+#[must_use]
+pub fn spent_by_step_uj(case: &Case<'_>) -> Vec<f64> {
+    let kept = case.meter.settings().by_step == Some(case.preset);
+    let steps = if kept { case.meter.by_step() } else { &[] };
+    steps.iter().map(|sums| spent(case, sums).energy_uj / sums.steps.max(1) as f64).collect()
+}
+
+/// What the `total` row spends in a step besides events, under one preset.
+#[must_use]
+pub fn step_price(
+    table: &CostTable,
+    deployment: &Deployment,
+    copies_counted: u32,
+    (mode, accounting): (Mode, Accounting),
+) -> StepPrice {
+    let (injecting, resetting) = x86_work(table, deployment);
+    let power = job_power(table, deployment, 0.0, 0, 0);
+    let counted = f64::from(copies_counted.max(1));
+    let (copies, x86) = (f64::from(deployment.copies.max(1)), deployment.x86_cores.max(1) as f64);
+    let paced = mode == Mode::Realtime;
+    match accounting {
+        Accounting::Profiler => StepPrice {
+            events: 1.0 / counted,
+            step_fj: resetting / x86,
+            always_mw: (power.x86_static + power.x86_clock + injecting) / x86 + power.core_static / copies,
+            paced,
+        },
+        Accounting::Rails => {
+            StepPrice { events: copies / counted, step_fj: resetting, always_mw: power.rails_idle() + injecting, paced }
+        }
+    }
+}
+
+/// A part of a row's power and how far its class was off.
+type Part = (f64, Option<f64>);
+
+/// The logarithm of the factor of a sum: those of its parts in squares, each weighed by its share.
+fn log_factor(parts: &[Part]) -> Option<f64> {
+    let total: f64 = parts.iter().map(|(power, _)| power).sum();
+    let squares = parts.iter().filter(|(power, _)| *power > 0.0).map(|&(power, factor)| {
+        let share = power / total;
+        Some((share * factor?.ln()).powi(2))
+    });
+    Some(squares.sum::<Option<f64>>()?.sqrt())
+}
+
+impl Case<'_> {
+    /// Time of steps in ps, exact.
+    fn time(&self, steps: &StepSums) -> u128 {
+        match self.mode {
+            Mode::Offline => steps.time,
+            Mode::Realtime => steps.paced_time,
+        }
+    }
+
+    /// What the `total` row spends in a step besides events, under one preset.
+    #[must_use]
+    pub fn price(&self, table: &CostTable) -> StepPrice {
+        step_price(table, self.deployment, self.copies_counted, (self.mode, self.accounting))
+    }
+
+    /// Powers of all copies under one preset.
+    #[must_use]
+    pub fn job(&self, table: &CostTable, steps: &StepSums) -> JobPower {
+        let copies = f64::from(self.deployment.copies.max(1)) / f64::from(self.copies_counted.max(1));
+        let events = energy(self.activity, table).total().0 as f64 * copies;
+        job_power(table, self.deployment, events, steps.steps, self.time(steps))
+    }
+
+    fn latency_us(&self, steps: &StepSums) -> Option<f64> {
+        let time = self.time(steps);
+        (time > 0).then(|| time as f64 / 1e6 / steps.steps as f64)
+    }
+
+    fn rows(&self, job: &JobPower, latency_us: Option<f64>) -> [EnergyRow; 3] {
+        let row = |unit, powers: (f64, Option<f64>), latency_us, source| {
+            EnergyRow::new(self.hardware, unit, self.convention, powers, latency_us, source, self.steps_per_sample)
+        };
+        let (modelled, simulated) = (FigureSource::Modelled, FigureSource::Simulated);
+        match self.accounting {
+            Accounting::Profiler => {
+                let copies = f64::from(self.deployment.copies.max(1));
+                let x86 = self.deployment.x86_cores.max(1) as f64;
+                let of_x86 = (job.x86_static / x86, job.x86_dynamic().map(|power| power / x86));
+                let of_cores = (job.core_static / copies, job.core_dynamic.map(|power| power / copies));
+                let both = of_x86.1.zip(of_cores.1).map(|(x86, cores)| x86 + cores);
+                [
+                    row("x86", of_x86, latency_us, modelled),
+                    row("neuron", of_cores, latency_us, simulated),
+                    row("total", (of_x86.0 + of_cores.0, both), latency_us, simulated),
+                ]
+            }
+            Accounting::Rails => {
+                let loaded = job.boot + job.x86_on;
+                let running = job.rails_running().map(|power| power - loaded);
+                [
+                    row("boot", (job.boot, Some(0.0)), None, modelled),
+                    row("idle", (loaded, Some(job.x86_clock)), None, modelled),
+                    row("total", (loaded, running), latency_us, simulated),
+                ]
+            }
+        }
+    }
+
+    fn within(&self, class: FigureClass) -> Option<f64> {
+        self.errors.iter().find(|error| error.class == class).map(|error| error.within_80)
+    }
+
+    /// The intervals of the rows.
+    fn bounds(&self, rows: &mut [EnergyRow; 3], lane: &Lane) {
+        let free_us = lane.whole.time as f64 / 1e6 / lane.whole.steps.max(1) as f64;
+        let latency_us = self.latency_us(&lane.whole).unwrap_or(free_us);
+        let time = self.within(FigureClass::Time);
+        // A step that is held to its timestep is as long as that.
+        let held = self.mode == Mode::Realtime && latency_us > free_us;
+        let least = if self.mode == Mode::Realtime { self.timestep.microseconds() } else { 0.0 };
+        let ends = time.map(|factor| {
+            let low = (free_us / factor).max(least).min(latency_us);
+            (low, (free_us * factor).max(latency_us))
+        });
+        let events = self.within(if held { FigureClass::CoreEnergy } else { FigureClass::CoreDynamic });
+        let [first, second, _] = &*rows;
+        let static_power = |row: &EnergyRow| (row.static_mw.unwrap_or(0.0), self.within(FigureClass::Static));
+        let dynamic = |row: &EnergyRow, factor| (row.dynamic_mw.unwrap_or(0.0), factor);
+        let x86 = dynamic(first, self.within(FigureClass::X86Dynamic));
+        let cores = dynamic(second, events);
+        let (x86_static, core_static) = (static_power(first), static_power(second));
+        // Static powers of both are one constant and its ratio, so that they are wrong together.
+        let both = (x86_static.0 + core_static.0, x86_static.1);
+        let factors = match self.accounting {
+            Accounting::Profiler => {
+                [log_factor(&[x86_static, x86]), log_factor(&[core_static, cores]), log_factor(&[both, x86, cores])]
+            }
+            Accounting::Rails => [self.within(FigureClass::Rails).map(f64::ln); 3],
+        };
+        for (row, power) in rows.iter_mut().zip(factors) {
+            let bound = |high: bool| {
+                let sign = if high { 1.0 } else { -1.0 };
+                let time =
+                    ends.map(|(low, high_end)| (if high { high_end / latency_us } else { latency_us / low }).ln());
+                let scaled = |figure: Option<f64>, log: Option<f64>| Some(figure? * (sign * log?).exp());
+                // Energy is power times time, the product with time once more; the paper's energy
+                // is power alone.
+                let exponents = if self.convention == Convention::Physical { [1.0, 2.0] } else { [0.0, 1.0] };
+                let [energy, edp] = exponents.map(|exponent| {
+                    let time = if exponent == 0.0 { 0.0 } else { exponent * time? };
+                    Some(power?.hypot(time))
+                });
+                Bound {
+                    total_mw: scaled(row.total_mw, power),
+                    latency_us: scaled(row.latency_us, time),
+                    energy_uj: scaled(row.energy_uj, energy),
+                    edp_pjs: scaled(row.edp_pjs, edp),
+                }
+            };
+            let (low, high) = (bound(false), bound(true));
+            let any = low.total_mw.or(low.latency_us).is_some();
+            (row.low, row.high) = (any.then_some(low), any.then_some(high));
+        }
+    }
+
+    /// What each column owes to constants of each status.
+    fn add_shares(&self, rows: &mut [EnergyRow; 3], by_status: &ByStatus, lane: &Lane) {
+        let latency_us = self.latency_us(&lane.whole);
+        let parts = [0, 1, 2].map(|of| self.rows(&self.job(&by_status.tables[of], &lane.whole), latency_us));
+        let statuses = [Status::Published, Status::Calibrated, Status::Assumed];
+        let of_time = |status: Status| {
+            let parts = lane.whole.parts.iter().zip(by_status.time).filter(|(_, own)| *own == status);
+            parts.map(|(part, _)| *part).sum::<u128>() as f64 / lane.whole.time.max(1) as f64
+        };
+        let [published, fitted, assumed] = statuses.map(of_time);
+        let of_latency = (lane.whole.time > 0).then_some(StatusShare { published, fitted, assumed });
+        for (i, row) in rows.iter_mut().enumerate() {
+            let column = |figure: fn(&EnergyRow) -> Option<f64>| {
+                let whole = figure(row).filter(|&whole| whole > 0.0)?;
+                let share = |of: usize| Some(figure(&parts[of][i])? / whole);
+                Some(StatusShare { published: share(0)?, fitted: share(1)?, assumed: share(2)? })
+            };
+            let (static_mw, dynamic_mw) = (column(|row| row.static_mw), column(|row| row.dynamic_mw));
+            let latency_us = row.latency_us.and(of_latency);
+            row.share = column(|row| row.total_mw);
+            row.shares = Shares { static_mw, dynamic_mw, latency_us };
+        }
+    }
+}
+
+/// Power, latency and energy.
+///
+/// # Panics
+/// When the meter has no such preset or has not seen the steps of the activity: a mistake of the caller.
+#[must_use]
+pub fn estimate(case: &Case<'_>) -> Estimate {
+    assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
+    let settings = case.meter.settings();
+    assert_eq!(settings.timestep, case.timestep, "the meter knows the timestep");
+    let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
+    let job = case.job(table, &lane.whole);
+    let mut rows = case.rows(&job, case.latency_us(&lane.whole));
+    case.bounds(&mut rows, lane);
+    if let Some(by_status) = case.by_status {
+        case.add_shares(&mut rows, by_status, lane);
+    }
+    let price = case.price(table);
+    let steps = case.activity.steps() as f64;
+    let some_steps = case.activity.steps() > 0;
+
+    let mut notes = Vec::new();
+    if !some_steps {
+        notes.push("no timestep was run: dynamic power, latency and energy are not known".to_string());
+    } else if case.time(&lane.whole) == 0 {
+        notes
+            .push("a timestep takes no time under these constants: dynamic power and energy are not known".to_string());
+    }
+    if case.convention == Convention::Published && case.steps_per_sample.is_none() {
+        notes.push(
+            "samples differ in length: the published convention divides by the timesteps of a sample, so its energy is \
+             not known"
+                .to_string(),
+        );
+    }
+
+    let breakdown_pj = some_steps.then(|| {
+        let per_step = 1e3 * steps * f64::from(case.copies_counted.max(1));
+        let part = |(name, energy): (&'static str, Femtojoules)| (name, energy.0 as f64 / per_step);
+        energy(case.activity, table).parts().into_iter().map(part).collect()
+    });
+    let asked = settings.distribution == Some((case.preset, price));
+    let distribution = asked.then(|| case.meter.distribution());
+    let spread = |of: fn(&Distribution) -> &Quantiles| Some(of(distribution?).spread()?.map(|fj| fj / 1e9));
+    let names = StepTime::default().parts().map(|(name, _)| name);
+    let mean_us = |part: usize| (names[part], lane.whole.parts[part] as f64 / 1e6 / steps);
+    Estimate {
+        rows: rows.into(),
+        job,
+        breakdown_pj,
+        per_timestep_uj: spread(|distribution| &distribution.whole),
+        per_timestep_dynamic_uj: spread(|distribution| &distribution.dynamic),
+        time_us: some_steps.then(|| [0, 1, 2, 3, 4, 5].map(mean_us)),
+        notes,
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::constants::tests::{preset, table};
+    use crate::deployment::tests::paper;
+    use crate::model::tests::any_step;
+    use nsim_ir::activity::{CoreCounts, StepActivity};
+
+    pub(crate) const MS: Picoseconds = Picoseconds(1_000_000_000);
+
+    pub(crate) fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles: u64) -> (Activity, StepMeter) {
+        let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
+        let mut meter = crate::meter::tests::meter(tables, tiles, None);
+        add(steps, &mut activity, &mut meter);
+        (activity, meter)
+    }
+
+    fn add(steps: &[StepActivity], activity: &mut Activity, meter: &mut StepMeter) {
+        for step in steps {
+            activity.add_steps(step, 1);
+            meter.add(step, 1, false);
+        }
+    }
+
+    /// A run whose meter keeps the distribution under the first preset and the price of this deployment.
+    fn run_priced(
+        steps: &[StepActivity],
+        tables: Vec<CostTable>,
+        tiles: u64,
+        deployment: &Deployment,
+        copies: u32,
+        mode: Mode,
+    ) -> (Activity, StepMeter) {
+        let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
+        let price = step_price(&tables[0], deployment, copies, (mode, Accounting::Profiler));
+        let mut meter = crate::meter::tests::meter(tables, tiles, Some((0, price)));
+        add(steps, &mut activity, &mut meter);
+        (activity, meter)
+    }
+
+    pub(crate) fn both() -> Vec<CostTable> {
+        vec![table("sanafe-calibrated"), table("davies2018")]
+    }
+
+    fn case<'a>(run: &'a (Activity, StepMeter), deployment: &'a Deployment) -> Case<'a> {
+        Case {
+            activity: &run.0,
+            meter: &run.1,
+            preset: 0,
+            hardware: "loihi",
+            errors: &[],
+            by_status: None,
+            copies_counted: 1,
+            deployment,
+            mode: Mode::Offline,
+            accounting: Accounting::Profiler,
+            timestep: MS,
+            convention: Convention::Physical,
+            steps_per_sample: Some(150),
+        }
+    }
+
+    /// A figure of the paper: its value and half a unit of its last digit.
+    fn printed(text: &str) -> (f64, f64) {
+        let decimals = text.split_once('.').map_or(0, |(_, fraction)| fraction.len());
+        (text.parse().unwrap(), 0.5 * 10f64.powi(-(decimals as i32)))
+    }
+
+    #[test]
+    fn the_published_convention_reproduces_the_paper_s_columns_from_its_power_and_latency() {
+        // VT-SNN, appendix, both tables: total power, latency, energy per timestep, energy-delay product.
+        let rows = [
+            ("21.3", None, "0.14", None),
+            ("12.4", None, "0.08", None),
+            ("33.7", Some("231"), "0.22", Some("51.8")),
+            ("59890", Some("21"), "399", Some("8431")),
+            ("20.3", None, "0.14", None),
+            ("12.1", None, "0.08", None),
+            ("32.3", Some("1039.9"), "0.22", Some("224")),
+            ("61930", Some("1045.6"), "412.9", Some("431708")),
+        ];
+        for (power, latency, energy, edp) in rows {
+            let ((power, dp), (energy, de)) = (printed(power), printed(energy));
+            let of = |power| Convention::Published.energy_uj(power, 0.0, Some(150)).unwrap();
+            let (low, high) = (of(power - dp), of(power + dp));
+            assert!(low <= energy + de && energy - de <= high, "{power}: {low}..{high} against {energy}");
+            if let Some(((latency, dl), (edp, dd))) = latency.map(printed).zip(edp.map(printed)) {
+                let (low, high) = (low * (latency - dl), high * (latency + dl));
+                assert!(low <= edp + dd && edp - dd <= high, "{power}: {low}..{high} against {edp}");
+            }
+        }
+        assert!((Convention::Published.energy_uj(33.7, 231.0, Some(150)).unwrap() - 0.2247).abs() < 5e-5);
+        assert!((Convention::Published.energy_uj(33.7, 231.0, Some(150)).unwrap() * 231.0 - 51.9).abs() < 5e-2);
+        // The same rows physically: 33.7 mW * 231 us.
+        assert!((Convention::Physical.energy_uj(33.7, 231.0, None).unwrap() - 7.7847).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_paper_s_job_draws_the_paper_s_power_by_constants_of_several_works() {
+        let run = run(&[StepActivity::new(1)], both(), 32);
+        let paper = paper();
+        let found = estimate(&case(&run, &paper));
+        let [x86, neuron, _] = <[EnergyRow; 3]>::try_from(found.rows).unwrap();
+        // Both tables: 0.19; 21.1 and 20.1; 11.7 and 11.9 mW.
+        let within = |figure: Option<f64>, printed: f64| assert!((figure.unwrap() / printed - 1.0).abs() < 0.12);
+        within(x86.static_mw, 0.19);
+        within(x86.dynamic_mw, 21.1);
+        within(neuron.static_mw, 11.7);
+        // The ratio of both is the profiler's own.
+        let of_core = neuron.static_mw.unwrap() * 32.0 / 594.0;
+        assert!((of_core / x86.static_mw.unwrap() - 3.377).abs() < 1e-9);
+        // All five x86 cores and all copies.
+        let job = found.job;
+        assert!((job.profiler().unwrap() - 5.0 * x86.total_mw.unwrap() - 32.0 * neuron.total_mw.unwrap()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_meter_on_the_board_shows_chips_and_x86_cores_and_no_neuron_core_at_rest() {
+        let run = run(&[StepActivity::new(1)], both(), 1);
+        let (one, packed) = (
+            Deployment {
+                copies: 1,
+                cores_used: 1,
+                chips_used: 1,
+                x86_cores: 1,
+                x86_chips: 1,
+                x86_working: 1,
+                ..paper()
+            },
+            Deployment {
+                copies: 1,
+                cores_used: 100,
+                chips_used: 1,
+                x86_cores: 1,
+                x86_chips: 1,
+                x86_working: 1,
+                ..paper()
+            },
+        );
+        let rails = |deployment| estimate(&Case { accounting: Accounting::Rails, ..case(&run, deployment) }).rows;
+        assert_eq!(rails(&one), rails(&packed), "cores in use add nothing");
+        let [boot, idle, total] = <[EnergyRow; 3]>::try_from(rails(&one)).unwrap();
+        assert!((boot.total_mw.unwrap() - 32.0 * 28.43).abs() < 1e-9);
+        assert!((idle.total_mw.unwrap() - boot.total_mw.unwrap() - 49.25 - 18.0).abs() < 1e-9);
+        assert!((total.total_mw.unwrap() - idle.total_mw.unwrap() - 3.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_x86_core_that_resets_works_for_as_long_as_that_and_its_turn_take() {
+        let run = run(&[StepActivity::new(1)], both(), 1);
+        let alone = Deployment { copies: 1, x86_cores: 0, x86_chips: 0, x86_working: 0, host: Host::None, ..paper() };
+        let found = estimate(&case(&run, &alone));
+        assert_eq!((found.rows[0].total_mw, found.job.x86_dynamic()), (Some(0.0), Some(0.0)));
+        let reset = crate::transport::Words { count: 1_000, steps: 10 };
+        let resets = Deployment { x86_cores: 1, x86_chips: 1, x86_working: 1, reset, ..alone };
+        let offline = case(&run, &resets);
+        let time = run.1.lanes()[0].whole.time as f64;
+        // 6 mW for the turn and a tenth of 1,000 words.
+        let active = 6.0 * (1_899_000.0 + 100.0 * 16_810.0) / time;
+        let found = estimate(&offline);
+        assert!((found.job.x86_active.unwrap() - active).abs() < 1e-12, "{:?}", found.job);
+        let spent = spent(&offline, &run.1.lanes()[0].whole);
+        assert!((spent.energy_uj - found.rows[2].energy_uj.unwrap()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn intervals_are_of_classes_and_add_up_by_their_shares() {
+        let run = run(&[StepActivity::new(1)], vec![table("loihi1-evidence")], 1);
+        let error = |class, within_80| ClassError { class, works: 5, within_80, within_90: None };
+        let errors =
+            [error(FigureClass::Static, 2.0), error(FigureClass::X86Dynamic, 1.2), error(FigureClass::Time, 3.0)];
+        let paper = paper();
+        let found = estimate(&Case { errors: &errors, ..case(&run, &paper) });
+        let [x86, neuron, total] = &found.rows[..] else { panic!() };
+        // Of the neuron cores' events nothing is known, and there are none.
+        assert!((neuron.high.unwrap().total_mw.unwrap() / neuron.total_mw.unwrap() - 2.0).abs() < 1e-9);
+        let share = |row: &EnergyRow, part: Option<f64>| part.unwrap() / row.total_mw.unwrap();
+        let log = (share(x86, x86.static_mw) * 2f64.ln()).hypot(share(x86, x86.dynamic_mw) * 1.2f64.ln());
+        assert!((x86.high.unwrap().total_mw.unwrap() / x86.total_mw.unwrap() - log.exp()).abs() < 1e-9);
+        let (low, high) = (total.low.unwrap(), total.high.unwrap());
+        assert!((high.latency_us.unwrap() / total.latency_us.unwrap() - 3.0).abs() < 1e-9);
+        let power = (high.total_mw.unwrap() / total.total_mw.unwrap()).ln();
+        let edp = (high.edp_pjs.unwrap() / total.edp_pjs.unwrap()).ln();
+        assert!((edp - power.hypot(2.0 * 3f64.ln())).abs() < 1e-9);
+        assert!(low.energy_uj.unwrap() < total.energy_uj.unwrap());
+        // Held to a millisecond a step is as long as that, unless it may take longer.
+        let slow = estimate(&Case { errors: &errors, mode: Mode::Realtime, ..case(&run, &paper) });
+        assert_eq!(
+            (slow.rows[2].low.unwrap().latency_us, slow.rows[2].high.unwrap().latency_us),
+            (Some(1e3), Some(1e3))
+        );
+        // A class that is not known leaves its sums without bounds.
+        let found = estimate(&Case { errors: &errors[1..], ..case(&run, &paper) });
+        assert_eq!((found.rows[2].low.unwrap().total_mw, found.rows[2].low.unwrap().energy_uj), (None, None));
+    }
+
+    #[test]
+    fn hand_computed_rows() {
+        // Two steps of one core: 100 compartments visited; in the second, 10 active ones fire a message each within the
+        // tile, and 50 dense events.
+        let mut quiet = StepActivity::new(1);
+        quiet.cores.as_mut_slice()[0].visited = 100;
+        let mut busy = StepActivity::new(1);
+        busy.cores.as_mut_slice()[0] = CoreCounts {
+            messages_in: 10,
+            events_dense: 50,
+            events_sparse: 0,
+            visited: 100,
+            active: 10,
+            spikes: 10,
+            messages_out: 10,
+        };
+        busy.hops.local = 10;
+        let deployment = Deployment {
+            name: "packed".to_string(),
+            copies: 2,
+            cores_used: 4,
+            tiles_used: 1,
+            chips_used: 1,
+            x86_cores: 1,
+            x86_chips: 1,
+            x86_working: 1,
+            ..paper()
+        };
+        let mut constants = preset("davies2018");
+        constants.core_static_power.value = 0.6.into();
+        constants.x86_static_ratio.value = 2.0.into();
+        constants.turn_time.value = 0.0.into();
+        let run =
+            run_priced(&[quiet, busy], vec![CostTable::new(&constants).unwrap()], 1, &deployment, 1, Mode::Offline);
+        let offline = case(&run, &deployment);
+        let found = estimate(&offline);
+        // ps: 100 * 5300 + 113000; and 50 * 3500 + 100 * 5300 + 10 * 3100 + 2100 + 113000.
+        let (first, second) = (643_000.0, 851_100.0);
+        let latency = (first + second) / 2.0 / 1e6;
+        // fJ: 100 * 52000; and 50 * 23600 + 100 * 52000 + 10 * 29000 + 10 * 1700.
+        let (quiet_fj, busy_fj) = (5_200_000.0, 6_687_000.0);
+        let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * b.abs(), "{a} against {b}");
+        let [x86, neuron, total] = <[EnergyRow; 3]>::try_from(found.rows).unwrap();
+        near(neuron.latency_us.unwrap(), latency);
+        near(neuron.static_mw.unwrap(), 4.0 * 0.6 / 2.0);
+        near(neuron.dynamic_mw.unwrap(), (quiet_fj + busy_fj) / (first + second));
+        near(x86.static_mw.unwrap(), 0.3);
+        near(x86.dynamic_mw.unwrap(), 18.0 + 3.0);
+        near(total.total_mw.unwrap(), 1.2 + 0.3 + 21.0 + (quiet_fj + busy_fj) / (first + second));
+        near(total.energy_uj.unwrap(), total.total_mw.unwrap() * latency / 1e3);
+        near(total.edp_pjs.unwrap(), total.energy_uj.unwrap() * latency);
+        let spread = found.per_timestep_dynamic_uj.unwrap();
+        near(spread.min, quiet_fj / 1e9);
+        near(spread.max, busy_fj / 1e9);
+        near(found.per_timestep_uj.unwrap().max, busy_fj / 1e9 + 22.5 * second / 1e9);
+        let parts = found.breakdown_pj.unwrap();
+        assert_eq!(parts[0], ("synapse", 590.0));
+        assert_eq!(parts[2], ("compartment", 5345.0));
+        assert_eq!(parts[6], ("hop", 8.5));
+
+        // Held to 1 ms, the same energy is spread over a longer time.
+        let slow = estimate(&Case { mode: Mode::Realtime, ..offline });
+        near(slow.rows[1].latency_us.unwrap(), 1000.0);
+        near(slow.rows[1].dynamic_mw.unwrap(), (quiet_fj + busy_fj) / 2e9);
+        near(slow.rows[0].dynamic_mw.unwrap(), 21.0);
+        // The distribution was kept for another price.
+        assert_eq!(slow.per_timestep_uj, None);
+        // The first step of the sample and the second.
+        let by_step = spent_by_step_uj(&offline);
+        near(by_step[0], quiet_fj / 1e9 + 22.5 * first / 1e9);
+        near(by_step[1], busy_fj / 1e9 + 22.5 * second / 1e9);
+        // Counted for both copies at once, one copy is half.
+        let halved = estimate(&Case { copies_counted: 2, ..offline });
+        near(halved.rows[1].dynamic_mw.unwrap(), neuron.dynamic_mw.unwrap() / 2.0);
+    }
+
+    #[test]
+    fn what_was_not_run_is_unknown_and_says_so() {
+        let run = run(&[], both(), 1);
+        let found = estimate(&case(&run, &paper()));
+        assert_eq!((found.rows[2].dynamic_mw, found.rows[2].energy_uj, found.rows[2].latency_us), (None, None, None));
+        assert!(found.rows[2].static_mw.is_some());
+        assert_eq!((found.breakdown_pj, found.per_timestep_uj), (None, None));
+        assert_eq!(found.notes.len(), 1);
+    }
+
+    #[test]
+    fn the_published_convention_needs_samples_of_one_length() {
+        let run = run(&[StepActivity::new(1)], both(), 1);
+        let paper = paper();
+        let uneven = Case { convention: Convention::Published, steps_per_sample: None, ..case(&run, &paper) };
+        let found = estimate(&uneven);
+        assert_eq!(found.rows[2].energy_uj, None);
+        assert!(found.rows[2].total_mw.is_some());
+        assert!(found.notes[0].contains("published convention"));
+    }
+
+    proptest! {
+        #[test]
+        fn the_parts_of_every_table_add_up(
+            steps in proptest::collection::vec(any_step(2), 1..8),
+            realtime in any::<bool>(), published in any::<bool>(), copies_counted in 1..40u32, copies in 1..40u32,
+            cores_used in 1..5_000u64, x86_cores in 1..6u64,
+        ) {
+            let constants = preset("sanafe-calibrated");
+            let (x86_chips, x86_working) = (x86_cores, x86_cores);
+            let deployment = Deployment { copies, cores_used, x86_cores, x86_chips, x86_working, ..paper() };
+            let mode = if realtime { Mode::Realtime } else { Mode::Offline };
+            let tables = vec![CostTable::new(&constants).unwrap(), table("davies2018")];
+            let run = run_priced(&steps, tables, 5, &deployment, copies_counted, mode);
+            let found = estimate(&Case {
+                copies_counted,
+                errors: &constants.errors,
+                mode,
+                convention: if published { Convention::Published } else { Convention::Physical },
+                ..case(&run, &deployment)
+            });
+            let near = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();
+            let [x86, neuron, total] = <[EnergyRow; 3]>::try_from(found.rows).unwrap();
+            for figure in [|r: &EnergyRow| r.static_mw, |r: &EnergyRow| r.dynamic_mw, |r: &EnergyRow| r.total_mw, |r: &EnergyRow| r.energy_uj] {
+                prop_assert!(near(figure(&x86).unwrap() + figure(&neuron).unwrap(), figure(&total).unwrap()));
+            }
+            for row in [&x86, &neuron, &total] {
+                prop_assert!(near(row.static_mw.unwrap() + row.dynamic_mw.unwrap(), row.total_mw.unwrap()));
+                for (figure, low, high) in [
+                    (row.total_mw, row.low.unwrap().total_mw, row.high.unwrap().total_mw),
+                    (row.latency_us, row.low.unwrap().latency_us, row.high.unwrap().latency_us),
+                    (row.energy_uj, row.low.unwrap().energy_uj, row.high.unwrap().energy_uj),
+                    (row.edp_pjs, row.low.unwrap().edp_pjs, row.high.unwrap().edp_pjs),
+                ] {
+                    prop_assert!(low <= figure && figure <= high);
+                }
+            }
+            // Dynamic power times time is the breakdown, and the spread's mean lies within it.
+            let dynamic_pj = neuron.dynamic_mw.unwrap() * neuron.latency_us.unwrap() * 1e3;
+            let parts: f64 = found.breakdown_pj.unwrap().iter().map(|(_, pj)| pj).sum();
+            prop_assert!(near(parts, dynamic_pj) || parts < 1e-9);
+            if !published {
+                let spread = found.per_timestep_uj.unwrap();
+                let mean = total.energy_uj.unwrap();
+                prop_assert!(spread.min <= mean * (1.0 + 1e-9) && mean <= spread.max * (1.0 + 1e-9));
+            }
+        }
+    }
+}

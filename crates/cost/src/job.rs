@@ -1,0 +1,84 @@
+//! How a job is run and how it is accounted for.
+
+use serde::{Deserialize, Serialize};
+
+use nsim_ir::base::names::named_variants;
+
+/// Whether samples are passed as fast as possible or at the pace of their timesteps.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// As fast as possible.
+    #[default]
+    Offline,
+    /// A step lasts at least as long as its time bin.
+    Realtime,
+}
+
+named_variants!(Mode { Offline = "offline", Realtime = "realtime" });
+
+/// What "energy per timestep" and "energy-delay product" mean.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Convention {
+    /// Power times time (13).
+    #[default]
+    Physical,
+    /// The VT-SNN paper's arithmetic: the energy of a millisecond divided by the timesteps of a sample (14), (15).
+    Published,
+}
+
+named_variants!(Convention { Physical = "physical", Published = "published" });
+
+/// What feeds input spikes to a chip.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Host {
+    /// An x86 core of each chip injects the spikes that a computer sends it.
+    #[default]
+    Stream,
+    /// An x86 core of each chip repeats spikes from its own memory: no time a spike is known.
+    Memory,
+    /// Nothing: the neuron cores alone.
+    None,
+}
+
+named_variants!(Host { Stream = "stream", Memory = "memory", None = "none" });
+
+/// How many input streams a chip is fed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Streams {
+    /// One, which all copies on the chip share.
+    #[default]
+    One,
+    /// One for each copy.
+    Copies,
+}
+
+named_variants!(Streams { One = "one", Copies = "copies" });
+
+/// Numbers of cores of a deployment, all copies together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeployedCores {
+    /// Neuron cores in use.
+    pub cores_used: u64,
+    /// Chips with a core in use.
+    pub chips_used: u64,
+    /// x86 cores in use.
+    pub x86_cores: u64,
+}
+
+/// What a measurement attributes to the chip.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all(serialize = "lowercase"))]
+pub enum Accounting {
+    /// What NxSDK's profiler attributes to neuron cores and x86 cores.
+    #[default]
+    Profiler,
+    /// What the rails of the whole board draw, as a power meter shows it.
+    Rails,
+}
+
+named_variants!(Accounting { Profiler = "profiler", Rails = "rails" });

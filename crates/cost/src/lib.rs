@@ -1,0 +1,23 @@
+//! What a run costs: energy, time and power from counts.
+//!
+//! Input: the counts of each timestep ([`nsim_ir::activity`]), a target's constants, and the
+//! cores in use. Output: energy in whole femtojoules and time in whole picoseconds, and from them
+//! the rows of the report. Sums are exact, so no order of adding changes them. The equations are
+//! numbered in `docs/energy.md`.
+//!
+//! Not modelled: temperature, voltage and the measurement chain, which the sources do not separate; of the host all that
+//! is not done for each spike, step or value.
+
+pub mod constants;
+pub mod deployment;
+pub mod estimate;
+pub mod job;
+pub mod meter;
+pub mod model;
+pub mod quantiles;
+pub mod transport;
+
+pub use constants::CostTable;
+pub use deployment::{Deployment, Host, HostWork, Streams};
+pub use meter::{MeterSettings, StepCost, StepMeter, StepPrice};
+pub use transport::{MessageRoutes, Timing, Transport};

@@ -1,0 +1,416 @@
+//! Energy and time of the steps of a run, for every preset at once, in memory that does not grow with the run.
+//!
+//! Input: the counts of each timestep, and whether its sample was decided before. Output: exact sums of energy and time,
+//! over all steps and over those until the decision; where asked for, the distribution of a step's energy and sums by the
+//! step's number in its sample. Invariant: a meter is a function of the multiset of its samples, so that meters of samples
+//! that ran in parallel give the same figures whatever the order in which they are merged.
+//!
+//! The distribution is of the whole energy of a step, so its [`StepPrice`] has to be known before.
+
+use std::sync::Arc;
+
+use crate::constants::CostTable;
+use crate::model::{StepTime, core_time, energy_of_counts};
+use crate::quantiles::Quantiles;
+use crate::transport::{MessageRoutes, QueueMemory, Timing, Transport};
+use nsim_ir::activity::{HopCounts, StepActivity};
+use nsim_ir::base::units::{Femtojoules, Picoseconds};
+use nsim_ir::program::Program;
+
+/// Sums over steps under one preset, exact.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StepSums {
+    /// Steps.
+    pub steps: u64,
+    /// Energy of their events.
+    pub energy: Femtojoules,
+    /// Time in ps, as fast as possible.
+    pub time: u128,
+    /// Time in ps when every step takes at least the timestep.
+    pub paced_time: u128,
+    /// The parts of `time`, in the order of [`StepTime::parts`].
+    pub parts: [u128; 6],
+}
+
+impl StepSums {
+    fn add(&mut self, energy: Femtojoules, time: &StepTime, timestep: Picoseconds, times: u64) {
+        let total = time.total();
+        self.steps += times;
+        self.energy += energy * times;
+        self.time += u128::from(total.0) * u128::from(times);
+        self.paced_time += u128::from(total.max(timestep).0) * u128::from(times);
+        for (sum, (_, part)) in self.parts.iter_mut().zip(time.parts()) {
+            *sum += u128::from(part.0) * u128::from(times);
+        }
+    }
+
+    fn merge(&mut self, other: &StepSums) {
+        self.steps += other.steps;
+        self.energy += other.energy;
+        self.time += other.time;
+        self.paced_time += other.paced_time;
+        self.parts.iter_mut().zip(other.parts).for_each(|(sum, part)| *sum += part);
+    }
+}
+
+/// The steps of a run under one preset.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Lane {
+    /// All of them.
+    pub whole: StepSums,
+    /// Those of each sample up to and with the one that decided it; all of a sample that is never decided.
+    pub until_decided: StepSums,
+}
+
+/// What is spent in a step besides events: the whole energy of a step is
+/// events * `events` + `step_fj` + `always_mw` * time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepPrice {
+    /// What counted events are multiplied with: one over the copies counted, for the energy of one
+    /// copy.
+    pub events: f64,
+    /// Energy that each step takes, whatever its length, in fJ.
+    pub step_fj: f64,
+    /// Power that is drawn all the time.
+    pub always_mw: f64,
+    /// Whether each step takes at least the timestep.
+    pub paced: bool,
+}
+
+/// What one step adds to a meter of sums under one preset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StepCost {
+    energy: Femtojoules,
+    time: StepTime,
+    hops: HopCounts,
+    slowest: usize,
+}
+
+/// How the energy of a step is distributed over a run, in fJ of one copy.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Distribution {
+    /// Events of the neuron cores.
+    pub dynamic: Quantiles,
+    /// That and all power that is drawn meanwhile.
+    pub whole: Quantiles,
+}
+
+/// Energy and time of the steps so far.
+#[derive(Debug, Clone)]
+pub struct StepMeter {
+    settings: Arc<MeterSettings>,
+    lanes: Vec<Lane>,
+    distribution: Distribution,
+    /// Sums by the step's number in its sample.
+    by_step: Vec<StepSums>,
+    /// The number of the next step in its sample.
+    next: usize,
+    hops: HopCounts,
+    /// Steps in which each core was the slowest, under the first preset.
+    slowest: Vec<u64>,
+    /// The time of the last step under the first preset.
+    last_time: StepTime,
+    memory: QueueMemory,
+}
+
+/// The conditions under which steps are metered.
+#[derive(Debug)]
+pub struct MeterSettings {
+    /// Presets, one a lane.
+    pub tables: Vec<CostTable>,
+    /// The routes of the program's messages.
+    pub routes: Arc<MessageRoutes>,
+    /// The model of the mesh, tiles and host.
+    pub timing: Timing,
+    /// Length of a timestep of the model.
+    pub timestep: Picoseconds,
+    /// The preset, an index into `tables`, and the price under which the distribution of a step's energy is kept.
+    pub distribution: Option<(usize, StepPrice)>,
+    /// The preset under which sums by the step's number in its sample are kept.
+    pub by_step: Option<usize>,
+}
+
+impl MeterSettings {
+    /// Settings for one program, of sums alone.
+    #[must_use]
+    pub fn new(tables: Vec<CostTable>, timing: Timing, program: &Program, timestep: Picoseconds) -> Self {
+        let routes = Arc::new(MessageRoutes::of_program(program));
+        MeterSettings { tables, timing, routes, timestep, distribution: None, by_step: None }
+    }
+}
+
+/// The core that takes longest in a step: of several the first, so that each step has one.
+fn slowest(step: &StepActivity, table: &CostTable) -> usize {
+    let by_time = step.cores.iter().enumerate().map(|(core, counts)| (core_time(counts, table), core));
+    by_time.reduce(|most, next| if next.0 > most.0 { next } else { most }).map_or(0, |(_, core)| core)
+}
+
+impl StepMeter {
+    /// A meter for these presets.
+    #[must_use]
+    pub fn new(settings: impl Into<Arc<MeterSettings>>) -> Self {
+        let settings = settings.into();
+        let lanes = vec![Lane::default(); settings.tables.len()];
+        StepMeter {
+            settings,
+            lanes,
+            distribution: Distribution::default(),
+            by_step: Vec::new(),
+            next: 0,
+            hops: HopCounts::default(),
+            slowest: Vec::new(),
+            last_time: StepTime::default(),
+            memory: QueueMemory::default(),
+        }
+    }
+
+    /// An empty meter of the same kind, for another sample.
+    #[must_use]
+    pub fn fresh(&self) -> Self {
+        StepMeter::new(self.settings.clone())
+    }
+
+    /// Adds a timestep that happened so many times in a row; `decided` when its sample was decided before.
+    pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
+        let MeterSettings { tables, timing, routes, timestep, distribution, by_step } = &*self.settings;
+        let step_times = routes.step_times(step, tables, *timing, &mut self.memory);
+        let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
+        self.hops += hops.times(times.into());
+        if let (Some(table), Some(time)) = (tables.first(), step_times.first()) {
+            self.last_time = *time;
+            self.slowest.resize(step.cores.len(), 0);
+            if let Some(steps) = self.slowest.get_mut(slowest(step, table)) {
+                *steps += u64::from(times);
+            }
+        }
+        for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
+            let energy = energy_of_counts(sum, hops, table).total();
+            lane.whole.add(energy, time, *timestep, times.into());
+            if !decided {
+                lane.until_decided.add(energy, time, *timestep, times.into());
+            }
+            if let Some((_, price)) = distribution.filter(|&(preset, _)| preset == number) {
+                let took = if price.paced { time.total().max(*timestep) } else { time.total() };
+                let dynamic = energy.0 as f64 * price.events;
+                self.distribution.dynamic.add(dynamic, times.into());
+                // 1 mW for 1 ps is 1 fJ.
+                self.distribution.whole.add(dynamic + price.step_fj + price.always_mw * took.0 as f64, times.into());
+            }
+            if *by_step == Some(number) {
+                let end = self.next + times as usize;
+                self.by_step.resize(self.by_step.len().max(end), StepSums::default());
+                self.by_step[self.next..end].iter_mut().for_each(|sums| sums.add(energy, time, *timestep, 1));
+                self.next = end;
+            }
+        }
+    }
+
+    /// What a step costs under the first preset, to be added as often as steps like it happen.
+    ///
+    /// # Panics
+    /// When the meter has no preset: a mistake of the caller.
+    pub fn cost(&mut self, step: &StepActivity) -> StepCost {
+        let MeterSettings { tables, timing, routes, .. } = &*self.settings;
+        let table = &tables[0];
+        let time = routes.step_times(step, tables, *timing, &mut self.memory)[0];
+        let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
+        StepCost { energy: energy_of_counts(sum, hops, table).total(), time, hops, slowest: slowest(step, table) }
+    }
+
+    /// Adds a step by what it costs, as [`Self::add`] adds it by what it did, of a sample that is not decided before.
+    ///
+    /// # Panics
+    /// When the meter is not of sums under one preset alone: a mistake of the caller.
+    pub fn add_cost(&mut self, cost: &StepCost) {
+        let MeterSettings { timestep, distribution: None, by_step: None, .. } = &*self.settings else {
+            panic!("a meter of sums alone")
+        };
+        let [lane] = self.lanes.as_mut_slice() else { panic!("a meter of one preset") };
+        let StepCost { energy, time, hops, slowest } = *cost;
+        self.hops += hops;
+        self.last_time = time;
+        if self.slowest.len() <= slowest {
+            self.slowest.resize(slowest + 1, 0);
+        }
+        self.slowest[slowest] += 1;
+        lane.whole.add(energy, &time, *timestep, 1);
+        lane.until_decided.add(energy, &time, *timestep, 1);
+    }
+
+    /// Adds what another meter saw, of other samples.
+    ///
+    /// # Panics
+    /// When the other meter has other settings: a mistake of the caller.
+    pub fn merge(&mut self, other: &StepMeter) {
+        assert!(Arc::ptr_eq(&self.settings, &other.settings), "meters of one kind");
+        for (lane, more) in self.lanes.iter_mut().zip(&other.lanes) {
+            lane.whole.merge(&more.whole);
+            lane.until_decided.merge(&more.until_decided);
+        }
+        self.hops += other.hops;
+        self.distribution.dynamic.merge(&other.distribution.dynamic);
+        self.distribution.whole.merge(&other.distribution.whole);
+        self.by_step.resize(self.by_step.len().max(other.by_step.len()), StepSums::default());
+        self.by_step.iter_mut().zip(&other.by_step).for_each(|(sums, more)| sums.merge(more));
+        self.slowest.resize(self.slowest.len().max(other.slowest.len()), 0);
+        self.slowest.iter_mut().zip(&other.slowest).for_each(|(sum, more)| *sum += more);
+    }
+
+    /// The conditions under which steps are metered.
+    #[must_use]
+    pub fn settings(&self) -> &MeterSettings {
+        &self.settings
+    }
+
+    /// The presets.
+    #[must_use]
+    pub fn tables(&self) -> &[CostTable] {
+        &self.settings.tables
+    }
+
+    /// The model of the mesh.
+    #[must_use]
+    pub fn transport(&self) -> Transport {
+        self.settings.timing.transport
+    }
+
+    /// Links that messages crossed in all steps, those of all groups of cores.
+    #[must_use]
+    pub fn hops(&self) -> HopCounts {
+        self.hops
+    }
+
+    /// The steps under each preset, in the presets' order.
+    #[must_use]
+    pub fn lanes(&self) -> &[Lane] {
+        &self.lanes
+    }
+
+    /// How a step's energy is distributed; empty unless the settings ask for it.
+    #[must_use]
+    pub fn distribution(&self) -> &Distribution {
+        &self.distribution
+    }
+
+    /// Sums over all samples by the step's number in its sample; empty unless the settings ask for it.
+    #[must_use]
+    pub fn by_step(&self) -> &[StepSums] {
+        &self.by_step
+    }
+
+    /// The same with these steps in which each core was the slowest, where it saw other cores than there are.
+    #[must_use]
+    pub fn with_slowest_steps(self, slowest: Vec<u64>) -> Self {
+        StepMeter { slowest, ..self }
+    }
+
+    /// Steps in which each core was the slowest under the first preset, the first of several that were: in all as many as steps.
+    /// Empty before the first step.
+    #[must_use]
+    pub fn slowest_steps(&self) -> &[u64] {
+        &self.slowest
+    }
+
+    /// The time of the step that was added last, under the first preset.
+    #[must_use]
+    pub fn last_time(&self) -> StepTime {
+        self.last_time
+    }
+
+    /// Number of timesteps.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.lanes.first().map_or(0, |lane| lane.whole.steps)
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::constants::tests::table;
+    use crate::model::energy;
+    use crate::model::tests::any_step;
+    use crate::transport::tests::{no_routes, timing};
+    use nsim_ir::activity::Activity;
+
+    /// A meter of steps whose messages are not followed.
+    pub(crate) fn meter(
+        tables: Vec<CostTable>,
+        tiles_used: u64,
+        distribution: Option<(usize, StepPrice)>,
+    ) -> StepMeter {
+        meter_of(tables, tiles_used, distribution, Some(0))
+    }
+
+    fn meter_of(
+        tables: Vec<CostTable>,
+        tiles_used: u64,
+        distribution: Option<(usize, StepPrice)>,
+        by_step: Option<usize>,
+    ) -> StepMeter {
+        let metered = MeterSettings {
+            tables,
+            timing: Timing { tiles_used, ..timing(Transport::Analytic) },
+            routes: Arc::new(no_routes()),
+            timestep: Picoseconds(1_000_000_000),
+            distribution,
+            by_step,
+        };
+        StepMeter::new(metered)
+    }
+
+    proptest! {
+        #[test]
+        fn steps_by_their_cost_are_steps_by_what_they_did(steps in proptest::collection::vec(any_step(3), 1..10)) {
+            let one = || meter_of(vec![table("davies2018")], 3, None, None);
+            let (mut whole, mut by_cost) = (one(), one());
+            for step in &steps {
+                whole.add(step, 1, false);
+                let cost = by_cost.cost(step);
+                by_cost.add_cost(&cost);
+            }
+            by_cost.slowest.resize(3, 0);
+            prop_assert_eq!(whole.lanes(), by_cost.lanes());
+            prop_assert_eq!((whole.hops(), whole.slowest_steps()), (by_cost.hops(), by_cost.slowest_steps()));
+            prop_assert_eq!(whole.last_time(), by_cost.last_time());
+        }
+
+        #[test]
+        fn meters_of_parts_merge_to_the_meter_of_the_whole(
+            steps in proptest::collection::vec(any_step(2), 0..10), cut in 0..10usize,
+        ) {
+            let price = StepPrice { events: 0.5, step_fj: 3e3, always_mw: 0.5, paced: false };
+            let mut whole = meter(vec![table("davies2018"), table("sanafe-calibrated")], 3, Some((1, price)));
+            let (mut first, mut second) = (whole.fresh(), whole.fresh());
+            let mut activity = Activity::new(2);
+            let mut one_by_one = whole.fresh();
+            for (i, step) in steps.iter().enumerate() {
+                let (times, decided) = (1 + i as u32 % 3, i > 6);
+                activity.add_steps(step, times.into());
+                (0..times).for_each(|_| one_by_one.add(step, 1, decided));
+                if i < cut { first.add(step, times, decided) } else { second.add(step, times, decided) }
+            }
+            whole.merge(&second);
+            whole.merge(&first);
+            prop_assert_eq!(one_by_one.lanes(), whole.lanes());
+            prop_assert_eq!(one_by_one.distribution(), whole.distribution());
+            prop_assert_eq!(one_by_one.steps(), activity.steps());
+            prop_assert_eq!(one_by_one.slowest_steps(), whole.slowest_steps());
+            prop_assert_eq!(whole.slowest_steps().iter().sum::<u64>(), activity.steps());
+            for (lane, table) in whole.lanes().iter().zip(whole.tables()) {
+                let Lane { whole, until_decided } = lane;
+                prop_assert_eq!(whole.energy, energy(&activity, table).total());
+                prop_assert_eq!(whole.parts.iter().sum::<u128>(), whole.time);
+                prop_assert!(whole.paced_time >= whole.time && until_decided.time <= whole.time);
+                prop_assert_eq!(until_decided == whole, steps.len() <= 7);
+            }
+            // Two samples: those before the cut and the others.
+            let by_step = whole.by_step();
+            let sums = |get: fn(&StepSums) -> u128| by_step.iter().map(get).sum::<u128>();
+            prop_assert_eq!(sums(|sums| sums.energy.0), whole.lanes()[0].whole.energy.0);
+            prop_assert_eq!(sums(|sums| sums.steps.into()), activity.steps().into());
+        }
+    }
+}

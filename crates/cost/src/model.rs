@@ -1,0 +1,345 @@
+//! Energy and time of counts: equations (1) to (11) of `docs/energy.md`.
+//!
+//! Energy is linear in the counts, so the energy of a run is the exact sum over its steps. Time is not linear (a step lasts
+//! as long as its slowest core) and needs the counts of each step.
+
+use crate::constants::CostTable;
+use nsim_ir::activity::{Activity, CoreCounts, HopCounts, StepActivity};
+use nsim_ir::base::units::{Femtojoules, Picoseconds};
+use nsim_ir::placement::Route;
+
+/// Dynamic energy of the neuron cores and their mesh, by what it was spent on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Breakdown {
+    /// (1) Synaptic events.
+    pub synapse: Femtojoules,
+    /// (2) Dendritic accumulators.
+    pub dendrite: Femtojoules,
+    /// (3) Compartments, visited and updated.
+    pub compartment: Femtojoules,
+    /// (4) Spikes.
+    pub spike: Femtojoules,
+    /// (5) Messages sent by cores.
+    pub axon_out: Femtojoules,
+    /// (6) Messages received, those of inputs included.
+    pub axon_in: Femtojoules,
+    /// (7) Messages under way.
+    pub hop: Femtojoules,
+}
+
+impl Breakdown {
+    /// Name and energy of every part, in a fixed order.
+    #[must_use]
+    pub fn parts(&self) -> [(&'static str, Femtojoules); 7] {
+        [
+            ("synapse", self.synapse),
+            ("dendrite", self.dendrite),
+            ("compartment", self.compartment),
+            ("spike", self.spike),
+            ("axon_out", self.axon_out),
+            ("axon_in", self.axon_in),
+            ("hop", self.hop),
+        ]
+    }
+
+    /// The sum of the parts.
+    #[must_use]
+    pub fn total(&self) -> Femtojoules {
+        self.parts().into_iter().map(|(_, energy)| energy).sum()
+    }
+}
+
+/// Energy of one timestep.
+#[must_use]
+pub fn step_energy(step: &StepActivity, table: &CostTable) -> Breakdown {
+    energy_of_counts(sum_of_cores(step), step.hops, table)
+}
+
+/// The counts of all cores in a step.
+#[must_use]
+pub fn sum_of_cores(step: &StepActivity) -> CoreCounts {
+    let mut sum = CoreCounts::default();
+    for core in &step.cores {
+        sum += *core;
+    }
+    sum
+}
+
+/// Energy of a whole run: equal to the sum over its steps.
+#[must_use]
+pub fn energy(activity: &Activity, table: &CostTable) -> Breakdown {
+    energy_of_counts(activity.sum(), activity.hops(), table)
+}
+
+/// Energy of the counts of all cores together.
+#[must_use]
+pub fn energy_of_counts(sum: CoreCounts, hops: HopCounts, table: &CostTable) -> Breakdown {
+    Breakdown {
+        synapse: table.synapse_dense_energy * sum.events_dense + table.synapse_sparse_energy * sum.events_sparse,
+        dendrite: table.dendrite_energy * sum.visited,
+        compartment: table.compartment_energy * sum.visited + table.compartment_active_energy * sum.active,
+        spike: table.spike_energy * sum.spikes,
+        axon_out: table.axon_out_energy * sum.messages_out,
+        axon_in: table.axon_in_energy * sum.messages_in,
+        hop: table.local_hop_energy * hops.local
+            + table.hop_ew_energy * hops.east_west
+            + table.hop_ns_energy * hops.north_south
+            + table.hop_chip_energy * hops.chip,
+    }
+}
+
+/// Where the time of a step goes; the parts follow each other.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StepTime {
+    /// Spikes of the stream that an x86 core injects.
+    pub injection: Picoseconds,
+    /// The turn of the x86 cores' process.
+    pub turn: Picoseconds,
+    /// The core that takes longest.
+    pub slowest_core: Picoseconds,
+    /// What messages add to that.
+    pub transport: Picoseconds,
+    /// The barrier, over the tiles of a chip and between chips.
+    pub barrier: Picoseconds,
+    /// A step's part of resetting state after a sample.
+    pub reset: Picoseconds,
+}
+
+impl StepTime {
+    /// Name and time of every part, in a fixed order.
+    #[must_use]
+    pub fn parts(&self) -> [(&'static str, Picoseconds); 6] {
+        [
+            ("injection", self.injection),
+            ("turn", self.turn),
+            ("slowest core", self.slowest_core),
+            ("transport", self.transport),
+            ("barrier", self.barrier),
+            ("reset", self.reset),
+        ]
+    }
+
+    /// The whole step. A sum beyond the type's range (213 days) stays at its end.
+    #[must_use]
+    pub fn total(&self) -> Picoseconds {
+        Picoseconds(self.parts().into_iter().fold(0, |sum, (_, part)| sum.saturating_add(part.0)))
+    }
+}
+
+/// (9) Time of one core's delivery and update in a step; both are serial.
+#[must_use]
+pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
+    times(&[
+        (table.axon_in_time, core.messages_in),
+        (table.synapse_dense_time, core.events_dense),
+        (table.synapse_sparse_time, core.events_sparse),
+        (table.compartment_time, core.visited),
+        (table.compartment_active_time, core.active),
+        (table.spike_time, core.spikes),
+        (table.axon_out_time, core.messages_out),
+    ])
+}
+
+/// Time of a message's route through an empty mesh.
+#[must_use]
+pub fn route_time(route: Route, table: &CostTable) -> Picoseconds {
+    if route.links() == 0 {
+        return table.local_hop_time;
+    }
+    times(&[
+        (table.hop_ew_time, route.east_west.into()),
+        (table.hop_ns_time, route.north_south.into()),
+        (table.hop_chip_time, route.chip.into()),
+    ])
+}
+
+/// A saturating sum of products.
+pub(crate) fn times(terms: &[(Picoseconds, u64)]) -> Picoseconds {
+    Picoseconds(terms.iter().fold(0, |sum: u64, &(time, count)| sum.saturating_add(time.0.saturating_mul(count))))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::constants::tests::{preset, table};
+    use crate::transport::Words;
+    use crate::transport::tests::{no_routes, timing};
+    use crate::transport::{QueueMemory, Timing, Transport};
+
+    /// The time of a step whose messages are not followed.
+    fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
+        no_routes()
+            .step_times(
+                step,
+                std::slice::from_ref(table),
+                Timing { tiles_used, ..timing(Transport::Analytic) },
+                &mut QueueMemory::default(),
+            )
+            .remove(0)
+    }
+
+    /// Two cores: one visits 3 compartments of which 2 are active and 1 fires to both cores; 5 dense events on the other.
+    fn step() -> StepActivity {
+        let mut step = StepActivity::new(2);
+        step.cores.as_mut_slice()[0] =
+            CoreCounts { messages_in: 2, visited: 3, active: 2, spikes: 1, messages_out: 2, ..Default::default() };
+        step.cores.as_mut_slice()[1] =
+            CoreCounts { messages_in: 1, events_dense: 5, events_sparse: 4, visited: 2, ..Default::default() };
+        step.spikes_in = 1;
+        step.messages_from_inputs = 1;
+        step.add_routes(Route::default(), 1);
+        step.add_routes(Route { east_west: 2, north_south: 1, chip: 1 }, 1);
+        step.add_routes(Route { east_west: 1, north_south: 0, chip: 0 }, 1);
+        step
+    }
+
+    #[test]
+    fn hand_computed_energy_with_the_calibrated_preset() {
+        let breakdown = step_energy(&step(), &table("sanafe-calibrated"));
+        assert_eq!(breakdown.synapse, Femtojoules(5 * 35_500 + 4 * 33_600));
+        assert_eq!(breakdown.compartment, Femtojoules(5 * 51_200 + 2 * 21_600));
+        assert_eq!(breakdown.spike, Femtojoules(69_300));
+        assert_eq!(breakdown.axon_out, Femtojoules(2 * 111_000));
+        assert_eq!(breakdown.hop, Femtojoules(3 * 3_000 + 4_200));
+        assert_eq!((breakdown.dendrite, breakdown.axon_in), Default::default());
+        assert_eq!(breakdown.total(), Femtojoules(311_900 + 299_200 + 69_300 + 222_000 + 13_200));
+    }
+
+    #[test]
+    fn hand_computed_energy_with_the_published_preset() {
+        let breakdown = step_energy(&step(), &table("davies2018"));
+        // 9 * 23.6 + (5 * 52 + 2 * 29) + (1.7 + 3 * 3.0 + 4.0) pJ
+        assert_eq!(breakdown.total(), Femtojoules(212_400 + 318_000 + 14_700));
+    }
+
+    #[test]
+    fn constants_that_the_presets_leave_at_zero_are_charged_too() {
+        let mut constants = preset("davies2018");
+        constants.dendrite_energy.value = 1.5.into();
+        constants.axon_in_energy.value = 2.25.into();
+        constants.hop_chip_energy.value = 100.0.into();
+        constants.hop_chip_time.value = 50.0.into();
+        constants.injection_time.value = 0.007.into();
+        constants.turn_time.value = 0.011.into();
+        constants.reset_word_time.value = 3.0.into();
+        constants.chip_hop_time.value = 0.1.into();
+        let table = CostTable::new(&constants).unwrap();
+        let breakdown = step_energy(&step(), &table);
+        assert_eq!(breakdown.dendrite, Femtojoules(5 * 1_500));
+        assert_eq!(breakdown.axon_in, Femtojoules(3 * 2_250));
+        assert_eq!(breakdown.hop, Femtojoules(14_700 + 100_000));
+        let timing = Timing {
+            chip_hops: 3,
+            reset: Words { count: 10, steps: 4 },
+            sent: Words { count: 6, steps: 3 },
+            ..timing(Transport::Analytic)
+        };
+        let memory = &mut QueueMemory::default();
+        let long = no_routes().step_times(&step(), std::slice::from_ref(&table), timing, memory)[0];
+        assert_eq!((long.injection, long.turn), (Picoseconds(3 * 7_000), Picoseconds(11_000)));
+        assert_eq!((long.barrier, long.reset), (Picoseconds(113_000 + 300_000), Picoseconds(7_500)));
+        let time = step_time(&step(), &table, 1);
+        assert_eq!((time.injection, time.transport), (Picoseconds(7_000), Picoseconds(2 * 4_100 + 6_500 + 50_000)));
+    }
+
+    #[test]
+    fn hand_computed_time() {
+        let time = step_time(&step(), &table("sanafe-calibrated"), 2);
+        let first = 2 * 16_000 + 3 * 6_000 + 2 * 3_700 + 30_000 + 2 * 5_100;
+        let second = 16_000 + 5 * 3_800 + 4 * 4_700 + 2 * 6_000;
+        assert!(first > second);
+        assert_eq!(time.slowest_core, Picoseconds(first));
+        assert_eq!(time.transport, Picoseconds(2 * 4_100 + 6_500));
+        assert_eq!(time.barrier, Picoseconds(1_000_000));
+        let host = time.injection.0 + time.turn.0;
+        assert_eq!(time.total(), Picoseconds(first + 14_700 + 1_000_000 + host));
+    }
+
+    #[test]
+    fn a_silent_step_moves_nothing_and_a_message_within_a_tile_takes_the_local_time() {
+        let davies = table("davies2018");
+        let mut step = StepActivity::new(1);
+        let turn = davies.turn_time;
+        assert_eq!(
+            step_time(&step, &davies, 1),
+            StepTime { barrier: Picoseconds(113_000), turn, ..Default::default() }
+        );
+        assert_eq!(step_energy(&step, &davies), Breakdown::default());
+        step.add_routes(Route::default(), 1);
+        assert_eq!(step_time(&step, &davies, 1).transport, Picoseconds(2_100));
+    }
+
+    #[test]
+    fn times_beyond_the_range_stay_at_its_end() {
+        let mut step = StepActivity::new(1);
+        step.cores.as_mut_slice()[0].visited = u64::MAX;
+        assert_eq!(step_time(&step, &table("davies2018"), 1).total(), Picoseconds(u64::MAX));
+    }
+
+    pub(crate) fn any_step(cores: usize) -> impl Strategy<Value = StepActivity> {
+        let core = proptest::array::uniform6(0..10_000u64);
+        let routes = proptest::collection::vec((0..64u32, 0..64u32, 0..4u32), 0..20);
+        (proptest::collection::vec(core, cores), routes, 0..5_000u64).prop_map(move |(cores, routes, spikes_in)| {
+            let mut step = StepActivity::new(cores.len());
+            for (counts, [dense, sparse, visited, active, spikes, sent]) in step.cores.iter_mut().zip(cores) {
+                // Each core sends to itself, so that copies sent equal copies received.
+                *counts = CoreCounts {
+                    messages_in: sent,
+                    events_dense: dense,
+                    events_sparse: sparse,
+                    visited,
+                    active: active.min(visited),
+                    spikes: spikes.min(active).min(visited),
+                    messages_out: sent,
+                };
+            }
+            for (east_west, north_south, chip) in routes {
+                step.add_routes(Route { east_west, north_south, chip: chip.min(east_west + north_south) }, 1);
+            }
+            step.spikes_in = spikes_in;
+            step
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn the_energy_of_a_run_is_the_sum_of_its_steps(
+            steps in proptest::collection::vec(any_step(3), 0..12),
+        ) {
+            for name in ["davies2018", "sanafe-calibrated"] {
+                let table = table(name);
+                let mut activity = Activity::new(3);
+                let mut sums = Breakdown::default().parts();
+                for step in &steps {
+                    activity.add_steps(step, 1);
+                    for ((_, sum), (_, energy)) in sums.iter_mut().zip(step_energy(step, &table).parts()) {
+                        *sum += energy;
+                    }
+                }
+                prop_assert_eq!(energy(&activity, &table).parts(), sums);
+            }
+        }
+
+        #[test]
+        fn more_of_anything_never_costs_less(step in any_step(2), which in 0..7usize, more in 1..1_000u64) {
+            for name in ["davies2018", "sanafe-calibrated"] {
+                let table = table(name);
+                let mut greater = step.clone();
+                let core = &mut greater.cores.as_mut_slice()[1];
+                let counts = [
+                    &mut core.messages_in, &mut core.events_dense, &mut core.events_sparse, &mut core.visited,
+                    &mut core.active, &mut core.spikes, &mut core.messages_out,
+                ];
+                *counts.into_iter().nth(which).unwrap() += more;
+                let (less_energy, more_energy) = (step_energy(&step, &table), step_energy(&greater, &table));
+                for ((_, less), (_, more)) in less_energy.parts().into_iter().zip(more_energy.parts()) {
+                    prop_assert!(less <= more);
+                }
+                prop_assert!(step_time(&step, &table, 5).total() <= step_time(&greater, &table, 5).total());
+                prop_assert!(step_time(&step, &table, 5).total() <= step_time(&step, &table, 6).total());
+            }
+        }
+    }
+}

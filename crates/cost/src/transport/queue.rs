@@ -1,0 +1,411 @@
+//! Messages that wait for each other: every one of a step, through finite buffers.
+//!
+//! Input: the messages of a step on one region of chips. Output: when its cores are done. A sender whose route is full is
+//! stalled; links and receivers take one message at a time.
+//!
+//! The queue is semi-analytic, as SANA-FE's `detailed` schedule (schedule.cpp, read as a description): a message does not
+//! move link by link; its time follows from the messages in flight along its route when it leaves. Unlike there, messages that
+//! can never meet do not wait for each other. Not modelled: arbitration in routers, virtual channels and flits; barrier messages,
+//! whose time is a constant.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use crate::constants::CostTable;
+use crate::model::{route_time, times};
+use crate::transport::routes::{Link, Message, MessageRoutes, Region};
+use nsim_ir::activity::StepActivity;
+use nsim_ir::base::id::{ChannelId, CoreId, Id};
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::groups::Kind;
+
+/// A message that its sender has ready.
+#[derive(Debug, Clone, Copy)]
+struct Ready {
+    /// Time since the one before was sent.
+    after: u64,
+    /// The receiving core.
+    to: u32,
+    /// Time at the receiver.
+    handling: u64,
+}
+
+/// Occupancy is fixed-point in fractions of a message: integers, so that subtracting undoes adding exactly.
+const MESSAGE: u64 = 1 << 32;
+
+/// What the queue needs of memory, to be used again. Every number is 0 between two steps, but for those that each step writes anew
+/// (`Queue::prepare`).
+#[derive(Debug, Clone, Default)]
+pub struct QueueMemory {
+    /// Of each link, in parts of a [`MESSAGE`].
+    occupied: Vec<u64>,
+    /// When each link can take the next message.
+    free: Vec<u64>,
+    /// The links whose numbers are not 0, some of them several times.
+    touched: Vec<Link>,
+    /// When each core has handled its messages.
+    done: Vec<u64>,
+    /// Time of receipt, sender, receiver, handling.
+    under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
+    /// The links of the message that is sent, and which of them join two chips; the sender's own is first.
+    path: Vec<(Link, bool)>,
+    /// What each sender sends, and how long it is busy after that.
+    senders: Vec<(Vec<Ready>, u64)>,
+    /// Handling times by receiver.
+    received: Vec<u64>,
+    /// Time of the visits of each core.
+    visits: Vec<u64>,
+    /// Core, slot and slots of the compartments that fired, and their numbers.
+    fired: Vec<((CoreId, u32, u32), usize)>,
+    /// Time of the visits that have passed, by core.
+    passed: Vec<u64>,
+    /// The next message of each sender.
+    next: BinaryHeap<Reverse<(u64, usize, usize)>>,
+}
+
+/// So many zeros in place of what was there.
+fn zeros(numbers: &mut Vec<u64>, size: usize) {
+    numbers.clear();
+    numbers.resize(size, 0);
+}
+
+/// Messages in flight in one step.
+pub(super) struct Queue<'w> {
+    routes: &'w MessageRoutes,
+    region: &'w Region,
+    table: &'w CostTable,
+    memory: &'w mut QueueMemory,
+    /// Sum of the handling times of the messages under way.
+    handling: u128,
+}
+
+impl<'w> Queue<'w> {
+    pub(super) fn new(
+        routes: &'w MessageRoutes,
+        region: &'w Region,
+        table: &'w CostTable,
+        memory: &'w mut QueueMemory,
+    ) -> Self {
+        let grow = |numbers: &mut Vec<u64>, size: usize| numbers.resize(numbers.len().max(size), 0);
+        grow(&mut memory.occupied, region.links());
+        grow(&mut memory.free, region.links());
+        grow(&mut memory.done, region.cores);
+        Queue { routes, region, table, memory, handling: 0 }
+    }
+
+    /// Whether each input spike, but for the last, has been handled when the next enters, and its links are free: spikes then never
+    /// meet, and those before the last are over before a core begins. It suffices that all enter by one port, each with a message
+    /// at most that takes no longer through the empty mesh than the least time between two spikes.
+    fn inputs_meet_nobody(&self, step: &StepActivity, injection: u64, most: u64) -> bool {
+        let (routes, region, table) = (self.routes, self.region, self.table);
+        let apart = injection / most.max(1);
+        let mut spikes = 0;
+        let free = table.link_time.0.max(table.link_chip_time.0) <= apart;
+        if let Some(times) = routes.input_times(table) {
+            let soon = |channel: &ChannelId| times.channels[channel.index()].is_none_or(|time| time.through <= apart);
+            let all_soon = || times.longest <= apart || step.channels.iter().all(soon);
+            return free && step.channels.len() as u64 == most && all_soon();
+        }
+        free && region.groups.iter().all(|&(kind, first)| {
+            let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
+            step.channels.iter().filter(|channel| channels.contains(&channel.0)).all(|channel| {
+                spikes += 1;
+                match routes.inputs.get(channel.index()) {
+                    [] => true,
+                    [message] => {
+                        let (_, route) = region.entries[first + message.core.index() - cores.start as usize];
+                        route_time(route, table).0.saturating_add(message.handling(self.table)) <= apart
+                    }
+                    _ => false,
+                }
+            })
+        }) && spikes == most
+    }
+
+    /// Writes into the memory what each sender sends, in order, and how long it is busy after its last message; and the handling
+    /// times of messages that are left out, summed by receiver: with `skip` those that [`Queue::inputs_meet_nobody`] finds to be
+    /// over by then.
+    ///
+    /// The k-th input spike of a chip enters the mesh when k / n of the injection have passed, with n spikes at the chip with `most`,
+    /// while others are injected; cores begin when all are.
+    fn prepare(&mut self, step: &StepActivity, injection: u64, most: u64, skip: bool) {
+        let (routes, region, table) = (self.routes, self.region, self.table);
+        let ready = |after: u64, to: usize, message: &Message| Ready {
+            after,
+            to: to as u32,
+            handling: message.handling(table),
+        };
+        let skipped = if skip && self.inputs_meet_nobody(step, injection, most) { u128::from(most) - 1 } else { 0 };
+        let quick = routes.input_times(table).filter(|_| skipped > 0);
+        let QueueMemory { senders, received: left_out, visits, fired, passed, .. } = &mut *self.memory;
+        senders.resize_with(region.tiles.len().max(senders.len()), Default::default);
+        for (messages, after) in senders.iter_mut() {
+            messages.clear();
+            *after = 0;
+        }
+        zeros(left_out, region.cores);
+        if let (Some(times), Some((last, before))) = (quick, step.channels.split_last()) {
+            for time in before.iter().filter_map(|channel| times.channels[channel.index()]) {
+                left_out[time.to as usize] += time.handling;
+            }
+            for message in routes.inputs.get(last.index()) {
+                let to = message.core.index();
+                senders[region.port(to)].0.push(ready(injection, to, message));
+            }
+        }
+        if quick.is_none() {
+            // Chips are served side by side: a spike is the next of the port that its first message enters by.
+            let mut spikes = vec![0u128; region.tiles.len() - region.cores + 1];
+            let mut ports = region.ports(routes, step);
+            for &(kind, first) in &region.groups {
+                let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
+                for channel in step.channels.iter().filter(|channel| channels.contains(&channel.0)) {
+                    let number = &mut spikes[ports.next().expect("a port for each spike")];
+                    *number += 1;
+                    if *number <= skipped {
+                        for message in routes.inputs.get(channel.index()) {
+                            left_out[first + message.core.index() - cores.start as usize] += message.handling(table);
+                        }
+                        continue;
+                    }
+                    let now = (u128::from(injection) * *number / u128::from(most)) as u64;
+                    for message in routes.inputs.get(channel.index()) {
+                        let to = first + message.core.index() - cores.start as usize;
+                        // Between messages a port keeps the time that has passed.
+                        let (messages, passed) = &mut senders[region.port(to)];
+                        // A copy's spike for another chip may come behind that chip's own.
+                        let until = now.max(*passed);
+                        messages.push(ready(until - std::mem::replace(passed, until), to, message));
+                    }
+                }
+            }
+        }
+        senders[region.cores..].iter_mut().for_each(|(_, passed)| *passed = 0);
+        senders[..region.cores].iter_mut().for_each(|(_, after)| *after = injection);
+        // Visits in slot order, each for the mean time of its core's.
+        visits.clear();
+        visits.extend(step.cores.iter().map(|core| {
+            times(&[(table.compartment_time, core.visited), (table.compartment_active_time, core.active)]).0
+        }));
+        fired.clear();
+        fired.extend(step.fired.iter().map(|c| (routes.seats[c.index()], c.index())));
+        fired.sort_unstable();
+        zeros(passed, region.cores);
+        for &(kind, first) in &region.groups {
+            let Kind { cores, .. } = &routes.kinds[kind].kind;
+            let here = |core: CoreId| first + core.index() - cores.start as usize;
+            let begin = fired.partition_point(|((core, ..), _)| core.0 < cores.start);
+            for &((core, slot, slots), compartment) in
+                fired[begin..].iter().take_while(|((core, ..), _)| core.0 < cores.end)
+            {
+                let until = (u128::from(visits[core.index()]) * u128::from(slot + 1) / u128::from(slots.max(1))) as u64;
+                let sender = &mut senders[here(core)];
+                // A spike that sends nothing takes its time from the next.
+                sender.1 += until - std::mem::replace(&mut passed[here(core)], until) + table.spike_time.0;
+                for message in routes.spikes.get(compartment) {
+                    let after = std::mem::take(&mut sender.1) + table.axon_out_time.0;
+                    sender.0.push(ready(after, here(message.core), message));
+                }
+            }
+            for core in cores.clone() {
+                let at = here(CoreId(core));
+                senders[at].1 += visits[core as usize] - passed[at];
+            }
+        }
+    }
+
+    /// Takes what was received by now out of the mesh.
+    fn advance(&mut self, now: u64) {
+        while let Some(&Reverse((received, from, to, handling))) = self.memory.under_way.peek()
+            && received <= now
+        {
+            self.memory.under_way.pop();
+            self.handling -= u128::from(handling);
+            let (region, occupied) = (self.region, &mut self.memory.occupied);
+            let (from, to) = (from as usize, to as usize);
+            let part = MESSAGE / (u64::from(region.route(from, to).links()) + 2);
+            occupied[region.first_link(from) as usize] -= part;
+            region.each_link(from, to, |link, _| occupied[link as usize] -= part);
+        }
+    }
+
+    /// Sends a message at `now`; returns when its sender was done with it and when its receiver was.
+    fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
+        let (region, table, to) = (self.region, self.table, message.to as usize);
+        let QueueMemory { occupied, free, touched, done, under_way, path, .. } = &mut *self.memory;
+        let route = region.route(from, to);
+        path.clear();
+        path.push((region.first_link(from), false));
+        region.each_link(from, to, |link, between_chips| path.push((link, between_chips)));
+        let links = path.len() as u64;
+        let part = MESSAGE / (links + 1);
+        let mut along = 0u128;
+        for &(link, _) in &*path {
+            let here = &mut occupied[link as usize];
+            if *here == 0 {
+                touched.push(link);
+            }
+            along += u128::from(*here);
+            *here += part;
+        }
+        let mean = quotient(self.handling, (under_way.len() as u64).max(1));
+        // A way holds its links' buffers; what is beyond that has to be received first.
+        let beyond = along.saturating_sub(u128::from(links) * u128::from(table.link_buffer) * u128::from(MESSAGE));
+        let leaves = now.saturating_add((beyond * mean / u128::from(MESSAGE)) as u64);
+        let congested = quotient(along * mean / u128::from(MESSAGE), links) as u64;
+        // One message after the other on each link; a sender's own link is as fast as the sender.
+        let mut at = leaves;
+        for &(link, between_chips) in &path[1..] {
+            let free = &mut free[link as usize];
+            at = at.max(*free);
+            *free = at + if between_chips { table.link_chip_time.0 } else { table.link_time.0 };
+        }
+        let waited = at - leaves;
+        let way = (route_time(route, table).0 + waited).max(congested);
+        let received = done[to].max(leaves.saturating_add(way));
+        done[to] = received.saturating_add(message.handling);
+        under_way.push(Reverse((received, from as u32, message.to, message.handling)));
+        self.handling += u128::from(message.handling);
+        (leaves, done[to])
+    }
+
+    /// The busiest core's own time and what the mesh adds to it, both counted from the end of the injection.
+    pub(super) fn run(self, step: &StepActivity, injection: Picoseconds, most: u64) -> (Picoseconds, Picoseconds) {
+        self.follow(step, injection, most, true)
+    }
+
+    /// The same; every message is followed unless `skip`.
+    fn follow(
+        mut self,
+        step: &StepActivity,
+        injection: Picoseconds,
+        most: u64,
+        skip: bool,
+    ) -> (Picoseconds, Picoseconds) {
+        self.prepare(step, injection.0, most, skip);
+        let senders = std::mem::take(&mut self.memory.senders);
+        let mut next = std::mem::take(&mut self.memory.next);
+        let received = &mut self.memory.received;
+        let mut alone = 0;
+        for (number, (messages, after)) in senders.iter().enumerate() {
+            let time = messages.iter().map(|message| message.after).sum::<u64>() + after;
+            if number < self.region.cores {
+                alone = alone.max(time.saturating_sub(injection.0));
+            }
+            messages.iter().for_each(|message| received[message.to as usize] += message.handling);
+        }
+        alone = alone.max(received.iter().copied().max().unwrap_or(0));
+        // Each sender's next message, the earliest first; on a tie the lower sender.
+        let mut last = 0;
+        for (sender, (messages, after)) in senders.iter().enumerate() {
+            match messages.first() {
+                Some(first) => next.push(Reverse((first.after, sender, 0))),
+                None => last = last.max(*after),
+            }
+        }
+        while let Some(Reverse((mut now, sender, mut number))) = next.pop() {
+            let (messages, after) = &senders[sender];
+            // A sender goes on while no other is earlier.
+            loop {
+                self.advance(now);
+                let (left, done) = self.send(now, sender, messages[number]);
+                last = last.max(done);
+                number += 1;
+                let Some(message) = messages.get(number) else {
+                    last = last.max(left.saturating_add(*after));
+                    break;
+                };
+                now = left.saturating_add(message.after);
+                if next.peek().is_some_and(|&Reverse((at, other, _))| (at, other) < (now, sender)) {
+                    next.push(Reverse((now, sender, number)));
+                    break;
+                }
+            }
+        }
+        (self.memory.senders, self.memory.next) = (senders, next);
+        self.clear();
+        // What was handled before the injection ended is no time of its own.
+        let took = last.saturating_sub(injection.0);
+        (Picoseconds(alone.min(took)), Picoseconds(took.saturating_sub(alone)))
+    }
+
+    fn clear(&mut self) {
+        let QueueMemory { occupied, free, touched, done, under_way, .. } = &mut *self.memory;
+        for link in touched.drain(..) {
+            occupied[link as usize] = 0;
+            free[link as usize] = 0;
+        }
+        done.fill(0);
+        under_way.clear();
+    }
+}
+
+/// Division of what mostly fits into 64 bits, where it is several times faster.
+fn quotient(dividend: u128, divisor: u64) -> u128 {
+    u64::try_from(dividend).map_or_else(|_| dividend / u128::from(divisor), |small| (small / divisor).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::constants::tests::table;
+    use crate::transport::tests::{routes, step};
+    use nsim_ir::base::rng;
+
+    #[test]
+    fn what_enters_the_mesh_leaves_it() {
+        let sana = table("sanafe-calibrated");
+        let list: Vec<&[(u32, u32)]> = vec![&[(0, 5), (1, 3), (2, 9)]; 10];
+        let routes = routes(&[(7, 3), (3, 2), (0, 0)], &list, &[&[] as &[_]; 30]);
+        let mut memory = QueueMemory::default();
+        let mut queue = Queue::new(&routes, &routes.regions[0], &sana, &mut memory);
+        queue.prepare(&step(3, &(0..10).collect::<Vec<_>>(), &[]), 0, 10, false);
+        let messages = queue.memory.senders[3].0.clone();
+        for (at, message) in messages.iter().enumerate() {
+            queue.send(at as u64 * 10, 3, *message);
+        }
+        assert!(queue.memory.occupied.iter().any(|&part| part > 0) && queue.handling > 0);
+        queue.advance(u64::MAX);
+        assert!(queue.memory.occupied.iter().all(|&part| part == 0) && queue.handling == 0);
+        queue.clear();
+        let QueueMemory { occupied, free, touched, done, under_way, .. } = &memory;
+        assert!([occupied, free, done].iter().all(|numbers| numbers.iter().all(|&number| number == 0)));
+        assert!(under_way.is_empty() && touched.is_empty());
+    }
+
+    #[test]
+    fn inputs_that_meet_nobody_may_be_left_out() {
+        let sana = table("sanafe-calibrated");
+        let draw = |below: u64, k: u64| rng::below(below, 78, k, 0) as u32;
+        let (mut left_out, mut followed) = (0, 0);
+        for seed in 0..400 {
+            let key = |k: u64| 1_000 * seed + k;
+            let cores = 1 + draw(3, key(0));
+            let tiles: Vec<(u32, u32)> =
+                (0..u64::from(cores)).map(|core| (draw(8, key(1 + core)), draw(4, key(5 + core)))).collect();
+            let list = |from: u64, most: u64| -> Vec<(u32, u32)> {
+                let messages = u64::from(draw(most, key(10 + 4 * from)));
+                (0..messages)
+                    .map(|k| (draw(cores.into(), key(11 + 4 * from + k)), draw(60, key(12 + 4 * from + k))))
+                    .collect()
+            };
+            let lists: Vec<Vec<(u32, u32)>> = (0..12).map(|from| list(from, 2 + u64::from(seed % 9 == 0))).collect();
+            let inputs: Vec<&[(u32, u32)]> = lists.iter().map(Vec::as_slice).collect();
+            let lists: Vec<Vec<(u32, u32)>> = (12..12 + 10 * u64::from(cores)).map(|from| list(from, 3)).collect();
+            let spikes: Vec<&[(u32, u32)]> = lists.iter().map(Vec::as_slice).collect();
+            let routes = routes(&tiles, &inputs, &spikes);
+            let drawn = |of: u32, k: u64| (0..of).filter(|&i| draw(3, key(k + u64::from(i))) == 0).collect::<Vec<_>>();
+            let step = step(cores as usize, &drawn(12, 500), &drawn(10 * cores, 600));
+            let injection = Picoseconds(u64::from(draw(3_000_000, key(700))));
+            let most = routes.regions[0].most_spikes(&routes, &step).max(1);
+            let mut memory = QueueMemory::default();
+            let region = &routes.regions[0];
+            let skips = Queue::new(&routes, region, &sana, &mut memory).inputs_meet_nobody(&step, injection.0, most)
+                && most > 1;
+            (left_out, followed) = (left_out + u32::from(skips), followed + u32::from(!skips));
+            let mut time = |skip| Queue::new(&routes, region, &sana, &mut memory).follow(&step, injection, most, skip);
+            assert_eq!(time(true), time(false), "{seed}");
+        }
+        assert!(left_out > 50 && followed > 50, "{left_out} {followed}");
+    }
+}

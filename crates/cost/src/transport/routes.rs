@@ -1,0 +1,496 @@
+//! Which links the messages of a program cross, and which of them meet.
+//!
+//! Input: a program, or one of groups of cores that are alike ([`CoreGroups`]). Output: [`MessageRoutes`]: for each source its
+//! messages, and the regions of chips on which messages meet. Counts are those of all groups.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::OnceLock;
+
+use petgraph::unionfind::UnionFind;
+
+use crate::constants::CostTable;
+use crate::model::{route_time, sum_of_cores, times};
+use nsim_ir::activity::{CoreCounts, HopCounts, StepActivity};
+use nsim_ir::base::csr::Csr;
+use nsim_ir::base::id::{ChannelId, CoreId, Id};
+use nsim_ir::groups::{CoreGroups, Kind};
+use nsim_ir::placement::{Mesh, Route, Site};
+use nsim_ir::program::{AxonTarget, CoreImage, Program};
+
+/// A link in one direction, or a sender's link into its router.
+pub(super) type Link = u32;
+
+/// One message that a spike of some source sends.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Message {
+    pub(super) core: CoreId,
+    pub(super) events_dense: u32,
+    pub(super) events_sparse: u32,
+}
+
+/// Where a program's messages go, and those of the groups of cores that do what its do.
+///
+/// Messages wait for each other on the chips that exchange them, a region; those of different regions never meet. Of regions
+/// that are alike one is followed.
+#[derive(Debug, Clone)]
+pub struct MessageRoutes {
+    pub(super) kinds: Vec<KindOfGroup>,
+    /// One of each kind.
+    pub(super) regions: Vec<Region>,
+    /// By channel.
+    pub(super) inputs: Csr<Message>,
+    /// By compartment.
+    pub(super) spikes: Csr<Message>,
+    /// Core, slot, and number of compartments of that core, by compartment.
+    pub(super) seats: Vec<(CoreId, u32, u32)>,
+    /// What a spike's messages cross, in all groups: of each channel, then of each compartment. Empty where the program is all
+    /// there is, whose steps have it counted.
+    pub(super) crossed: Vec<Crossed>,
+    /// What input spikes take under the first preset that asked, where [`InputTimes::new`] finds them simple.
+    pub(super) input_times: OnceLock<Option<InputTimes>>,
+}
+
+/// What the only message of an input spike takes.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct InputTime {
+    /// The receiving core.
+    pub(super) to: u32,
+    /// At the receiver.
+    pub(super) handling: u64,
+    /// From the port, through the empty mesh, until it is handled.
+    pub(super) through: u64,
+}
+
+/// What the input spikes of each channel take under a preset.
+#[derive(Debug, Clone)]
+pub(super) struct InputTimes {
+    table: CostTable,
+    /// By channel; `None` where it sends nothing.
+    pub(super) channels: Vec<Option<InputTime>>,
+    /// The longest of them through the mesh.
+    pub(super) longest: u64,
+}
+
+impl InputTimes {
+    /// Of the inputs of one group of cores on one chip, each of which sends one message at most; `None` of others.
+    fn new(routes: &MessageRoutes, table: &CostTable) -> Option<Self> {
+        let ([_], [region]) = (routes.kinds.as_slice(), routes.regions.as_slice()) else { return None };
+        if !region.is_simple() {
+            return None;
+        }
+        let time = |list: &[Message]| match list {
+            [] => Some(None),
+            [message] => {
+                let to = message.core.index();
+                let handling = message.handling(table);
+                let through = route_time(region.entries[to].1, table).0.saturating_add(handling);
+                Some(Some(InputTime { to: to as u32, handling, through }))
+            }
+            _ => None,
+        };
+        let lists = (0..routes.inputs.len()).map(|channel| routes.inputs.get(channel));
+        let channels = lists.map(time).collect::<Option<Vec<_>>>()?;
+        let longest = channels.iter().flatten().map(|time| time.through).max().unwrap_or(0);
+        Some(InputTimes { table: table.clone(), channels, longest })
+    }
+}
+
+impl Message {
+    /// The time that it takes at its receiver.
+    pub(super) fn handling(&self, table: &CostTable) -> u64 {
+        let counts = [
+            (table.axon_in_time, 1),
+            (table.synapse_dense_time, self.events_dense.into()),
+            (table.synapse_sparse_time, self.events_sparse.into()),
+        ];
+        times(&counts).0
+    }
+}
+
+/// A group of the program's cores and how many there are.
+#[derive(Debug, Clone)]
+pub(super) struct KindOfGroup {
+    pub(super) kind: Kind,
+    pub(super) groups: u64,
+}
+
+/// Links that messages cross.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Crossed {
+    pub(super) hops: HopCounts,
+    pub(super) longest: Route,
+}
+
+/// Chips that exchange messages with no others.
+///
+/// Senders are the cores and, behind them, the port of each chip, through which its inputs enter: the chip's corner.
+#[derive(Debug, Clone)]
+pub(super) struct Region {
+    pub(super) columns: u32,
+    pub(super) rows: u32,
+    pub(super) chip_width: u32,
+    pub(super) chip_height: u32,
+    pub(super) chips_x: u32,
+    /// Tile of each sender.
+    pub(super) tiles: Vec<(u32, u32)>,
+    pub(super) cores: usize,
+    /// Kind of each group of cores and its first core here.
+    pub(super) groups: Vec<(usize, usize)>,
+    /// Of each core the port through which its inputs enter, and their route from there.
+    pub(super) entries: Vec<(usize, Route)>,
+}
+
+/// Dense and sparse synapses of an input axon.
+fn events(image: &CoreImage, axon: u16) -> (u32, u32) {
+    let synapses = image.inputs.get(usize::from(axon)).stored;
+    let dense = |format: u8| image.formats[usize::from(format)].index_bits.is_none();
+    let count = synapses.iter().filter(|synapse| dense(synapse.format)).count();
+    (count as u32, (synapses.len() - count) as u32)
+}
+
+/// What regions that are alike have in common: chips from west to east and from north to south, and of each group its kind and
+/// the tile of each core.
+type RegionKey = (u32, u32, Vec<(usize, Vec<(u32, u32)>)>);
+
+/// Regions of groups on a board; of those that are alike the first, with their number.
+fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
+    let mut joined = UnionFind::new((mesh.chips_x * mesh.chips_y) as usize);
+    for (_, sites) in groups {
+        let chips: BTreeSet<u32> = sites.iter().map(|site| site.chip).collect();
+        chips.iter().zip(chips.iter().skip(1)).for_each(|(&one, &next)| _ = joined.union(one as usize, next as usize));
+        // Messages between chips cross those in between, along the row first.
+        let pairs = chips.iter().flat_map(|&from| chips.iter().map(move |&to| (from, to)));
+        for (from, to) in pairs.filter(|_| groups.len() > 1) {
+            let corner = from / mesh.chips_x * mesh.chips_x + to % mesh.chips_x;
+            let row = from.min(corner)..=from.max(corner);
+            let column = (corner.min(to)..=corner.max(to)).step_by(mesh.chips_x as usize);
+            row.chain(column).for_each(|chip| _ = joined.union(from as usize, chip as usize));
+        }
+    }
+    let mut members: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (number, (_, sites)) in groups.iter().enumerate() {
+        if let Some(site) = sites.first() {
+            members.entry(joined.find_mut(site.chip as usize)).or_default().push(number);
+        }
+    }
+    let mut found: Vec<(Region, u64)> = Vec::new();
+    let mut known: HashMap<RegionKey, usize> = HashMap::new();
+    for numbers in members.values() {
+        let sites = || numbers.iter().flat_map(|&number| groups[number].1);
+        let bounds = |axis: fn(u32, u32) -> u32| {
+            let along = || sites().map(|site| axis(site.chip, mesh.chips_x));
+            let low = along().min().unwrap_or(0);
+            (low, along().max().unwrap_or(0) - low + 1)
+        };
+        let ((left, chips_x), (top, chips_y)) = (bounds(|chip, wide| chip % wide), bounds(|chip, wide| chip / wide));
+        let tile = |site: &Site| {
+            let (x, y) = mesh.tile(*site);
+            (x - left * mesh.width, y - top * mesh.height)
+        };
+        let held = numbers.iter().map(|&number| (groups[number].0, groups[number].1.iter().map(tile).collect()));
+        let key: RegionKey = (chips_x, chips_y, held.collect());
+        if let Some(&alike) = known.get(&key) {
+            found[alike].1 += 1;
+            continue;
+        }
+        let mut first = 0;
+        let starts = key.2.iter().map(|(kind, tiles)| {
+            first += tiles.len();
+            (*kind, first - tiles.len())
+        });
+        let starts = starts.collect();
+        let corner = |chip: u32| (chip % chips_x * mesh.width, chip / chips_x * mesh.height);
+        let cores = key.2.iter().flat_map(|(_, tiles)| tiles.iter().copied());
+        let region = Region {
+            columns: chips_x * mesh.width,
+            rows: chips_y * mesh.height,
+            chip_width: mesh.width,
+            chip_height: mesh.height,
+            chips_x,
+            tiles: cores.chain((0..chips_x * chips_y).map(corner)).collect(),
+            cores: first,
+            groups: starts,
+            entries: Vec::new(),
+        }
+        .with_entries();
+        known.insert(key, found.len());
+        found.push((region, 1));
+    }
+    found
+}
+
+impl MessageRoutes {
+    /// The routes of a program's messages.
+    #[must_use]
+    pub fn of_program(program: &Program) -> Self {
+        let kind = Kind {
+            cores: 0..program.cores().len() as u32,
+            channels: 0..program.channels(),
+            compartments: 0..program.compartments(),
+            copies: 1,
+        };
+        let sites: Vec<Site> = program.cores().iter().map(|image| image.site).collect();
+        MessageRoutes::new(program, &[kind], &[(0, &sites)])
+    }
+
+    /// The routes of the messages of all groups, in the numbers of the program that stands for them.
+    #[must_use]
+    pub fn of_groups(groups: &CoreGroups) -> Self {
+        let of_group = groups.groups.iter().map(|group| (group.kind, group.sites.as_slice()));
+        MessageRoutes::new(&groups.program, &groups.kinds, &of_group.collect::<Vec<_>>())
+    }
+
+    fn new(program: &Program, kinds: &[Kind], groups: &[(usize, &[Site])]) -> Self {
+        let cores = program.cores();
+        let message = |target: &AxonTarget| {
+            let (events_dense, events_sparse) = events(&cores[target.core], target.axon);
+            Message { core: target.core, events_dense, events_sparse }
+        };
+        let mut inputs = Csr::default();
+        for list in program.parts().channels.iter() {
+            inputs.push(list.iter().map(message));
+        }
+        let mut spikes = Csr::default();
+        let mut seats = Vec::with_capacity(program.seats().len());
+        for seat in program.seats() {
+            let image = &cores[seat.core];
+            spikes.push(image.axons_out.get(usize::from(seat.slot)).iter().map(message));
+            seats.push((seat.core, u32::from(seat.slot), image.compartments.len() as u32));
+        }
+        let of_kind = |kind| groups.iter().filter(|group| group.0 == kind).count() as u64;
+        let kinds = kinds.iter().enumerate();
+        let kinds = kinds.map(|(number, kind)| KindOfGroup { kind: kind.clone(), groups: of_kind(number) });
+        let (kinds, regions) = (kinds.collect(), regions(*program.mesh(), groups));
+        let (crossed, input_times) = (Vec::new(), OnceLock::new());
+        let mut routes = MessageRoutes { kinds, regions: Vec::new(), inputs, spikes, seats, crossed, input_times };
+        if groups.len() > 1 {
+            routes.crossed = routes.crossed(&regions);
+        }
+        routes.regions = regions.into_iter().map(|(region, _)| region).collect();
+        routes
+    }
+
+    /// What a spike's messages cross, by channel and then by compartment.
+    fn crossed(&self, regions: &[(Region, u64)]) -> Vec<Crossed> {
+        let mut crossed = vec![Crossed::default(); self.inputs.len() + self.spikes.len()];
+        for (region, times) in regions {
+            for &(kind, first) in &region.groups {
+                let Kind { cores, channels, compartments, .. } = &self.kinds[kind].kind;
+                let here = |core: CoreId| first + core.index() - cores.start as usize;
+                let mut add = |source: usize, from: Option<CoreId>, list: &[Message]| {
+                    let Crossed { hops, longest } = &mut crossed[source];
+                    for message in list {
+                        let to = here(message.core);
+                        let route = region.route(from.map_or_else(|| region.port(to), here), to);
+                        hops.add_routes(route, *times);
+                        *longest = longest.max(route);
+                    }
+                };
+                for channel in channels.start as usize..channels.end as usize {
+                    add(channel, None, self.inputs.get(channel));
+                }
+                for compartment in compartments.start as usize..compartments.end as usize {
+                    let list = self.spikes.get(compartment);
+                    add(self.inputs.len() + compartment, Some(self.seats[compartment].0), list);
+                }
+            }
+        }
+        crossed
+    }
+
+    /// What input spikes take under a preset, where that is known without following them.
+    pub(super) fn input_times(&self, table: &CostTable) -> Option<&InputTimes> {
+        let times = self.input_times.get_or_init(|| InputTimes::new(self, table)).as_ref();
+        times.filter(|times| times.table == *table)
+    }
+
+    /// Whether the program is all there is.
+    fn is_whole(&self) -> bool {
+        self.crossed.is_empty()
+    }
+
+    /// The counts of all cores of all groups in a step.
+    #[must_use]
+    pub fn sum_of_cores(&self, step: &StepActivity) -> CoreCounts {
+        if self.is_whole() {
+            return sum_of_cores(step);
+        }
+        let mut all = CoreCounts::default();
+        for KindOfGroup { kind, groups } in &self.kinds {
+            let mut sum = CoreCounts::default();
+            step.cores.as_slice()[kind.cores.start as usize..kind.cores.end as usize]
+                .iter()
+                .for_each(|core| sum += *core);
+            all += sum.times(*groups);
+        }
+        all
+    }
+
+    /// The links that the messages of all groups cross in a step.
+    #[must_use]
+    pub fn hops(&self, step: &StepActivity) -> HopCounts {
+        self.crossed_in(step).hops
+    }
+
+    pub(super) fn crossed_in(&self, step: &StepActivity) -> Crossed {
+        let mut all = Crossed { hops: step.hops, longest: step.longest };
+        if !self.is_whole() {
+            all = Crossed::default();
+            let channels = step.channels.iter().map(|channel| channel.index());
+            let fired = step.fired.iter().map(|compartment| self.inputs.len() + compartment.index());
+            for source in channels.chain(fired) {
+                all.hops += self.crossed[source].hops;
+                all.longest = all.longest.max(self.crossed[source].longest);
+            }
+        }
+        all
+    }
+
+    /// The input spikes of all groups in a step.
+    pub(super) fn spikes_in(&self, step: &StepActivity) -> u64 {
+        match &*self.kinds {
+            [kind] => step.spikes_in * kind.groups,
+            kinds => {
+                let of = |channel: &ChannelId| kinds.iter().find(|kind| kind.kind.channels.contains(&channel.0));
+                step.channels.iter().filter_map(of).map(|kind| kind.groups).sum()
+            }
+        }
+    }
+}
+
+impl Region {
+    /// The same with the entries of its cores.
+    pub(super) fn with_entries(mut self) -> Self {
+        let entry = |core| (self.port_of(core), self.route(self.port_of(core), core));
+        self.entries = (0..self.cores).map(entry).collect();
+        self
+    }
+
+    /// Whether it is one group of cores behind one port.
+    fn is_simple(&self) -> bool {
+        self.groups == [(0, 0)] && self.tiles.len() == self.cores + 1
+    }
+
+    /// The port through which a core's inputs enter.
+    pub(super) fn port(&self, core: usize) -> usize {
+        self.entries[core].0
+    }
+
+    fn port_of(&self, core: usize) -> usize {
+        let (x, y) = self.tiles[core];
+        self.cores + (y / self.chip_height * self.chips_x + x / self.chip_width) as usize
+    }
+
+    pub(super) fn route(&self, from: usize, to: usize) -> Route {
+        let ((fx, fy), (tx, ty)) = (self.tiles[from], self.tiles[to]);
+        let chip = (fx / self.chip_width).abs_diff(tx / self.chip_width)
+            + (fy / self.chip_height).abs_diff(ty / self.chip_height);
+        Route { east_west: fx.abs_diff(tx), north_south: fy.abs_diff(ty), chip }
+    }
+
+    pub(super) fn links(&self) -> usize {
+        4 * (self.columns * self.rows) as usize + self.tiles.len()
+    }
+
+    /// The sender's link into its router.
+    pub(super) fn first_link(&self, sender: usize) -> Link {
+        4 * self.columns * self.rows + sender as u32
+    }
+
+    /// Every link on a message's route, along its row first, and whether it joins two chips. A link is numbered by
+    /// the tile that it leads to and its direction.
+    pub(super) fn each_link(&self, from: usize, to: usize, mut see: impl FnMut(Link, bool)) {
+        let ((mut x, mut y), (tx, ty)) = (self.tiles[from], self.tiles[to]);
+        while x != tx {
+            let (next, direction) = if x < tx { (x + 1, 0) } else { (x - 1, 1) };
+            see(4 * (y * self.columns + next) + direction, x / self.chip_width != next / self.chip_width);
+            x = next;
+        }
+        while y != ty {
+            let (next, direction) = if y < ty { (y + 1, 2) } else { (y - 1, 3) };
+            see(4 * (next * self.columns + x) + direction, y / self.chip_height != next / self.chip_height);
+            y = next;
+        }
+    }
+
+    /// Messages over the busiest link of a chip and over the busiest between chips.
+    pub(super) fn busiest_links(&self, routes: &MessageRoutes, step: &StepActivity) -> [u32; 2] {
+        if step.channels.is_empty() && step.fired.is_empty() {
+            return [0; 2];
+        }
+        // Difference arrays over rows (east, west) and columns (south, north): +1 where a message enters a line of tiles, -1
+        // where it leaves, so the cost is independent of the route's length.
+        let (columns, rows) = (self.columns as usize, self.rows as usize);
+        let mut lines = [(); 4].map(|()| vec![0i32; columns * rows]);
+        self.each_message(routes, step, |sender, to, _| {
+            let ((fx, fy), (tx, ty)) = (self.tiles[sender], self.tiles[to]);
+            let mut add = |direction: usize, line: usize, from: u32, to: u32| {
+                lines[direction][line + from as usize] += 1;
+                lines[direction][line + to as usize] -= 1;
+            };
+            add(usize::from(fx > tx), fy as usize * columns, fx.min(tx), fx.max(tx));
+            add(2 + usize::from(fy > ty), tx as usize * rows, fy.min(ty), fy.max(ty));
+        });
+        let mut busiest = [0; 2];
+        for (direction, line) in lines.iter().enumerate() {
+            let (length, of_chip) = if direction < 2 { (columns, self.chip_width) } else { (rows, self.chip_height) };
+            for tiles in line.chunks(length.max(1)) {
+                let mut load = 0;
+                for (tile, difference) in (1..).zip(tiles) {
+                    load += difference;
+                    let most: &mut u32 = &mut busiest[usize::from(tile % of_chip.max(1) == 0)];
+                    *most = (*most).max(load as u32);
+                }
+            }
+        }
+        busiest
+    }
+
+    /// Sender, receiver and message of every message of a step.
+    pub(super) fn each_message(
+        &self,
+        routes: &MessageRoutes,
+        step: &StepActivity,
+        mut see: impl FnMut(usize, usize, &Message),
+    ) {
+        for &(kind, first) in &self.groups {
+            let Kind { cores, channels, compartments, .. } = &routes.kinds[kind].kind;
+            let here = |core: CoreId| first + core.index() - cores.start as usize;
+            for channel in step.channels.iter().filter(|channel| channels.contains(&channel.0)) {
+                for message in routes.inputs.get(channel.index()) {
+                    let to = here(message.core);
+                    see(self.port(to), to, message);
+                }
+            }
+            for compartment in step.fired.iter().filter(|compartment| compartments.contains(&compartment.0)) {
+                let sender = here(routes.seats[compartment.index()].0);
+                routes.spikes.get(compartment.index()).iter().for_each(|m| see(sender, here(m.core), m));
+            }
+        }
+    }
+
+    /// The port that the first message of each input spike enters by, in the order of spikes.
+    pub(super) fn ports<'a>(
+        &'a self,
+        routes: &'a MessageRoutes,
+        step: &'a StepActivity,
+    ) -> impl Iterator<Item = usize> + 'a {
+        self.groups.iter().flat_map(move |&(kind, first)| {
+            let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
+            step.channels.iter().filter(|channel| channels.contains(&channel.0)).map(move |channel| {
+                let entered = routes.inputs.get(channel.index()).first();
+                entered.map_or(0, |message| self.port(first + message.core.index() - cores.start as usize) - self.cores)
+            })
+        })
+    }
+
+    /// Input spikes that enter by the port with most.
+    pub(super) fn most_spikes(&self, routes: &MessageRoutes, step: &StepActivity) -> u64 {
+        if routes.kinds.len() == 1 && self.is_simple() {
+            return step.channels.len() as u64;
+        }
+        let mut spikes = vec![0; self.tiles.len() - self.cores + 1];
+        self.ports(routes, step).for_each(|port| spikes[port] += 1);
+        spikes.into_iter().max().unwrap_or(0)
+    }
+}

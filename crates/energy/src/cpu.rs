@@ -1,0 +1,350 @@
+//! The same network on this machine's processor: dense over the window, and event by event.
+//!
+//! Input: a network, its samples, and how long a measurement may take. Output: microseconds a timestep with the
+//! spread of the repeats. *Dense* does what a framework on a CPU or GPU does with a window of binned spikes: one f32
+//! matrix product for each projection and whole sample, then the neurons step by step, without the chip's truncation.
+//! *Event-driven* is nsim's own machine, one copy, one thread, which is exact and leaves out what is at rest.
+//!
+//! One thread and one sample at a time (batch 1), as a robot's controller would run it; loading files is not timed.
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use ndarray::{Array1, Array2, s};
+
+use crate::measure::quantile;
+use nsim_dynamics::RealForm;
+use nsim_ir::base::id::{Id, IdVec, PopulationId};
+use nsim_ir::program::Program;
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::spikes::Sample;
+use nsim_machine::{Image, Machine, Settings};
+use nsim_session::{Keep, run_sample};
+
+/// Weights above which no dense matrices are made: 256 MiB.
+const MOST_WEIGHTS: u64 = 1 << 26;
+/// Repeats below which there is no spread to speak of.
+const LEAST_REPEATS: usize = 5;
+/// Repeats above which more would only cost time.
+const MOST_REPEATS: usize = 101;
+
+/// What was measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Timed {
+    /// Microseconds of a timestep: the median of the repeats.
+    pub us_per_timestep: f64,
+    /// Microseconds of a timestep in the fastest repeat.
+    pub fastest: f64,
+    /// Microseconds between the first and the third quartile.
+    pub spread: f64,
+    /// Repeats.
+    pub repeats: usize,
+    /// Timesteps of a repeat.
+    pub timesteps: u64,
+}
+
+/// Repeats something that passes over so many timesteps, for about so long.
+pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed {
+    let once = |pass: &mut dyn FnMut()| {
+        let begin = Instant::now();
+        pass();
+        begin.elapsed().max(Duration::from_nanos(1))
+    };
+    // The first pass warms caches and predictors up, and says how many fit.
+    let first = once(&mut pass);
+    let repeats = (budget.as_secs_f64() / first.as_secs_f64()) as usize;
+    let repeats = repeats.clamp(LEAST_REPEATS, MOST_REPEATS);
+    let steps = timesteps.max(1) as f64;
+    let mut each: Vec<f64> = (0..repeats).map(|_| once(&mut pass).as_secs_f64() * 1e6 / steps).collect();
+    each.sort_unstable_by(f64::total_cmp);
+    Timed {
+        us_per_timestep: quantile(&each, 0.5),
+        fastest: quantile(&each, 0.0),
+        spread: quantile(&each, 0.75) - quantile(&each, 0.25),
+        repeats,
+        timesteps,
+    }
+}
+
+/// Samples from the first on, as many as have about this many timesteps together: enough to be measured on.
+#[must_use]
+pub fn enough<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
+    let mut sum = 0;
+    let until = samples.iter().position(|sample| {
+        sum += u64::from(sample.steps());
+        sum >= timesteps
+    });
+    &samples[..until.map_or(samples.len(), |at| at + 1)]
+}
+
+/// A projection as a matrix.
+#[derive(Debug)]
+struct Incoming {
+    source: usize,
+    /// `[source][target]`, in the chip's units of current.
+    weights: Array2<f32>,
+    /// Steps between a source's spike and its arrival.
+    later: usize,
+}
+
+/// A population of compartments.
+#[derive(Debug)]
+struct Layer {
+    population: usize,
+    incoming: Vec<Incoming>,
+    keeps_u: Array1<f32>,
+    keeps_v: Array1<f32>,
+    bias: Array1<f32>,
+    threshold: Array1<f32>,
+    refractory: Vec<u16>,
+    start_step: u32,
+}
+
+/// A feed-forward network as dense matrices.
+#[derive(Debug)]
+pub struct Dense {
+    /// In an order in which each comes after its sources.
+    layers: Vec<Layer>,
+    /// First channel and size of each input population, by population.
+    inputs: Vec<Option<(u32, usize)>>,
+    output: usize,
+}
+
+impl Dense {
+    /// The matrices of a network.
+    ///
+    /// # Errors
+    /// Why there are none: it is recurrent, resets, or its matrices would be too large.
+    pub fn new(network: &Quantised) -> Result<Self, String> {
+        if network.parts().reset.is_some() {
+            return Err("it is reset within a sample".to_string());
+        }
+        let size = |population: PopulationId| network.populations()[population].shape.len();
+        let weights: u64 =
+            network.projections().iter().map(|p| u64::from(size(p.source)) * u64::from(size(p.target))).sum();
+        if weights > MOST_WEIGHTS {
+            return Err(format!("its matrices would have {weights} weights, more than {MOST_WEIGHTS}"));
+        }
+        let order = order(network).ok_or("it is recurrent, so a window cannot be passed layer by layer")?;
+        let mut inputs = vec![None; network.populations().len()];
+        for (id, population) in network.inputs() {
+            inputs[id.index()] = population.first_channel().map(|first| (first.0, population.shape.len() as usize));
+        }
+        let mut layers = Vec::new();
+        for target in order {
+            let population = &network.populations()[target];
+            let Units::Compartments { neurons, start_step, .. } = &population.units else { continue };
+            let units: Vec<RealForm> = (0..population.shape.len()).map(|i| RealForm::from(&neurons.get(i))).collect();
+            if units.iter().any(|unit| unit.subtracts) {
+                return Err(format!("'{}' resets by subtraction", population.name));
+            }
+            let each = |of: fn(&RealForm) -> f64| units.iter().map(|unit| of(unit) as f32).collect();
+            let mut incoming = Vec::new();
+            for (_, projection) in network.incoming(target) {
+                let mut weights = Array2::zeros((size(projection.source) as usize, size(target) as usize));
+                let factor = network.populations()[projection.source].spike_factor() as f32;
+                for from in 0..size(projection.source) {
+                    projection.connectivity.for_each_from(from, |to, weight| {
+                        weights[[from as usize, to as usize]] += projection.format.scaled(weight) as f32 * factor;
+                    });
+                }
+                let input = network.populations()[projection.source].first_compartment().is_none();
+                let later = projection.delay.get() as usize + usize::from(!input);
+                incoming.push(Incoming { source: projection.source.index(), weights, later });
+            }
+            layers.push(Layer {
+                population: target.index(),
+                incoming,
+                keeps_u: each(|n| n.keep_u),
+                keeps_v: each(|n| n.keep_v),
+                bias: each(|n| n.bias),
+                threshold: each(|n| n.threshold),
+                refractory: units.iter().map(|n| n.refractory as u16).collect(),
+                start_step: *start_step,
+            });
+        }
+        Ok(Dense { layers, inputs, output: network.parts().output.index() })
+    }
+
+    /// Passes one sample through, layer by layer over the whole window; returns the spikes of each output.
+    #[must_use]
+    pub fn pass(&self, sample: &Sample) -> Vec<u32> {
+        let steps = sample.steps() as usize;
+        // `[step][unit]`.
+        let mut spikes: Vec<Option<Array2<f32>>> = self
+            .inputs
+            .iter()
+            .map(|input| {
+                let (first, size) = (*input)?;
+                let mut train = Array2::zeros((steps, size));
+                for step in 0..steps {
+                    let channels = sample.at(step as u32).iter();
+                    for channel in channels.filter_map(|c| c.0.checked_sub(first)).filter(|&c| (c as usize) < size) {
+                        train[[step, channel as usize]] = 1.0;
+                    }
+                }
+                Some(train)
+            })
+            .collect();
+        for layer in &self.layers {
+            let fired = layer.pass(steps, &spikes);
+            spikes[layer.population] = Some(fired);
+        }
+        let output = spikes[self.output].as_ref();
+        output.map_or_else(Vec::new, |train| train.sum_axis(ndarray::Axis(0)).iter().map(|&sum| sum as u32).collect())
+    }
+}
+
+impl Layer {
+    fn pass(&self, steps: usize, spikes: &[Option<Array2<f32>>]) -> Array2<f32> {
+        let size = self.threshold.len();
+        let mut current: Array2<f32> = Array2::zeros((steps, size));
+        for Incoming { source, weights, later } in &self.incoming {
+            let Some(train) = &spikes[*source] else { continue };
+            let arriving = steps.saturating_sub(*later);
+            let product = train.slice(s![..arriving, ..]).dot(weights);
+            let mut then = current.slice_mut(s![steps - arriving.., ..]);
+            then += &product;
+        }
+        let mut fired = Array2::zeros((steps, size));
+        let (mut u, mut v) = (Array1::<f32>::zeros(size), Array1::<f32>::zeros(size));
+        let mut hold = vec![0u16; size];
+        for step in (self.start_step as usize).min(steps)..steps {
+            let (arrived, mut out) = (current.row(step), fired.row_mut(step));
+            for i in 0..size {
+                u[i] = u[i] * self.keeps_u[i] + arrived[i];
+                if hold[i] > 0 {
+                    hold[i] -= 1;
+                    if hold[i] > 0 {
+                        continue;
+                    }
+                }
+                v[i] = v[i] * self.keeps_v[i] + u[i] + self.bias[i];
+                if v[i] > self.threshold[i] {
+                    (v[i], out[i], hold[i]) = (0.0, 1.0, self.refractory[i]);
+                }
+            }
+        }
+        fired
+    }
+}
+
+/// Populations in an order in which each comes after its sources; none when they run in a circle.
+fn order(network: &Quantised) -> Option<Vec<PopulationId>> {
+    let ids = || network.populations().ids();
+    let mut missing: IdVec<PopulationId, usize> = ids().map(|id| network.incoming(id).count()).collect();
+    let mut now: Vec<PopulationId> = ids().filter(|&id| missing[id] == 0).collect();
+    let mut order = Vec::with_capacity(missing.len());
+    while !now.is_empty() {
+        let mut next = Vec::new();
+        for projection in now.iter().flat_map(|&id| network.outgoing(id)).map(|&p| &network.projections()[p]) {
+            missing[projection.target] -= 1;
+            if missing[projection.target] == 0 {
+                next.push(projection.target);
+            }
+        }
+        next.sort_unstable();
+        order.append(&mut now);
+        now = next;
+    }
+    (order.len() == missing.len()).then_some(order)
+}
+
+/// Times the dense window over these samples.
+///
+/// # Errors
+/// As [`Dense::new`].
+pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
+    let dense = Dense::new(network)?;
+    let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
+    Ok(timed(timesteps, budget, || {
+        samples.iter().for_each(|sample| drop(black_box(dense.pass(black_box(sample)))));
+    }))
+}
+
+/// Times the machine over these samples.
+///
+/// # Errors
+/// Why the program cannot run.
+pub fn event_driven(program: &Program, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
+    let image = Image::new(program, 1).map_err(|error| error.to_string())?;
+    let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+    let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
+    Ok(timed(timesteps, budget, || {
+        for sample in samples {
+            black_box(run_sample(&mut machine, black_box(sample), &keep, |_, _| ()));
+        }
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_golden::Golden;
+    use nsim_ir::base::diagnostic::SourceText;
+    use nsim_ir::base::id::ChannelId;
+
+    fn network(populations: &str, projections: &str) -> Quantised {
+        let text = format!(
+            "Network(name: \"n\", timestep_ms: 1.0, populations: [Input(name: \"a\", shape: [3]), Input(name: \"b\", shape: [2]), \
+             {populations}], projections: [{projections}], output: \"out\")"
+        );
+        let network =
+            nsim_import::model::network(SourceText::new("n.ron", text), nsim_files::shipped::Origin::File).unwrap();
+        nsim_session::front::front(&network).unwrap().into_quantised()
+    }
+
+    fn sample(steps: u32, seed: u64) -> Sample {
+        let draw = |t: u32, c: u32| nsim_ir::base::rng::unit(seed, c.into(), t.into()) < 0.4;
+        let events = (0..steps).flat_map(|t| (0..5).filter(move |&c| draw(t, c)).map(move |c| (t, ChannelId(c))));
+        Sample::new(steps, &events.collect::<Vec<_>>(), None).unwrap()
+    }
+
+    fn golden(network: &Quantised, sample: &Sample) -> Vec<u32> {
+        let keep = Keep { output: network.output(), probes: Vec::new(), early_exit: None };
+        run_sample(&mut Golden::new(network), sample, &keep, |_, _| ()).counts
+    }
+
+    #[test]
+    fn without_decays_to_truncate_the_window_fires_as_the_chip_does() {
+        // No memory of current, no leak: every number is whole in both.
+        let network = network(
+            "Loihi(name: \"hidden\", shape: [4], du: 4096, dv: 0, vth_mant: 10, refractory: 3, bias_mant: 5, bias_exp: 2), \
+             Loihi(name: \"out\", shape: [2], du: 4096, dv: 0, vth_mant: 12, refractory: 1, start_step: 4)",
+            "Dense(from: [\"a\"], to: \"hidden\", weights: [[20, 0, 4], [2, 30, 6], [0, 8, 40], [12, -6, 2]]), \
+             Dense(from: [\"b\"], to: \"hidden\", weights: [[2, 2], [4, -8], [6, 2], [-2, 8]], delay: 2), \
+             Dense(from: [\"hidden\"], to: \"out\", weights: [[8, 0, 6, 2], [0, 10, -4, 8]], delay: 1)",
+        );
+        let dense = Dense::new(&network).unwrap();
+        let mut fired = 0;
+        for seed in 0..20 {
+            let sample = sample(60, seed);
+            let counts = golden(&network, &sample);
+            assert_eq!(dense.pass(&sample), counts, "seed {seed}");
+            fired += counts.iter().sum::<u32>();
+        }
+        assert!(fired > 200, "{fired}");
+    }
+
+    #[test]
+    fn a_circle_has_no_window() {
+        let network = network(
+            "Loihi(name: \"out\", shape: [2], du: 4096, dv: 0, vth_mant: 12)",
+            "Dense(from: [\"a\"], to: \"out\", weights: [[2, 2, 2], [2, 2, 2]]), \
+             Dense(from: [\"out\"], to: \"out\", weights: [[0, 2], [2, 0]])",
+        );
+        assert!(Dense::new(&network).unwrap_err().contains("recurrent"));
+    }
+
+    #[test]
+    fn a_measurement_repeats_and_says_how_often() {
+        let mut passes = 0;
+        let timed = timed(10, Duration::ZERO, || passes += 1);
+        assert_eq!((timed.repeats, passes, timed.timesteps), (LEAST_REPEATS, LEAST_REPEATS + 1, 10));
+        assert!(timed.fastest <= timed.us_per_timestep && timed.spread >= 0.0);
+        let samples: Vec<Sample> = (0..5).map(|seed| sample(100, seed)).collect();
+        let samples: Vec<&Sample> = samples.iter().collect();
+        assert_eq!((enough(&samples, 250).len(), enough(&samples, 1).len(), enough(&samples, 9_999).len()), (3, 1, 5));
+    }
+}

@@ -1,0 +1,208 @@
+//! From a mapped network and its samples to a priced run and its report.
+//!
+//! Input: a [`Workload`], a [`Plan`] of its deployment, [`CostOptions`]. Output: [`Evaluated`]. A
+//! plan comes first, because a published job says how many copies of it there were.
+
+use std::borrow::Cow;
+
+use crate::job::{EnergyJob, per_decision, report, saved};
+use crate::options::{CostOptions, DeploymentArg, DeploymentSource, tables, with_preset};
+use crate::other_hardware;
+use crate::other_hardware::OneCopy;
+use crate::paper;
+use crate::published::scenario::ScenarioFile;
+use crate::report::table::EnergyReport;
+use crate::workload::Workload;
+use nsim_compile::{Compiled, CopyPlacement};
+use nsim_cost::estimate::{ByStatus, Case, Convention, EnergyRow, estimate, step_price};
+use nsim_cost::job::Accounting;
+use nsim_cost::{Deployment, MeterSettings, StepMeter};
+use nsim_ir::hardware::Target;
+use nsim_ir::program::Program;
+use nsim_ir::quantised::Quantised;
+use nsim_session::decision::{EarlyExit, Rule};
+use nsim_session::error::Error;
+use nsim_session::samples::Run;
+
+/// The deployment of a model, as far as it is known before mapping.
+#[derive(Debug)]
+pub struct Plan {
+    asked: DeploymentArg,
+    /// Whether the deployment was given.
+    is_said: bool,
+    copies: Option<u32>,
+    shipped: Option<ScenarioFile>,
+    source: DeploymentSource,
+}
+
+impl Plan {
+    /// For a model, given by path or shipped name, and as many copies of it as are asked for.
+    ///
+    /// # Errors
+    /// As [`DeploymentSource::load`].
+    pub fn new(model: &str, deployment: Option<&str>, copies: Option<u32>) -> Result<Plan, Error> {
+        let asked = deployment.map_or(DeploymentArg::Mapped(CopyPlacement::default()), DeploymentArg::from);
+        let shipped = crate::published::files::scenario::shipped_for(model)?;
+        let source = DeploymentSource::load(&asked, model, shipped.as_ref())?;
+        Ok(Plan { asked, is_said: deployment.is_some(), copies, shipped, source })
+    }
+
+    /// The published job whose deployment it is.
+    #[must_use]
+    pub fn job(&self) -> Option<&ScenarioFile> {
+        match &self.source {
+            DeploymentSource::Scenario(_, scenario) => Some(scenario),
+            _ => None,
+        }
+    }
+
+    /// Copies to be mapped: one of those of a published job or of given cores, since those say
+    /// where the copies are.
+    #[must_use]
+    pub fn mapped_copies(&self) -> Option<u32> {
+        match &self.source {
+            DeploymentSource::Scenario(..) | DeploymentSource::Numbers(_) => Some(1),
+            DeploymentSource::Mapping(_, file) => self.copies.or(Some(file.copies)),
+            DeploymentSource::Mapped => self.copies,
+        }
+    }
+
+    /// Whether it can be of a mapping that there is.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] where it says anew where copies go.
+    pub fn of_mapping(&self) -> Result<(), Error> {
+        match &self.asked {
+            DeploymentArg::Mapped(copies) if self.is_said => Err(Error::Usage(format!(
+                "the mapping says where its copies are: map with the deployment {}, or leave it out here",
+                copies.name()
+            ))),
+            _ => Ok(()),
+        }
+    }
+
+    /// Where the mapping's copies are to go.
+    #[must_use]
+    pub fn placement(&self) -> CopyPlacement {
+        self.asked.copies()
+    }
+
+    /// Copies of the deployment, of which `mapped` are mapped.
+    fn copies(&self, mapped: u32) -> u32 {
+        match &self.source {
+            DeploymentSource::Scenario(_, scenario) => self.copies.unwrap_or(scenario.copies.value),
+            DeploymentSource::Numbers(_) => self.copies.unwrap_or(1),
+            DeploymentSource::Mapped | DeploymentSource::Mapping(..) => mapped,
+        }
+    }
+
+    /// The network of the published job, mapped, where the deployment is one; its inputs have
+    /// compartments of their own where those of the job had.
+    ///
+    /// # Errors
+    /// When it does not compile.
+    pub fn job_mapped(&self, compiled: &Compiled, target: &Target) -> Result<Option<Compiled>, Error> {
+        self.job().map(|scenario| paper::mapped(&compiled.one, scenario, target)).transpose()
+    }
+}
+
+/// A finished run and its report.
+#[derive(Debug)]
+pub struct Evaluated {
+    /// The report, its detail included.
+    pub energy: EnergyReport,
+    /// What ran.
+    pub run: Run<StepMeter>,
+    /// The numbers of cores that it is priced with.
+    pub deployment: Deployment,
+}
+
+/// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its
+/// program, if there is one: other hardware runs that.
+///
+/// # Errors
+/// [`Error`] when an option does not fit the workload; those of `simulate`.
+pub fn evaluate(
+    plan: &Plan,
+    workload: &Workload<'_>,
+    options: &CostOptions,
+    alone: Option<(&Quantised, &Program)>,
+    simulate: impl FnOnce(MeterSettings, Option<EarlyExit>) -> Result<Run<StepMeter>, Error>,
+) -> Result<Evaluated, Error> {
+    let CostOptions { mode, convention, accounting, .. } = *options;
+    let compiled = workload.compiled;
+    let (target, preset) = with_preset(workload.target.clone(), options.constants.as_deref())?;
+    let (target, table) = tables(target, preset.as_deref())?;
+    let model = &compiled.one.parts().name;
+    let steps_per_sample = workload.steps_per_sample();
+    let work = options.host_work(&target, steps_per_sample)?;
+    let copies = plan.copies(workload.copies);
+    let deployment = plan.source.deployment(compiled, &target, copies, work)?;
+    let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
+    let metered = workload.metered(vec![table], &deployment, options.transport);
+    let metered = MeterSettings { distribution: Some((0, price)), ..metered };
+    // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
+    let rule = options.early_exit.unwrap_or(Rule::Certain);
+    let watched = EarlyExit::watched(rule, &compiled.one);
+    let run = simulate(metered, Some(watched))?;
+    let by_status = ByStatus::new(&target.constants()[0])?;
+    let case = Case {
+        copies_counted: workload.copies,
+        hardware: target.chip().hardware(),
+        errors: target.errors(&target.constants()[0]),
+        by_status: Some(&by_status),
+        mode,
+        accounting,
+        convention,
+        steps_per_sample,
+        ..Case::new(&run.activity, &run.meter, &deployment, compiled.one.parts().timestep_ms)
+    };
+    let one = OneCopy {
+        network: alone.map_or(&compiled.one, |(network, _)| network),
+        program: alone.map(|(_, program)| program),
+        samples: &workload.samples(),
+        steps: steps_per_sample,
+        timestep: case.timestep,
+    };
+    let mut others = other_hardware::rows(&options.baselines, one, mode, convention, options.cpu_watts);
+    #[cfg(feature = "nvml")]
+    if let Some(command) = &options.gpu_command {
+        other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
+    }
+    let measured_job =
+        plan.shipped.as_ref().filter(|job| job.target == target.name() && accounting == Accounting::Profiler);
+    let mut rows: Vec<(EnergyRow, Cow<'static, str>)> = Vec::new();
+    if let Some(job) = measured_job {
+        if plan.job().is_none() {
+            let as_in = paper::row(workload, job, options, &target, work)?;
+            rows.push((as_in, "the measured job, by the same constants".into()));
+        }
+        rows.extend(paper::printed(job, mode, convention, steps_per_sample)?);
+    }
+    others.rows.splice(0..0, rows.into_iter().map(|(row, source)| (row, source.into_owned())));
+    let printed = match measured_job {
+        Some(job) => paper::printed(job, mode, Convention::Published, steps_per_sample)?,
+        None => None,
+    };
+    let decision = per_decision(rule, &case, &run.outcomes);
+    let mut energy = report(&EnergyJob {
+        model,
+        target: &target,
+        case,
+        estimate: estimate(&case),
+        samples: run.outcomes.len() as u64,
+        seed: workload.seed,
+        input: &workload.origin,
+        baselines: &others.rows,
+        per_decision: Some(&decision),
+        scenario: plan.shipped.as_ref(),
+        early_exit: options.early_exit.map(|rule| saved(rule, &case, &run.outcomes)),
+    });
+    energy.printed = printed.and_then(|(row, _)| Some([row.energy_uj?, row.edp_pjs?]));
+    energy.notes.extend(others.notes);
+    energy.accuracy = workload.accuracy(&run.outcomes);
+    energy.labelled = workload.samples().iter().filter(|sample| sample.label().is_some()).count() as u64;
+    energy.detail = workload.detail(&run);
+    energy.expected = Some(workload.expected(&run)?);
+    Ok(Evaluated { energy, run, deployment })
+}

@@ -1,0 +1,24 @@
+//! What a mapped network costs: from a program and samples to a finished report.
+//!
+//! Input: a mapped network, samples, how it is deployed and priced. Output: the run and its [`evaluate::Evaluated`] report.
+//! [`options`] says what deployments, presets and baselines stand for, [`workload`] runs, [`job`] makes the report. Errors: a
+//! deployment or preset that does not fit the job. The command line and the Python module both go through this crate, so that they
+//! cannot differ in a figure.
+
+pub mod baseline;
+pub mod cpu;
+pub mod environment;
+pub mod evaluate;
+pub mod gpu;
+pub mod job;
+pub mod measure;
+pub mod options;
+pub mod other_hardware;
+pub mod paper;
+pub mod power;
+pub mod published;
+pub mod report;
+pub mod sanafe;
+#[cfg(test)]
+mod tests;
+pub mod workload;

@@ -1,0 +1,141 @@
+//! Steps of a machine, timed.
+//!
+//! Input: an engine, a period of input, and how long it may take. Output: the median time of a step, the spread of
+//! the repeats, and what a step did. The input is repeated without a break, so the network stays in the state that it
+//! settles in; nothing but steps is timed. Every step is a call of [`Engine::step`]: steps that a run would jump over
+//! as a whole (`drive::run_sample`) are computed here, since a jump costs the same however long it is.
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use nsim_ir::activity::Totals;
+use nsim_ir::spikes::{Engine, Sample};
+
+/// How long a measurement takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Budget {
+    /// About so long, warm-up included, though never fewer than [`LEAST_REPEATS`] repeats.
+    Time(Duration),
+    /// Exactly so many steps in one repeat, without warm-up: for counting instructions.
+    Steps(u64),
+}
+
+/// Repeats below which there is no spread to speak of.
+pub const LEAST_REPEATS: usize = 9;
+/// Repeats above which more would only cost memory.
+const MOST_REPEATS: usize = 201;
+/// Steps after which a standard network has settled: 1.25 time constants of the slowest decay, 32 steps.
+const SETTLING: u64 = 40;
+/// The least time of a repeat: far above the resolution of the clock.
+const LEAST_REPEAT: Duration = Duration::from_millis(2);
+
+/// What was measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepTiming {
+    /// Microseconds of a step: the median of the repeats.
+    pub us_per_timestep: f64,
+    /// Microseconds of a step in the fastest repeat: what a machine shared with others comes nearest to being alone in.
+    pub fastest: f64,
+    /// Microseconds between the first and the third quartile of the repeats.
+    pub spread: f64,
+    /// Repeats.
+    pub repeats: usize,
+    /// Steps of each repeat.
+    pub steps: u64,
+    /// Counts of all timed steps.
+    pub totals: Totals,
+}
+
+impl StepTiming {
+    /// A count's mean over the timed steps.
+    #[must_use]
+    pub fn per_step(&self, count: u64) -> f64 {
+        count as f64 / (self.steps * self.repeats as u64).max(1) as f64
+    }
+}
+
+/// So many steps from this one on, with the period's input over and over; returns the step that comes next. It is a
+/// function of its own so that a profiler can count what it, and nothing else, does.
+#[inline(never)]
+pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) -> u64 {
+    let length = period.steps().max(1);
+    let mut at = (from % u64::from(length)) as u32;
+    for _ in 0..count {
+        engine.step(period.at(at));
+        black_box(engine.spikes());
+        at += 1;
+        if at == length {
+            at = 0;
+        }
+    }
+    from + count
+}
+
+/// Measures steps of an engine; it begins anew.
+pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> StepTiming {
+    measure_agreed(engine, period, budget, |number| number)
+}
+
+/// The same for an engine of which several processes each run a part: they agree on the number of steps before they run them. `agreed`
+/// makes one number of those that they propose.
+pub fn measure_agreed<E: Engine>(
+    engine: &mut E,
+    period: &Sample,
+    budget: Budget,
+    mut agreed: impl FnMut(u64) -> u64,
+) -> StepTiming {
+    // So many steps never come: nothing is near the end, where deliveries would no longer be counted.
+    engine.begin(u32::MAX);
+    let (mut at, size, repeats) = match budget {
+        Budget::Steps(count) => (0, count.max(1), 1),
+        Budget::Time(budget) => {
+            let mut at = steps(engine, period, 0, SETTLING);
+            let (mut size, mut took) = (1, Duration::ZERO);
+            // Doubling until a repeat is long enough also warms caches and predictors up.
+            while took < LEAST_REPEAT {
+                size *= if took.is_zero() { 1 } else { 2 };
+                let begin = Instant::now();
+                at = steps(engine, period, at, size);
+                took = Duration::from_nanos(agreed(begin.elapsed().as_nanos() as u64).max(1));
+            }
+            let fitting = (budget.as_secs_f64() / took.as_secs_f64()) as usize;
+            (at, size, fitting.clamp(LEAST_REPEATS, MOST_REPEATS))
+        }
+    };
+    engine.settle();
+    let before = engine.totals();
+    let mut each: Vec<f64> = (0..repeats)
+        .map(|_| {
+            let begin = Instant::now();
+            at = steps(engine, period, at, size);
+            begin.elapsed().as_secs_f64() * 1e6 / size as f64
+        })
+        .collect();
+    engine.settle();
+    each.sort_unstable_by(f64::total_cmp);
+    StepTiming {
+        us_per_timestep: quantile(&each, 0.5),
+        fastest: quantile(&each, 0.0),
+        spread: quantile(&each, 0.75) - quantile(&each, 0.25),
+        repeats,
+        steps: size,
+        totals: difference(engine.totals(), before),
+    }
+}
+
+fn difference(after: Totals, before: Totals) -> Totals {
+    Totals {
+        spikes_in: after.spikes_in - before.spikes_in,
+        spikes: after.spikes - before.spikes,
+        synaptic_events: after.synaptic_events - before.synaptic_events,
+        compartment_updates: after.compartment_updates - before.compartment_updates,
+        active_updates: after.active_updates - before.active_updates,
+    }
+}
+
+/// A quantile of ascending numbers, between neighbours in proportion.
+pub fn quantile(ascending: &[f64], q: f64) -> f64 {
+    let place = q * (ascending.len() - 1) as f64;
+    let (below, above) = (place.floor() as usize, place.ceil() as usize);
+    ascending[below] + (ascending[above] - ascending[below]) * place.fract()
+}

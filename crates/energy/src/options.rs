@@ -1,0 +1,319 @@
+//! What options of `nsim energy` stand for: deployments, presets, baselines.
+
+use std::path::PathBuf;
+
+use crate::baseline::{Baseline, SHIPPED};
+use crate::published::scenario::ScenarioFile;
+use nsim_compile as compile;
+use nsim_compile::place::SAVED;
+use nsim_compile::{Compiled, CopyPlacement, Form, Front, Options, mapping_file};
+use nsim_cost::estimate::Convention;
+use nsim_cost::job::Accounting;
+use nsim_cost::job::DeployedCores;
+use nsim_cost::job::Mode;
+use nsim_cost::{CostTable, Deployment, Host, HostWork, Streams, Transport};
+use nsim_files as io;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::names::did_you_mean;
+use nsim_ir::hardware::Target;
+use nsim_ir::mapping::MappingFile;
+use nsim_ir::spanned::root_name;
+use nsim_session::decision::Rule;
+use nsim_session::error::{Error, Result};
+
+/// How a run is priced, and what it is compared with.
+#[derive(Debug)]
+pub struct CostOptions {
+    /// Where input spikes come from; an x86 core of each chip where the chip has one, unless it is
+    /// said.
+    pub host: Option<Host>,
+    /// Streams that a chip is fed.
+    pub streams: Streams,
+    /// Words of a core that are reset after each sample; 0: state stays.
+    pub reset_words: u64,
+    /// As fast as possible, or held to the model's timestep.
+    pub mode: Mode,
+    /// How energy is computed.
+    pub convention: Convention,
+    /// Other hardware to compare with.
+    pub baselines: BaselineSelection,
+    /// Power of this machine's processor at idle and busy.
+    pub cpu_watts: Option<Watts>,
+    /// A command that passes the same samples through a GPU.
+    #[cfg(feature = "nvml")]
+    pub gpu_command: Option<String>,
+    /// A preset of the target, by name, or a file; its first when left out.
+    pub constants: Option<String>,
+    /// Which power counts.
+    pub accounting: Accounting,
+    /// How long messages take.
+    pub transport: Transport,
+    /// By which rule to say what ending samples early would save.
+    pub early_exit: Option<Rule>,
+}
+
+impl CostOptions {
+    /// What `nsim energy` does unless other options are given, compared with these other pieces of
+    /// hardware: all when `None`.
+    ///
+    /// # Errors
+    /// A name that no baseline has.
+    pub fn usual(names: Option<&[String]>) -> Result<Self, Diagnostic> {
+        Ok(CostOptions {
+            host: None,
+            streams: Streams::One,
+            reset_words: 0,
+            mode: Mode::Offline,
+            convention: Convention::Physical,
+            baselines: baselines(names)?,
+            cpu_watts: None,
+            #[cfg(feature = "nvml")]
+            gpu_command: None,
+            constants: None,
+            accounting: Accounting::Profiler,
+            transport: Transport::default(),
+            early_exit: None,
+        })
+    }
+
+    /// What the x86 cores of a target do.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a host on a chip without x86 cores.
+    pub(super) fn host_work(&self, target: &Target, steps_per_sample: Option<u32>) -> Result<HostWork, Error> {
+        let has_x86 = target.chip().x86_cores_in_use > 0;
+        let usual = if has_x86 { Host::Stream } else { Host::None };
+        let host = self.host.unwrap_or(usual);
+        if host != Host::None && !has_x86 {
+            let (host, chip) = (host.name(), target.chip().hardware());
+            return Err(Error::Usage(format!("--host {host}: {chip} keeps no x86 core busy; leave --host out")));
+        }
+        let steps_per_sample = steps_per_sample.unwrap_or(1);
+        Ok(HostWork { host, streams: self.streams, reset_words: self.reset_words, steps_per_sample })
+    }
+}
+
+/// `--deployment`
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum DeploymentArg {
+    /// The mapping's own cores: copies on as many chips as there are, or on as few as they fill.
+    Mapped(CopyPlacement),
+    /// The measured job of the scenario that ships for the model.
+    Paper,
+    /// The cores of a saved mapping, or the job of a scenario.
+    File(PathBuf),
+    /// Cores, chips and x86 cores as given.
+    Numbers(DeployedCores),
+}
+
+impl From<&str> for DeploymentArg {
+    fn from(text: &str) -> Self {
+        if let Some(&copies) = CopyPlacement::ALL.iter().find(|copies| copies.name() == text) {
+            return DeploymentArg::Mapped(copies);
+        }
+        let numbers: Option<Vec<u64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        match (text, numbers.as_deref()) {
+            ("paper", _) => DeploymentArg::Paper,
+            (_, Some(&[cores_used, chips_used, x86_cores])) => {
+                DeploymentArg::Numbers(DeployedCores { cores_used, chips_used, x86_cores })
+            }
+            (path, _) => DeploymentArg::File(path.into()),
+        }
+    }
+}
+
+impl DeploymentArg {
+    /// How copies are to be mapped.
+    #[must_use]
+    pub fn copies(&self) -> CopyPlacement {
+        match self {
+            DeploymentArg::Mapped(copies) => *copies,
+            _ => CopyPlacement::default(),
+        }
+    }
+}
+
+/// The target with the preset that is asked for in front, and that preset in integers.
+///
+/// # Errors
+/// [`Error::Usage`] for a preset that the target does not name, [`Error::Input`] for a constant that no integer holds.
+pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, CostTable)> {
+    let presets = target.constants();
+    let chosen = match preset {
+        None => &presets[0],
+        Some(name) => presets.iter().find(|preset| preset.name == name).ok_or_else(|| {
+            let names: Vec<&str> = presets.iter().map(|preset| preset.name.as_str()).collect();
+            let meant = did_you_mean(name, names.iter().copied());
+            Error::Usage(format!("{} has no constants {name}; {meant}it has {}", target.name(), names.join(", ")))
+        })?,
+    };
+    let chosen = chosen.clone();
+    let table = CostTable::new(&chosen)?;
+    Ok((target.with_preset(chosen), table))
+}
+
+/// The target with the preset that is asked for, which may be a file; returns the preset's name.
+///
+/// # Errors
+/// [`Error::Input`] when the file cannot be used.
+pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Option<String>)> {
+    match asked {
+        Some(path) if io::shipped::is_path(path) => {
+            let preset = io::target::load_constants(path)?;
+            let name = preset.name.clone();
+            Ok((target.with_preset(preset), Some(name)))
+        }
+        other => Ok((target, other.map(str::to_string))),
+    }
+}
+
+/// `--deployment` with what it names.
+#[derive(Debug)]
+pub enum DeploymentSource {
+    /// The mapping's own cores.
+    Mapped,
+    /// A published job.
+    Scenario(String, Box<ScenarioFile>),
+    /// A saved mapping.
+    Mapping(PathBuf, Box<MappingFile>),
+    /// Numbers of cores.
+    Numbers(DeployedCores),
+}
+
+impl DeploymentSource {
+    /// Loads what is named.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when the paper's deployment is asked for and no scenario ships for the model, [`Error::Input`]
+    /// when a file cannot be used.
+    pub fn load(arg: &DeploymentArg, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self> {
+        let path = match (arg, shipped) {
+            (DeploymentArg::Mapped(_), _) => return Ok(DeploymentSource::Mapped),
+            (DeploymentArg::Numbers(cores), _) => {
+                if [cores.cores_used, cores.chips_used].contains(&0) || cores.cores_used < cores.chips_used {
+                    let message = "--deployment CORES,CHIPS,X86: at least one core on each chip, such as 100,2,2";
+                    return Err(Error::Usage(message.to_string()));
+                }
+                return Ok(DeploymentSource::Numbers(*cores));
+            }
+            (DeploymentArg::Paper, Some(scenario)) => {
+                return Ok(DeploymentSource::Scenario("paper".to_string(), Box::new(scenario.clone())));
+            }
+            (DeploymentArg::Paper, None) => {
+                return Err(Error::Usage(format!(
+                    "--deployment paper: no scenario ships for {model}; use spread, packed, CORES,CHIPS,X86, or the file of a \
+                     scenario or of a saved mapping"
+                )));
+            }
+            (DeploymentArg::File(path), _) => path,
+        };
+        let source = io::text::read_text(path)?;
+        if root_name(source.text()) == "Scenario" {
+            let scenario = crate::published::files::scenario::scenario(&source)?;
+            return Ok(DeploymentSource::Scenario(path.display().to_string(), Box::new(scenario)));
+        }
+        let mapping = io::mapping::mapping(&source).map_err(|error| match error.help {
+            None => error.help(
+                "--deployment is spread, packed, paper, CORES,CHIPS,X86, a scenario, or a mapping saved by nsim map -o",
+            ),
+            Some(_) => error,
+        })?;
+        Ok(DeploymentSource::Mapping(path.clone(), Box::new(mapping)))
+    }
+
+    /// The numbers of cores of `copies` copies of a mapped network.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when a scenario is of another model; [`Error::Input`] when a saved mapping
+    /// is not one of `copies` copies of this network on this target.
+    pub fn deployment(&self, compiled: &Compiled, target: &Target, copies: u32, work: HostWork) -> Result<Deployment> {
+        let model = &compiled.one.parts().name;
+        match self {
+            DeploymentSource::Mapped => {
+                // Copies that do not fit on chips of their own are packed.
+                let spread = compiled.placement.chips_used() >= copies.min(target.chips());
+                let name = match compiled.options.placement {
+                    _ if compiled.placed == SAVED => "saved mapping",
+                    CopyPlacement::Spread if spread => CopyPlacement::Spread.name(),
+                    _ => CopyPlacement::Packed.name(),
+                };
+                Ok(Deployment::from_placement(name, &compiled.placement, target, copies, work))
+            }
+            DeploymentSource::Scenario(name, scenario) => {
+                if scenario.model != *model {
+                    return Err(Error::Usage(format!("--deployment {name} is of {}, not {model}", scenario.model)));
+                }
+                Ok(Deployment::from_numbers(name, scenario.deployment.value, target, copies, work))
+            }
+            DeploymentSource::Numbers(cores) => Ok(Deployment::from_numbers("as given", *cores, target, copies, work)),
+            DeploymentSource::Mapping(path, mapping) => {
+                // A mapping that could not be run is no deployment either.
+                let options = Options { copies, ..Options::default() };
+                let form = Form::for_network(&compiled.one, copies);
+                let front = Front::from(compiled.one.clone());
+                let loaded = compile::load(front, target, &options, mapping, form)
+                    .map_err(|error| mapping_file::explained(error, path, "MODEL"))?;
+                if loaded.placement.is_empty() {
+                    let message = "the mapping has no core, so there is nothing that it could cost";
+                    return Err(Diagnostic::new("mapping.missing", message).in_file(path).into());
+                }
+                let name = path.display().to_string();
+                Ok(Deployment::from_placement(name, &loaded.placement, target, copies, work))
+            }
+        }
+    }
+}
+
+/// The baselines that are asked for.
+#[derive(Debug, Default)]
+pub struct BaselineSelection {
+    /// From files.
+    pub files: Vec<Baseline>,
+    /// Whether this machine's processor is measured.
+    pub cpu: bool,
+    /// Whether a GPU that was not measured for the network is modelled by its roofline.
+    pub roofline: bool,
+}
+
+/// The baselines asked for; those of files and this machine's processor when none is named.
+///
+/// # Errors
+/// A diagnostic for a name that does not exist.
+pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnostic> {
+    let Some(names) = names else {
+        let files = SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<_, _>>()?;
+        return Ok(BaselineSelection { files, cpu: true, roofline: false });
+    };
+    let roofline = names.iter().any(|name| name == ROOFLINE);
+    let mut files = Vec::new();
+    for name in names.iter().filter(|name| ![CPU, ROOFLINE].contains(&name.as_str())) {
+        files.push(Baseline::shipped(name).map_err(|problem: Diagnostic| {
+            let known: Vec<&str> = SHIPPED.iter().map(|&(name, _)| name).chain([CPU, ROOFLINE]).collect();
+            problem.help(format!("baselines are {}", known.join(", ")))
+        })?);
+    }
+    if roofline && files.is_empty() {
+        files = SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<_, _>>()?;
+    }
+    Ok(BaselineSelection { files, cpu: names.iter().any(|name| name == CPU), roofline })
+}
+
+/// The name of the baseline that is measured on this machine.
+pub const CPU: &str = "cpu";
+/// The name of the baseline that models a GPU from its peak rates.
+pub const ROOFLINE: &str = "gpu-roofline";
+
+/// `--cpu-watts`: at idle and busy, in mW.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Watts(pub f64, pub f64);
+
+impl std::str::FromStr for Watts {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("'{text}' is not IDLE,BUSY in watts, such as 10,65");
+        let (idle, busy) = text.split_once(',').ok_or_else(wrong)?;
+        let watts = |text: &str| text.trim().parse::<f64>().ok().filter(|w| (0.0..=1e6).contains(w));
+        let (idle, busy) = (watts(idle).ok_or_else(wrong)?, watts(busy).ok_or_else(wrong)?);
+        if idle <= busy { Ok(Watts(1e3 * idle, 1e3 * busy)) } else { Err(wrong()) }
+    }
+}

@@ -1,0 +1,154 @@
+//! Rows of other hardware: published, modelled, or measured on this machine.
+
+use std::path::Path;
+use std::time::Duration;
+
+use crate::baseline::{Figures, NetworkShape, Work};
+use crate::cpu;
+use crate::cpu::Timed;
+use crate::environment::Environment;
+use crate::options::{BaselineSelection, ROOFLINE, Watts};
+use crate::power::{POWERCAP, PackagePower, Power, PowerMeter};
+use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
+use nsim_cost::job::Mode;
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::program::Program;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+
+/// How long each of the two measurements takes, about.
+const BUDGET: Duration = Duration::from_millis(400);
+/// How long the counters are watched at idle.
+const IDLE: Duration = Duration::from_millis(300);
+/// Timesteps of a repeat, about: more would only take longer.
+const TIMESTEPS: u64 = 1_500;
+
+/// Above this share of the processors in use a measurement says that the machine was busy.
+const BUSY_SHARE: f64 = 0.5;
+
+/// How many processors were in use over the last minute, where Linux says so.
+fn load() -> Option<f64> {
+    std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
+}
+
+/// The workload of one copy.
+#[derive(Debug, Clone, Copy)]
+pub struct OneCopy<'a> {
+    /// The network.
+    pub network: &'a Quantised,
+    /// It, mapped alone.
+    pub program: Option<&'a Program>,
+    /// What it is shown.
+    pub samples: &'a [&'a Sample],
+    /// Timesteps of a sample; `None` when samples differ.
+    pub steps: Option<u32>,
+    /// Length of a timestep.
+    pub timestep: Picoseconds,
+}
+
+/// Rows with their sources, and what to note about them.
+#[derive(Debug, Default)]
+pub struct Rows {
+    /// In the order of the table.
+    pub rows: Vec<(EnergyRow, String)>,
+    /// Why a row is not what one might expect.
+    pub notes: Vec<String>,
+}
+
+/// The rows of all hardware asked for.
+#[must_use]
+pub fn rows(
+    asked: &BaselineSelection,
+    one: OneCopy<'_>,
+    mode: Mode,
+    convention: Convention,
+    watts: Option<Watts>,
+) -> Rows {
+    let mut found = Rows::default();
+    let (shape, work) = (NetworkShape::of_network(one.network), Work::of_network(one.network));
+    for baseline in &asked.files {
+        match baseline.row(&shape, one.steps, one.timestep, mode, convention) {
+            Ok(row) => found.rows.push((row, baseline.source())),
+            Err(reason) => {
+                let modelled = || baseline.modelled(&work, one.steps, one.timestep, mode, convention);
+                if let Some(row) = asked.roofline.then(modelled).flatten() {
+                    let source = "modelled from its peak rate, bandwidth, overhead a layer and power (equation 18)";
+                    found.rows.push((row, format!("{source}: {reason}")));
+                } else {
+                    found.notes.push(format!("{reason}; --baseline {ROOFLINE} models it"));
+                }
+            }
+        }
+    }
+    if asked.cpu {
+        measured(one, mode, convention, watts, &mut found);
+    }
+    found
+}
+
+/// The row of a command on a GPU that passes so many timesteps.
+#[cfg(feature = "nvml")]
+pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: Convention, found: &mut Rows) {
+    use crate::gpu;
+    let idle = Duration::from_secs(2);
+    let measured = gpu::with_nvml(|name, power| (name, gpu::measure(command, steps, idle, power)));
+    match measured.and_then(|(name, measured)| Ok((name, measured?))) {
+        Err(reason) => found.notes.push(format!("no row for --gpu-command: {reason}")),
+        Ok((name, measured)) => {
+            let figures = figures(measured.us_per_timestep, measured.power, one, mode, true);
+            let source = format!(
+                "'{command}', {} timesteps, board power in {} readings by NVML, idle measured first",
+                measured.timesteps, measured.readings
+            );
+            found.rows.push((figures.row(&name, convention, one.steps), source));
+        }
+    }
+}
+
+/// What was measured, in a mode; hardware that takes a whole window waits for it.
+fn figures(latency_us: f64, power: Power, one: OneCopy<'_>, mode: Mode, window: bool) -> Figures {
+    let Power { static_mw, dynamic_mw, source: power_source } = power;
+    let figures = Figures { static_mw, dynamic_mw, latency_us, source: FigureSource::Measured, power_source };
+    match mode {
+        Mode::Offline => figures,
+        Mode::Realtime => figures.in_real_time(one.timestep.microseconds(), window, true),
+    }
+}
+
+fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>, found: &mut Rows) {
+    let load_before = load();
+    let available = std::thread::available_parallelism().map_or(1, usize::from);
+    let busy = load_before.filter(|load| *load > BUSY_SHARE * available as f64);
+    let package = PackagePower::assumed(1);
+    let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), package, IDLE);
+    let samples = cpu::enough(one.samples, TIMESTEPS);
+    let here = Environment::here();
+    let mut add = |name: &str, window: bool, (timed, power): (Result<Timed, String>, Power)| match timed {
+        Err(reason) => found.notes.push(format!("no row for {name}: {reason}")),
+        Ok(timed) => {
+            // The fastest repeat is the one that other programs disturbed least.
+            let figures = figures(timed.fastest, power, one, mode, window);
+            let source = format!(
+                "one thread of {here}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us apart{}; {}",
+                timed.repeats,
+                timed.timesteps,
+                timed.us_per_timestep,
+                timed.spread,
+                busy.map_or(String::new(), |load| format!("; {load} of {available} processors were busy before")),
+                meter.source()
+            );
+            let row = EnergyRow { busy, ..figures.row(name, convention, one.steps) };
+            found.rows.push((row, source));
+        }
+    };
+    add("CPU, dense", true, meter.during(|| cpu::dense(one.network, samples, BUDGET)));
+    match one.program {
+        Some(program) => {
+            add("CPU, by events", false, meter.during(|| cpu::event_driven(program, samples, BUDGET)));
+        }
+        None => found.notes.push("no row for CPU, by events: one copy alone could not be mapped".to_string()),
+    }
+    if here.profile == "debug" {
+        found.notes.push("nsim was built without optimisation: its rows of the processor are slow".to_string());
+    }
+}

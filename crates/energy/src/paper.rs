@@ -1,0 +1,110 @@
+//! A published job of a shipped model: mapped as it was, priced by the same constants, beside what
+//! was printed.
+//!
+//! Input: a scenario, the network, samples. Output: rows of the energy table. Errors: a job that
+//! does not compile.
+
+use super::options::CostOptions;
+use super::workload::Workload;
+use crate::published::files::measurement::load_measurements;
+use crate::published::scenario::ScenarioFile;
+use nsim_compile::{Compiled, Options, compile};
+use nsim_cost::estimate::{Case, Convention, EnergyRow, FigureSource, estimate};
+use nsim_cost::job::Mode;
+use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings};
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::hardware::Target;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::resource::Resource;
+use nsim_quantise::relays::with_input_relays;
+use nsim_session::error::Error;
+use nsim_session::priced::{Metered, SampleRun};
+
+/// One copy of the network of a job, mapped as far as the job's source says how.
+///
+/// # Errors
+/// When it does not compile.
+pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Result<Compiled, Error> {
+    let network = if scenario.input_relays { with_input_relays(one)? } else { one.clone() };
+    let target = match scenario.compartments_per_core {
+        Some(most) => target.clone().with_limits(target.limits().clone().with(Resource::Compartments, most)),
+        None => target.clone(),
+    };
+    Ok(compile(network, &target, &Options::default())?)
+}
+
+/// The `total` row of a job by a target's first constants, shown what the workload is shown.
+///
+/// # Errors
+/// As [`mapped`].
+pub fn row(
+    workload: &Workload<'_>,
+    scenario: &ScenarioFile,
+    options: &CostOptions,
+    target: &Target,
+    work: HostWork,
+) -> Result<EnergyRow, Error> {
+    let compiled = mapped(&workload.compiled.one, scenario, target)?;
+    let deployment = Deployment::from_numbers("paper", scenario.deployment.value, target, scenario.copies.value, work);
+    let metered = Metered::new(&compiled);
+    let timestep_ms = compiled.one.parts().timestep_ms;
+    let settings = MeterSettings::new(
+        vec![CostTable::new(&target.constants()[0])?],
+        deployment.timing(options.transport, 1),
+        &compiled.program,
+        Picoseconds::from_milliseconds(timestep_ms),
+    );
+    let samples = workload.samples();
+    let run = metered
+        .run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None })?;
+    let case = Case {
+        copies_counted: 1,
+        hardware: target.chip().hardware(),
+        errors: target.errors(&target.constants()[0]),
+        mode: options.mode,
+        convention: options.convention,
+        steps_per_sample: workload.steps_per_sample(),
+        ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
+    };
+    let total = estimate(&case).rows.into_iter().find(|row| row.unit == "total");
+    let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;
+    Ok(EnergyRow { hardware: format!("{}, as in {}", row.hardware, scenario.work), ..row })
+}
+
+/// The `total` row that a job's source printed in this mode, if it did; energy as power times time,
+/// or as printed.
+///
+/// # Errors
+/// When a table of measurements cannot be read.
+pub fn printed(
+    scenario: &ScenarioFile,
+    mode: Mode,
+    convention: Convention,
+    steps: Option<u32>,
+) -> Result<Option<(EnergyRow, std::borrow::Cow<'static, str>)>, Error> {
+    for table in &scenario.measured {
+        let table = load_measurements(&table.value)?;
+        if table.mode != mode {
+            continue;
+        }
+        let cell = |figure: &str| {
+            let found = table.cells.iter().find(|cell| cell.unit.value == "total" && cell.figure.value == figure);
+            found.and_then(crate::published::measurement::MeasuredCell::value).map(|(value, _)| value)
+        };
+        let powers = (cell("static_mw").unwrap_or(0.0), cell("dynamic_mw"));
+        let hardware = format!("{}, printed", scenario.work);
+        let latency = cell("latency_us");
+        let row = EnergyRow::new(&hardware, "total", convention, powers, latency, FigureSource::Published, steps);
+        let total_mw = cell("total_mw").or(row.total_mw);
+        let energy_uj = match convention {
+            Convention::Physical => total_mw.zip(latency).map(|(power, time)| power * time / 1e3),
+            Convention::Published => cell("energy_uj"),
+        };
+        let edp_pjs = match convention {
+            Convention::Physical => energy_uj.zip(latency).map(|(energy, time)| energy * time),
+            Convention::Published => cell("edp_pjs"),
+        };
+        return Ok(Some((EnergyRow { total_mw, energy_uj, edp_pjs, ..row }, table.source.clone().into())));
+    }
+    Ok(None)
+}

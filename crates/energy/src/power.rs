@@ -1,0 +1,299 @@
+//! What this machine draws while it computes: from its energy counters where they can be read, else as stated.
+//!
+//! Input: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and start again at
+//! `max_energy_range_uj`. Output: milliwatts idle and on top. The counters are of whole packages: what else runs is
+//! counted too. Root alone may read them since Linux 5.10; why they could not be read is kept. Where nothing is stated
+//! either, a package is assumed, of which each thread stands for its share.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use nsim_cost::estimate::FigureSource;
+
+/// Where Linux keeps the tree.
+pub const POWERCAP: &str = "/sys/class/powercap";
+
+/// A package's energy counter.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Zone {
+    counter: PathBuf,
+    /// The greatest value; the next is 0.
+    range_uj: u64,
+}
+
+/// The energy counters of all packages.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Rapl {
+    zones: Vec<Zone>,
+}
+
+fn number(path: &Path) -> Result<u64, String> {
+    let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    text.trim().parse().map_err(|_| format!("{}: '{}' is no number", path.display(), text.trim()))
+}
+
+impl Rapl {
+    /// The packages of a powercap tree.
+    ///
+    /// # Errors
+    /// Why there is none that can be read.
+    pub fn open(tree: &Path) -> Result<Self, String> {
+        let entries = std::fs::read_dir(tree).map_err(|error| format!("{}: {error}", tree.display()))?;
+        let mut folders: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+        folders.sort();
+        let mut zones = Vec::new();
+        for folder in folders {
+            // Domains within a package (core, uncore, dram) and other controllers of it would be counted twice.
+            let name = std::fs::read_to_string(folder.join("name")).unwrap_or_default();
+            let controller = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+            if !name.starts_with("package-") || !controller.starts_with("intel-rapl:") {
+                continue;
+            }
+            let (counter, range) = (folder.join("energy_uj"), folder.join("max_energy_range_uj"));
+            number(&counter)?;
+            zones.push(Zone { counter, range_uj: number(&range)?.max(1) });
+        }
+        if zones.is_empty() {
+            return Err(format!("{} has no package with an energy counter", tree.display()));
+        }
+        Ok(Rapl { zones })
+    }
+
+    /// The counters now, in uJ.
+    ///
+    /// # Errors
+    /// Why one cannot be read.
+    pub fn read(&self) -> Result<Vec<u64>, String> {
+        self.zones.iter().map(|zone| number(&zone.counter)).collect()
+    }
+
+    /// The energy between two readings in uJ. A counter that is less than before has started again, once: a package of
+    /// 100 W takes three quarters of an hour for the common range of 262 kJ.
+    #[must_use]
+    pub fn between(&self, before: &[u64], after: &[u64]) -> u64 {
+        let spent = |((zone, &before), &after): ((&Zone, &u64), &u64)| match after.checked_sub(before) {
+            Some(spent) => spent,
+            None => (zone.range_uj - before.min(zone.range_uj)).saturating_add(after),
+        };
+        self.zones.iter().zip(before).zip(after).map(spent).sum()
+    }
+}
+
+/// What a whole package is assumed to draw, how many threads share it when it is busy, and how many of them compute.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PackagePower {
+    /// At idle.
+    pub idle_mw: f64,
+    /// With all threads at work.
+    pub busy_mw: f64,
+    /// Its threads.
+    pub threads: usize,
+    /// Those that compute.
+    pub used: usize,
+}
+
+impl PackagePower {
+    /// A desktop processor's package for this machine, of which so many threads compute, for when nothing says better.
+    #[must_use]
+    pub fn assumed(used: usize) -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads, used }
+    }
+
+    /// The part that the threads in use of a busy machine stand for: idle and busy, in mW.
+    #[must_use]
+    pub fn share(self) -> (f64, f64) {
+        let share = self.used.min(self.threads) as f64 / self.threads.max(1) as f64;
+        (self.idle_mw * share, self.busy_mw * share)
+    }
+}
+
+/// How power is found.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PowerMeter {
+    /// From counters; what they said while nothing ran.
+    Counted {
+        /// The counters.
+        rapl: Rapl,
+        /// Power at idle.
+        idle_mw: f64,
+    },
+    /// As stated by whoever runs nsim.
+    Stated {
+        /// Power at idle.
+        idle_mw: f64,
+        /// Power while computing.
+        busy_mw: f64,
+    },
+    /// As nobody stated: the share of one thread is taken.
+    Assumed {
+        /// The package.
+        package: PackagePower,
+        /// Why it is not counted.
+        why: String,
+    },
+}
+
+/// Power of something that ran.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Power {
+    /// At idle.
+    pub static_mw: f64,
+    /// On top, while it ran.
+    pub dynamic_mw: f64,
+    /// Measured or assumed.
+    pub source: FigureSource,
+}
+
+impl PowerMeter {
+    /// What is stated; else counters if they can be read, after watching them at idle for a while; else an assumed package.
+    #[must_use]
+    pub fn new(tree: &Path, stated: Option<(f64, f64)>, assumed: PackagePower, idle: Duration) -> Self {
+        let counted = || -> Result<PowerMeter, String> {
+            let rapl = Rapl::open(tree)?;
+            let (before, begin) = (rapl.read()?, Instant::now());
+            std::thread::sleep(idle);
+            let (after, took) = (rapl.read()?, begin.elapsed());
+            let idle_mw = rapl.between(&before, &after) as f64 / took.as_secs_f64() / 1e3;
+            Ok(PowerMeter::Counted { rapl, idle_mw })
+        };
+        match stated {
+            Some((idle_mw, busy_mw)) => PowerMeter::Stated { idle_mw, busy_mw },
+            None => counted().unwrap_or_else(|why| PowerMeter::Assumed { package: assumed, why }),
+        }
+    }
+
+    /// Runs something and says what it drew.
+    pub fn during<T>(&self, run: impl FnOnce() -> T) -> (T, Power) {
+        let power = |idle_mw: f64, busy_mw: f64, source| Power {
+            static_mw: idle_mw,
+            dynamic_mw: (busy_mw - idle_mw).max(0.0),
+            source,
+        };
+        match self {
+            PowerMeter::Stated { idle_mw, busy_mw } => (run(), power(*idle_mw, *busy_mw, FigureSource::Stated)),
+            PowerMeter::Assumed { package, .. } => {
+                let (idle_mw, busy_mw) = package.share();
+                (run(), power(idle_mw, busy_mw, FigureSource::Assumed))
+            }
+            PowerMeter::Counted { rapl, idle_mw } => {
+                let (before, begin) = (rapl.read(), Instant::now());
+                let out = run();
+                let (after, took) = (rapl.read(), begin.elapsed().as_secs_f64().max(1e-9));
+                let found = match (before, after) {
+                    (Ok(before), Ok(after)) => {
+                        let busy_mw = rapl.between(&before, &after) as f64 / took / 1e3;
+                        power(*idle_mw, busy_mw, FigureSource::Measured)
+                    }
+                    // Counters that were there a moment ago: take what they said last.
+                    _ => power(*idle_mw, *idle_mw, FigureSource::Assumed),
+                };
+                (out, found)
+            }
+        }
+    }
+
+    /// Where the figures come from, in words.
+    #[must_use]
+    pub fn source(&self) -> String {
+        match self {
+            PowerMeter::Counted { .. } => {
+                "power from the energy counters of its packages, idle measured first".to_string()
+            }
+            PowerMeter::Stated { idle_mw, busy_mw } => {
+                format!("power {}, {} W idle and {} W busy", FigureSource::Stated.name(), idle_mw / 1e3, busy_mw / 1e3)
+            }
+            PowerMeter::Assumed { package: PackagePower { idle_mw, busy_mw, threads, used }, why } => format!(
+                "power {}, {used} of {threads} threads that share a package of {} W idle and {} W busy, since {why}; no ratio is \
+                 taken to it; --cpu-watts IDLE,BUSY states it",
+                FigureSource::Assumed.name(),
+                idle_mw / 1e3,
+                busy_mw / 1e3
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tree(zones: &[(&str, &str, u64, u64)]) -> tempfile::TempDir {
+        let tree = tempfile::tempdir().unwrap();
+        for &(folder, name, energy, range) in zones {
+            let folder = tree.path().join(folder);
+            std::fs::create_dir(&folder).unwrap();
+            std::fs::write(folder.join("name"), format!("{name}\n")).unwrap();
+            std::fs::write(folder.join("energy_uj"), format!("{energy}\n")).unwrap();
+            std::fs::write(folder.join("max_energy_range_uj"), format!("{range}\n")).unwrap();
+        }
+        tree
+    }
+
+    #[test]
+    fn packages_are_summed_and_their_parts_are_not() {
+        let tree = tree(&[
+            ("intel-rapl:0", "package-0", 100, 1_000),
+            ("intel-rapl:0:0", "core", 7, 1_000),
+            ("intel-rapl:0:1", "dram", 9, 1_000),
+            ("intel-rapl:1", "package-1", 300, 1_000),
+            ("intel-rapl:2", "psys", 5_000, 1_000_000),
+            ("intel-rapl-mmio:0", "package-0", 100, 1_000),
+        ]);
+        let rapl = Rapl::open(tree.path()).unwrap();
+        assert_eq!(rapl.read().unwrap(), [100, 300]);
+        assert_eq!(rapl.between(&[100, 300], &[150, 310]), 60);
+    }
+
+    #[test]
+    fn a_counter_that_starts_again_goes_on() {
+        let tree = tree(&[("intel-rapl:0", "package-0", 990, 1_000)]);
+        let rapl = Rapl::open(tree.path()).unwrap();
+        let before = rapl.read().unwrap();
+        std::fs::write(tree.path().join("intel-rapl:0/energy_uj"), "25\n").unwrap();
+        assert_eq!(rapl.between(&before, &rapl.read().unwrap()), 35);
+        assert_eq!(rapl.between(&[1_000], &[0]), 0);
+        assert_eq!(rapl.between(&[2_000], &[3]), 3);
+    }
+
+    #[test]
+    fn what_cannot_be_read_says_why_and_power_is_assumed() {
+        let none = Rapl::open(Path::new("/nonexistent/powercap")).unwrap_err();
+        assert!(none.contains("/nonexistent/powercap"), "{none}");
+        let empty = tree(&[("dtpm", "dtpm", 1, 1)]);
+        assert!(Rapl::open(empty.path()).unwrap_err().contains("no package"));
+        let broken = tree(&[("intel-rapl:0", "package-0", 1, 1)]);
+        std::fs::write(broken.path().join("intel-rapl:0/energy_uj"), "much\n").unwrap();
+        assert!(Rapl::open(broken.path()).unwrap_err().contains("'much' is no number"));
+        let package = PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads: 4, used: 1 };
+        let meter = PowerMeter::new(broken.path(), None, package, Duration::ZERO);
+        let (out, power) = meter.during(|| 3);
+        assert_eq!((out, power.static_mw, power.dynamic_mw), (3, 2_500.0, 13_750.0));
+        assert_eq!(power.source, FigureSource::Assumed);
+        let said = meter.source();
+        assert!(
+            said.contains("assumed, 1 of 4 threads that share a package of 10 W idle and 65 W busy, since"),
+            "{said}"
+        );
+    }
+
+    #[test]
+    fn counted_power_is_energy_over_time_less_idle() {
+        let tree = tree(&[("intel-rapl:0", "package-0", 999_000, 1_000_000)]);
+        let package = PackagePower { idle_mw: 1.0, busy_mw: 2.0, threads: 1, used: 1 };
+        let meter = PowerMeter::new(tree.path(), None, package, Duration::from_millis(1));
+        // Nothing counts while it is idle.
+        assert!(matches!(&meter, PowerMeter::Counted { idle_mw, .. } if *idle_mw == 0.0));
+        let counter = tree.path().join("intel-rapl:0/energy_uj");
+        let ((), power) = meter.during(|| {
+            std::thread::sleep(Duration::from_millis(20));
+            std::fs::write(&counter, "1000\n").unwrap();
+        });
+        // 2 mJ over at least 20 ms, across the end of the range.
+        assert_eq!((power.source, power.static_mw), (FigureSource::Measured, 0.0));
+        assert!(power.dynamic_mw > 0.0 && power.dynamic_mw <= 100.0, "{power:?}");
+        let stated = PowerMeter::new(tree.path(), Some((5.0, 8.0)), package, Duration::ZERO);
+        let ((), power) = stated.during(|| ());
+        assert_eq!((power.source, power.static_mw, power.dynamic_mw), (FigureSource::Stated, 5.0, 3.0));
+    }
+}

@@ -1,0 +1,118 @@
+//! The mirror of baseline files (`mapping/baselines`): what other hardware was measured to need for a network.
+
+use serde::Deserialize;
+
+use nsim_cost::job::Mode;
+use nsim_ir::hardware::constants::Status;
+use nsim_ir::spanned::Spanned;
+
+/// All-to-all synapses between two populations, by their sizes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DenseLayer {
+    /// Size of the source.
+    pub from: u32,
+    /// Size of the target.
+    pub to: u32,
+}
+
+/// The workload that a baseline was measured on.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeasuredOn {
+    /// Sizes of the input populations.
+    pub inputs: Vec<u32>,
+    /// Its projections.
+    pub layers: Vec<DenseLayer>,
+    /// Timesteps of a sample.
+    pub steps: u32,
+    /// Length of a timestep.
+    pub timestep_ms: f64,
+}
+
+/// One printed row.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BaselineRow {
+    /// What was done.
+    pub mode: Mode,
+    /// Power at idle.
+    pub static_mw: Spanned<f64>,
+    /// Power on top.
+    pub dynamic_mw: Spanned<f64>,
+    /// Their sum, as printed.
+    pub total_mw: Spanned<f64>,
+    /// Time of a timestep.
+    pub latency_us: Spanned<f64>,
+    /// Energy of a timestep as the source prints it.
+    pub printed_energy_uj: Spanned<f64>,
+    /// Energy-delay product as the source prints it, in pJ s whatever unit the source names.
+    pub printed_edp: Spanned<f64>,
+}
+
+/// A figure of a roofline, with its origin.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RooflineFigure {
+    /// The number; the field's name says its unit.
+    pub value: Spanned<f64>,
+    /// Where it is printed, what it was fitted to, or why it is assumed.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+}
+
+/// What bounds dense hardware: for workloads that it was not measured on.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Roofline {
+    /// Greatest rate of f32 operations, in 10^9 a second.
+    pub peak_gflops: RooflineFigure,
+    /// Greatest rate of memory, in 10^9 bytes a second.
+    pub bandwidth_gb_s: RooflineFigure,
+    /// Time that a layer takes however small it is, for each window, in us: launches, and the framework around them.
+    pub layer_overhead_us: RooflineFigure,
+    /// Power at idle, in mW.
+    pub idle_mw: RooflineFigure,
+    /// Power while launches follow each other without filling the hardware, in mW.
+    pub active_mw: RooflineFigure,
+    /// Power at the peak, in mW.
+    pub peak_mw: RooflineFigure,
+}
+
+impl Roofline {
+    /// Name and figure of each.
+    #[must_use]
+    pub fn list(&self) -> [(&'static str, &RooflineFigure); 6] {
+        [
+            ("peak_gflops", &self.peak_gflops),
+            ("bandwidth_gb_s", &self.bandwidth_gb_s),
+            ("layer_overhead_us", &self.layer_overhead_us),
+            ("idle_mw", &self.idle_mw),
+            ("active_mw", &self.active_mw),
+            ("peak_mw", &self.peak_mw),
+        ]
+    }
+}
+
+/// A baseline file.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Baseline")]
+pub struct BaselineFile {
+    /// Its name on the command line.
+    pub name: String,
+    /// The hardware as tables call it.
+    pub hardware: String,
+    /// Paper and table.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+    /// How it was measured.
+    pub notes: String,
+    /// The only workload it holds for.
+    pub measured_on: MeasuredOn,
+    /// Its rows.
+    pub rows: Vec<BaselineRow>,
+    /// What bounds it elsewhere.
+    pub roofline: Option<Roofline>,
+}

@@ -1,0 +1,366 @@
+//! The mirror of published workloads (`mapping/workloads`): a network that somebody measured on the chip, as closely as its
+//! source lets it be rebuilt, and the figures that were printed.
+//!
+//! A rate that no source prints is given as a range and marked assumed: the range enters the interval of every figure that
+//! follows from it. Weights are not part of a workload: they decide which compartments fire, and the rates say how many.
+
+use serde::{Deserialize, Serialize};
+
+use nsim_cost::job::Accounting;
+use nsim_cost::job::Host;
+use nsim_ir::base::names::named_variants;
+use nsim_ir::hardware::constants::{FigureClass, Status};
+use nsim_ir::spanned::Spanned;
+
+/// What a figure is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all(serialize = "lowercase"))]
+pub enum FigureKind {
+    /// Energy, of a step or of an inference.
+    Energy,
+    /// Power.
+    Power,
+    /// Time, of a step or of an inference.
+    Time,
+}
+
+named_variants!(FigureKind { Energy = "energy", Power = "power", Time = "time" });
+
+/// A figure that a model of cost can predict.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+pub enum Quantity {
+    /// Static power of the neuron cores in use, mW.
+    CoreStaticPower,
+    /// Dynamic power of the neuron cores and their mesh, mW.
+    CoreDynamicPower,
+    /// Static power of the x86 cores that run, mW.
+    X86StaticPower,
+    /// Power of these x86 cores on top, mW.
+    X86DynamicPower,
+    /// Dynamic power of neuron and x86 cores, mW.
+    DynamicPower,
+    /// Power of the whole board once a program is loaded, before it runs, mW.
+    RailsIdle,
+    /// The same less the clocks of the x86 cores, mW.
+    RailsStatic,
+    /// Power of the whole board while it runs, mW.
+    RailsTotal,
+    /// The same without the events of neuron cores, mW.
+    RailsEmpty,
+    /// Power of the running board less that of the loaded one, mW.
+    AboveLoaded,
+    /// Power of the running board less that before a program, mW.
+    AboveBoot,
+    /// Time of a step, us.
+    StepTime,
+    /// Time of a step without what x86 cores do, us.
+    SpikingTime,
+    /// Time of a step in which x86 cores take their turn and reset state, us.
+    ManagementTime,
+    /// Dynamic energy of neuron and x86 cores in an inference, uJ.
+    InferenceDynamicEnergy,
+}
+
+named_variants!(Quantity {
+    CoreStaticPower = "core static power",
+    CoreDynamicPower = "core dynamic power",
+    X86StaticPower = "x86 static power",
+    X86DynamicPower = "x86 dynamic power",
+    DynamicPower = "dynamic power",
+    RailsIdle = "rails, idle",
+    RailsStatic = "rails, static",
+    RailsTotal = "rails, running",
+    RailsEmpty = "rails, no events",
+    AboveLoaded = "rails above idle",
+    AboveBoot = "rails above boot",
+    StepTime = "step time",
+    SpikingTime = "spiking time",
+    ManagementTime = "management time",
+    InferenceDynamicEnergy = "energy of an inference",
+});
+
+impl Quantity {
+    /// What it is.
+    #[must_use]
+    pub fn kind(self) -> FigureKind {
+        match self {
+            Quantity::StepTime | Quantity::SpikingTime | Quantity::ManagementTime => FigureKind::Time,
+            Quantity::InferenceDynamicEnergy => FigureKind::Energy,
+            _ => FigureKind::Power,
+        }
+    }
+
+    /// The unit of its figures.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self.kind() {
+            FigureKind::Power => "mW",
+            FigureKind::Time => "us",
+            FigureKind::Energy => "uJ",
+        }
+    }
+
+    /// Which sum it is of.
+    #[must_use]
+    pub fn accounting(self) -> Accounting {
+        use Quantity::{AboveBoot, AboveLoaded, RailsEmpty, RailsIdle, RailsStatic, RailsTotal};
+        match self {
+            RailsIdle | RailsStatic | RailsTotal | RailsEmpty | AboveLoaded | AboveBoot => Accounting::Rails,
+            _ => Accounting::Profiler,
+        }
+    }
+
+    /// Figures that are wrong together with it; `None` of sums and differences, which no class
+    /// bounds.
+    #[must_use]
+    pub fn class(self) -> Option<FigureClass> {
+        Some(match self {
+            Quantity::CoreStaticPower | Quantity::X86StaticPower => FigureClass::Static,
+            Quantity::CoreDynamicPower => FigureClass::CoreDynamic,
+            Quantity::X86DynamicPower => FigureClass::X86Dynamic,
+            Quantity::RailsIdle | Quantity::RailsStatic | Quantity::RailsTotal | Quantity::RailsEmpty => {
+                FigureClass::Rails
+            }
+            Quantity::StepTime | Quantity::SpikingTime | Quantity::ManagementTime => FigureClass::Time,
+            Quantity::DynamicPower | Quantity::AboveLoaded | Quantity::AboveBoot | Quantity::InferenceDynamicEnergy => {
+                return None;
+            }
+        })
+    }
+}
+
+/// A number that a source prints, or a range for one that none prints.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Between {
+    /// What is taken.
+    pub value: f64,
+    /// The least that it may have been; equal to the value where it is published.
+    pub low: f64,
+    /// The greatest.
+    pub high: f64,
+}
+
+/// A population of a workload.
+#[derive(Debug, Clone, Deserialize)]
+pub enum WorkloadPopulation {
+    /// Input channels.
+    Input {
+        /// Its name.
+        name: String,
+        /// Channels, height, width; or one number.
+        shape: Vec<u32>,
+        /// How often a channel spikes: spikes a channel and step, the mean over channels and steps.
+        rate: Between,
+    },
+    /// Compartments.
+    Layer {
+        /// Its name.
+        name: String,
+        /// Channels, height, width; or one number.
+        shape: Vec<u32>,
+        /// How often a compartment spikes: spikes a compartment and step, the mean over compartments and steps.
+        rate: Between,
+    },
+    /// A compartment for each unit of an input population, which spikes one step after it: what hands inputs on to other cores.
+    Relay {
+        /// Its name.
+        name: String,
+        /// The input population.
+        of: String,
+        /// Its shape, as that of the input.
+        shape: Vec<u32>,
+    },
+}
+
+/// Synapses of a workload.
+#[derive(Debug, Clone, Deserialize)]
+pub enum WorkloadProjection {
+    /// All to all.
+    Dense {
+        /// Source.
+        from: String,
+        /// Target.
+        to: String,
+    },
+    /// A convolution without padding.
+    Conv {
+        /// Source.
+        from: String,
+        /// Target.
+        to: String,
+        /// Side of the kernel.
+        kernel: u32,
+        /// Stride.
+        stride: u32,
+    },
+    /// So many synapses of each source, spread evenly over as many units of the target around the source's own place.
+    Local {
+        /// Source.
+        from: String,
+        /// Target.
+        to: String,
+        /// Synapses of a source.
+        fan_out: u32,
+        /// Units that they are spread over.
+        reach: u32,
+    },
+    /// So many synapses of each source to random targets.
+    Random {
+        /// Source.
+        from: String,
+        /// Target.
+        to: String,
+        /// Synapses of a source.
+        fan_out: u32,
+    },
+}
+
+/// What was in use, for all copies together.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorkloadDeployment {
+    /// Copies of the network.
+    pub copies: u32,
+    /// Neuron cores in use.
+    pub cores_used: u64,
+    /// Chips in use.
+    pub chips_used: u64,
+    /// Chips on the board.
+    pub board_chips: u64,
+    /// x86 cores that run.
+    pub x86_cores: u64,
+    /// Of these those that inject or reset; all where it is not given.
+    #[serde(default)]
+    pub x86_working: Option<u64>,
+}
+
+/// What the host does.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorkloadHost {
+    /// Where input spikes come from.
+    #[serde(default)]
+    pub host: Host,
+    /// Words of 32 bits that the x86 core that takes longest sets to zero for each inference.
+    #[serde(default)]
+    pub reset_words: u64,
+    /// Words besides spikes that the host sends to a chip for each inference.
+    #[serde(default)]
+    pub sent_words: u64,
+}
+
+/// Layers that a source put on cores of their own.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LayerCores {
+    /// The layers, one after the other on these cores.
+    pub layers: Vec<Spanned<String>>,
+    /// Cores of one copy, filled evenly.
+    pub cores: u32,
+}
+
+/// What a printed figure is divided to.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+pub enum Per {
+    /// The whole job or board.
+    #[default]
+    Job,
+    /// One copy.
+    Copy,
+    /// One x86 core.
+    X86Core,
+    /// One chip of the board.
+    Chip,
+}
+
+/// A printed figure.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PublishedFigure {
+    /// What it is.
+    pub quantity: Quantity,
+    /// Its value in the quantity's unit.
+    pub published: Spanned<f64>,
+    /// What it is of.
+    #[serde(default)]
+    pub per: Per,
+    /// Where it is printed, or how it follows from figures that are.
+    pub source: String,
+    /// Why a prediction misses it by far, where that was found out.
+    #[serde(default)]
+    pub cause: Option<String>,
+}
+
+/// A workload file.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Workload")]
+pub struct WorkloadFile {
+    /// Its name.
+    pub name: String,
+    /// The work that it is of, whose figures are judged together.
+    pub work: String,
+    /// Its authors: it is predicted without their findings.
+    pub group: String,
+    /// Paper and section, or repository and file.
+    pub source: String,
+    /// Whether the figures were read where they were first printed; others do not count.
+    pub first_hand: bool,
+    /// Whether the firing rates are published or follow the rule for those that are not.
+    pub activity: Status,
+    /// What had to be assumed.
+    pub assumed: Vec<String>,
+    /// The target.
+    pub target: Spanned<String>,
+    /// The populations.
+    pub populations: Vec<WorkloadPopulation>,
+    /// The projections.
+    pub projections: Vec<WorkloadProjection>,
+    /// The share of steps in which a compartment is not at rest; in all of them where it is not given.
+    #[serde(default = "always")]
+    pub active_share: Between,
+    /// Cores of each layer, as the source printed or placed them.
+    pub layout: Vec<LayerCores>,
+    /// What was in use.
+    pub deployment: WorkloadDeployment,
+    /// What the host does.
+    pub host: WorkloadHost,
+    /// Steps of an inference.
+    pub steps: u32,
+    /// Time of a step where the source says that it was held to one, us.
+    #[serde(default)]
+    pub paced_us: Option<f64>,
+    /// The figures.
+    pub figures: Vec<PublishedFigure>,
+}
+
+/// The share of what is so in every step.
+fn always() -> Between {
+    Between { value: 1.0, low: 1.0, high: 1.0 }
+}
+
+impl WorkloadPopulation {
+    /// Name, shape and rate; a relay has no rate of its own.
+    #[must_use]
+    pub fn parts(&self) -> (&str, &[u32], Option<Between>) {
+        match self {
+            WorkloadPopulation::Input { name, shape, rate } | WorkloadPopulation::Layer { name, shape, rate } => {
+                (name, shape, Some(*rate))
+            }
+            WorkloadPopulation::Relay { name, shape, .. } => (name, shape, None),
+        }
+    }
+}
+
+impl WorkloadProjection {
+    /// Source and target.
+    #[must_use]
+    pub fn ends(&self) -> [&str; 2] {
+        match self {
+            WorkloadProjection::Dense { from, to }
+            | WorkloadProjection::Conv { from, to, .. }
+            | WorkloadProjection::Local { from, to, .. }
+            | WorkloadProjection::Random { from, to, .. } => [from, to],
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Ratios to other hardware, and the cost of a sample and of a decision.
+//!
+//! Everything here is physical, power times time, whatever convention the table is in.
+
+use std::fmt::Write;
+
+use serde::Serialize;
+
+use super::format::{plain, short};
+use nsim_cost::estimate::{EnergyRow, FigureSource};
+use nsim_files::table::wrapped;
+
+/// Other hardware over the simulated chip: above 1, the chip needs less.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Ratio {
+    /// The other hardware.
+    pub hardware: String,
+    /// Of total power.
+    pub total_mw: f64,
+    /// Of the time of a timestep.
+    pub latency_us: f64,
+    /// Of energy.
+    pub energy_uj: f64,
+    /// Of the energy-delay product.
+    pub edp_pjs: f64,
+}
+
+/// Time and energy of one sample on one piece of hardware.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PerSample {
+    /// The hardware.
+    pub hardware: String,
+    /// From its first timestep to its last.
+    pub time_us: f64,
+    /// All power included.
+    pub energy_uj: f64,
+}
+
+/// Time and energy until a sample is decided, on the simulated chip.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PerDecision {
+    /// What decides it.
+    pub rule: String,
+    /// Mean time of a sample until then.
+    pub time_us: f64,
+    /// Mean energy of one copy until then, all power included.
+    pub energy_uj: f64,
+    /// Share of the samples that were decided before their end.
+    pub early: f64,
+}
+
+/// Power times time of a row in uJ.
+pub(super) fn energy(row: &EnergyRow) -> Option<f64> {
+    Some(row.total_mw? * row.latency_us? / 1e3)
+}
+
+/// The ratios of other rows to the chip's total; none to a row whose power is assumed.
+#[must_use]
+pub fn ratios(chip: &EnergyRow, others: &[(EnergyRow, String)]) -> Vec<Ratio> {
+    let of = |other: &EnergyRow| {
+        let over = |this: Option<f64>, that: Option<f64>| Some(that? / this.filter(|this| *this > 0.0)?);
+        // A ratio to an assumption would be one.
+        if other.power_source == FigureSource::Assumed {
+            return None;
+        }
+        let latency_us = over(chip.latency_us, other.latency_us)?;
+        let energy_uj = over(energy(chip), energy(other))?;
+        Some(Ratio {
+            hardware: other.hardware.clone(),
+            total_mw: over(chip.total_mw, other.total_mw)?,
+            latency_us,
+            energy_uj,
+            edp_pjs: energy_uj * latency_us,
+        })
+    };
+    others.iter().filter_map(|(other, _)| of(other)).collect()
+}
+
+/// The cost of a sample of so many timesteps on each row's hardware.
+pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> Vec<PerSample> {
+    let of = |row: &EnergyRow| {
+        Some(PerSample {
+            hardware: row.hardware.clone(),
+            time_us: row.latency_us? * steps,
+            energy_uj: energy(row)? * steps,
+        })
+    };
+    rows.filter(|row| row.unit == "total").filter_map(of).collect()
+}
+
+/// Compared with other hardware.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
+    /// Other hardware over the chip.
+    pub ratios: Vec<Ratio>,
+    /// Time and energy of a sample.
+    pub per_sample: Vec<PerSample>,
+    /// Time and energy of a decision.
+    pub per_decision: Option<PerDecision>,
+}
+
+impl Comparison {
+    /// In words and tables.
+    pub(super) fn text(&self) -> String {
+        let mut out = String::new();
+        if !self.ratios.is_empty() {
+            let mut table = plain(&["Over the chip's", "Power", "Latency", "Energy", "EDP"]);
+            for ratio in &self.ratios {
+                let times = |x: f64| format!("{} x", short(x));
+                let Ratio { hardware, total_mw, latency_us, energy_uj, edp_pjs } = ratio;
+                table.add_row([
+                    hardware.clone(),
+                    times(*total_mw),
+                    times(*latency_us),
+                    times(*energy_uj),
+                    times(*edp_pjs),
+                ]);
+            }
+            let _ = writeln!(out, "Other hardware, physical:\n{}\n", table.trim_fmt());
+        }
+        if !self.per_sample.is_empty() {
+            let mut table = plain(&["One sample on", "Time (ms)", "Energy (uJ)"]);
+            for PerSample { hardware, time_us, energy_uj } in &self.per_sample {
+                table.add_row([hardware.clone(), short(time_us / 1e3), short(*energy_uj)]);
+            }
+            if let Some(decision) = &self.per_decision {
+                let name = format!("loihi, until decided ({})", decision.rule);
+                table.add_row([name, short(decision.time_us / 1e3), short(decision.energy_uj)]);
+            }
+            let _ = writeln!(out, "{}", table.trim_fmt());
+            if let Some(decision) = &self.per_decision {
+                out +=
+                    &wrapped(&format!("{:.1} % of the samples are decided before their end.", 100.0 * decision.early));
+            }
+            out.push('\n');
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_cost::estimate::{Convention, Shares};
+
+    fn row(hardware: &str, total_mw: f64, latency_us: f64) -> EnergyRow {
+        EnergyRow {
+            hardware: hardware.to_string(),
+            unit: "total",
+            convention: Convention::Published,
+            static_mw: Some(0.0),
+            dynamic_mw: Some(total_mw),
+            total_mw: Some(total_mw),
+            latency_us: Some(latency_us),
+            energy_uj: Some(1.0),
+            edp_pjs: Some(1.0),
+            low: None,
+            high: None,
+            share: None,
+            shares: Shares::default(),
+            busy: None,
+            source: FigureSource::Published,
+            power_source: FigureSource::Published,
+        }
+    }
+
+    #[test]
+    fn ratios_are_physical_whatever_the_convention() {
+        // VT-SNN in real time: 61930 mW and 1045.6 us against 32.3 mW and 1039.9 us.
+        let found = ratios(&row("loihi", 32.3, 1039.9), &[(row("gpu", 61_930.0, 1045.6), String::new())]);
+        assert_eq!(found.len(), 1);
+        assert!((found[0].total_mw - 1917.3).abs() < 0.1 && (found[0].energy_uj - 1927.8).abs() < 0.1, "{found:?}");
+        let unknown = EnergyRow { latency_us: None, ..row("x", 1.0, 1.0) };
+        assert!(ratios(&row("loihi", 1.0, 1.0), &[(unknown, String::new())]).is_empty());
+        assert!(ratios(&row("loihi", 0.0, 1.0), &[(row("x", 1.0, 1.0), String::new())]).is_empty());
+    }
+
+    #[test]
+    fn a_sample_costs_its_steps() {
+        let rows = [row("loihi", 33.7, 231.0), EnergyRow { unit: "x86", ..row("loihi", 1.0, 231.0) }];
+        let found = per_sample(rows.iter(), 150.0);
+        assert_eq!(found.len(), 1);
+        assert!(
+            (found[0].time_us - 34_650.0).abs() < 1e-6 && (found[0].energy_uj - 1167.705).abs() < 1e-6,
+            "{found:?}"
+        );
+    }
+}

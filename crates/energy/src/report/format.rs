@@ -1,0 +1,62 @@
+//! Tables and figures as the reports of energy print them.
+
+use comfy_table::{CellAlignment, Table};
+
+use nsim_files::table as text;
+
+/// An empty table: the first column, units and sources to the left, figures to the right.
+pub(super) fn plain(header: &[&str]) -> Table {
+    let mut table = text::table(header);
+    for (i, column) in table.column_iter_mut().enumerate() {
+        let left = i == 0 || matches!(header[i], "Unit" | "Source");
+        column.set_cell_alignment(if left { CellAlignment::Left } else { CellAlignment::Right });
+    }
+    table
+}
+
+/// What stands for a figure that is not known.
+pub(super) fn unknown() -> String {
+    "unknown".to_string()
+}
+
+/// A figure with three significant digits.
+pub(super) fn three_digits(x: f64) -> String {
+    digits(x, 3)
+}
+
+/// An end of an interval: two significant digits, three of hundreds, thousands as `2.8k`, without a
+/// zero before the point.
+pub(super) fn brief(x: f64) -> String {
+    let text = match x {
+        1e6.. => format!("{}M", digits(x / 1e6, 2)),
+        1e3.. => format!("{}k", digits(x / 1e3, 2)),
+        100.0.. => format!("{x:.0}"),
+        _ => digits(x, 2),
+    };
+    text.strip_prefix('0').filter(|rest| rest.starts_with('.')).map_or(text.clone(), str::to_string)
+}
+
+/// A figure with this many significant digits, and no fewer of a whole number.
+fn digits(x: f64, significant: i32) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return format!("{x}");
+    }
+    let rounded: f64 = format!("{x:.*e}", (significant - 1) as usize).parse().unwrap_or(x);
+    let decimals = (significant - 1 - rounded.abs().log10().floor() as i32).clamp(0, 12) as usize;
+    // Whole numbers keep their digits.
+    format!("{:.decimals$}", if decimals == 0 { x } else { rounded })
+}
+
+/// A figure with at least five significant digits and no more than six decimals, without trailing zeros.
+pub(super) fn short(x: f64) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return format!("{x}");
+    }
+    let magnitude = x.abs().log10().floor() as i32;
+    if magnitude < -6 {
+        return format!("{x:.4e}");
+    }
+    let decimals = (5 - magnitude).clamp(0, 10) as usize;
+    let text = format!("{x:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_string() } else { text }
+}

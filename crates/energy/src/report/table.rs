@@ -1,0 +1,626 @@
+//! The energy table as text, JSON (`nsim.energy/1`), CSV, and tables for papers.
+//!
+//! JSON and CSV hold full precision. The text has the layout of the VT-SNN paper's tables: three
+//! digits for what nsim says, all printed digits for what others published.
+
+use std::fmt::Write;
+
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::compared::Comparison;
+use super::format::{brief, plain, short, three_digits, unknown};
+use crate::published::scenario::ScenarioFile;
+use nsim_compile::explore::cost_estimate::Score;
+use nsim_cost::deployment::Deployment;
+use nsim_cost::estimate::{Bound, Convention, EnergyRow, Estimate, FigureSource, StatusShare};
+use nsim_cost::job::Accounting;
+use nsim_cost::job::Mode;
+use nsim_cost::{Host, Transport};
+use nsim_files::table::{Column, count, csv_of, csv_text, or_empty, wrapped};
+use nsim_ir::hardware::constants::{Constants, Status, Unit};
+use nsim_session::decision::Rule;
+use nsim_session::detail::Detail;
+
+/// Cores that the text lists.
+const SLOWEST_SHOWN: usize = 6;
+/// The level of the intervals.
+const LEVEL: f64 = 0.8;
+/// Widths of the columns of the table: name, powers, latency, energy, energy-delay product.
+const WIDTHS: [usize; 7] = [16, 7, 8, 8, 11, 10, 9];
+
+/// What ending samples when they are decided would save of the run: equation (16).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Saved {
+    /// What decides a sample.
+    #[serde(serialize_with = "spelled")]
+    pub rule: Rule,
+    /// Samples that were decided before their end.
+    pub decided: u64,
+    /// Timesteps that were not needed, of all samples.
+    pub steps_saved: u64,
+    /// Time that they took.
+    pub time_saved_us: f64,
+    /// Energy that they cost, all power of the `total` row included.
+    pub energy_saved_uj: f64,
+    /// That as a part of the energy of the whole run; `None` when that is zero.
+    pub energy_saved_share: Option<f64>,
+}
+
+fn spelled<S: serde::Serializer>(rule: &Rule, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(rule)
+}
+
+/// A constant of the report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ConstantEntry {
+    /// Its name; barriers carry their number of tiles.
+    pub name: String,
+    /// The number.
+    pub value: f64,
+    /// Its unit.
+    pub unit: Unit,
+    /// Where it comes from.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+}
+
+/// The constants of a preset, barriers last.
+#[must_use]
+pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
+    let barriers = constants.barrier.iter().map(|entry| (format!("barrier_time_{}_tiles", entry.tiles), &entry.time));
+    let singles = constants.list().into_iter().map(|(name, constant)| (name.to_string(), constant));
+    singles
+        .chain(barriers)
+        .map(|(name, constant)| ConstantEntry {
+            name,
+            value: constant.value.value,
+            unit: constant.unit,
+            source: constant.source.clone(),
+            status: constant.status,
+        })
+        .collect()
+}
+
+/// The object of `nsim.energy/1` for what did not run.
+#[must_use]
+pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
+    json!({
+        "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
+        "mode": mode.name(), "convention": convention.name(), "fits": false, "reasons": [], "seed": null, "rows": [],
+        "cores_used": null, "breakdown_pj_per_timestep": null, "per_timestep_uj": null, "early_exit": null,
+        "constants": [], "populations": [], "inputs": [], "cores": [], "warnings": [],
+    })
+}
+
+/// A finished energy report.
+#[derive(Debug, Clone)]
+pub struct EnergyReport {
+    /// The model's name.
+    pub model: String,
+    /// The target's name.
+    pub target: String,
+    /// Numbers of cores.
+    pub deployment: Deployment,
+    /// Offline or real time.
+    pub mode: Mode,
+    /// Name of the preset of the figures.
+    pub preset: String,
+    /// The seed of the input, if one was used.
+    pub seed: Option<u64>,
+    /// What the network was shown.
+    pub input: Vec<String>,
+    /// Samples of the run.
+    pub samples: u64,
+    /// Timesteps of all samples.
+    pub timesteps: u64,
+    /// Share of the samples with a label that were classified as it says.
+    pub accuracy: Option<f64>,
+    /// Samples with a label.
+    pub labelled: u64,
+    /// Rows of the simulated chip, breakdown, spread.
+    pub estimate: Estimate,
+    /// Rows of other hardware and of published jobs, with their sources.
+    pub baselines: Vec<(EnergyRow, String)>,
+    /// Which power counts.
+    pub accounting: Accounting,
+    /// The model of the mesh.
+    pub transport: Transport,
+    /// Compared with other hardware.
+    pub comparison: Comparison,
+    /// What ending samples when they are decided would save.
+    pub early_exit: Option<Saved>,
+    /// The constants of the preset.
+    pub constants: Vec<ConstantEntry>,
+    /// By population, input and core, and what to warn of.
+    pub detail: Detail,
+    /// What `nsim map` expects of a mean step of this mapping, given how often each source spiked in the run.
+    pub expected: Option<Score>,
+    /// The published job of the model, if there is one.
+    pub job: Option<ScenarioFile>,
+    /// What that printed as energy and energy-delay product.
+    pub printed: Option<[f64; 2]>,
+    /// What is not known and why, for people; also on stderr when the output is for programs.
+    pub notes: Vec<String>,
+}
+
+/// What a row of the table is called.
+fn row_name(row: &EnergyRow, chip: &str) -> String {
+    if row.hardware != chip {
+        return match (row.source, row.hardware.split_once(", ")) {
+            (FigureSource::Simulated, Some((_, job))) => job.replace("in the VT-SNN paper", "in the paper"),
+            (FigureSource::Published, Some((work, "printed"))) => work.replace("the VT-SNN paper", "the paper"),
+            _ => row.hardware.clone(),
+        };
+    }
+    match row.unit {
+        "x86" => "x86 core".to_string(),
+        "neuron" => "neuron cores".to_string(),
+        "boot" => "board, boot".to_string(),
+        "idle" => "board, idle".to_string(),
+        // A name as the field writes it: Loihi.
+        _ => chip.chars().take(1).flat_map(char::to_uppercase).chain(chip.chars().skip(1)).collect(),
+    }
+}
+
+/// A line of the table.
+fn line(name: &str, cells: &[String; 6], source: &str) -> String {
+    let mut out = format!("{name:<width$}", width = WIDTHS[0]);
+    // A name that is too long takes room from the first column.
+    let mut over = out.chars().count().saturating_sub(WIDTHS[0]);
+    for (cell, width) in cells.iter().zip(&WIDTHS[1..]) {
+        let width = width.saturating_sub(over).max(cell.chars().count().min(*width));
+        over = 0;
+        let _ = write!(out, "{cell:>width$}");
+    }
+    let text = format!("{out}  {source}");
+    format!("{}\n", text.trim_end())
+}
+
+impl EnergyReport {
+    fn rows(&self) -> impl Iterator<Item = &EnergyRow> {
+        self.estimate.rows.iter().chain(self.baselines.iter().map(|(row, _)| row))
+    }
+
+    fn convention(&self) -> Convention {
+        self.estimate.rows.first().map_or(Convention::Physical, |row| row.convention)
+    }
+
+    fn hardware(&self) -> &str {
+        self.estimate.rows.first().map_or("chip", |row| &row.hardware)
+    }
+
+    fn total(&self) -> Option<&EnergyRow> {
+        self.estimate.rows.iter().find(|row| row.unit == "total")
+    }
+
+    /// Powers of all copies, and a copy's share, by the report's accounting.
+    fn job_json(&self) -> Value {
+        let all = match self.accounting {
+            Accounting::Profiler => self.estimate.job.profiler(),
+            Accounting::Rails => self.estimate.job.rails_running(),
+        };
+        let share = all.map(|all| all / f64::from(self.deployment.copies.max(1)));
+        json!({ "total_mw": all, "share_mw": share })
+    }
+
+    /// The object of `nsim.energy/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let breakdown = self.estimate.breakdown_pj.as_ref().map(|parts| {
+            let parts = parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj)));
+            // No core learns yet.
+            parts.chain([("learning".to_string(), json!(0.0))]).collect::<serde_json::Map<_, _>>()
+        });
+        let times = self.estimate.time_us.map(|times| {
+            times.iter().map(|&(name, us)| (name.replace(' ', "_"), json!(us))).collect::<serde_json::Map<_, _>>()
+        });
+        let Deployment { x86_cores, x86_chips, host, .. } = self.deployment;
+        let injecting = if host == Host::Stream { x86_chips } else { 0 };
+        let mut object = json!({
+            "schema": "nsim.energy/1",
+            "model": self.model,
+            "target": self.target,
+            "copies": self.deployment.copies,
+            "deployment": self.deployment.name,
+            "mode": self.mode.name(),
+            "convention": self.convention().name(),
+            "fits": true,
+            "preset": self.preset,
+            "level": LEVEL,
+            "seed": self.seed,
+            "input": self.input,
+            "samples": self.samples,
+            "timesteps": self.timesteps,
+            "accuracy": self.accuracy,
+            "rows": self.rows().collect::<Vec<_>>(),
+            "cores_used": self.deployment.cores_used,
+            "tiles_used": self.deployment.tiles_used,
+            "chips_used": self.deployment.chips_used,
+            "x86_cores": x86_cores,
+            "host": { "kind": host, "x86_cores": x86_cores, "chips_injecting": injecting },
+            "job": self.job_json(),
+            "breakdown_pj_per_timestep": breakdown,
+            "per_timestep_uj": self.estimate.per_timestep_uj,
+            "per_timestep_dynamic_uj": self.estimate.per_timestep_dynamic_uj,
+            "time_us_per_timestep": times,
+            "transport": self.transport,
+            "accounting": self.accounting.name(),
+            "ratios": self.comparison.ratios,
+            "per_sample": self.comparison.per_sample,
+            "per_decision": self.comparison.per_decision,
+            "early_exit": self.early_exit,
+            "constants": self.constants,
+            "expected": self.expected,
+            "notes": self.notes,
+        });
+        let total = self.total();
+        object["low"] = json!(total.and_then(|row| row.low).unwrap_or_default());
+        object["high"] = json!(total.and_then(|row| row.high).unwrap_or_default());
+        object["share"] = json!(total.and_then(|row| row.share));
+        self.detail.add_to(&mut object);
+        object
+    }
+
+    /// The rows as comma-separated values with a header; unknown figures are empty.
+    ///
+    /// # Errors
+    /// When the writer fails, which for one in memory it does not.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let columns: [Column<EnergyRow>; 19] = [
+            ("hardware", |row| row.hardware.clone()),
+            ("unit", |row| row.unit.to_string()),
+            ("convention", |row| row.convention.name().to_string()),
+            ("static_mw", |row| or_empty(row.static_mw)),
+            ("dynamic_mw", |row| or_empty(row.dynamic_mw)),
+            ("total_mw", |row| or_empty(row.total_mw)),
+            ("latency_us", |row| or_empty(row.latency_us)),
+            ("energy_uj", |row| or_empty(row.energy_uj)),
+            ("edp_pjs", |row| or_empty(row.edp_pjs)),
+            ("total_mw_low", |row| or_empty(row.low.and_then(|low| low.total_mw))),
+            ("latency_us_low", |row| or_empty(row.low.and_then(|low| low.latency_us))),
+            ("energy_uj_low", |row| or_empty(row.low.and_then(|low| low.energy_uj))),
+            ("edp_pjs_low", |row| or_empty(row.low.and_then(|low| low.edp_pjs))),
+            ("total_mw_high", |row| or_empty(row.high.and_then(|high| high.total_mw))),
+            ("latency_us_high", |row| or_empty(row.high.and_then(|high| high.latency_us))),
+            ("energy_uj_high", |row| or_empty(row.high.and_then(|high| high.energy_uj))),
+            ("edp_pjs_high", |row| or_empty(row.high.and_then(|high| high.edp_pjs))),
+            ("source", |row| row.source.name().to_string()),
+            ("power_source", |row| row.power_source.name().to_string()),
+        ];
+        csv_of(self.rows(), &columns)
+    }
+
+    /// The energy-delay product of a row in the unit of the table: nJ s, or pJ s as the paper
+    /// computes it.
+    fn edp(&self, pjs: f64) -> f64 {
+        if self.convention() == Convention::Physical { pjs / 1e3 } else { pjs }
+    }
+
+    /// The cells of a row: static, dynamic and total power, latency, energy, energy-delay product.
+    fn cells(&self, row: &EnergyRow) -> [String; 6] {
+        let printed = row.source == FigureSource::Published;
+        // What was computed from a publication's figures, not printed by it.
+        let computed = printed && self.convention() == Convention::Physical;
+        let assumed = row.power_source != row.source && row.power_source == FigureSource::Assumed;
+        let cell = |figure: Option<f64>, exact: bool| match figure {
+            None => String::new(),
+            Some(figure) if exact => format!("{figure}"),
+            Some(figure) => three_digits(figure),
+        };
+        let power = |figure: Option<f64>| cell(figure, printed) + if assumed { "?" } else { "" };
+        let product = |figure: Option<f64>| {
+            let text = match figure {
+                Some(figure) if computed && figure >= 1e3 => format!("{figure:.0}"),
+                figure => cell(figure, printed && !computed),
+            };
+            if computed && !text.is_empty() { text + "*" } else { text }
+        };
+        let is_part = ["x86", "neuron"].contains(&row.unit);
+        [
+            power(row.static_mw),
+            power(row.dynamic_mw),
+            power(row.total_mw),
+            if is_part { String::new() } else { cell(row.latency_us, printed) },
+            if is_part { String::new() } else { product(row.energy_uj) },
+            if is_part { String::new() } else { product(row.edp_pjs.map(|pjs| self.edp(pjs))) },
+        ]
+    }
+
+    /// The interval of a row, where it has one.
+    fn interval(&self, row: &EnergyRow) -> Option<[String; 6]> {
+        let (low, high) = (row.low?, row.high?);
+        let range = |figure: fn(&Bound) -> Option<f64>| match (figure(&low), figure(&high)) {
+            (Some(low), Some(high)) => format!("{}..{}", brief(low), brief(high)),
+            _ => String::new(),
+        };
+        let edp = match (low.edp_pjs, high.edp_pjs) {
+            (Some(low), Some(high)) => format!("{}..{}", brief(self.edp(low)), brief(self.edp(high))),
+            _ => String::new(),
+        };
+        let [total, latency, energy] = [range(|b| b.total_mw), range(|b| b.latency_us), range(|b| b.energy_uj)];
+        Some([String::new(), String::new(), total, latency, energy, edp])
+    }
+
+    /// Name, cells and source of each line of the table, intervals behind their rows.
+    fn lines(&self, every_interval: bool) -> Vec<(String, [String; 6], String)> {
+        let mut lines = Vec::new();
+        for row in self.rows() {
+            let own = row.hardware == self.hardware();
+            if own && row.unit == "x86" && self.deployment.x86_cores == 0 {
+                continue;
+            }
+            let is_part = ["x86", "neuron", "boot", "idle"].contains(&row.unit);
+            let source = match row.busy {
+                Some(busy) => format!("busy {busy:.1}"),
+                None if own && is_part => String::new(),
+                None => row.source.name().to_string(),
+            };
+            lines.push((row_name(row, self.hardware()), self.cells(row), source));
+            if own
+                && (every_interval || !is_part)
+                && let Some(interval) = self.interval(row)
+            {
+                lines.push(("  80 % interval".to_string(), interval, String::new()));
+            }
+        }
+        lines
+    }
+
+    /// The headings of the six columns, and of the groups that they are in.
+    fn headings(&self) -> [String; 6] {
+        let (energy, edp) = match self.convention() {
+            Convention::Physical => ("(uJ/step)", "(nJ s)"),
+            Convention::Published => ("(mW/steps)", "(pJ s)"),
+        };
+        ["static", "dynamic", "total", "(us/step)", energy, edp].map(str::to_string)
+    }
+
+    fn head(&self) -> String {
+        let Deployment { copies, cores_used, chips_used, x86_cores, .. } = &self.deployment;
+        let cores = if *x86_cores > 0 {
+            format!("{}, {}", count(*cores_used, "neuron core"), count(*x86_cores, "x86 core"))
+        } else {
+            format!("{}, no x86 core", count(*cores_used, "neuron core"))
+        };
+        let copies = if *copies == 1 { "1 copy".to_string() } else { format!("{copies} copies") };
+        let chips = count(*chips_used, "chip");
+        let mode = if self.mode == Mode::Offline { "offline" } else { "real time" };
+        let mut out = wrapped(&format!("{} on {}: {copies} on {chips} ({cores}), {mode}", self.model, self.target));
+        let shown = self.input.first().map_or("", String::as_str);
+        let shown = shown.split('?').next().unwrap_or(shown);
+        let shown = if self.input.len() > 1 { format!("{shown} and others") } else { shown.to_string() };
+        let samples = match self.accuracy {
+            Some(share) => {
+                let right = (share * self.labelled as f64).round();
+                format!("{right} of {} right", count(self.labelled, "sample"))
+            }
+            None => count(self.samples, "sample"),
+        };
+        let power = match self.accounting {
+            Accounting::Profiler => "Power as Intel's profiler counts it.",
+            Accounting::Rails => "Power of the board, as a meter shows it.",
+        };
+        out += &wrapped(&format!("{samples} ({shown}). {power}"));
+        out
+    }
+
+    /// The table with its heading.
+    fn table(&self, every_interval: bool) -> String {
+        let mut out = self.head();
+        let groups = ["", "power", "(mW)", "latency", "energy", "EDP"].map(str::to_string);
+        out.push('\n');
+        out += &line("", &groups, "");
+        out += &line("", &self.headings(), "");
+        for (name, cells, source) in self.lines(every_interval) {
+            out += &line(&name, &cells, &source);
+        }
+        out
+    }
+
+    /// What is said below the table: at most four lines of eighty columns.
+    fn remarks(&self) -> Vec<String> {
+        let Deployment { cores_used, copies, board_chips, chips_used, .. } = &self.deployment;
+        if self.accounting == Accounting::Rails {
+            let unused = board_chips - chips_used.min(board_chips);
+            let unused = (unused > 0).then(|| {
+                let boot = self.estimate.job.boot * unused as f64 / *board_chips as f64;
+                format!("{} mW of it are {unused} chips of the board that are not used.", three_digits(boot))
+            });
+            let packing = "Packing copies on fewer chips saves profiler milliwatts, not board watts.".to_string();
+            return unused.into_iter().chain([packing]).chain(self.dominant()).collect();
+        }
+        let each = |total: u64, copies: u32| {
+            let cores = total as f64 / f64::from(copies.max(1));
+            if cores.fract() == 0.0 { format!("{cores}") } else { three_digits(cores) }
+        };
+        let mut said = Vec::new();
+        let is_printed = |row: &EnergyRow| row.source == FigureSource::Published && row.hardware.ends_with(", printed");
+        let job = self.job.as_ref().filter(|_| self.rows().any(is_printed));
+        if *copies > 1 {
+            let all = self.estimate.job.profiler();
+            let share = all.map_or_else(unknown, |all| three_digits(all / f64::from(*copies)));
+            let all = all.map_or_else(unknown, three_digits);
+            said.push(format!("Rows are one x86 core's and one copy's; all copies draw {all} mW, {share} each."));
+        }
+        if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
+            let (own, theirs) = (each(*cores_used, *copies), each(job.deployment.value.cores_used, job.copies.value));
+            said.push(format!("Cores of a copy: {own} here, {theirs} in the paper; static power goes with them."));
+        }
+        let mut marks = Vec::new();
+        if let (Some(_), Some([energy, edp]), Convention::Physical) = (job, self.printed, self.convention()) {
+            marks.push(format!("* power x time; the paper prints {energy} and {edp} (power / 150)."));
+        }
+        if self.rows().any(|row| row.power_source != row.source && row.power_source == FigureSource::Assumed) {
+            marks.push("? assumed power".to_string());
+        }
+        said.extend(Some(marks.join(" ")).filter(|marks| !marks.is_empty()));
+        said.extend(self.dominant());
+        let packing = "Fewer cores save profiler milliwatts, not board watts (--accounting rails).";
+        said.extend((said.len() < 4).then(|| packing.to_string()));
+        said
+    }
+
+    /// What takes most of a step.
+    fn dominant(&self) -> Option<String> {
+        let times = self.estimate.time_us?;
+        let all: f64 = times.iter().map(|(_, us)| us).sum();
+        let (name, most) = times.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| all > 0.0)?;
+        let what = match name {
+            "injection" => "injecting input spikes",
+            "turn" => "the turn of the x86 core",
+            "slowest core" => "the slowest core",
+            "transport" => "messages on the mesh",
+            "barrier" => "the barrier",
+            _ => "resetting state",
+        };
+        let free = if self.mode == Mode::Realtime { "A step's work takes" } else { "A step takes" };
+        let share = (100.0 * most / all).floor();
+        Some(format!("{free} {} us, {share} % of it for {what}.", three_digits(all)))
+    }
+
+    /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
+    #[must_use]
+    pub fn headline(&self) -> String {
+        let mut out = self.table(false);
+        for remark in self.remarks() {
+            let _ = writeln!(out, "{remark}");
+        }
+        if let Some(saved) = self.early_exit {
+            let share =
+                saved.energy_saved_share.map_or(String::new(), |share| format!(", {:.0} % of energy", 100.0 * share));
+            out += &wrapped(&format!(
+                "early exit {}: {} of {} samples decided early; saves {} of {} timesteps{share}",
+                saved.rule, saved.decided, self.samples, saved.steps_saved, self.timesteps
+            ));
+        }
+        out
+    }
+
+    /// The table as comma-separated values, for a table in a paper: the same lines, each with all
+    /// of its cells.
+    ///
+    /// # Errors
+    /// As [`EnergyReport::csv`].
+    pub fn paper_csv(&self) -> Result<String, csv::Error> {
+        let physical = self.convention() == Convention::Physical;
+        let energy = if physical { "Energy (\u{b5}J)" } else { "Energy (mW / steps)" };
+        let edp = if physical { "EDP (nJ s)" } else { "EDP (pJ s)" };
+        let header =
+            ["Hardware", "Static (mW)", "Dynamic (mW)", "Total (mW)", "Latency (\u{b5}s)", energy, edp, "Source"];
+        let mut out = csv::Writer::from_writer(Vec::new());
+        out.write_record(header)?;
+        for (name, cells, source) in self.lines(false) {
+            out.write_record([name.trim_start().to_string()].iter().chain(&cells).chain([&source]))?;
+        }
+        csv_text(out)
+    }
+
+    /// The whole report for people: what a reader asks first comes first.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out = self.table(true);
+        for remark in self.remarks() {
+            let _ = writeln!(out, "{remark}");
+        }
+        out.push('\n');
+        out.push_str(&self.breakdown());
+        out.push_str(&self.shares());
+        out.push_str(&self.comparison.text());
+        out.push_str(&self.detail.populations_text(self.timesteps));
+        out.push_str(&self.detail.slowest_text(SLOWEST_SHOWN));
+        if let Some(Score { energy_uj, step_us, .. }) = self.expected {
+            out += &wrapped(&format!(
+                "At these mean rates nsim map --profile expects {} uJ of all copies and {} us of a timestep: every \
+                 compartment active, spikes spread evenly.",
+                short(energy_uj),
+                short(step_us)
+            ));
+            out.push('\n');
+        }
+        if let Some(saved) = self.early_exit {
+            out += &wrapped(&format!(
+                "Early exit {}: {} of {} samples are decided before their end. That would save {} of the {} timesteps, {} us \
+                 and {} uJ{}; the figures above are those of whole samples.",
+                saved.rule,
+                saved.decided,
+                self.samples,
+                saved.steps_saved,
+                self.timesteps,
+                short(saved.time_saved_us),
+                short(saved.energy_saved_uj),
+                saved.energy_saved_share.map_or(String::new(), |share| format!(" ({:.1} %)", 100.0 * share)),
+            ));
+            out.push('\n');
+        }
+        for (row, source) in &self.baselines {
+            out += &wrapped(&format!("{}: {source}", row_name(row, self.hardware())));
+        }
+        out.push_str(&self.sources());
+        for note in &self.notes {
+            out += &wrapped(&format!("Note: {note}"));
+        }
+        out
+    }
+
+    /// Shares of the `total` row by the status of constants, column by column.
+    fn shares(&self) -> String {
+        let Some(row) = self.total() else { return String::new() };
+        let mut table = plain(&["From constants", "published", "fitted", "assumed"]);
+        let columns = [("static power", row.shares.static_mw), ("dynamic power", row.shares.dynamic_mw)];
+        for (name, share) in columns.into_iter().chain([("total power", row.share), ("latency", row.shares.latency_us)])
+        {
+            let Some(StatusShare { published, fitted, assumed }) = share else { continue };
+            let cells = [published, fitted, assumed].map(|share| format!("{:.0} %", 100.0 * share));
+            table.add_row([name.to_string()].into_iter().chain(cells));
+        }
+        if table.row_count() == 0 { String::new() } else { format!("{}\n\n", table.trim_fmt()) }
+    }
+
+    fn breakdown(&self) -> String {
+        let mut out = String::new();
+        let Some(parts) = &self.estimate.breakdown_pj else { return out };
+        let total: f64 = parts.iter().map(|(_, pj)| pj).sum();
+        let mut table = plain(&["Dynamic energy of the neuron cores", "pJ per timestep", "Share"]);
+        for &(name, pj) in parts {
+            let share = if total > 0.0 { format!("{:.1} %", 100.0 * pj / total) } else { unknown() };
+            table.add_row([name.to_string(), short(pj), share]);
+        }
+        table.add_row(["sum".to_string(), short(total), String::new()]);
+        let _ = writeln!(out, "{}\n", table.trim_fmt());
+        if let Some(times) = self.estimate.time_us {
+            let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", short(*us))).collect();
+            out += &wrapped(&format!("Work of a timestep, mean in us: {}.", listed.join(", ")));
+        }
+        for (what, spread) in [
+            ("Energy of a timestep, all power included (uJ, power x time)", self.estimate.per_timestep_uj),
+            ("Dynamic energy of the neuron cores in a timestep (uJ)", self.estimate.per_timestep_dynamic_uj),
+        ] {
+            if let Some(s) = spread {
+                let [min, p50, p99, max] = [s.min, s.p50, s.p99, s.max].map(short);
+                out += &wrapped(&format!("{what}: least {min}, median {p50}, 99th percentile {p99}, greatest {max}."));
+            }
+        }
+        out.push('\n');
+        out
+    }
+
+    /// How many constants are published, calibrated and assumed, and the assumed ones by name.
+    fn sources(&self) -> String {
+        let of = |status| self.constants.iter().filter(move |entry| entry.status == status);
+        let assumed: Vec<&str> = of(Status::Assumed).map(|entry| entry.name.as_str()).collect();
+        let mut out = format!(
+            "Constants {}: {} published, {} calibrated, {} assumed",
+            self.preset,
+            of(Status::Published).count(),
+            of(Status::Calibrated).count(),
+            assumed.len()
+        );
+        if !assumed.is_empty() {
+            let _ = write!(out, " ({})", assumed.join(", "));
+        }
+        out.push_str(". --format json lists each with its source.");
+        wrapped(&out)
+    }
+}

@@ -1,0 +1,271 @@
+//! Deployments, and the report of a priced run.
+
+use std::sync::Arc;
+
+use nsim_compile::{Compiled, CopyPlacement, Options, compile};
+use nsim_cost::estimate::{Case, estimate};
+use nsim_cost::job::{Convention, DeployedCores, Mode};
+use nsim_cost::transport::Words;
+use nsim_cost::{CostTable, Deployment, HostWork, MessageRoutes, MeterSettings, StepMeter, Timing, Transport};
+use nsim_files as io;
+use nsim_ir::activity::{Activity, CoreCounts, StepActivity};
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::hardware::Target;
+use nsim_session::error::Error;
+
+use crate::baseline::Baseline;
+use crate::baseline::tests::vtsnn;
+use crate::job::{self, EnergyJob};
+use crate::options::{DeploymentSource, tables};
+use crate::published::files::scenario::shipped_for;
+use crate::report::table::EnergyReport;
+
+const MS: Picoseconds = Picoseconds(1_000_000_000);
+
+fn nahuku() -> Target {
+    io::target::load_target("nahuku-32").unwrap()
+}
+
+/// The published deployment of the shipped model.
+fn paper() -> Deployment {
+    let cores = DeployedCores { cores_used: 594, chips_used: 5, x86_cores: 5 };
+    Deployment::from_numbers("paper", cores, &nahuku(), 32, HostWork::default())
+}
+
+/// Counts of these steps, and their meter.
+fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles_used: u64, compiled: &Compiled) -> (Activity, StepMeter) {
+    let (reset, sent) = (Words::NONE, Words::NONE);
+    let mut activity = Activity::new(1);
+    let mut meter = StepMeter::new(MeterSettings {
+        tables,
+        timing: Timing {
+            transport: Transport::Analytic,
+            tiles_used,
+            chip_hops: 0,
+            turn: true,
+            streams: 1,
+            copies: 1,
+            reset,
+            sent,
+        },
+        routes: Arc::new(MessageRoutes::of_program(&compiled.program)),
+        timestep: MS,
+        distribution: None,
+        by_step: Some(0),
+    });
+    for step in steps {
+        activity.add_steps(step, 1);
+        meter.add(step, 1, false);
+    }
+    (activity, meter)
+}
+
+fn mapped(copies: u32, placement: CopyPlacement) -> Compiled {
+    let options = Options { copies, placement, ..Options::default() };
+    compile(nsim_testing::slip(100), &nahuku(), &options).unwrap()
+}
+
+fn deployed(model: &str, arg: &str, compiled: &Compiled, copies: u32) -> Result<Deployment, Error> {
+    let shipped = shipped_for(model)?;
+    let source = DeploymentSource::load(&arg.into(), model, shipped.as_ref())?;
+    source.deployment(compiled, &nahuku(), copies, HostWork::default())
+}
+
+fn steps() -> Vec<StepActivity> {
+    let step = |n: u64| {
+        let mut step = StepActivity::new(1);
+        step.cores.as_mut_slice()[0] = CoreCounts {
+            messages_in: 3 * n,
+            events_dense: 137 * n,
+            events_sparse: 11 * n,
+            visited: 62,
+            active: n.min(62),
+            spikes: n.min(7),
+            messages_out: 3 * n,
+        };
+        step.hops.local = 3 * n;
+        step
+    };
+    (0..150).map(step).collect()
+}
+
+#[test]
+fn copies_are_spread_or_packed_and_the_paper_s_job_says_where_its_are() {
+    let numbers = |deployment: &Deployment| {
+        (deployment.copies, deployment.cores_used, deployment.chips_used, deployment.x86_cores)
+    };
+    let (spread, packed) = (mapped(32, CopyPlacement::Spread), mapped(32, CopyPlacement::Packed));
+    let found = deployed("vtsnn-slip", "spread", &spread, 32).unwrap();
+    assert_eq!((numbers(&found), found.name.as_str()), ((32, 32, 32, 32), "spread"));
+    let found = deployed("vtsnn-slip", "packed", &packed, 32).unwrap();
+    assert_eq!((numbers(&found).2, numbers(&found).3, found.name.as_str()), (1, 1, "packed"));
+    let one = mapped(1, CopyPlacement::Spread);
+    let named = |model: &str| {
+        let mut parts = one.one.parts().clone();
+        parts.name = model.to_string();
+        Compiled { one: nsim_ir::quantised::Quantised::new(parts).unwrap(), ..one.clone() }
+    };
+    let found = deployed("vtsnn-slip", "paper", &named("vtsnn-slip"), 32).unwrap();
+    assert_eq!(numbers(&found), (32, 594, 5, 5));
+    // Of another model, and where no scenario ships.
+    assert_eq!(deployed("vtsnn-slip", "paper", &named("other"), 32).unwrap_err().exit_status(), 2);
+    assert_eq!(deployed("slip-tactile", "paper", &one, 1).unwrap_err().exit_status(), 2);
+    // As given.
+    assert_eq!(numbers(&deployed("own", "594,5,5", &one, 32).unwrap()), (32, 594, 5, 5));
+    for wrong in ["0,1,1", "1,2,1"] {
+        assert_eq!(deployed("own", wrong, &one, 1).unwrap_err().exit_status(), 2, "{wrong}");
+    }
+}
+
+#[test]
+fn a_file_gives_the_numbers_of_its_job() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("own.ron");
+    let one = mapped(1, CopyPlacement::Spread);
+    let model = one.one.parts().name.clone();
+    let text = format!(
+        "// mine\nScenario(name: \"s\", model: {model:?}, target: \"nahuku-32\", copies: 2, \
+         deployment: (cores_used: 7, chips_used: 2, x86_cores: 3), work: \"w\", source: \"s\", notes: \"n\")"
+    );
+    std::fs::write(&path, text).unwrap();
+    let own = deployed("own", path.to_str().unwrap(), &one, 2).unwrap();
+    assert_eq!((own.copies, own.cores_used, own.chips_used, own.x86_cores), (2, 7, 2, 3));
+}
+
+#[test]
+fn a_saved_mapping_gives_its_own_numbers_of_cores_if_it_could_be_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("saved.ron");
+    let packed = mapped(2, CopyPlacement::Packed);
+    let text = io::mapping::pretty(&packed.clone().mapping_file(), 2).unwrap();
+    let with = |text: &str| {
+        std::fs::write(&path, text).unwrap();
+        deployed("m", path.to_str().unwrap(), &packed, 2)
+    };
+    let found = with(&text).unwrap();
+    assert_eq!((found.cores_used, found.chips_used), (packed.placement.len() as u64, 1));
+    assert_eq!(with(&text.replace("copies: 2", "copies: 3")).unwrap_err().exit_status(), 3);
+    assert_eq!(with("oops").unwrap_err().exit_status(), 3);
+    // Without cores, and of other populations.
+    let cut = format!("{}cores: [])", text.split("cores: [").next().unwrap());
+    assert_eq!(with(&cut).unwrap_err().exit_status(), 3, "{cut}");
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(deployed("m", path.to_str().unwrap(), &packed, 2).unwrap_err().exit_status(), 3);
+}
+
+#[test]
+fn a_preset_that_the_target_does_not_name_is_a_mistake_of_usage() {
+    let target = nahuku();
+    assert_eq!(tables(target.clone(), Some("davies2018")).unwrap().1.name(), "davies2018");
+    assert_eq!(tables(target, Some("davies")).unwrap_err().exit_status(), 2);
+}
+
+#[test]
+fn the_text_is_eighty_columns_wide_and_says_every_figure_of_its_rows() {
+    for (mode, convention) in [
+        (Mode::Offline, Convention::Physical),
+        (Mode::Realtime, Convention::Physical),
+        (Mode::Offline, Convention::Published),
+    ] {
+        for deployment in [paper(), Deployment { copies: 31, ..paper() }] {
+            let (text, full) = with_report(&deployment, mode, convention, |r| (r.headline(), r.text()));
+            for line in text.lines().chain(full.lines()) {
+                assert!(line.chars().count() <= 80, "{line}");
+            }
+            assert!(text.lines().count() <= 30, "{text}");
+            for name in ["x86 core", "neuron cores", "Loihi", "RTX 2080 Ti", "static", "dynamic", "EDP"] {
+                assert!(text.contains(name), "{name}: {text}");
+            }
+        }
+    }
+}
+
+#[test]
+fn json_has_the_keys_of_the_contract_and_nothing_unknown_is_zero() {
+    let report = with_report(&paper(), Mode::Realtime, Convention::Published, |r| r);
+    let json = report.json();
+    for key in [
+        "model",
+        "target",
+        "copies",
+        "deployment",
+        "mode",
+        "convention",
+        "seed",
+        "rows",
+        "cores_used",
+        "breakdown_pj_per_timestep",
+        "per_timestep_uj",
+        "early_exit",
+        "constants",
+    ] {
+        assert!(json.get(key).is_some(), "{key}");
+    }
+    assert_eq!(json["schema"], "nsim.energy/1");
+    assert_eq!(json["early_exit"], serde_json::Value::Null);
+    assert_eq!(json["seed"], 7);
+    let rows = json["rows"].as_array().unwrap();
+    let units: Vec<_> =
+        rows.iter().map(|row| (row["hardware"].as_str().unwrap(), row["unit"].as_str().unwrap())).collect();
+    assert_eq!(units, [("loihi", "x86"), ("loihi", "neuron"), ("loihi", "total"), ("RTX 2080 Ti", "total")]);
+    for key in [
+        "static_mw",
+        "dynamic_mw",
+        "total_mw",
+        "latency_us",
+        "energy_uj",
+        "edp_pjs",
+        "low",
+        "high",
+        "source",
+        "convention",
+    ] {
+        assert!(rows.iter().all(|row| row.get(key).is_some()), "{key}");
+    }
+    assert_eq!(rows[3]["energy_uj"], 412.9);
+    assert_eq!(rows[3]["low"], serde_json::Value::Null);
+    let parts: Vec<&String> = json["breakdown_pj_per_timestep"].as_object().unwrap().keys().collect();
+    assert_eq!(parts, ["synapse", "dendrite", "compartment", "spike", "axon_out", "axon_in", "hop", "learning"]);
+    assert_eq!(json["constants"].as_array().unwrap().len(), 37 + 4);
+    assert_eq!(json["constants"][0]["status"], "calibrated");
+    assert_eq!(json["constants"][0]["unit"], "pJ");
+}
+
+#[test]
+fn csv_has_a_header_and_a_record_for_each_row() {
+    let csv = with_report(&paper(), Mode::Offline, Convention::Physical, |r| r.csv().unwrap());
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    assert_eq!(reader.headers().unwrap().len(), 19);
+    let records: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    assert_eq!(records.len(), 4);
+    assert_eq!((&records[3][8], &records[3][9], &records[3][17]), ("26411.49", "", "published"));
+}
+
+fn with_report<T>(deployment: &Deployment, mode: Mode, convention: Convention, f: impl Fn(EnergyReport) -> T) -> T {
+    let (target, table) = tables(nahuku(), Some("vtsnn-calibrated")).unwrap();
+    let compiled = mapped(1, CopyPlacement::Spread);
+    let (activity, meter) = run(&steps(), vec![table], deployment.tiles_used, &compiled);
+    let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
+    let row = gpu.row(&vtsnn(), Some(150), MS, mode, convention).unwrap();
+    let case = Case {
+        copies_counted: 1,
+        hardware: "loihi",
+        mode,
+        convention,
+        steps_per_sample: Some(150),
+        ..Case::new(&activity, &meter, deployment, 1.0)
+    };
+    f(job::report(&EnergyJob {
+        model: "vtsnn-slip",
+        target: &target,
+        estimate: estimate(&case),
+        case,
+        samples: 1,
+        seed: Some(7),
+        input: &["scene".to_string()],
+        baselines: &[(row, gpu.source())],
+        per_decision: None,
+        scenario: None,
+        early_exit: None,
+    }))
+}

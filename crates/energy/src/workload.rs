@@ -1,0 +1,165 @@
+//! Samples on the mapped program, metered step by step.
+
+use nsim_compile::Compiled;
+use nsim_compile::explore::cost_estimate::Score;
+use nsim_cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
+use nsim_ir::base::id::CompartmentId;
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::hardware::Target;
+use nsim_ir::spikes::{Copies, Sample, Stimulus};
+use nsim_machine::ranks::transport::Ranks;
+use nsim_session::Outcome;
+use nsim_session::accuracy;
+use nsim_session::cores::core_rows;
+use nsim_session::decision::EarlyExit;
+use nsim_session::detail::Detail;
+use nsim_session::error::Error;
+use nsim_session::populations::ByPopulation;
+use nsim_session::priced::{Metered, SampleRun, steps_per_sample};
+use nsim_session::samples::{Progress, Run};
+use nsim_session::timeline::Timeline;
+use nsim_session::warnings::{Finished, Ran, warnings};
+
+/// A mapped network of one or several copies, and what it is shown.
+#[derive(Debug)]
+pub struct Workload<'j> {
+    /// The network.
+    pub compiled: &'j Compiled,
+    /// Where it is mapped.
+    pub target: &'j Target,
+    /// Copies of the network on the target.
+    pub copies: u32,
+    /// What all copies see: they share nothing, input channels included, so each sees the whole sample.
+    given: Vec<Sample>,
+    /// Numbers of the samples that are run, in run order.
+    order: Vec<usize>,
+    /// How the samples were made.
+    pub origin: Vec<String>,
+    /// Seed of the input, if it was made from one.
+    pub seed: Option<u64>,
+    metered: Metered<'j>,
+}
+
+impl<'j> Workload<'j> {
+    /// A mapped network that is shown these samples of a stimulus, in this order.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when there is no such sample.
+    pub fn new(
+        compiled: &'j Compiled,
+        target: &'j Target,
+        stimulus: Stimulus,
+        order: Vec<usize>,
+    ) -> Result<Self, Error> {
+        let Stimulus { samples: given, origin, seed } = stimulus;
+        if let Some(sample) = order.iter().find(|&&sample| sample >= given.len()) {
+            return Err(Error::Usage(format!("sample {sample}: there are {} samples", given.len())));
+        }
+        let (copies, metered) = (compiled.options.copies, Metered::new(compiled));
+        Ok(Workload { compiled, target, copies, given, order, origin, seed, metered })
+    }
+
+    /// Samples of one copy, in run order.
+    #[must_use]
+    pub fn samples(&self) -> Vec<&Sample> {
+        self.order.iter().map(|&sample| &self.given[sample]).collect()
+    }
+
+    /// Runs only these of the samples from here on.
+    ///
+    /// # Errors
+    /// The first number that is no sample's.
+    pub fn choose(&mut self, samples: &[usize]) -> Result<(), usize> {
+        let number = |&sample: &usize| self.order.get(sample).copied().ok_or(sample);
+        self.order = samples.iter().map(number).collect::<Result<_, usize>>()?;
+        Ok(())
+    }
+
+    /// The copies, all of which see each sample.
+    #[must_use]
+    pub fn shown(&self) -> Copies {
+        Copies { copies: self.copies, channels: self.compiled.one.channels() }
+    }
+
+    /// What its steps are metered under: sums alone.
+    #[must_use]
+    pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
+        MeterSettings {
+            tables,
+            timing: deployment.timing(transport, self.copies),
+            routes: self.metered.routes.clone(),
+            timestep: Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms),
+            distribution: None,
+            by_step: None,
+        }
+    }
+
+    /// Timesteps of a sample; `None` when samples differ.
+    #[must_use]
+    pub fn steps_per_sample(&self) -> Option<u32> {
+        steps_per_sample(&self.samples())
+    }
+
+    /// A run by population, input and core, all copies together, and what to warn of.
+    #[must_use]
+    pub fn detail(&self, run: &Run<StepMeter>) -> Detail {
+        let (network, program) = (&self.compiled.one, &self.compiled.program);
+        let sums = ByPopulation::of_copies(network, &run.counts, self.copies);
+        let samples = self.samples();
+        let finished =
+            Finished { network, ran: Ran::Program(program), sums: &sums, samples: &samples, outcomes: &run.outcomes };
+        let warnings = warnings(finished);
+        let cores = core_rows(program, &run.activity, Some(&run.meter));
+        Detail { cores, sums, warnings, ranks: run.ranks.clone() }
+    }
+
+    /// What a mean step is expected to cost, by the target's own constants, at the rates of the run.
+    ///
+    /// # Errors
+    /// A constant that no integer holds.
+    pub fn expected(&self, run: &Run<StepMeter>) -> Result<Score, Error> {
+        let rates = Rates::of_copy(&run.counts, &self.compiled.one, run.activity.steps());
+        Ok(self.compiled.score_at(&rates, self.target)?)
+    }
+
+    /// Share of the samples with a label that were classified as it says; `None` without labels.
+    #[must_use]
+    pub fn accuracy(&self, outcomes: &[Outcome]) -> Option<f64> {
+        accuracy(outcomes, self.samples().into_iter().map(Sample::label))
+    }
+
+    /// A sample step by step, with the potentials of these compartments of the first copy.
+    ///
+    /// # Errors
+    /// As [`Workload::simulate`].
+    pub fn timeline(
+        &self,
+        settings: MeterSettings,
+        sample: &Sample,
+        potentials: &[CompartmentId],
+    ) -> Result<Timeline, Error> {
+        Ok(Timeline::new(&self.metered, &self.compiled.one, settings, sample, potentials)?)
+    }
+
+    /// Runs all samples.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the program's sums could not be exact.
+    pub fn simulate(
+        &self,
+        settings: MeterSettings,
+        early_exit: Option<EarlyExit>,
+        skip: bool,
+        (progress, ranks): (Progress<'_>, Option<&Ranks>),
+    ) -> Result<Run<StepMeter>, Error> {
+        let samples = self.samples();
+        Ok(self.metered.run(settings, SampleRun { samples: &samples, early_exit, skip, progress, ranks })?)
+    }
+
+    /// What the program is metered with.
+    #[must_use]
+    pub fn meter(&self) -> &Metered<'j> {
+        &self.metered
+    }
+}

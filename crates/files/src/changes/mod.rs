@@ -1,0 +1,307 @@
+//! Fields of model, target and constants that the command line changes.
+//!
+//! Input: `PATH=VALUE`, once for the whole process, and more for a while for one thread, whose sweep tries them. Output: the text of a model with these values, a target file that changes another, a
+//! preset of constants with other numbers. Paths that begin with `target.` are of the target, those with `constants.` of its constants,
+//! all others of the model.
+//!
+//! Errors: `set.path` for a path that leads nowhere, `set.value` for a value that is not what the path's field holds.
+
+pub mod ron_path;
+
+use std::cell::RefCell;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::hardware::constants::{Constants, Status, classes_of};
+
+/// One change.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Change {
+    path: String,
+    value: String,
+}
+
+static CHANGES: OnceLock<Vec<Change>> = OnceLock::new();
+/// What has asked for changes: the target, the constants, a model.
+static READ: [AtomicBool; 3] = [const { AtomicBool::new(false) }; 3];
+
+thread_local! {
+    /// What this thread changes besides.
+    static OF_THREAD: RefCell<Vec<Change>> = const { RefCell::new(Vec::new()) };
+}
+
+impl Change {
+    /// A value for a path. A constant's path may end with its field `value`, which is the constant.
+    #[must_use]
+    pub fn new(path: &str, value: &str) -> Self {
+        let path = path.trim();
+        let constant = path.strip_prefix("constants.").and_then(|_| path.strip_suffix(".value"));
+        Change { path: constant.unwrap_or(path).to_string(), value: value.trim().to_string() }
+    }
+
+    /// Whether it can change anything: its path names a field, its value is one.
+    ///
+    /// # Errors
+    /// `set.path`, `set.value`.
+    pub fn check(&self) -> Result<()> {
+        let Change { path, value } = self;
+        if ["target", "constants"].contains(&path.as_str()) || path.split('.').any(|part| part.trim().is_empty()) {
+            return Err(nowhere(path, "the path leads nowhere; it has to end with the name of a field"));
+        }
+        match ron_path::is_one_value(value) {
+            true => Ok(()),
+            false => Err(Diagnostic::new("set.value", format!("--set {path}={value}: this is not one value"))
+                .help("write a number, a text in quotes, or a list or struct with its brackets closed")),
+        }
+    }
+
+    /// From `PATH=VALUE`.
+    ///
+    /// # Errors
+    /// A sentence for anything else.
+    pub fn parse(typed: &str) -> Result<Self, String> {
+        match typed.split_once('=') {
+            Some((path, value)) if !path.is_empty() && !value.trim().is_empty() => Ok(Change::new(path, value)),
+            _ => Err(format!("--set {typed}: write PATH=VALUE, such as populations.hidden.vth_mant=60")),
+        }
+    }
+
+    /// Where it leads.
+    #[must_use]
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+
+    /// Whether it changes the target or its constants, and no model.
+    #[must_use]
+    pub fn is_of_target(&self) -> bool {
+        let first = self.path.split('.').next();
+        first.is_some_and(|first| ["target", "constants"].contains(&first))
+    }
+}
+
+impl Change {
+    /// Whether it changes a population of the model.
+    #[must_use]
+    pub fn is_of_population(&self) -> bool {
+        self.path.starts_with("populations.")
+    }
+
+    /// Whether it changes the population of this name and number of the model.
+    #[must_use]
+    pub fn is_of(&self, population: &str, number: usize) -> bool {
+        let named = self.path.strip_prefix("populations.").and_then(|rest| rest.split_once('.'));
+        named.is_some_and(|(named, _)| named == population || named.parse() == Ok(number))
+    }
+}
+
+/// Ends the changes of a thread, however its work ends.
+struct Ending;
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        OF_THREAD.with_borrow_mut(Vec::clear);
+    }
+}
+
+/// Reads files under these changes besides those of the process. Only what this thread reads itself is changed.
+pub fn within<T>(changes: &[Change], read: impl FnOnce() -> T) -> T {
+    OF_THREAD.with_borrow_mut(|of_thread| of_thread.extend_from_slice(changes));
+    let _ending = Ending;
+    read()
+}
+
+/// Sets what this process changes, at most once.
+///
+/// # Errors
+/// A sentence for what is not `PATH=VALUE`.
+pub fn set(typed: &[String]) -> Result<(), String> {
+    let changes = typed.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>()?;
+    // Whoever set them first has read files with them.
+    let _ = CHANGES.set(changes);
+    Ok(())
+}
+
+/// Checks what this process changes, before it works.
+///
+/// # Errors
+/// As [`Change::check`].
+pub fn check() -> Result<()> {
+    of_process().iter().try_for_each(Change::check)
+}
+
+/// What this process changes and has not read a file for.
+pub fn unread() -> impl Iterator<Item = &'static Change> {
+    of_process().iter().filter(|change| {
+        let of = ["target", "constants"].into_iter().find(|of| change.path.split('.').next() == Some(of));
+        !READ[kind(of)].load(Ordering::Relaxed)
+    })
+}
+
+/// The place of what is changed in [`READ`].
+fn kind(of: Option<&str>) -> usize {
+    of.map_or(2, |of| usize::from(of != "target"))
+}
+
+/// What this process changes.
+#[must_use]
+pub fn of_process() -> &'static [Change] {
+    CHANGES.get().map_or(&[], Vec::as_slice)
+}
+
+/// The changes whose paths begin so, or of the model, and the rest of their paths.
+fn changes(of: Option<&str>) -> Vec<(String, String)> {
+    READ[kind(of)].store(true, Ordering::Relaxed);
+    let one = |change: &Change| {
+        let (first, rest) = change.path.split_once('.').unwrap_or((&change.path, ""));
+        let path = match of {
+            Some(of) => (first == of && !rest.is_empty()).then_some(rest),
+            None => (!change.is_of_target()).then_some(change.path.as_str()),
+        };
+        Some((path?.to_string(), change.value.clone()))
+    };
+    let of_process = CHANGES.get().into_iter().flatten().filter_map(one);
+    of_process.chain(OF_THREAD.with_borrow(|of_thread| of_thread.iter().filter_map(one).collect::<Vec<_>>())).collect()
+}
+
+fn nowhere(path: &str, message: &str) -> Diagnostic {
+    Diagnostic::new("set.path", format!("--set {path}: {message}"))
+        .help("nsim show NAME prints a shipped file, whose fields paths are made of")
+}
+
+/// The text of a model with the values that are set.
+///
+/// # Errors
+/// `set.path`.
+pub fn model(source: SourceText) -> Result<SourceText> {
+    let mut text: Option<String> = None;
+    let changes = changes(None);
+    for (path, value) in &changes {
+        let before = text.as_deref().unwrap_or(source.text());
+        text = Some(ron_path::replaced(before, path, value).map_err(|message| nowhere(path, &message))?);
+    }
+    Ok(match text {
+        Some(text) => {
+            check_kept(&text, &changes, "")?;
+            SourceText::new(source.path(), text)
+        }
+        None => source,
+    })
+}
+
+/// Checks that each change is in the text that all of them made, unless a later one has its path.
+///
+/// # Errors
+/// `set.path` for two paths that lead to one field, or to a field and what it is part of.
+fn check_kept(text: &str, changes: &[(String, String)], before: &str) -> Result<()> {
+    for (number, (path, value)) in changes.iter().enumerate() {
+        let again = changes[number + 1..].iter().any(|(later, _)| later == path);
+        if !again && ron_path::value(text, path) != Some(value) {
+            return Err(nowhere(&format!("{before}{path}"), "another path that is set changes the same field"));
+        }
+    }
+    Ok(())
+}
+
+/// The fields of the target that are set, as a target file has them; nothing when none is.
+///
+/// # Errors
+/// `set.path`.
+pub fn target_fields() -> Result<Option<String>> {
+    let mut text = "Target()".to_string();
+    let changes = changes(Some("target"));
+    for (path, value) in &changes {
+        text = with_parents(text, path, value).map_err(|message| nowhere(&format!("target.{path}"), &message))?;
+    }
+    check_kept(&text, &changes, "target.")?;
+    let fields = text.strip_prefix("Target(").and_then(|text| text.strip_suffix(')'));
+    Ok(fields.filter(|_| !changes.is_empty()).map(str::to_string))
+}
+
+/// A value at a path whose parents are made where they are absent.
+fn with_parents(mut text: String, path: &str, value: &str) -> Result<String, String> {
+    for (at, _) in path.match_indices('.') {
+        let parent = &path[..at];
+        if ron_path::value(&text, parent).is_none() {
+            text = ron_path::replaced(&text, parent, "()")?;
+        }
+    }
+    ron_path::replaced(&text, path, value)
+}
+
+/// Gives constants the numbers that are set.
+///
+/// # Errors
+/// `set.path`, `set.value`.
+pub fn constants(constants: &mut Constants) -> Result<()> {
+    for (path, value) in changes(Some("constants")) {
+        let missing = || nowhere(&format!("constants.{path}"), "the constants have no such number");
+        let constant = constants.get_mut(&path).ok_or_else(missing)?;
+        let number = constant.unit.parsed(&value).map_err(|message| {
+            let help = format!("write --set constants.{path}=NUMBER{}", constant.unit.suffix());
+            Diagnostic::new("set.value", format!("--set constants.{path}={value}: {message}")).help(help)
+        })?;
+        constant.value = number.into();
+        (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
+        constant.findings.clear();
+        constants.forget_errors(classes_of(&path));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parents_are_made_where_they_are_absent() {
+        let one = with_parents("Target()".to_string(), "limits.axons_out", "8192").unwrap();
+        assert_eq!(one, "Target( limits: ( axons_out: 8192))");
+        let two = with_parents(one, "limits.axons_in", "7").unwrap();
+        assert_eq!(two, "Target( limits: ( axons_out: 8192, axons_in: 7))");
+        let three = with_parents(two, "chips_x", "2").unwrap();
+        assert_eq!(three, "Target( limits: ( axons_out: 8192, axons_in: 7), chips_x: 2)");
+        assert!(with_parents(three, "chips_x.y", "2").is_err());
+    }
+
+    #[test]
+    fn a_thread_s_changes_end_with_its_work() {
+        let read = || model(SourceText::new("m", "Network(a: 1, b: 2)")).unwrap().text().to_string();
+        let changed = within(&[Change::new("a", "5"), Change::new("target.x", "7")], read);
+        assert_eq!((changed.as_str(), read().as_str()), ("Network(a: 5, b: 2)", "Network(a: 1, b: 2)"));
+        let of_target = within(&[Change::new("target.x", "7")], target_fields).unwrap();
+        assert_eq!((of_target.as_deref(), target_fields().unwrap()), (Some(" x: 7"), None));
+    }
+
+    #[test]
+    fn two_paths_of_one_field_are_refused() {
+        let read = || model(SourceText::new("m", r#"Network(populations: [Loihi(name: "out", du: 1)])"#));
+        for paths in [["populations.out.du", "populations.0.du"], ["populations.out.du", "populations"]] {
+            let changes = [Change::new(paths[0], "5"), Change::new(paths[1], "6")];
+            assert_eq!(within(&changes, read).unwrap_err().code, "set.path", "{paths:?}");
+        }
+        let again = ["5", "6"].map(|value| Change::new("populations.out.du", value));
+        assert!(within(&again, read).unwrap().text().contains("du: 6"));
+    }
+
+    #[test]
+    fn a_path_that_ends_nowhere_and_a_value_that_is_none_are_refused() {
+        for path in ["target", "constants", "target.", "constants.", ".x", "a..b", "a.", "", " . "] {
+            assert_eq!(Change::new(path, "1").check().unwrap_err().code, "set.path", "{path}");
+        }
+        for value in ["nonsense(", "1, dv: 2", ")", "1) //", "[1", "\"a"] {
+            assert_eq!(Change::new("a", value).check().unwrap_err().code, "set.value", "{value}");
+        }
+        for value in ["1", "-0.5", "0.4us", "\"a, b\"", "[1, [2]]", "Npy(\"a.npy\")", "GreatestV"] {
+            Change::new("a", value).check().unwrap();
+        }
+    }
+
+    #[test]
+    fn what_is_no_path_and_value_is_refused() {
+        for wrong in ["a", "=1", "a=", "a= "] {
+            assert!(set(&[wrong.to_string()]).unwrap_err().contains("PATH=VALUE"), "{wrong}");
+        }
+    }
+}

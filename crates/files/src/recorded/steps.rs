@@ -1,0 +1,302 @@
+//! A table with a row for each timestep of each sample, written as its rows come.
+//!
+//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, a NumPy array of records whose
+//! fields are the columns, or Parquet. Memory does not grow with the rows. Times and energies are counted in ps and fJ and written in us
+//! and pJ, in CSV with all digits, so that sums over rows are exact.
+//!
+//! Errors: those of the writer; an array whose rows are not as many as its header says.
+
+use std::fmt::Write as _;
+use std::io::{Error, Result, Write};
+use std::path::Path;
+
+pub use super::column::{Column, Unit};
+#[cfg(feature = "parquet")]
+use super::parquet::ParquetTable;
+use crate::text::NPY_MAGIC;
+
+/// The form of a table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StepFormat {
+    /// Comma-separated values.
+    Csv,
+    /// A NumPy array of records.
+    Npy,
+    /// Parquet, in builds with the feature `parquet`.
+    Parquet,
+}
+
+impl StepFormat {
+    /// The form that a file's name says; none when it says neither.
+    #[must_use]
+    pub fn from_name(path: &Path) -> Option<Self> {
+        let extension = path.extension()?.to_string_lossy().to_ascii_lowercase();
+        match extension.as_str() {
+            "csv" => Some(StepFormat::Csv),
+            "npy" => Some(StepFormat::Npy),
+            "parquet" => Some(StepFormat::Parquet),
+            _ => None,
+        }
+    }
+
+    /// Whether this build writes it; otherwise how to get one that does.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn check(self) -> std::result::Result<(), &'static str> {
+        match self {
+            StepFormat::Parquet if cfg!(not(feature = "parquet")) => Err(
+                "this nsim was built without Parquet: name the file .csv or .npy, or build nsim with --features parquet",
+            ),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Where rows go.
+enum Out<'w> {
+    Plain(&'w mut (dyn Write + Send)),
+    #[cfg(feature = "parquet")]
+    Parquet(Box<ParquetTable<'w>>),
+}
+
+/// A table that is being written.
+pub struct StepWriter<'w> {
+    out: Out<'w>,
+    format: StepFormat,
+    units: Vec<Unit>,
+    /// Rows that the header promises, where it does.
+    promised: Option<u64>,
+    rows: u64,
+    sample: u32,
+    step: u32,
+    /// The first error: what follows it is not written.
+    failed: Option<Error>,
+    line: Vec<u8>,
+}
+
+impl std::fmt::Debug for StepWriter<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("StepWriter").field("format", &self.format).field("rows", &self.rows).finish_non_exhaustive()
+    }
+}
+
+impl<'w> StepWriter<'w> {
+    /// Begins a table of so many rows; their number may be left open in CSV.
+    ///
+    /// # Errors
+    /// Those of the writer; an array of an open number of rows.
+    pub fn new(
+        out: &'w mut (dyn Write + Send),
+        format: StepFormat,
+        columns: &[Column],
+        rows: Option<u64>,
+    ) -> Result<StepWriter<'w>> {
+        let units: Vec<Unit> = columns.iter().map(|column| column.unit).collect();
+        let promised = rows.filter(|_| format == StepFormat::Npy);
+        let table = |out| StepWriter {
+            out,
+            format,
+            units,
+            promised,
+            rows: 0,
+            sample: 0,
+            step: 0,
+            failed: None,
+            line: Vec::new(),
+        };
+        match (format, rows) {
+            #[cfg(feature = "parquet")]
+            (StepFormat::Parquet, _) => return Ok(table(Out::Parquet(Box::new(ParquetTable::new(out, columns)?)))),
+            #[cfg(not(feature = "parquet"))]
+            (StepFormat::Parquet, _) => return Err(Error::other(format.check().err().unwrap_or_default())),
+            (StepFormat::Csv, _) => {
+                let mut header = csv::Writer::from_writer(&mut *out);
+                let names = columns.iter().map(|column| column.name.as_str());
+                header.write_record(["sample", "timestep"].into_iter().chain(names)).map_err(Error::other)?;
+                header.flush()?;
+            }
+            (StepFormat::Npy, Some(rows)) => out.write_all(&array_header(columns, rows)?)?,
+            (StepFormat::Npy, None) => return Err(Error::other("an array needs its number of rows")),
+        }
+        Ok(table(Out::Plain(out)))
+    }
+
+    /// Writes the row of the sample's next timestep.
+    pub fn row(&mut self, cells: &[u64]) {
+        if self.failed.is_some() {
+            return;
+        }
+        self.line.clear();
+        match self.format {
+            StepFormat::Csv => self.csv_line(cells),
+            StepFormat::Parquet => {}
+            StepFormat::Npy => {
+                self.line.extend(self.sample.to_le_bytes());
+                self.line.extend(self.step.to_le_bytes());
+                for (unit, &cell) in self.units.iter().zip(cells) {
+                    match unit {
+                        Unit::Count => self.line.extend(cell.to_le_bytes()),
+                        unit => self.line.extend((cell as f64 / unit.divisor() as f64).to_le_bytes()),
+                    }
+                }
+            }
+        }
+        self.failed = match &mut self.out {
+            Out::Plain(out) => out.write_all(&self.line).err(),
+            #[cfg(feature = "parquet")]
+            Out::Parquet(table) => table.row(self.sample, self.step, cells).err(),
+        };
+        self.rows += 1;
+        self.step += 1;
+    }
+
+    fn csv_line(&mut self, cells: &[u64]) {
+        let mut line = format!("{},{}", self.sample, self.step);
+        for (unit, &cell) in self.units.iter().zip(cells) {
+            let (whole, part) = (cell / unit.divisor(), cell % unit.divisor());
+            // A String takes everything.
+            let _ = match unit {
+                Unit::Count => write!(line, ",{cell}"),
+                Unit::Microseconds => write!(line, ",{whole}.{part:06}"),
+                Unit::Picojoules => write!(line, ",{whole}.{part:03}"),
+            };
+        }
+        line.push('\n');
+        self.line.extend_from_slice(line.as_bytes());
+    }
+
+    /// Ends a sample.
+    pub fn end_sample(&mut self) {
+        self.sample += 1;
+        self.step = 0;
+    }
+
+    /// Whether everything so far could be written.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        self.failed.is_none()
+    }
+
+    /// Ends the table.
+    ///
+    /// # Errors
+    /// The first of the writer; rows that are not as many as the header says.
+    pub fn finish(self) -> Result<()> {
+        #[cfg(feature = "parquet")]
+        if let (Out::Parquet(table), None) = (self.out, &self.failed) {
+            return table.finish();
+        }
+        match (self.failed, self.promised) {
+            (Some(error), _) => Err(error),
+            (None, Some(rows)) if rows != self.rows => {
+                Err(Error::other(format!("{} rows where the header says {rows}", self.rows)))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The header of an array of records (NumPy, `numpy/lib/format.py`): version 1.0 where it is short enough, else 2.0, padded so that
+/// the records begin at a multiple of 64.
+fn array_header(columns: &[Column], rows: u64) -> Result<Vec<u8>> {
+    let mut fields = "{'descr': [('sample', '<u4'), ('timestep', '<u4')".to_string();
+    for Column { name, unit } in columns {
+        let name = name.replace('\\', "\\\\").replace('\'', "\\'");
+        let kind = if *unit == Unit::Count { "<u8" } else { "<f8" };
+        let _ = write!(fields, ", ('{name}', '{kind}')");
+    }
+    let _ = write!(fields, "], 'fortran_order': False, 'shape': ({rows},), }}");
+    let header = |version: u8, length_bytes: usize| {
+        let before = NPY_MAGIC.len() + 2 + length_bytes;
+        let padded = (before + fields.len() + 1).next_multiple_of(64) - before;
+        let length = (padded as u32).to_le_bytes();
+        let mut header = NPY_MAGIC.to_vec();
+        header.extend([version, 0]);
+        header.extend(&length[..length_bytes]);
+        header.extend(fields.bytes());
+        header.resize(before + padded - 1, b' ');
+        header.push(b'\n');
+        header
+    };
+    match fields.len() {
+        0..65_000 => Ok(header(1, 2)),
+        65_000..0x7fff_ffff => Ok(header(2, 4)),
+        _ => Err(Error::other("the columns have too many names")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn columns() -> Vec<Column> {
+        let named =
+            [("spikes.a,b", Unit::Count), ("time_us.barrier", Unit::Microseconds), ("energy_pj.hop", Unit::Picojoules)];
+        named.map(|(name, unit)| Column { name: name.to_string(), unit }).into()
+    }
+
+    fn written(format: StepFormat, rows: Option<u64>) -> Result<Vec<u8>> {
+        let mut out = Vec::new();
+        let mut table = StepWriter::new(&mut out, format, &columns(), rows)?;
+        table.row(&[3, 1_000_001, 5]);
+        table.row(&[0, 0, 12_340]);
+        table.end_sample();
+        table.row(&[7, 999_999, 1_000]);
+        table.finish().map(|()| out)
+    }
+
+    #[test]
+    fn csv_keeps_all_digits() {
+        let text = String::from_utf8(written(StepFormat::Csv, None).unwrap()).unwrap();
+        let header = "sample,timestep,\"spikes.a,b\",time_us.barrier,energy_pj.hop\n";
+        assert_eq!(text, format!("{header}0,0,3,1.000001,0.005\n0,1,0,0.000000,12.340\n1,0,7,0.999999,1.000\n"));
+    }
+
+    #[test]
+    fn an_array_holds_records_and_its_promise() {
+        let bytes = written(StepFormat::Npy, Some(3)).unwrap();
+        let length = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+        assert_eq!(((10 + length) % 64, bytes.len() - 10 - length), (0, 3 * 32));
+        let header = std::str::from_utf8(&bytes[10..10 + length]).unwrap();
+        assert!(
+            header.contains("('spikes.a,b', '<u8'), ('time_us.barrier', '<f8')") && header.contains("(3,)"),
+            "{header}"
+        );
+        assert_eq!(bytes[10 + length + 64..][..8], [1, 0, 0, 0, 0, 0, 0, 0], "sample 1, step 0");
+        assert!(written(StepFormat::Npy, Some(4)).is_err() && written(StepFormat::Npy, None).is_err());
+    }
+
+    #[cfg(feature = "parquet")]
+    #[test]
+    fn parquet_holds_the_rows() {
+        use parquet::file::reader::{FileReader, SerializedFileReader};
+        use parquet::record::RowAccessor;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.parquet");
+        std::fs::write(&path, written(StepFormat::Parquet, None).unwrap()).unwrap();
+        let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let rows: Vec<_> = file.get_row_iter(None).unwrap().map(|row| row.unwrap()).collect();
+        let row = |r: &parquet::record::Row| {
+            (
+                r.get_int(0).unwrap(),
+                r.get_int(1).unwrap(),
+                r.get_long(2).unwrap(),
+                r.get_double(3).unwrap(),
+                r.get_double(4).unwrap(),
+            )
+        };
+        let meant = [(0, 0, 3, 1.000_001, 0.005), (0, 1, 0, 0.0, 12.34), (1, 0, 7, 0.999_999, 1.0)];
+        assert_eq!(rows.iter().map(row).collect::<Vec<_>>(), meant);
+        let names: Vec<String> = rows[0].get_column_iter().map(|(name, _)| name.clone()).collect();
+        assert_eq!(names[2..], ["spikes.a,b", "time_us.barrier", "energy_pj.hop"]);
+    }
+
+    #[test]
+    fn a_name_says_the_form() {
+        let form = |name: &str| StepFormat::from_name(Path::new(name));
+        assert_eq!((form("a.csv"), form("b/a.NPY")), (Some(StepFormat::Csv), Some(StepFormat::Npy)));
+        assert_eq!((form("a.txt"), form("csv"), form("a.parquet")), (None, None, Some(StepFormat::Parquet)));
+        assert_eq!(StepFormat::Parquet.check().is_ok(), cfg!(feature = "parquet"));
+    }
+}

@@ -1,0 +1,432 @@
+//! Target files with the chip and the constants that they name.
+//!
+//! Comes in: a path or the name of a shipped target. Goes out: a [`Target`]. Parts of a target that is a file are looked
+//! for beside it, then in the folders that the project keeps them in relative to it (`../chips`, `../constants`), then
+//! among the shipped ones.
+
+use std::path::Path;
+
+use super::changes;
+use super::shipped::{self, Origin, Shipped};
+use super::text::{beside, read_text};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::hardware::constants::{Constants, ConstantsChanges};
+use nsim_ir::hardware::{Chip, Target, TargetChanges, TargetFile};
+use nsim_ir::spanned::{Spanned, parse};
+
+/// Loads a target: a path, `-`, or a shipped name.
+///
+/// # Errors
+/// `target.*`, `chip.*`, `constants.*`, `io.*`.
+pub fn load_target(argument: &str) -> Result<Target> {
+    let (source, origin) = shipped::text_of(argument, shipped::TARGETS, "target", "target.unknown")?;
+    let mut target = target(&source, origin)?;
+    if let Some(fields) = changes::target_fields()? {
+        // A change is read as a file would be that changes the target.
+        let text = format!("Target(base: {:?}, name: {:?}, {fields})", argument, target.name());
+        let source = SourceText::new(SET, text);
+        target = on_base(&source, Origin::Shipped, parse(&source, "set.value")?, &target)?;
+    }
+    target.change_constants(changes::constants)?;
+    Ok(target)
+}
+
+/// Loads a target from its text.
+///
+/// # Errors
+/// As [`load_target`].
+pub fn target(source: &SourceText, origin: Origin) -> Result<Target> {
+    target_within(source, origin, DEEPEST)
+}
+
+/// The place of changes that were typed.
+const SET: &str = "<--set>";
+
+/// Targets that a target may be made of, one on the other.
+const DEEPEST: u32 = 8;
+
+fn target_within(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> {
+    if has_field(source.text(), "base") {
+        return changed(source, origin, deepest);
+    }
+    let file: TargetFile = parse(source, "target.syntax")?;
+    let chip_source = part(source, origin, &file.chip, "chips", "chip", shipped::CHIPS)?;
+    let chip = parse_chip(&chip_source)?;
+    let constants = presets(source, origin, &file.constants)?;
+    // What has no place in the target file, the chip's file is to blame for.
+    Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
+        Some(_) => problem,
+        None => problem.in_file(chip_source.path()),
+    })
+}
+
+/// A target that says what differs from another.
+fn changed(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> {
+    let changes: TargetChanges = parse(source, "target.syntax")?;
+    let base_source = part(source, origin, &changes.base, "targets", "target", shipped::TARGETS)?;
+    let is_shipped = shipped::TARGETS.iter().any(|shipped| Path::new(shipped.path) == base_source.path());
+    let base_origin = if is_shipped { Origin::Shipped } else { Origin::File };
+    let Some(deepest) = deepest.checked_sub(1) else {
+        let message = format!("targets are based on each other more than {DEEPEST} deep");
+        return Err(Diagnostic::new("target.base", message).at(source, changes.base.span));
+    };
+    let base = target_within(&base_source, base_origin, deepest)?;
+    on_base(source, origin, changes, &base)
+}
+
+/// A target with changes.
+fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &Target) -> Result<Target> {
+    let stem = source.path().file_stem().map_or_else(|| "target".into(), |stem| stem.to_string_lossy().into_owned());
+    let name = changes.name.clone().unwrap_or(stem);
+    // What is typed for a run asks what if of the same chip; a file describes another.
+    let own_name = Some(name.as_str()).filter(|_| source.path() != Path::new(SET));
+    let chip = changes.chip(base.chip().clone(), own_name);
+    chip.check(source)?;
+    let constants = match &changes.constants {
+        None => base.constants().to_vec(),
+        Some(names) => presets(source, origin, names)?,
+    };
+    let file = TargetFile {
+        name,
+        notes: changes.notes.unwrap_or_default(),
+        chip: chip.name.clone().into(),
+        chips_x: changes.chips_x.unwrap_or_else(|| base.chips_x().into()),
+        chips_y: changes.chips_y.unwrap_or_else(|| base.chips_y().into()),
+        constants: Vec::new(),
+    };
+    Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
+        Some(_) => problem,
+        None => problem.in_file(source.path()),
+    })
+}
+
+fn presets(source: &SourceText, origin: Origin, names: &[Spanned<String>]) -> Result<Vec<Constants>> {
+    let preset = |name| {
+        let text = part(source, origin, name, "constants", "preset of constants", shipped::CONSTANTS)?;
+        parse_constants(&text)
+    };
+    names.iter().map(preset).collect()
+}
+
+/// Whether a text of RON names a field, comments and strings left out.
+fn has_field(text: &str, field: &str) -> bool {
+    let (mut rest, mut before) = (text, ' ');
+    while let Some(first) = rest.chars().next() {
+        if rest.starts_with("//") {
+            rest = rest.find('\n').map_or("", |end| &rest[end..]);
+        } else if rest.starts_with("/*") {
+            rest = rest.find("*/").map_or("", |end| &rest[end + 2..]);
+        } else if first == '"' {
+            let mut escaped = false;
+            let end = rest[1..].find(|c| {
+                let ends = c == '"' && !escaped;
+                escaped = c == '\\' && !escaped;
+                ends
+            });
+            rest = end.map_or("", |end| &rest[end + 2..]);
+        } else if !before.is_alphanumeric()
+            && before != '_'
+            && let Some(after) = rest.strip_prefix(field)
+            && after.trim_start().starts_with(':')
+        {
+            return true;
+        } else {
+            rest = &rest[first.len_utf8()..];
+        }
+        before = first;
+    }
+    false
+}
+
+/// A chip from its text.
+///
+/// # Errors
+/// `chip.syntax`, and what [`Chip::check`] says.
+pub fn parse_chip(source: &SourceText) -> Result<Chip> {
+    let chip: Chip = parse(source, "chip.syntax")?;
+    chip.check(source)?;
+    Ok(chip)
+}
+
+/// A preset of constants from its text, which may say only what differs from another preset
+/// (`base`).
+///
+/// # Errors
+/// `constants.syntax`, `constants.base`, and what [`Constants::check`] says.
+pub fn parse_constants(source: &SourceText) -> Result<Constants> {
+    constants_within(source, DEEPEST)
+}
+
+fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
+    let is_shipped = shipped::CONSTANTS.iter().any(|shipped| Path::new(shipped.path) == source.path());
+    let mut constants = if has_field(source.text(), "base") {
+        let changes: ConstantsChanges = parse(source, "constants.syntax")?;
+        let Some(deepest) = deepest.checked_sub(1) else {
+            let message = format!("constants are based on each other more than {DEEPEST} deep");
+            return Err(Diagnostic::new("constants.base", message).at(source, changes.base.span));
+        };
+        let origin = if is_shipped { Origin::Shipped } else { Origin::File };
+        let base = part(source, origin, &changes.base, "constants", "preset of constants", shipped::CONSTANTS)?;
+        let base = constants_within(&base, deepest)?;
+        let stem = source.path().file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let name = changes.name.clone().or(stem).unwrap_or_else(|| base.name.clone());
+        changes.applied(&base, name)
+    } else {
+        let mut constants: Constants = parse(source, "constants.syntax")?;
+        if !is_shipped {
+            // Constants that a user wrote down come without measured errors of prediction.
+            constants.errors.clear();
+        }
+        constants
+    };
+    if !is_shipped && shipped::CONSTANTS.iter().any(|shipped| shipped.name == constants.name) {
+        // A copy of a shipped preset is not that preset.
+        let stem = source.path().file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        constants.name = stem.filter(|stem| *stem != constants.name).unwrap_or(format!("{}, changed", constants.name));
+    }
+    constants.check(source).map_err(|problem| match problem.place {
+        Some(_) => problem,
+        None => problem.in_file(source.path()),
+    })?;
+    Ok(constants)
+}
+
+/// Loads a preset of constants: a path, `-`, or a shipped name.
+///
+/// # Errors
+/// `constants.*`, `io.*`.
+pub fn load_constants(argument: &str) -> Result<Constants> {
+    let (source, _) = shipped::text_of(argument, shipped::CONSTANTS, "preset of constants", "constants.unknown")?;
+    let mut constants = parse_constants(&source)?;
+    changes::constants(&mut constants)?;
+    Ok(constants)
+}
+
+/// The text of a part that a target names.
+fn part(
+    source: &SourceText,
+    origin: Origin,
+    name: &Spanned<String>,
+    folder: &str,
+    kind: &str,
+    table: &'static [Shipped],
+) -> Result<SourceText> {
+    if origin == Origin::File {
+        let file = format!("{}.ron", name.value);
+        for path in [beside(source.path(), &file), beside(source.path(), &format!("../{folder}/{file}"))] {
+            // A target may be named as its chip is.
+            let itself =
+                path.canonicalize().is_ok_and(|path| source.path().canonicalize().is_ok_and(|own| own == path));
+            if Path::is_file(&path) && !itself {
+                return read_text(&path);
+            }
+        }
+    }
+    match Shipped::find(table, &name.value) {
+        Some(shipped) => Ok(shipped.source()),
+        None => {
+            let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
+            Err(Diagnostic::new("target.part", format!("there is no {kind} named '{}'", name.value))
+                .help(format!("shipped are: {}; or put {}.ron beside the target file", names.join(", "), name.value))
+                .at(source, name.span))
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use nsim_ir::hardware::constants::FigureClass;
+    use nsim_ir::resource::Resource;
+
+    /// A small chip, for the tests of this room.
+    pub(crate) const CHIP: &str = r#"Chip(
+    name: "one", notes: "for tests",
+    width: 2, height: 1, cores_per_tile: 2, cores: 4, x86_cores: 0, x86_cores_in_use: 0,
+    limits: (
+        compartments: 1024, axons_in: 4096, axons_out: 4096, axon_out_slots: 1, axon_out_slots_off_chip: 2,
+        axons_out_per_compartment: 4096, synapse_words: 16384, synapse_words_per_axon: 1024, synapses_per_entry: 60,
+        synapse_formats: 15, compartment_profiles: 32, threshold_profiles: 32, accumulators: 8192, packing: Nengo,
+    ),
+)"#;
+
+    /// A preset in which every value is its position.
+    pub(crate) fn constants() -> String {
+        let units = [
+            (
+                "pJ",
+                "synapse_dense_energy synapse_sparse_energy dendrite_energy compartment_energy \
+                    compartment_active_energy spike_energy axon_out_energy axon_in_energy local_hop_energy \
+                    hop_ew_energy hop_ns_energy hop_chip_energy",
+            ),
+            (
+                "ns",
+                "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time \
+                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time link_chip_time",
+            ),
+            ("messages", "link_buffer"),
+            ("us", "injection_time turn_time"),
+            ("mW", "core_static_power x86_clock_power"),
+        ];
+        let mut text = String::from(
+            "Constants(name: \"c\", notes: \"\", barrier: [(tiles: 1, time: (value: 0.1, unit: us, source: \"s\", status: assumed))],\n",
+        );
+        for (unit, names) in units {
+            for (i, name) in names.split_whitespace().enumerate() {
+                text.push_str(&format!("{name}: (value: {i}, unit: {unit}, source: \"s\", status: assumed),\n"));
+            }
+        }
+        text + ")"
+    }
+
+    fn load(target: &str, chip: &str, constants: &str) -> Result<Target> {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in [("t.ron", target), ("one.ron", chip), ("c.ron", constants)] {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        load_target(folder.path().join("t.ron").to_str().unwrap())
+    }
+
+    const TARGET: &str =
+        "Target(name: \"t\", notes: \"\", chip: \"one\",\n chips_x: 2, chips_y: 1, constants: [\"c\"])";
+
+    #[test]
+    fn the_shipped_boards_have_their_published_sizes() {
+        let sizes = |name| {
+            let target = load_target(name).unwrap();
+            assert_eq!(target.name(), name);
+            (target.chips(), target.cores())
+        };
+        assert_eq!(sizes("tiny"), (2, 8));
+        assert_eq!(sizes("loihi1-chip"), (1, 128));
+        assert_eq!(sizes("kapoho-bay"), (2, 256));
+        assert_eq!(sizes("nahuku-32"), (32, 4096));
+        assert_eq!(sizes("pohoiki-springs"), (768, 98_304));
+    }
+
+    #[test]
+    fn every_limit_and_every_constant_of_a_shipped_board_names_its_source() {
+        for name in ["tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs"] {
+            let target = load_target(name).unwrap();
+            let limits = serde_json::to_value(target.limits()).unwrap();
+            let fields: Vec<&String> = limits.as_object().unwrap().keys().collect();
+            assert_eq!(fields, nsim_ir::resource::Limits::NAMES);
+            let sources = &target.chip().limit_sources;
+            for field in fields {
+                let of_field: Vec<_> = sources.iter().filter(|entry| entry.limit.value == *field).collect();
+                assert_eq!(of_field.len(), 1, "{name}: {field}");
+                assert!(!of_field[0].source.is_empty(), "{name}: {field}");
+            }
+            assert_eq!(
+                target.constants().iter().map(|c| c.name.as_str()).collect::<Vec<_>>(),
+                ["loihi1-evidence", "vtsnn-calibrated", "sanafe-calibrated", "davies2018"]
+            );
+            for constants in target.constants() {
+                assert!(constants.list().iter().all(|(_, constant)| !constant.source.is_empty()));
+                assert!(constants.barrier.iter().all(|entry| !entry.time.source.is_empty()));
+            }
+        }
+    }
+
+    #[test]
+    fn parts_beside_the_file_are_found() {
+        let target = load(TARGET, CHIP, &constants()).unwrap();
+        assert_eq!((target.name(), target.cores(), target.constants()[0].hop_ns_energy.value.value), ("t", 8, 10.0));
+    }
+
+    #[test]
+    fn problems_point_into_the_file_that_has_them() {
+        let error = load(&TARGET.replace("\"one\"", "\"two\""), CHIP, &constants()).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().column), ("target.part", 36), "{error}");
+        let error = load(&TARGET.replace("chips_x: 2", "chips_x: 200"), CHIP, &constants()).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("target.size", 2));
+        let error = load(TARGET, &CHIP.replace("cores: 4", "cores: 5"), &constants()).unwrap_err();
+        assert_eq!((error.code, error.file().unwrap().ends_with("one.ron")), ("target.size", true));
+        let error = load(TARGET, &CHIP.replace("Nengo", "Tight"), &constants()).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("chip.syntax", 7), "{error}");
+        let error =
+            load(TARGET, CHIP, &constants().replacen("value: 3, unit: ns", "value: 3, unit: pJ", 1)).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("target.unit", 17), "{error}");
+        let error = load(TARGET, CHIP, &constants().replacen("value: 3", "value: -3", 1)).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("target.constant", 5), "{error}");
+        let error = load_target("nahuku-33").unwrap_err();
+        assert_eq!(error.code, "target.unknown");
+    }
+
+    #[test]
+    fn a_preset_says_only_what_differs_from_another_and_keeps_the_errors_of_the_rest() {
+        let read = |text: &str| parse_constants(&SourceText::new("mine.ron", text.to_string()));
+        let value = "(value: 0.3, unit: mW, source: \"me\", status: assumed)";
+        let mine = read(&format!("Constants(base: \"loihi1-evidence\", core_static_power: {value})")).unwrap();
+        let base = load_constants("loihi1-evidence").unwrap();
+        assert_eq!((mine.name.as_str(), mine.core_static_power.value.value), ("mine", 0.3));
+        assert_eq!(mine.injection_time.value.value, base.injection_time.value.value);
+        let classes = |of: &Constants| of.errors.iter().map(|error| error.class).collect::<Vec<_>>();
+        let kept: Vec<_> = classes(&base).into_iter().filter(|class| *class != FigureClass::Static).collect();
+        assert_eq!(classes(&mine), kept);
+        // A copy is not the preset itself, and nobody has measured it.
+        let copy = read(Shipped::find(shipped::CONSTANTS, "loihi1-evidence").unwrap().text).unwrap();
+        assert_eq!((copy.name.as_str(), copy.errors.len()), ("mine", 0));
+        assert_eq!(read("Constants(base: \"loihi2\")").unwrap_err().code, "target.part");
+    }
+
+    #[test]
+    fn a_chip_that_a_file_changes_goes_by_its_own_name_and_has_no_errors_of_loihi() {
+        let read = |text: &str| target(&SourceText::new("own.ron", text.to_string()), Origin::File).unwrap();
+        let board = read("Target(base: \"loihi1-chip\", chips_x: 2)");
+        let own = read("Target(base: \"loihi1-chip\", limits: (compartments: 2048), x86_cores: 0)");
+        assert_eq!((board.chip().hardware(), own.chip().hardware()), ("loihi", "own"));
+        assert_eq!((board.errors(&board.constants()[0]).len(), own.errors(&own.constants()[0]).len()), (6, 0));
+        assert_eq!(own.chip().x86_cores_in_use, 0);
+    }
+
+    #[test]
+    fn every_shipped_target_loads() {
+        for target in shipped::TARGETS {
+            load_target(target.name).unwrap_or_else(|error| panic!("{error}"));
+        }
+        for chip in shipped::CHIPS {
+            parse_chip(&chip.source()).unwrap_or_else(|error| panic!("{error}"));
+        }
+        assert_eq!(load_target("pohoiki-springs").unwrap().chips(), 768);
+        for preset in shipped::CONSTANTS {
+            parse_constants(&preset.source()).unwrap_or_else(|error| panic!("{error}"));
+        }
+    }
+
+    #[test]
+    fn a_target_says_only_what_differs_from_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            load_target(path.to_str().unwrap())
+        };
+        let wide = write(
+            "wide.ron",
+            "// Not a base: this is a remark.\nTarget(base: \"loihi1-chip\", cores_per_chip: 256, limits: (axons_out: 8192))",
+        )
+        .unwrap();
+        let plain = load_target("loihi1-chip").unwrap();
+        assert_eq!((wide.name(), wide.cores(), wide.chip().cores_per_tile), ("wide", 256, 8));
+        assert_eq!(wide.limits(), &plain.limits().clone().with(Resource::AxonsOut, 8192));
+        assert_eq!(wide.constants().len(), plain.constants().len());
+        assert!(wide.chip().limit_sources.iter().all(|entry| entry.limit.value != "axons_out"));
+        let board = "Target(base: \"wide\", name: \"board\", chips_x: 3, constants: [\"davies2018\"])";
+        let board = write("board.ron", board).unwrap();
+        assert_eq!((board.name(), board.cores(), board.constants().len()), ("board", 768, 1));
+        assert_eq!(board.limits(), wide.limits());
+        for (text, code, word) in [
+            ("Target(base: \"loihi7\")", "target.part", "loihi7"),
+            ("Target(base: \"tiny\", limits: (axons: 1))", "target.syntax", "axons_out"),
+            ("Target(base: \"tiny\", chips_x: 500)", "target.size", "500"),
+            ("Target(base: \"loihi1-chip\", cores_per_tile: 4, cores_per_chip: 256)", "target.size", "256"),
+        ] {
+            let error = write("wrong.ron", text).unwrap_err();
+            assert_eq!(error.code, code, "{text}: {error}");
+            assert!(format!("{error} {}", error.help.clone().unwrap_or_default()).contains(word), "{text}: {error}");
+        }
+        write("a.ron", "Target(base: \"b\")").unwrap_err();
+        assert_eq!(write("b.ron", "Target(base: \"a\")").unwrap_err().code, "target.base");
+    }
+}

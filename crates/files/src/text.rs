@@ -1,0 +1,230 @@
+//! Files as bytes and as text, with a bound on their size.
+//!
+//! Input: a path, `-` for stdin. Output: the content, or a diagnostic that says what stands at the path instead: no
+//! file, a folder, a Git-LFS pointer, a binary file.
+
+use std::fs::Metadata;
+use std::io::{ErrorKind, Read};
+use std::path::Path;
+
+use sha2::{Digest, Sha256};
+
+use super::budget::MOST_TEXT;
+use super::disk::{self, Input};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+
+/// What every `.npy` file begins with.
+pub const NPY_MAGIC: &[u8] = b"\x93NUMPY";
+/// What a Git-LFS pointer starts with (git-lfs `docs/spec.md`).
+const LFS: &[u8] = b"version https://git-lfs";
+
+/// Whether an argument means stdin or stdout.
+#[must_use]
+pub fn is_standard_stream(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+/// What to say of a file that cannot be read.
+pub fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
+    let diagnostic = match error.kind() {
+        ErrorKind::NotFound => {
+            let mut missing = Diagnostic::new("io.missing", "there is no such file");
+            if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.exists()) {
+                missing = missing.help(format!("the folder {} does not exist either", folder.display()));
+            }
+            missing
+        }
+        ErrorKind::PermissionDenied => Diagnostic::new("io.denied", "the file may not be read"),
+        ErrorKind::IsADirectory => Diagnostic::new("io.folder", "this is a folder, not a file"),
+        _ => Diagnostic::new("io.read", format!("cannot be read: {error}")),
+    };
+    diagnostic.in_file(path)
+}
+
+/// Whether a path names a descriptor that is open already, such as the pipe of a shell's `<(command)`.
+fn is_descriptor(path: &Path) -> bool {
+    ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|open| path.starts_with(open))
+}
+
+/// What to say of a path at which something stands that may never end.
+pub fn not_regular(path: &Path) -> Diagnostic {
+    Diagnostic::new("io.not-regular", "this is a pipe, a socket or a device, not a regular file").in_file(path)
+}
+
+/// Opens a regular file, or a descriptor: nobody may ever write to a named pipe, and a device may have no end.
+///
+/// # Errors
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
+pub fn open(path: &Path) -> Result<(Input, Metadata)> {
+    let found = disk::metadata(path).map_err(|error| unreadable(path, &error))?;
+    if !found.is_file() && !found.is_dir() && !is_descriptor(path) {
+        return Err(not_regular(path).help("give - to read stdin, or a regular file"));
+    }
+    let (file, metadata) = Input::open(path).map_err(|error| unreadable(path, &error))?;
+    if metadata.is_dir() {
+        return Err(unreadable(path, &ErrorKind::IsADirectory.into()));
+    }
+    Ok((file, metadata))
+}
+
+/// Refuses a file that begins as a Git-LFS pointer.
+///
+/// # Errors
+/// `io.lfs-pointer`.
+pub fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<()> {
+    if !begin.starts_with(LFS) {
+        return Ok(());
+    }
+    Err(Diagnostic::new("io.lfs-pointer", "this is a Git-LFS pointer, not the file that it stands for")
+        .help("run `git lfs pull` in the folder that the file comes from")
+        .in_file(path))
+}
+
+/// The bytes of a file of at most `limit` bytes.
+///
+/// # Errors
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`, `io.too-large`, `io.lfs-pointer`.
+pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let too_large = |size: String| {
+        Diagnostic::new("io.too-large", format!("{size} bytes are more than the {limit} that are read")).in_file(path)
+    };
+    if is_standard_stream(path) {
+        std::io::stdin().lock().take(limit + 1).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
+    } else {
+        let (file, metadata) = open(path)?;
+        if metadata.len() > limit {
+            return Err(too_large(metadata.len().to_string()));
+        }
+        bytes.reserve_exact(usize::try_from(metadata.len()).unwrap_or(0) + 1);
+        file.take(limit + 1).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
+    }
+    if bytes.len() as u64 > limit {
+        return Err(too_large(format!("more than {limit}")));
+    }
+    refuse_pointer(path, &bytes)?;
+    Ok(bytes)
+}
+
+/// SHA-256 of bytes, in hexadecimal digits.
+#[must_use]
+pub fn sha256(bytes: &[u8]) -> String {
+    digits(&Sha256::digest(bytes))
+}
+
+/// SHA-256 of a file, read in pieces.
+///
+/// # Errors
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
+pub fn sha256_of_file(path: &Path) -> Result<String> {
+    let (mut file, _) = open(path)?;
+    let (mut hash, mut piece) = (Sha256::new(), vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut piece) {
+            Ok(0) => return Ok(digits(&hash.finalize())),
+            Ok(read) => hash.update(&piece[..read]),
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) => return Err(unreadable(path, &error)),
+        }
+    }
+}
+
+fn digits(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The text of a RON file.
+///
+/// # Errors
+/// As [`read_bytes`]; `io.utf8` with the position of the first byte that is not UTF-8.
+pub fn read_text(path: &Path) -> Result<SourceText> {
+    decode(path, read_bytes(path, MOST_TEXT)?)
+}
+
+/// Bytes as the text of a file.
+///
+/// # Errors
+/// `io.utf8` with the position of the first byte that is not UTF-8.
+pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText> {
+    let name = if is_standard_stream(path) { Path::new("<stdin>") } else { path };
+    match String::from_utf8(bytes) {
+        Ok(text) => {
+            // A byte order mark is not part of the text.
+            let text = text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text);
+            Ok(SourceText::new(name, text))
+        }
+        Err(error) => {
+            let good = error.utf8_error().valid_up_to();
+            let bytes = error.into_bytes();
+            let byte = bytes[good];
+            let text = std::str::from_utf8(&bytes[..good]).unwrap_or_default();
+            let help = if bytes.starts_with(NPY_MAGIC) {
+                "this is a NumPy array; a text file is expected here"
+            } else if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+                "this looks like UTF-16; save the file as UTF-8"
+            } else {
+                "a text file in UTF-8 is expected here"
+            };
+            let diagnostic = Diagnostic::new("io.utf8", format!("byte 0x{byte:02x} at offset {good} is not UTF-8"))
+                .at(&SourceText::new(name, text), Span { start: good, end: good });
+            Err(diagnostic.help(help))
+        }
+    }
+}
+
+/// A file named within another, relative to that one.
+#[must_use]
+pub fn beside(path: &Path, name: &str) -> std::path::PathBuf {
+    path.parent().unwrap_or(Path::new("")).join(name)
+}
+
+/// The names of a column of times, which may be followed by a unit: `_s`, `_ms`, `_us`, `_ns`.
+pub const TIMES: [&str; 5] = ["t", "ts", "time", "timestamp", "timestamps"];
+
+/// Whether a column of this name holds times.
+#[must_use]
+pub fn is_time(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    let stem = name.rsplit_once('_').filter(|(_, unit)| matches!(*unit, "s" | "ms" | "us" | "ns"));
+    TIMES.contains(&stem.map_or(name.as_str(), |(stem, _)| stem))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::MOST_ARRAY;
+
+    fn file(name: &str, bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn what_is_not_a_text_file_is_named() {
+        let (folder, path) = file("a.ron", b"ok \xff");
+        let bad = read_text(&path).unwrap_err();
+        assert_eq!((bad.code, bad.position().unwrap().column), ("io.utf8", 4));
+        assert_eq!(read_text(folder.path()).unwrap_err().code, "io.folder");
+        let absent = read_text(&folder.path().join("x/absent.ron")).unwrap_err();
+        assert_eq!(absent.code, "io.missing");
+        assert!(absent.help.unwrap().contains("does not exist either"));
+        assert_eq!(read_bytes(&path, 3).unwrap_err().code, "io.too-large");
+    }
+
+    #[test]
+    fn a_git_lfs_pointer_is_called_one() {
+        // The form of git-lfs docs/spec.md: about 130 bytes.
+        let pointer =
+            format!("version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 12345\n", "4d".repeat(32));
+        let (_folder, path) = file("w.npy", pointer.as_bytes());
+        assert_eq!(read_bytes(&path, MOST_ARRAY).unwrap_err().code, "io.lfs-pointer");
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_dropped() {
+        let (_folder, path) = file("a.ron", "\u{feff}()".as_bytes());
+        assert_eq!(&**read_text(&path).unwrap().text(), "()");
+    }
+}

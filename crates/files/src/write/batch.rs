@@ -1,0 +1,167 @@
+//! Files that belong together: none is named before all are complete.
+//!
+//! Input: paths and what to write to them. Afterwards all of them are there, or what was there before. Old files give way
+//! before the first new one is named, so that old and new ones never lie side by side; they come back when naming fails.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::{BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use super::temporary::Temporary;
+use crate::disk;
+use crate::text;
+use crate::text::is_standard_stream;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+fn exists(path: &Path) -> Diagnostic {
+    Diagnostic::new("write.exists", "the file exists already")
+        .help("add --force to replace it, or give another name")
+        .in_file(path)
+}
+
+pub(super) fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
+    Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
+}
+
+/// Opens a file for writing that keeps what it holds, and makes it when it is absent. A pipe is
+/// refused: opening it waits for a reader.
+pub(super) fn open_or_make(path: &Path) -> Result<File> {
+    match disk::metadata(path) {
+        Ok(found) if !found.is_file() && !found.is_dir() => {
+            Err(text::not_regular(path).help("remove it, or give the result another name"))
+        }
+        _ => disk::open_or_make(path).map_err(|error| failed(path, &error)),
+    }
+}
+
+/// Checks that a file may be written there, before a long run that would otherwise fail at its end.
+///
+/// # Errors
+/// `write.exists`, `write.folder`, `write.failed`; `write.not-regular` for a device, a pipe, a socket or a link to nothing.
+pub fn check_free(path: &Path, force: bool) -> Result<()> {
+    if is_standard_stream(path) {
+        return Ok(());
+    }
+    let Some(named) = disk::named(path).map_err(|error| failed(path, &error))? else { return Ok(()) };
+    let kind = path.metadata().map(|metadata| metadata.file_type());
+    match kind {
+        Ok(kind) if kind.is_dir() => {
+            Err(Diagnostic::new("write.folder", "this is a folder; a file is to be written").in_file(path))
+        }
+        Ok(kind) if !kind.is_file() => Err(not_regular(path, "this is a device, a pipe or a socket")),
+        _ if !force => Err(exists(path)),
+        Err(_) if named.is_symlink() => Err(not_regular(path, "this is a link to nothing")),
+        _ => Ok(()),
+    }
+}
+
+fn not_regular(path: &Path, what: &str) -> Diagnostic {
+    Diagnostic::new("write.not-regular", format!("{what}; only regular files are replaced"))
+        .help("give the name of a file, or - for stdout")
+        .in_file(path)
+}
+
+/// [`check_free`] for each of several files.
+///
+/// # Errors
+/// As [`check_free`].
+pub fn check_all_free(paths: impl IntoIterator<Item: AsRef<Path>>, force: bool) -> Result<()> {
+    paths.into_iter().try_for_each(|path| check_free(path.as_ref(), force))
+}
+
+/// Files that belong together: none is named before all are complete.
+#[derive(Debug)]
+pub struct Batch {
+    force: bool,
+    parts: Vec<(PathBuf, Temporary)>,
+}
+
+impl Batch {
+    /// No files yet. Existing ones are replaced if `force` says so.
+    #[must_use]
+    pub fn new(force: bool) -> Batch {
+        Batch { force, parts: Vec::new() }
+    }
+
+    /// Writes a file of the batch under a temporary name, through `fill`; returns what that returns.
+    ///
+    /// # Errors
+    /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
+    pub fn add<T>(
+        &mut self,
+        path: &Path,
+        fill: impl FnOnce(&mut (dyn Write + Send)) -> std::io::Result<T>,
+    ) -> Result<T> {
+        check_free(path, self.force)?;
+        let fail = |error: std::io::Error| failed(path, &error);
+        // The file behind a symbolic link is replaced, not the link.
+        let real = match path.symlink_metadata() {
+            Ok(named) if named.is_symlink() => path.canonicalize().map_err(fail)?,
+            _ => path.to_path_buf(),
+        };
+        let mut out = BufWriter::new(Temporary::new(&disk::folder_of(&real)).map_err(fail)?);
+        let filled = fill(&mut out).map_err(fail)?;
+        let temporary = out.into_inner().map_err(|error| fail(error.into_error()))?;
+        temporary.sync().map_err(fail)?;
+        self.parts.push((real, temporary));
+        Ok(filled)
+    }
+
+    /// Gives the files their names, the last one last, and brings the names to the disk.
+    ///
+    /// # Errors
+    /// `write.exists`, `write.failed`; then the old files are back.
+    pub fn commit(self) -> Result<()> {
+        let folders: BTreeSet<PathBuf> = self.parts.iter().map(|(path, _)| disk::folder_of(path)).collect();
+        self.name_all()?;
+        folders.iter().try_for_each(|folder| disk::sync_folder(folder).map_err(|error| failed(folder, &error)))
+    }
+
+    /// Gives the files their names.
+    pub(super) fn name_all(self) -> Result<()> {
+        let Batch { force, mut parts } = self;
+        if parts.len() < 2 {
+            return parts.pop().map_or(Ok(()), |(path, file)| persist(file, &path, force));
+        }
+        let paths: Vec<PathBuf> = parts.iter().map(|(path, _)| path.clone()).collect();
+        let mut aside: Vec<(PathBuf, Temporary)> = Vec::new();
+        let mut named = 0;
+        let done = paths.iter().rev().try_for_each(|path| {
+            if disk::named(path).map_err(|error| failed(path, &error))?.is_none() {
+                return Ok(());
+            }
+            if !force {
+                return Err(exists(path));
+            }
+            let fail = |error: std::io::Error| failed(path, &error);
+            let place = Temporary::new(&disk::folder_of(path)).map_err(fail)?;
+            place.path().map_or(Ok(()), |name| disk::rename(path, name)).map_err(fail)?;
+            aside.push((path.clone(), place));
+            Ok(())
+        });
+        let done = done.and_then(|()| {
+            parts.into_iter().try_for_each(|(path, file)| {
+                persist(file, &path, false)?;
+                named += 1;
+                Ok(())
+            })
+        });
+        if done.is_err() {
+            // The last one first, as it names the others.
+            paths[..named].iter().rev().for_each(|path| drop(disk::remove(path)));
+            while let Some((path, old)) = aside.pop() {
+                let _ = old.persist(&path, false);
+            }
+        }
+        done
+    }
+}
+
+fn persist(file: Temporary, path: &Path, replace: bool) -> Result<()> {
+    file.persist(path, replace).map_err(|error| match error.kind() {
+        // Somebody else made it in the meantime.
+        ErrorKind::AlreadyExists => exists(path),
+        _ => failed(path, &error),
+    })
+}

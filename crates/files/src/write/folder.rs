@@ -1,0 +1,119 @@
+//! A folder of files with a manifest that names them, replaced as a whole.
+//!
+//! Input: a folder and the name of its manifest. While files are written, a locked file [`MARKER`] lies in the folder and
+//! no manifest does: whoever finds the marker without a lock knows that a writer was killed, and may replace what it left.
+//! The manifest is written last, once everything else is on the disk.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use super::batch::{Batch, check_free, failed, open_or_make};
+use crate::disk;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// The file that marks a folder as unfinished.
+const MARKER: &str = ".nsim-unfinished";
+
+/// Folders that this process is writing.
+static WRITING: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Folders that this process has begun and not finished.
+pub(super) fn unfinished() -> Vec<PathBuf> {
+    WRITING.lock().map(|writing| writing.iter().cloned().collect()).unwrap_or_default()
+}
+
+/// A folder that is being written.
+#[derive(Debug)]
+pub struct Folder {
+    path: PathBuf,
+    manifest: PathBuf,
+    /// Holds the lock.
+    _marker: File,
+    /// Whether files of the folder may be replaced.
+    replace: bool,
+    touched: Mutex<BTreeSet<PathBuf>>,
+}
+
+/// Whether a writer of this folder was killed, or is at work. While the manifest is there nothing else is touched: a marker
+/// beside it was made just before, or is about to be removed.
+///
+/// # Errors
+/// When that cannot be told.
+pub fn is_unfinished(folder: &Path, manifest: &str) -> std::io::Result<bool> {
+    Ok(disk::exists(&folder.join(MARKER))? && !disk::exists(&folder.join(manifest))?)
+}
+
+impl Folder {
+    /// Begins to write; an existing manifest is removed, if `force` allows it.
+    ///
+    /// # Errors
+    /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`; `write.busy` when another process writes there.
+    pub fn begin(path: &Path, manifest: &str, force: bool) -> Result<Folder> {
+        let fail = |error: std::io::Error| failed(path, &error);
+        let (name, manifest) = (manifest, path.join(manifest));
+        check_free(&manifest, force)?;
+        disk::make_folder(path).map_err(fail)?;
+        let marker = path.join(MARKER);
+        let interrupted = is_unfinished(path, name).map_err(fail)?;
+        let had_manifest = disk::named(&manifest).map_err(fail)?.is_some();
+        let file = open_or_make(&marker)?;
+        if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
+            return Err(Diagnostic::new("write.busy", "another nsim is writing to this folder").in_file(path));
+        }
+        let begun = disk::sync_folder(path).and_then(|()| match had_manifest {
+            true => disk::remove(&manifest).and_then(|()| disk::sync_folder(path)),
+            false => Ok(()),
+        });
+        if let Err(error) = begun {
+            // Nothing has been written yet: the folder is what it was, unless its manifest is gone.
+            let is_as_it_was = !had_manifest || disk::named(&manifest).is_ok_and(|found| found.is_some());
+            if !interrupted && is_as_it_was {
+                let _ = disk::remove(&marker);
+            }
+            return Err(fail(error));
+        }
+        let replace = force || interrupted;
+        if let Ok(mut writing) = WRITING.lock() {
+            writing.insert(path.to_path_buf());
+        }
+        let touched = Mutex::new(BTreeSet::from([path.to_path_buf()]));
+        Ok(Folder { path: path.to_path_buf(), manifest, _marker: file, replace, touched })
+    }
+
+    /// Writes a file of the folder.
+    ///
+    /// # Errors
+    /// As [`Batch::add`] and [`Batch::commit`].
+    pub fn member(&self, name: &str, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
+        let path = self.path.join(name);
+        let mut batch = Batch::new(self.replace);
+        batch.add(&path, |out| fill(out))?;
+        batch.name_all()?;
+        if let Ok(mut touched) = self.touched.lock() {
+            touched.insert(disk::folder_of(&path));
+        }
+        Ok(())
+    }
+
+    /// Writes the manifest.
+    ///
+    /// # Errors
+    /// As [`Batch::add`] and [`Batch::commit`].
+    pub fn finish(self, text: &str) -> Result<()> {
+        let folders = self.touched.lock().map(|touched| touched.clone()).unwrap_or_default();
+        for folder in &folders {
+            disk::sync_folder(folder).map_err(|error| failed(folder, &error))?;
+        }
+        let mut batch = Batch::new(false);
+        batch.add(&self.manifest, |out| out.write_all(text.as_bytes()))?;
+        batch.commit()?;
+        if let Ok(mut writing) = WRITING.lock() {
+            writing.remove(&self.path);
+        }
+        let marker = self.path.join(MARKER);
+        disk::remove(&marker).map_err(|error| failed(&marker, &error))
+    }
+}

@@ -1,0 +1,147 @@
+//! A file to which lines are added as they come to be, for work that goes on where it was ended.
+//!
+//! Input: a path, a head that says whose lines they are, lines without line ends. Output: the lines that were added before. A line counts
+//! once all of it is in the file: each has a checksum, and what follows the last whole one is cut off when the file is opened again.
+//! One process at a time holds a journal, by a lock.
+//!
+//! Errors: `journal.other` for a file with another head, `journal.held` when another process works,
+//! `io.not-regular` for a pipe,
+//! `write.failed`.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use crate::disk;
+use crate::write::batch::{failed, open_or_make};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// A journal that is open.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: File,
+}
+
+/// FNV-1a: it finds lines that are cut, and is no defence.
+fn checksum(line: &str) -> u64 {
+    line.bytes().fold(0xcbf2_9ce4_8422_2325, |sum, byte| (sum ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+fn written(line: &str) -> String {
+    format!("{:016x} {line}\n", checksum(line))
+}
+
+/// The whole lines that a text begins with, and the bytes that they take.
+fn whole_lines(text: &[u8]) -> (Vec<String>, usize) {
+    let (mut lines, mut end) = (Vec::new(), 0);
+    for piece in text.split_inclusive(|byte| *byte == b'\n') {
+        let line = std::str::from_utf8(piece).ok().and_then(|piece| piece.get(17..piece.len() - 1));
+        match line {
+            Some(line) if written(line).as_bytes() == piece => lines.push(line.to_string()),
+            _ => break,
+        }
+        end += piece.len();
+    }
+    (lines, end)
+}
+
+impl Journal {
+    /// Opens a journal, which is made when it is absent or ends within its head; returns the lines behind its head.
+    ///
+    /// # Errors
+    /// `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.
+    pub fn open(path: &Path, head: &str) -> Result<(Journal, Vec<String>)> {
+        let fail = |error: std::io::Error| failed(path, &error);
+        disk::make_folder(&disk::folder_of(path)).map_err(fail)?;
+        let file = open_or_make(path)?;
+        if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
+            return Err(Diagnostic::new("journal.held", "another process works on this").in_file(path));
+        }
+        let mut journal = Journal { path: path.to_path_buf(), file };
+        let mut text = Vec::new();
+        disk::Input::open(path).and_then(|(mut input, _)| input.read_to_end(&mut text)).map_err(fail)?;
+        // What the system had not yet written when it went down may read as zeros.
+        let told = text.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+        text.truncate(told);
+        let (mut lines, end) = whole_lines(&text);
+        if lines.is_empty() && !text.is_empty() && !written(head).as_bytes().starts_with(&text) {
+            return Err(journal.other("no journal of nsim"));
+        }
+        if lines.first().is_some_and(|first| first != head) {
+            return Err(journal.other("the journal of other work"));
+        }
+        disk::cut(&mut journal.file, end as u64).map_err(fail)?;
+        match lines.is_empty() {
+            true => journal.add(head)?,
+            false => drop(lines.remove(0)),
+        }
+        Ok((journal, lines))
+    }
+
+    fn other(&self, what: &str) -> Diagnostic {
+        Diagnostic::new("journal.other", format!("this is {what}"))
+            .help("remove it to begin anew, or give the result another name")
+            .in_file(&self.path)
+    }
+
+    /// Adds a line.
+    ///
+    /// # Errors
+    /// `write.failed`; then lines may no longer be added.
+    pub fn add(&mut self, line: &str) -> Result<()> {
+        let text = written(line);
+        let mut left = text.as_bytes();
+        while !left.is_empty() {
+            match disk::write(&mut self.file, left) {
+                Ok(0) => return Err(failed(&self.path, &std::io::ErrorKind::WriteZero.into())),
+                Ok(count) => left = &left[count..],
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(failed(&self.path, &error)),
+            }
+        }
+        self.file.flush().map_err(|error| failed(&self.path, &error))
+    }
+
+    /// Removes the file: the work is done.
+    ///
+    /// # Errors
+    /// `write.failed`.
+    pub fn remove(self) -> Result<()> {
+        disk::remove(&self.path).map_err(|error| failed(&self.path, &error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whole_lines_come_back_whatever_was_cut() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("deep/a.journal");
+        let (mut journal, lines) = Journal::open(&path, "work 1").unwrap();
+        assert!(lines.is_empty());
+        assert_eq!(Journal::open(&path, "work 1").unwrap_err().code, "journal.held");
+        ["one", "two, µ", "three"].into_iter().for_each(|line| journal.add(line).unwrap());
+        drop(journal);
+        let whole = std::fs::read(&path).unwrap();
+        let ends: Vec<usize> = (0..whole.len()).filter(|&at| whole[at] == b'\n').map(|at| at + 1).collect();
+        for cut in 0..=whole.len() {
+            std::fs::write(&path, &whole[..cut]).unwrap();
+            let (mut journal, lines) = Journal::open(&path, "work 1").unwrap();
+            let left = ends.iter().filter(|&&end| end <= cut).count().saturating_sub(1);
+            assert_eq!(lines, ["one", "two, µ", "three"][..left], "{cut}");
+            ["one", "two, µ", "three"][left..].iter().for_each(|line| journal.add(line).unwrap());
+            drop(journal);
+            assert_eq!(std::fs::read(&path).unwrap(), whole);
+        }
+        assert_eq!(Journal::open(&path, "work 2").unwrap_err().code, "journal.other");
+        std::fs::write(&path, "something else").unwrap();
+        assert_eq!(Journal::open(&path, "work 1").unwrap_err().code, "journal.other");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "something else");
+        std::fs::write(&path, [0; 500]).unwrap();
+        Journal::open(&path, "work 1").unwrap().0.remove().unwrap();
+        assert!(!path.exists());
+    }
+}

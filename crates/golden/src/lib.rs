@@ -1,0 +1,700 @@
+//! The slow, obvious interpreter of a [`Quantised`] network, which the fast machine is compared with.
+//!
+//! Input: a network in integers and the input spikes of each step. Output, through [`Engine`]: the spikes, the registers
+//! and the counts of each step, for all three named semantics. It is written from `docs/semantics.md` alone. It imports the
+//! plain data of a network, and `base::rng`, which defines random synapses; it imports no rule, and `tests/tidy`
+//! lists what it may use. It enumerates synapses from their targets, keeps the spikes of the past and looks back at them
+//! instead of filling a delay ring, finds refractory steps by the time since the last spike instead of a counter, and
+//! divides and takes remainders where the machine shifts and masks.
+//!
+//! There are no cores, threads or skipped work. A step visits every synapse.
+
+use std::collections::VecDeque;
+
+use nsim_ir::activity::{Overflow, Totals};
+use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+use nsim_ir::base::fixed::Decay;
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec};
+use nsim_ir::base::rng;
+use nsim_ir::graph::Window;
+use nsim_ir::neurons::NeuronKind;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Neuron, Projection, Quantised, Reset, SpikeSource, Units};
+use nsim_ir::source_counts::LeftField;
+use nsim_ir::spikes::Engine;
+
+/// The greatest number of steps from a spike to the update that it enters: delay field 62, and one step between
+/// compartments.
+const LONGEST_WAY: usize = 63;
+
+/// A synapse as its target sees it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Synapse {
+    /// Where its spikes come from.
+    source: SpikeSource,
+    /// Steps from a spike to the update that it enters: equation (2).
+    way: u32,
+    /// What a binary spike adds: equation (1).
+    adds: i64,
+}
+
+/// What a compartment carries from one step to the next.
+#[derive(Debug, Clone, Copy, Default)]
+struct State {
+    u: i64,
+    v: i64,
+    /// The step of its last spike.
+    spiked_at: Option<u32>,
+}
+
+/// What an update did besides changing the state.
+#[derive(Debug, Clone, Copy, Default)]
+struct Outcome {
+    spiked: bool,
+    q_wrapped: bool,
+    u_wrapped: bool,
+    v_clipped: bool,
+}
+
+#[derive(Debug, Clone)]
+struct Compartment {
+    neuron: Neuron,
+    start_step: u32,
+    /// What its spikes multiply weights by.
+    payload: i64,
+    incoming: Vec<Synapse>,
+    state: State,
+}
+
+/// The interpreter. [`Engine::begin`] comes before the first step.
+#[derive(Debug, Clone)]
+pub struct Golden {
+    semantics: Semantics,
+    threshold: ThresholdTest,
+    reset: Option<Reset>,
+    compartments: IdVec<CompartmentId, Compartment>,
+    /// Steps done, hence the number of the next.
+    done: u32,
+    /// Steps of the sample.
+    steps: u32,
+    /// What a spike of each channel multiplies its weights by.
+    channel_payloads: Vec<i64>,
+    /// What the spike of each channel carried, if it spiked; the latest step first.
+    channel_history: VecDeque<Vec<Option<i64>>>,
+    /// What the spike of each compartment carried, if it spiked; the latest step first.
+    compartment_history: VecDeque<Vec<Option<i64>>>,
+    spikes: Vec<CompartmentId>,
+    /// What they carry, if the network has graded spikes.
+    payloads: Vec<i32>,
+    graded: bool,
+    totals: Totals,
+    overflow: Overflow,
+    /// Of each compartment, over all samples.
+    left_fields: IdVec<CompartmentId, LeftField>,
+}
+
+impl Golden {
+    /// An interpreter of this network, with nothing in flight.
+    #[must_use]
+    pub fn new(network: &Quantised) -> Golden {
+        let (mut compartments, mut channel_payloads) = (IdVec::new(), Vec::new());
+        for population in network.populations() {
+            // A binary spike adds each weight once.
+            let payload = population.payload.map_or(1, |payload| i64::from(payload.get()));
+            if let Units::Compartments { neurons, start_step, .. } = &population.units {
+                for index in 0..population.shape.len() {
+                    compartments.push(Compartment {
+                        neuron: neurons.get(index),
+                        start_step: *start_step,
+                        payload,
+                        incoming: Vec::new(),
+                        state: State::default(),
+                    });
+                }
+            } else {
+                channel_payloads.extend((0..population.shape.len()).map(|_| payload));
+            }
+        }
+        for (target, synapse) in synapses(network) {
+            compartments[target].incoming.push(synapse);
+        }
+        let parts = network.parts();
+        let left_fields = compartments.ids().map(|_| LeftField::default()).collect();
+        Golden {
+            semantics: parts.semantics,
+            threshold: parts.threshold,
+            reset: parts.reset,
+            compartments,
+            done: 0,
+            steps: 0,
+            channel_payloads,
+            channel_history: VecDeque::new(),
+            compartment_history: VecDeque::new(),
+            spikes: Vec::new(),
+            payloads: Vec::new(),
+            graded: network.populations().iter().any(|population| population.payload.is_some()),
+            totals: Totals::default(),
+            overflow: Overflow::default(),
+            left_fields,
+        }
+    }
+
+    /// How often values of each compartment left their fields, over all samples so far.
+    #[must_use]
+    pub fn left_fields(&self) -> &IdVec<CompartmentId, LeftField> {
+        &self.left_fields
+    }
+
+    /// What the source's spike of this many steps before the one that is being computed carried, if it spiked then.
+    fn carried(&self, source: SpikeSource, ago: u32) -> Option<i64> {
+        let (history, index) = match source {
+            SpikeSource::Channel(channel) => (&self.channel_history, channel.index()),
+            SpikeSource::Compartment(compartment) => (&self.compartment_history, compartment.index()),
+        };
+        history.get(ago as usize)?[index]
+    }
+
+    /// Events of spikes that are still on their way and arrive before the sample's end; none once it is over.
+    fn events_in_flight(&self) -> u64 {
+        let arrives = |synapse: &Synapse, ago: u32| {
+            let spiked_in = self.done - 1 - ago;
+            spiked_in + synapse.way >= self.done && spiked_in + synapse.way < self.steps
+        };
+        if self.done >= self.steps {
+            return 0;
+        }
+        let mut events = 0;
+        for synapse in self.compartments.iter().flat_map(|compartment| &compartment.incoming) {
+            // The latest step is the first row of the histories.
+            for ago in 0..self.done.min(synapse.way + 1) {
+                events += u64::from(arrives(synapse, ago) && self.carried(synapse.source, ago).is_some());
+            }
+        }
+        events
+    }
+
+    /// The sum of all that arrives at a compartment in this step, and the number of synapses that it arrives over.
+    fn arrivals(&self, compartment: CompartmentId) -> (i64, u64) {
+        let (mut sum, mut events) = (0, 0);
+        for synapse in &self.compartments[compartment].incoming {
+            if let Some(payload) = self.carried(synapse.source, synapse.way) {
+                sum += synapse.adds * payload;
+                events += 1;
+            }
+        }
+        (sum, events)
+    }
+
+    /// One step of one compartment, counted; whether it spikes.
+    fn update(&mut self, id: CompartmentId, step: u32) -> bool {
+        let (sum, events) = self.arrivals(id);
+        // Rule (12): what would arrive after the sample's end is never looked for.
+        self.totals.synaptic_events += events;
+        self.totals.compartment_updates += 1;
+
+        let (semantics, threshold) = (self.semantics, self.threshold);
+        let Compartment { neuron, start_step, state, .. } = &mut self.compartments[id];
+        // Rule (9), and in SLAYER rule (11): what arrives at a population that is held is lost.
+        let start = if semantics == Semantics::Slayer { (*start_step).max(1) } else { *start_step };
+        if step < start {
+            *state = State::default();
+            return false;
+        }
+        // Rule (10).
+        if self.reset.is_some_and(|reset| resets(reset, *start_step, step)) {
+            *state = State::default();
+        }
+        // Rule (13).
+        let at_rest = state.u == 0
+            && state.v == 0
+            && !is_refractory(semantics, neuron, state, step)
+            && bias(semantics, neuron) == 0
+            && sum == 0;
+        self.totals.active_updates += u64::from(!at_rest);
+
+        let outcome = match (neuron.kind, semantics) {
+            (NeuronKind::SoftReset, _) => soft_reset(neuron, threshold, state, sum),
+            (NeuronKind::If, _) => integrate_and_fire(neuron, threshold, state, sum, step),
+            (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, sum, step),
+            (NeuronKind::Loihi, Semantics::Lava) => lava(neuron, threshold, state, sum, step),
+            (NeuronKind::Loihi, Semantics::Slayer) => slayer(neuron, threshold, state, sum, step),
+        };
+        // Rule (14).
+        self.overflow.q_wrapped += u64::from(outcome.q_wrapped);
+        self.overflow.u_wrapped += u64::from(outcome.u_wrapped);
+        self.overflow.v_clipped += u64::from(outcome.v_clipped);
+        if outcome.q_wrapped || outcome.u_wrapped || outcome.v_clipped {
+            // Steps and compartments go upward, so that the first to be seen is the first.
+            self.overflow.first.get_or_insert((step, id));
+        }
+        self.left_fields[id].wrapped += u64::from(outcome.q_wrapped) + u64::from(outcome.u_wrapped);
+        self.left_fields[id].clipped += u64::from(outcome.v_clipped);
+        self.left_fields[id].cut += u64::from(outcome.v_clipped && self.compartments[id].state.v > 0);
+        outcome.spiked
+    }
+}
+
+impl Engine for Golden {
+    fn begin(&mut self, steps: u32) {
+        self.steps = steps;
+        for compartment in self.compartments.iter_mut() {
+            compartment.state = State::default();
+        }
+        self.done = 0;
+        self.channel_history.clear();
+        self.compartment_history.clear();
+        self.spikes.clear();
+        self.payloads.clear();
+        self.totals = Totals::default();
+        self.overflow = Overflow::default();
+    }
+
+    fn step(&mut self, channels: &[ChannelId]) {
+        let step = self.done;
+        self.totals.spikes_in += channels.len() as u64;
+        let mut inputs = vec![None; self.channel_payloads.len()];
+        for &channel in channels {
+            inputs[channel.index()] = Some(self.channel_payloads[channel.index()]);
+        }
+        self.channel_history.push_front(inputs);
+        // Nothing of this step's own row is read: a compartment's spike is on its way for a step at least.
+        self.compartment_history.push_front(vec![None; self.compartments.len()]);
+        self.channel_history.truncate(LONGEST_WAY + 1);
+        self.compartment_history.truncate(LONGEST_WAY + 1);
+
+        let spikes: Vec<CompartmentId> = self.compartments.ids().filter(|&id| self.update(id, step)).collect();
+        for &id in &spikes {
+            self.compartment_history[0][id.index()] = Some(self.compartments[id].payload);
+        }
+        self.totals.spikes += spikes.len() as u64;
+        let carried = spikes.iter().filter(|_| self.graded).map(|&id| narrow(self.compartments[id].payload));
+        self.payloads = carried.collect();
+        self.spikes = spikes;
+        self.done += 1;
+    }
+
+    fn spikes(&self) -> &[CompartmentId] {
+        &self.spikes
+    }
+
+    fn payloads(&self) -> &[i32] {
+        &self.payloads
+    }
+
+    fn u(&self, compartment: CompartmentId) -> i32 {
+        narrow(self.compartments[compartment].state.u)
+    }
+
+    fn v(&self, compartment: CompartmentId) -> i32 {
+        narrow(self.compartments[compartment].state.v)
+    }
+
+    fn v_register(&self, compartment: CompartmentId) -> i32 {
+        // Equation (8).
+        let Compartment { neuron, state, .. } = &self.compartments[compartment];
+        let Some(age) = state.spiked_at.map(|at| self.done - 1 - at) else {
+            return narrow(state.v);
+        };
+        match self.semantics {
+            _ if neuron.kind == NeuronKind::SoftReset => narrow(state.v),
+            Semantics::Hardware if age < period(neuron) => narrow(i64::from(period(neuron)) * 128 + i64::from(age)),
+            Semantics::Slayer if age == 0 => i32::from(neuron.dv.get()),
+            _ => narrow(state.v),
+        }
+    }
+
+    fn totals(&self) -> Totals {
+        // Rule (12): an event counts with the spike that causes it, if the sample is long enough for it to arrive.
+        let synaptic_events = self.totals.synaptic_events + self.events_in_flight();
+        Totals { synaptic_events, ..self.totals }
+    }
+
+    fn overflow(&self) -> Overflow {
+        self.overflow
+    }
+}
+
+/// A register as the 32 bits that it fits.
+fn narrow(x: i64) -> i32 {
+    i32::try_from(x).expect("every semantics keeps its registers within 32 bits")
+}
+
+// Equations (1) to (7), each as `docs/semantics.md` writes it.
+
+/// Equation (1): what a spike over a synapse adds.
+fn scaled(weight: i64, exponent: i8) -> i64 {
+    let power = 1i64 << exponent.unsigned_abs();
+    if exponent >= 0 {
+        64 * weight * power
+    } else {
+        // Division rounds toward zero: first the scaling, then the loss of the low six bits.
+        64 * weight / power / 64 * 64
+    }
+}
+
+/// Two's complement of `bits` bits and a sign.
+fn wrap(x: i64, bits: u32) -> i64 {
+    let half = 1i64 << bits;
+    (x + half).rem_euclid(2 * half) - half
+}
+
+/// Equation (3). Division rounds toward zero.
+fn decay(x: i64, d: Decay) -> i64 {
+    x * (4096 - i64::from(d.get())) / 4096
+}
+
+/// Equation (5). SLAYER's compartments have no bias.
+fn bias(semantics: Semantics, neuron: &Neuron) -> i64 {
+    match semantics {
+        Semantics::Hardware | Semantics::Lava => i64::from(neuron.bias_mant.get()) * (1 << neuron.bias_exp.get()),
+        Semantics::Slayer => 0,
+    }
+}
+
+/// Rule (10): whether a population with this start step returns to zero before the update of `step`.
+fn resets(reset: Reset, start_step: u32, step: u32) -> bool {
+    let since = i64::from(step) - i64::from(start_step) - i64::from(reset.offset);
+    since >= 0 && since % i64::from(reset.interval) == 0
+}
+
+/// The part of equation (7) that compares.
+fn above(threshold: ThresholdTest, v: i64, neuron: &Neuron) -> bool {
+    let limit = 64 * i64::from(neuron.vth.get());
+    match threshold {
+        ThresholdTest::Strict => v > limit,
+        ThresholdTest::Inclusive => v >= limit,
+    }
+}
+
+/// The refractory period that takes effect in hardware: 0 behaves as 1.
+fn period(neuron: &Neuron) -> u32 {
+    u32::from(neuron.refractory.get()).max(1)
+}
+
+/// Equation (7): whether v is held in this step.
+fn is_refractory(semantics: Semantics, neuron: &Neuron, state: &State, step: u32) -> bool {
+    let Some(spiked_at) = state.spiked_at else { return false };
+    match semantics {
+        Semantics::Hardware => step - spiked_at < period(neuron),
+        Semantics::Lava => false,
+        // A period of 0 silences the compartment after its first spike.
+        Semantics::Slayer => neuron.refractory.get() == 0 || step - spiked_at < u32::from(neuron.refractory.get()),
+    }
+}
+
+/// Equation (7): the membrane after the step, from the voltage that equation (6) gave.
+fn fire(
+    semantics: Semantics,
+    neuron: &Neuron,
+    threshold: ThresholdTest,
+    state: &mut State,
+    voltage: i64,
+    step: u32,
+) -> bool {
+    let refractory = is_refractory(semantics, neuron, state, step);
+    let spiked = !refractory && above(threshold, voltage, neuron);
+    if spiked {
+        state.spiked_at = Some(step);
+    }
+    state.v = if spiked || refractory { 0 } else { voltage };
+    spiked
+}
+
+/// A step in the chip's arithmetic.
+fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
+    // Equation (2).
+    let q = wrap(sum, 21);
+    // Equation (4).
+    let current = decay(state.u, neuron.du) + q;
+    state.u = wrap(current, 23);
+    // Equations (5) and (6).
+    let biased = state.u + bias(Semantics::Hardware, neuron);
+    let voltage = decay(state.v, neuron.dv) + wrap(biased, 23);
+    let vmin = 1 - (1i64 << neuron.vmin.get());
+    let vmax = (1i64 << (9 + 2 * neuron.vmax.get())) - 1;
+    let clipped = voltage.clamp(vmin, vmax);
+    let v_clipped = clipped != voltage && !is_refractory(Semantics::Hardware, neuron, state, step);
+    Outcome {
+        spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
+        q_wrapped: q != sum,
+        u_wrapped: state.u != current || wrap(biased, 23) != biased,
+        v_clipped,
+    }
+}
+
+/// A step of an integrate-and-fire compartment: equations (2) to (7) with du = 4096 and dv = 0.
+fn integrate_and_fire(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
+    state.u = wrap(sum, 21);
+    let biased = state.u + bias(Semantics::Hardware, neuron);
+    let voltage = state.v + wrap(biased, 23);
+    let clipped = voltage.clamp(1 - (1i64 << neuron.vmin.get()), (1i64 << (9 + 2 * neuron.vmax.get())) - 1);
+    let v_clipped = clipped != voltage && !is_refractory(Semantics::Hardware, neuron, state, step);
+    Outcome {
+        spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
+        q_wrapped: state.u != sum,
+        u_wrapped: wrap(biased, 23) != biased,
+        v_clipped,
+    }
+}
+
+/// A step of a compartment with reset by subtraction: equations (2) to (6), and (7a) in place of (7).
+fn soft_reset(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64) -> Outcome {
+    let arrived = wrap(sum, 21);
+    let current = decay(state.u, neuron.du) + arrived;
+    state.u = wrap(current, 23);
+    let biased = state.u + bias(Semantics::Hardware, neuron);
+    let voltage = decay(state.v, neuron.dv) + wrap(biased, 23);
+    let clipped = voltage.clamp(1 - (1i64 << neuron.vmin.get()), (1i64 << (9 + 2 * neuron.vmax.get())) - 1);
+    let spiked = above(threshold, clipped, neuron);
+    state.v = if spiked { clipped - 64 * i64::from(neuron.vth.get()) } else { clipped };
+    Outcome {
+        spiked,
+        q_wrapped: arrived != sum,
+        u_wrapped: state.u != current || wrap(biased, 23) != biased,
+        v_clipped: clipped != voltage,
+    }
+}
+
+/// A step of lava's fixed-point LIF process (lava-nc b6822fb, `proc/lif/models.py`).
+fn lava(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
+    const HALF: i64 = 1 << 23;
+    // Rule (11): a negative exponent shifts the sum of a step, not each weight.
+    let arrived = 64 * (sum / 64).div_euclid(1 << neuron.shift);
+    // The process computes in arrays of 32 bits.
+    let current = wrap(decay(state.u, neuron.du) + wrap(arrived, 31), 31);
+    state.u = if current > HALF {
+        current - 2 * HALF
+    } else if current <= -HALF {
+        current + 2 * HALF
+    } else {
+        current
+    };
+    let voltage = wrap(decay(state.v, neuron.dv) + state.u + bias(Semantics::Lava, neuron), 31);
+    let clipped = voltage.clamp(1 - HALF, HALF - 1);
+    Outcome {
+        spiked: fire(Semantics::Lava, neuron, threshold, state, clipped, step),
+        q_wrapped: false,
+        u_wrapped: state.u != current,
+        v_clipped: clipped != voltage,
+    }
+}
+
+/// A step of SLAYER's Loihi kernel (slayerPytorch 01beeeb, `src/cuda/spikeLoihiKernels.h`).
+fn slayer(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
+    // Rule (11): the product keeps its low 32 bits.
+    let decay = |x: i64, d: Decay| {
+        let kept = (x.abs() * (4096 - i64::from(d.get()))) % (1 << 32) / 4096;
+        if x < 0 { -kept } else { kept }
+    };
+    state.u = wrap(decay(state.u, neuron.du) + sum, 31);
+    let voltage = wrap(decay(state.v, neuron.dv) + state.u, 31);
+    Outcome { spiked: fire(Semantics::Slayer, neuron, threshold, state, voltage, step), ..Outcome::default() }
+}
+
+/// Every synapse of the network with its target.
+fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
+    let mut all = Vec::new();
+    for projection in network.projections() {
+        let source = &network.populations()[projection.source];
+        let target = &network.populations()[projection.target];
+        let first_target = target.first_compartment().expect("a target has compartments").0;
+        let delay = u32::from(projection.delay.get());
+        for (from, to, weight) in connections(projection, source.shape.len()) {
+            let (source, way) = match source.units {
+                Units::Input(first) => (SpikeSource::Channel(ChannelId(first.0 + from)), delay),
+                Units::Compartments { first, .. } => {
+                    (SpikeSource::Compartment(CompartmentId(first.0 + from)), 1 + delay)
+                }
+            };
+            let adds = scaled(weight, projection.format.exponent.get());
+            all.push((CompartmentId(first_target + to), Synapse { source, way, adds }));
+        }
+    }
+    all
+}
+
+/// (source, target, weight) of every synapse of a projection, indices within the populations; the definitions of
+/// `docs/semantics.md`, projections.
+fn connections(projection: &Projection, sources: u32) -> Vec<(u32, u32, i64)> {
+    let mut all = Vec::new();
+    match &projection.connectivity {
+        Connectivity::Dense { targets, weights } => {
+            for to in 0..*targets {
+                for from in 0..sources {
+                    all.push((from, to, i64::from(weights[from as usize * *targets as usize + to as usize])));
+                }
+            }
+        }
+        Connectivity::Sparse { first, targets, weights } => {
+            for from in 0..sources {
+                for at in first[from as usize]..first[from as usize + 1] {
+                    all.push((from, targets[at as usize], i64::from(weights[at as usize])));
+                }
+            }
+        }
+        Connectivity::Conv2d { window, kernel } => {
+            let channels_in = window.source.0 / window.groups;
+            let channels_out = window.target.0 / window.groups;
+            over_outputs(window, |(channel, y, x), to| {
+                for c in 0..channels_in {
+                    over_window(window, (y, x), |(ky, kx), (sy, sx)| {
+                        let from_channel = channel / channels_out * channels_in + c;
+                        let from = (from_channel * window.source.1 + sy) * window.source.2 + sx;
+                        let at = ((channel * channels_in + c) * window.kernel.0 + ky) * window.kernel.1 + kx;
+                        all.push((from, to, i64::from(kernel[at as usize])));
+                    });
+                }
+            });
+        }
+        Connectivity::SumPool2d { window, weight } => over_outputs(window, |(channel, y, x), to| {
+            over_window(window, (y, x), |_, (sy, sx)| {
+                all.push(((channel * window.source.1 + sy) * window.source.2 + sx, to, i64::from(*weight)));
+            });
+        }),
+        Connectivity::Random { targets, fan_out, low, high, step, seed, first_source } => {
+            let (low, high, step) = (i64::from(*low), i64::from(*high), i64::from(*step));
+            let levels = 1 + (high - low) / step;
+            for from in 0..sources {
+                let entity = u64::from(*first_source) + u64::from(from);
+                for k in 0..u64::from(*fan_out) {
+                    let to = rng::below(u64::from(*targets), *seed, entity, 2 * k);
+                    let level = rng::below(levels as u64, *seed, entity, 2 * k + 1);
+                    all.push((from, to as u32, low + step * level as i64));
+                }
+            }
+        }
+    }
+    all
+}
+
+/// Calls `f((channel, y, x), target)` for every target of a window.
+fn over_outputs(window: &Window, mut f: impl FnMut((u32, u32, u32), u32)) {
+    let mut target = 0;
+    for channel in 0..window.target.0 {
+        for y in 0..window.target.1 {
+            for x in 0..window.target.2 {
+                f((channel, y, x), target);
+                target += 1;
+            }
+        }
+    }
+}
+
+/// Calls `f((ky, kx), (sy, sx))` for every place of the window at an output position that lies on the source.
+fn over_window(window: &Window, (y, x): (u32, u32), mut f: impl FnMut((u32, u32), (u32, u32))) {
+    let place = |out: u32, stride: u32, k: u32, dilation: u32, padding: u32, size: u32| {
+        let at = i64::from(out) * i64::from(stride) + i64::from(k) * i64::from(dilation) - i64::from(padding);
+        (0 <= at && at < i64::from(size)).then_some(at as u32)
+    };
+    for ky in 0..window.kernel.0 {
+        for kx in 0..window.kernel.1 {
+            let sy = place(y, window.stride.0, ky, window.dilation.0, window.padding.0, window.source.1);
+            let sx = place(x, window.stride.1, kx, window.dilation.1, window.padding.1, window.source.2);
+            if let (Some(sy), Some(sx)) = (sy, sx) {
+                f((ky, kx), (sy, sx));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent, scaled_weight};
+    use nsim_ir::base::id::PopulationId;
+    use nsim_ir::quantised::connectivity::SynapseFormat;
+
+    fn projection(connectivity: Connectivity) -> Projection {
+        let format = SynapseFormat {
+            exponent: WeightExponent::new(0).unwrap(),
+            sign: SignMode::Mixed,
+            bits: WeightBits::new(8).unwrap(),
+        };
+        Projection {
+            name: String::new(),
+            source: PopulationId(0),
+            target: PopulationId(1),
+            format,
+            delay: Delay::new(0).unwrap(),
+            connectivity,
+        }
+    }
+
+    /// Holds the enumeration by targets to the one by sources that the rest of the program uses.
+    fn agrees(connectivity: Connectivity, sources: u32) {
+        let mut by_source = Vec::new();
+        for from in 0..sources {
+            let before = by_source.len();
+            connectivity.for_each_from(from, |to, weight| by_source.push((from, to, i64::from(weight))));
+            assert_eq!(connectivity.count_from(from), (by_source.len() - before) as u64);
+        }
+        let shown = format!("{connectivity:?}");
+        let mut by_target = connections(&projection(connectivity), sources);
+        by_source.sort_unstable();
+        by_target.sort_unstable();
+        assert_eq!(by_target, by_source, "{shown}");
+    }
+
+    #[test]
+    fn synapses_seen_from_targets_are_those_seen_from_sources() {
+        let weights: Vec<i16> = (0..12).map(|i| 2 * i).collect();
+        agrees(Connectivity::Dense { targets: 3, weights: weights.into() }, 4);
+        let sparse = Connectivity::Sparse {
+            first: [0, 2, 2, 5].into(),
+            targets: [0, 4, 1, 1, 3].into(),
+            weights: [2, -2, 4, 6, -8].into(),
+        };
+        agrees(sparse, 3);
+        for (targets, fan_out, low, high, step, first_source) in [(7, 5, -256, 254, 2, 0), (1, 3, 4, 4, 2, 100)] {
+            agrees(Connectivity::Random { targets, fan_out, low, high, step, seed: 5, first_source }, 9);
+        }
+    }
+
+    #[test]
+    fn windows_seen_from_targets_are_those_seen_from_sources() {
+        let mut windows = 0;
+        for case in 0..2_000 {
+            let draw =
+                |what: u64, low: u32, high: u32| low + rng::below(u64::from(high - low) + 1, 1, case, what) as u32;
+            let groups = draw(0, 1, 2);
+            let (kernel, stride, padding, dilation) = (
+                (draw(1, 1, 3), draw(2, 1, 3)),
+                (draw(3, 1, 3), draw(4, 1, 3)),
+                (draw(5, 0, 2), draw(6, 0, 2)),
+                (draw(7, 1, 2), draw(8, 1, 2)),
+            );
+            let source = (groups * draw(9, 1, 2), draw(10, 1, 6), draw(11, 1, 6));
+            // The size of a convolution's output, as every framework has it; none when the window is larger.
+            let after = (draw(13, 0, 2), draw(14, 0, 2));
+            let size = |n: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
+                Some((n + padding).checked_sub(dilation * (kernel - 1) + 1)? / stride + 1)
+            };
+            let (Some(height), Some(width)) = (
+                size(source.1, kernel.0, stride.0, padding.0 + after.0, dilation.0),
+                size(source.2, kernel.1, stride.1, padding.1 + after.1, dilation.1),
+            ) else {
+                continue;
+            };
+            windows += 1;
+            let sources = source.0 * source.1 * source.2;
+            let target = (groups * draw(12, 1, 3), height, width);
+            let window = Window { source, target, kernel, stride, padding, dilation, groups };
+            let size = target.0 * (source.0 / groups) * kernel.0 * kernel.1;
+            let weights: Vec<i16> = (0..size as i16).map(|i| 2 * i).collect();
+            agrees(Connectivity::Conv2d { window, kernel: weights.into() }, sources);
+            let pool = Window { target: (source.0, height, width), groups: source.0, ..window };
+            agrees(Connectivity::SumPool2d { window: pool, weight: 6 }, sources);
+        }
+        assert!(windows > 1_000, "{windows}");
+    }
+
+    #[test]
+    fn scaling_by_division_is_scaling_by_shifts() {
+        for exponent in -8..=7 {
+            let field = WeightExponent::new(i64::from(exponent)).unwrap();
+            for weight in -256..=255i16 {
+                assert_eq!(scaled(i64::from(weight), exponent), i64::from(scaled_weight(weight, field)));
+            }
+        }
+    }
+}

@@ -1,0 +1,109 @@
+//! Weights of any range as integers of a synapse format.
+//!
+//! Input: weights in units of the mantissa, as other tools write them. Output: the same weights divided by a power of
+//! two, with the exponent and sign mode that hold them exactly where there is one. lava-dl's own encoder
+//! (`netx/utils.py`, `optimize_weight_bits`) shifts a matrix with 255 and -256 by a negative number of bits and leaves
+//! zeros (issue 170 of lava-dl); here what fits no format is rounded to even steps and clipped, and counted.
+
+use nsim_ir::base::fixed::{SignMode, WeightBits};
+
+/// Weights in a format.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Encoded {
+    /// Mantissas.
+    pub weights: Vec<f64>,
+    /// Weight exponent.
+    pub exponent: i64,
+    /// Sign mode.
+    pub sign: SignMode,
+    /// How many weights are not what they were.
+    pub changed: usize,
+}
+
+impl Encoded {
+    /// The weights beside the exponent that the file gave.
+    #[must_use]
+    pub fn in_units(&self, given: i64) -> Vec<f64> {
+        let power = ((self.exponent - given) as f64).exp2();
+        self.weights.iter().map(|weight| weight * power).collect()
+    }
+}
+
+/// The greatest weight exponent (`docs/semantics.md`).
+const GREATEST: i64 = 7;
+
+/// Finds a format of 8 bits for weights, beside an exponent that the file gives.
+#[must_use]
+pub fn encode(weights: Vec<f64>, given: i64) -> Encoded {
+    let bits = WeightBits::MAX;
+    let fits = |x: f64, sign: SignMode| {
+        let (low, high) = sign.range(bits);
+        x >= f64::from(low) && x <= f64::from(high) && x % f64::from(sign.step(bits)) == 0.0
+    };
+    for shift in 0..=(GREATEST - given).max(0) {
+        let power = (shift as f64).exp2();
+        for sign in [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory] {
+            if weights.iter().all(|&weight| fits(weight / power, sign)) {
+                let weights = if shift == 0 { weights } else { weights.iter().map(|&w| w / power).collect() };
+                return Encoded { weights, exponent: given + shift, sign, changed: 0 };
+            }
+        }
+    }
+    // The least exponent that clips nothing but what rounding takes over the edge: 255 and 256.
+    let (low, high) = SignMode::Mixed.range(bits);
+    let within = |x: f64| x >= f64::from(low) - 1.0 && x <= f64::from(high) + 2.0;
+    let shift = (0..=(GREATEST - given).max(0))
+        .find(|&shift| weights.iter().all(|&w| within(w / (shift as f64).exp2())))
+        .unwrap_or((GREATEST - given).max(0));
+    let power = (shift as f64).exp2();
+    let mut changed = 0;
+    let rounded = weights
+        .iter()
+        .map(|&weight| {
+            let mantissa = ((weight / power / 2.0).round_ties_even() * 2.0).clamp(f64::from(low), f64::from(high));
+            changed += usize::from(mantissa * power != weight);
+            mantissa
+        })
+        .collect();
+    Encoded { weights: rounded, exponent: given + shift, sign: SignMode::Mixed, changed }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_matrix_that_lava_dl_zeroes_keeps_its_weights() {
+        let encoded = encode(vec![255.0, -256.0, 0.0, 128.0], 0);
+        assert_eq!(encoded.weights, [254.0, -256.0, 0.0, 128.0]);
+        assert_eq!((encoded.exponent, encoded.sign, encoded.changed), (0, SignMode::Mixed, 1));
+    }
+
+    #[test]
+    fn weights_of_one_sign_keep_their_odd_steps_and_large_ones_take_an_exponent() {
+        let odd = encode(vec![255.0, 1.0], 0);
+        assert_eq!((odd.weights, odd.sign, odd.exponent), (vec![255.0, 1.0], SignMode::Excitatory, 0));
+        let odd = encode(vec![-255.0, -1.0], 0);
+        assert_eq!((odd.sign, odd.changed), (SignMode::Inhibitory, 0));
+        let large = encode(vec![508.0, -512.0, 4.0], 0);
+        assert_eq!((large.weights, large.exponent, large.changed), (vec![254.0, -256.0, 2.0], 1, 0));
+        let zero = encode(vec![0.0; 3], 0);
+        assert_eq!((zero.weights, zero.changed), (vec![0.0; 3], 0));
+    }
+
+    proptest! {
+        #[test]
+        fn what_fits_a_format_is_not_changed(
+            mantissas in prop::collection::vec(-128i32..=127, 1..40),
+            exponent in 0i64..=7,
+        ) {
+            let weights: Vec<f64> = mantissas.iter().map(|&m| f64::from(2 * m) * (exponent as f64).exp2()).collect();
+            let encoded = encode(weights.clone(), 0);
+            prop_assert_eq!(encoded.changed, 0);
+            let power = (encoded.exponent as f64).exp2();
+            let back: Vec<f64> = encoded.weights.iter().map(|w| w * power).collect();
+            prop_assert_eq!(back, weights);
+        }
+    }
+}

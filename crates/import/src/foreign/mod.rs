@@ -1,0 +1,140 @@
+//! Models that other tools wrote, imported as nsim's own.
+//!
+//! Input: a file and [`Options`]. Output: an [`Imported`] model with notes on the conventions by which it was read and on
+//! what was changed. The kind of a file is recognised by its content, never by its name alone. Errors name what is known but
+//! cannot be read (a Git-LFS pointer, SANA-FE's text netlist, a pickled module, an HDF5 file that is no network). Nothing in
+//! a file is executed. `docs/import.md` has the conventions and limits of each format.
+
+pub mod encode;
+pub mod hdf5;
+mod hdf5_links;
+pub mod imported;
+pub mod netx;
+pub mod nir;
+pub mod nir_export;
+pub mod pickle;
+pub mod slayer;
+mod state_dict;
+pub mod torch;
+pub mod window;
+
+use std::path::Path;
+
+use self::imported::listed;
+pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
+use super::kind::FileKind;
+use nsim_files::changes;
+use nsim_files::network::Network;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// Whether a model argument is a file of another tool. What cannot be opened is for the reader of
+/// models to say.
+#[must_use]
+pub fn is_foreign(path: &Path) -> bool {
+    let own = [FileKind::Folder, FileKind::Stream, FileKind::Ron];
+    FileKind::detect(path).map_or_else(|problem| problem.code == "io.lfs-pointer", |kind| !own.contains(&kind))
+}
+
+/// Reads a foreign model.
+///
+/// # Errors
+/// `import.*` for what the file holds, `hdf5.*` and `io.*` for the file itself.
+pub fn read(path: &Path, options: &Options) -> Result<Imported> {
+    from_bytes(path, hdf5::bytes_of(path)?, options)
+}
+
+/// Reads a foreign model from the bytes of its file; the path is for messages and names.
+///
+/// # Errors
+/// As [`read`].
+pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
+    let imported = match FileKind::from_bytes(&bytes, path) {
+        FileKind::Hdf5 => read_hdf5(path, bytes, options),
+        FileKind::Torch => state_dict::read(bytes, &network_name(path), options),
+        FileKind::Npy => slayer::read_set(path, options),
+        kind => Err(unknown(path, &bytes, kind)),
+    };
+    let mut imported = imported.map_err(|problem| problem.or_in_file(path))?;
+    imported.model.decision = options.decision.unwrap_or(imported.model.decision);
+    Ok(imported)
+}
+
+fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
+    let root = hdf5::tree(path, bytes)?;
+    let name = network_name(path);
+    let network = root.group("layer").or_else(|| root.group("node"));
+    if let Some((name, what)) = network.and_then(hdf5::Group::unread) {
+        return Err(Diagnostic::new("import.type", format!("'{name}' is of the type {what}, which is not read"))
+            .help("store it as integers, as floating-point numbers of 16, 32 or 64 bits, or as text"));
+    }
+    if root.group("layer").is_some() {
+        let used = ["--image", "--first-step", "--reset-interval", "--input-shape"];
+        options.refuse_unused("a network of lava-dl's netx", &used)?;
+        netx::read(&root, &name, options)
+    } else if root.group("node").is_some() {
+        options.refuse_unused("a NIR graph", &["--reset", "--decay"])?;
+        nir::read(&root, &name, options)
+    } else {
+        let members: Vec<&str> = root.items.keys().take(8).map(String::as_str).collect();
+        let message = format!("this HDF5 file holds no network: at its root are {}", listed(&members));
+        Err(Diagnostic::new("import.not-a-network", message)
+            .help("lava-dl's netx files have a group 'layer', NIR files a group 'node'"))
+    }
+}
+
+/// The name of a network, from its file.
+fn network_name(path: &Path) -> String {
+    let stem = path.file_stem().map_or_else(|| "network".into(), |stem| stem.to_string_lossy().into_owned());
+    // network.net says nothing; its folder does.
+    let folder = path.parent().and_then(Path::file_name).map(|folder| folder.to_string_lossy().into_owned());
+    match folder {
+        Some(folder) if stem == "network" && !folder.is_empty() => folder,
+        _ => stem,
+    }
+}
+
+/// The problem of a file that is not imported, with its kind as far as it is recognised.
+fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    let begin = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
+    let lines: Vec<&str> = begin.lines().map(str::trim).filter(|line| !line.is_empty()).take(20).collect();
+    // SANA-FE's netlist: groups, neurons, edges and mappings, a letter at the beginning of each line.
+    let netlist = |line: &&str| {
+        matches!(line.split_once(' '), Some(("g" | "n" | "e" | "&" | "@" | "#", _))) || line.starts_with('#')
+    };
+    if extension.as_deref() == Some("net") && !lines.is_empty() && lines.iter().all(netlist) {
+        return Diagnostic::new("import.sanafe", "this is a text netlist of SANA-FE, not a network of lava-dl")
+            .help("its neurons are abstract and carry no weights of a Loihi core; export the trained network with lava-dl or NIR");
+    }
+    if kind == FileKind::Ron {
+        return Diagnostic::new("import.kind", "this is a file of nsim's own, which needs no import")
+            .help(format!("give it as it is, such as a model: nsim run {}", path.display()));
+    }
+    if matches!(kind, FileKind::Events(_) | FileKind::SpikeList | FileKind::Npz) {
+        return Diagnostic::new("import.kind", format!("this is {kind}, not a network"))
+            .help("spikes are an input of a network: nsim run MODEL --input FILE");
+    }
+    let described = match extension.as_deref() {
+        _ if bytes.is_empty() => "the file is empty",
+        Some("yml" | "yaml") => "a YAML file describes neurons and holds no weights",
+        _ if bytes.starts_with(b"MATLAB 5.0") => "this is a MATLAB file",
+        _ if bytes.starts_with(b"\x1f\x8b") => "the file is compressed with gzip",
+        _ => "the file is of no kind that is imported",
+    };
+    let help = match extension.as_deref() {
+        Some("yml" | "yaml") => "give it with --neuron beside the weights: nsim import weights.pt --neuron config.yml",
+        _ => {
+            "imported are lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a model of \
+             nsim's own begins with Network("
+        }
+    };
+    Diagnostic::new("import.kind", described).help(help)
+}
+
+/// A foreign model as a network, with the fields that `--set` changes.
+///
+/// # Errors
+/// As [`read`], `set.path`, and `model.*` when it is not a valid model.
+pub fn network(path: &Path, options: &Options) -> Result<Network> {
+    read(path, options)?.model.build_changed(path, changes::model)
+}

@@ -1,0 +1,225 @@
+//! The kinds of layers that have weights.
+//!
+//! Input: a layer and what reaches it. Output: a population and the projection to it. Kernels are cross-correlated as
+//! stored; shapes and counts of weights are checked before anything is made of them.
+
+use super::layer::{Geometry, Layer, geometry, input_of_window, volume};
+use super::neuron::integrator;
+use super::reader::{Last, Reader, units};
+use crate::foreign::window::MOST_LISTED;
+use nsim_files::model_builder::{ProjectionKind, tensor};
+use nsim_files::network::padding_after;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::fixed::SignMode;
+
+impl Reader<'_> {
+    /// Adds the population of a layer; returns its name.
+    fn neurons(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<String> {
+        let name = format!("layer{}", layer.number);
+        let parameters = self.parameters(layer, shape)?;
+        self.push(&name, shape.to_vec(), Some(parameters));
+        Ok(name)
+    }
+
+    pub(super) fn dense(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let shape = vec![units(&layer.shape()?).ok_or_else(|| layer.wrong("a shape beyond all memory"))?];
+        let axes = layer.axes("weight", 2)?;
+        let given = layer.group.number("inFeatures").filter(|x| x.fract() == 0.0 && (1.0..1e9).contains(x));
+        let count = layer.numbers("weight")?.len() as u64;
+        let inputs = given.map_or(count / shape[0].max(1), |x| x as u64);
+        let source = self.source(|| Ok(vec![inputs]))?;
+        let fills = shape[0].checked_mul(source.units()) == Some(count);
+        if !fills || !(axes.len() <= 1 || axes == [shape[0], source.units()]) {
+            return Err(layer.wrong(format!(
+                "weights {:?} do not lead from the {} units of '{}' to {}",
+                layer.numbers("weight")?.shape(),
+                source.units(),
+                source.name,
+                shape[0]
+            )));
+        }
+        let name = self.neurons(layer, &shape)?;
+        let matrix = vec![shape[0] as usize, source.units() as usize];
+        self.project(layer, &source, &name, "weight", |weights| Ok(ProjectionKind::Dense(tensor(matrix, weights))))?;
+        if layer.kind == "dense_rec" {
+            let recurrent = self.last.clone().ok_or_else(|| layer.wrong("no layer"))?;
+            let square = vec![shape[0] as usize; 2];
+            if layer.numbers("weight_rec")?.len() as u64 != shape[0].saturating_mul(shape[0]) {
+                return Err(layer.wrong("'weight_rec' is not square"));
+            }
+            // What SLAYER feeds back are the spikes of the step before, which is what a delay field of 0 means here. The
+            // layer's own delay is for what follows it.
+            let undelayed = Last { delays: Vec::new(), ..recurrent };
+            self.project(layer, &undelayed, &name, "weight_rec", |weights| {
+                Ok(ProjectionKind::Dense(tensor(square, weights)))
+            })?;
+        }
+        self.delays(layer)
+    }
+
+    pub(super) fn conv(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let shape = volume(layer)?;
+        let kernel = layer.axes("weight", 4)?;
+        let &[out, per_group, kh, kw] = kernel.as_slice() else {
+            return Err(layer.wrong(format!("a kernel {:?}", layer.numbers("weight")?.shape())));
+        };
+        let groups = layer.pair("groups", (1, 1), 1)?.0;
+        let geometry = geometry(layer, (1, 1))?;
+        let channels = per_group.saturating_mul(groups);
+        let given = self.options.input_shape.clone();
+        let source = self.source(|| input_of_window(layer, given, channels, &shape, (kh, kw), geometry))?;
+        if out != shape[0] || source.shape.len() != 3 || source.shape[0] != channels {
+            return Err(layer.wrong(format!(
+                "a kernel {kernel:?} in {groups} groups does not lead from {:?} to {shape:?}",
+                source.shape
+            )));
+        }
+        let name = self.neurons(layer, &shape)?;
+        let axes: Vec<usize> = kernel.iter().map(|&axis| axis as usize).collect();
+        let Geometry { stride, padding, dilation } = geometry;
+        self.project(layer, &source, &name, "weight", |weights| {
+            let weights = tensor(axes, weights);
+            Ok(ProjectionKind::Conv2d { weights, stride, padding, padding_after: padding, dilation, groups })
+        })?;
+        self.delays(layer)
+    }
+
+    pub(super) fn pool(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let shape = volume(layer)?;
+        let kernel = layer.pair("kernelSize", (1, 1), 1)?;
+        let geometry = geometry(layer, kernel)?;
+        let given = self.options.input_shape.clone();
+        let source = self.source(|| input_of_window(layer, given, shape[0], &shape, kernel, geometry))?;
+        if source.shape.len() != 3 || source.shape[0] != shape[0] {
+            return Err(layer.wrong(format!("a pool from {:?} to {shape:?} changes the channels", source.shape)));
+        }
+        let name = self.neurons(layer, &shape)?;
+        let Geometry { stride, padding, dilation } = geometry;
+        // SLAYER's pool puts (size mod window) silent rows and columns behind an image that windows
+        // do not fill; whether the file's network did so is in the layer's shape.
+        let after = |axis: usize, window: u64, stride: u64, padding: u64, dilation: u64| {
+            let size = source.shape[axis];
+            let reach = dilation * (window - 1) + 1;
+            padding_after(size, shape[axis], reach, stride, padding).min(padding + size % window)
+        };
+        let padding_after =
+            (after(1, kernel.0, stride.0, padding.0, dilation.0), after(2, kernel.1, stride.1, padding.1, dilation.1));
+        let (count, channels) = (layer.numbers("weight")?.len() as u64, shape[0]);
+        let places = kernel.0 * kernel.1;
+        if count != places && Some(count) != places.checked_mul(channels) {
+            return Err(layer.wrong(format!("{count} weights for a window of {places}")));
+        }
+        self.project(layer, &source, &name, "weight", |weights| {
+            let first = weights.first().copied().unwrap_or(0.0);
+            if weights.iter().all(|&weight| weight == first) && !weights.is_empty() && dilation == (1, 1) {
+                return Ok(ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight: first });
+            }
+            let expanded: Vec<f64> = weights.iter().copied().cycle().take((places * channels) as usize).collect();
+            let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize).to_vec();
+            let (weights, groups) = (tensor(axes, expanded), channels);
+            Ok(ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups })
+        })?;
+        self.delays(layer)
+    }
+
+    /// A transposed convolution, synapse by synapse: output `i * stride - padding + k * dilation` receives input `i` over
+    /// the kernel's place `k` (torch, ConvTranspose; the kernel is `[in][out / groups][kh][kw]`).
+    pub(super) fn transposed(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let shape = volume(layer)?;
+        let mut geometry = geometry(layer, (1, 1))?;
+        let source = self.source(|| {
+            Err(Diagnostic::new("import.unsupported", "a network that begins with a transposed convolution"))
+        })?;
+        let &[channels, height, width] = source.shape.as_slice() else {
+            return Err(layer.wrong(format!("the layer before it has the shape {:?}", source.shape)));
+        };
+        let pooled = layer.kind == "unpool";
+        let (groups, per_group, kh, kw) = if pooled {
+            let kernel = layer.pair("kernelSize", (1, 1), 1)?;
+            (channels, 1, kernel.0, kernel.1)
+        } else {
+            let kernel = layer.axes("weight", 4)?;
+            let &[from, per_group, kh, kw] = kernel.as_slice() else {
+                return Err(layer.wrong(format!("a kernel {kernel:?}")));
+            };
+            if from != channels {
+                return Err(layer.wrong(format!("a kernel {kernel:?} for {channels} channels")));
+            }
+            (layer.pair("groups", (1, 1), 1)?.0, per_group, kh, kw)
+        };
+        if pooled && layer.group.get("stride").is_none() {
+            geometry.stride = (kh, kw);
+        }
+        if channels % groups != 0 || per_group.checked_mul(groups) != Some(shape[0]) {
+            return Err(layer.wrong(format!("{groups} groups do not lead from {channels} channels to {}", shape[0])));
+        }
+        let axes = [
+            (height, shape[1], kh, geometry.stride.0, geometry.dilation.0, geometry.padding.0),
+            (width, shape[2], kw, geometry.stride.1, geometry.dilation.1, geometry.padding.1),
+        ];
+        for (from, to, size, stride, dilation, padding) in axes {
+            // torch's `output_padding` adds less than a step.
+            let least = ((from - 1) * stride + dilation * size.saturating_sub(1) + 1).saturating_sub(2 * padding);
+            if !(least..least + stride.max(dilation)).contains(&to) {
+                return Err(layer.wrong(format!("the window makes {least} of {from}, the shape {shape:?} has {to}")));
+            }
+        }
+        let many = [channels, height, width, per_group, kh, kw].iter().try_fold(1u64, |n, &axis| n.checked_mul(axis));
+        if many.is_none_or(|many| many > MOST_LISTED as u64) {
+            return Err(layer.unsupported(
+                format!("it would have more than {MOST_LISTED} synapses, which are listed one by one"),
+                "a transposed convolution has no compact form here",
+            ));
+        }
+        let name = self.neurons(layer, &shape)?;
+        let weights_there = layer.numbers("weight")?.len() as u64;
+        let kernel_size = if pooled { kh * kw } else { channels * per_group * kh * kw };
+        if weights_there != kernel_size && !(pooled && weights_there == kernel_size * channels) {
+            return Err(layer.wrong(format!("{weights_there} weights for a kernel of {kernel_size}")));
+        }
+        self.project(layer, &source, &name, "weight", |weights| {
+            let mut synapses = Vec::new();
+            let place = |i: u64, stride: u64, k: u64, dilation: u64, padding: u64, size: u64| {
+                (i * stride + k * dilation).checked_sub(padding).filter(|&o| o < size)
+            };
+            for c in 0..channels {
+                let group = c / (channels / groups);
+                for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+                    for (o, ky, kx) in
+                        (0..per_group).flat_map(|o| (0..kh).flat_map(move |ky| (0..kw).map(move |kx| (o, ky, kx))))
+                    {
+                        let to_y = place(y, geometry.stride.0, ky, geometry.dilation.0, geometry.padding.0, shape[1]);
+                        let to_x = place(x, geometry.stride.1, kx, geometry.dilation.1, geometry.padding.1, shape[2]);
+                        let (Some(to_y), Some(to_x)) = (to_y, to_x) else { continue };
+                        let at = ((c * per_group + o) * kh + ky) * kw + kx;
+                        let weight = weights[(at % weights_there) as usize];
+                        let from = (c * height + y) * width + x;
+                        let to = ((group * per_group + o) * shape[1] + to_y) * shape[2] + to_x;
+                        synapses.push((from, to, weight));
+                    }
+                }
+            }
+            Ok(ProjectionKind::Sparse(synapses))
+        })?;
+        self.delays(layer)
+    }
+
+    /// The mean over groups of equal size is a read-out: integrators whose voltage counts what its group spiked.
+    pub(super) fn average(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let source = self.last.clone().ok_or_else(|| layer.wrong("there is nothing before it"))?;
+        let outputs = units(&layer.shape()?).unwrap_or(0);
+        if outputs == 0 || source.units() % outputs != 0 || source.units() > MOST_LISTED as u64 {
+            return Err(layer.wrong(format!("{outputs} means of {} units", source.units())));
+        }
+        let name = format!("layer{}", layer.number);
+        self.notes.push(format!(
+            "layer {}: means become integrators that never spike; v / 128 is the number of spikes of a group of {}",
+            layer.number,
+            source.units() / outputs
+        ));
+        self.push(&name, vec![outputs], Some(integrator(4096.0, 0.0)));
+        let size = source.units() / outputs;
+        let synapses = (0..source.units()).map(|unit| (unit, unit / size, 2.0)).collect();
+        self.connect(layer, &source, &name, ProjectionKind::Sparse(synapses), 0, SignMode::Mixed)
+    }
+}

@@ -1,0 +1,130 @@
+//! A layer of a file: its arrays, shape and window.
+//!
+//! Input: the group of a layer. Output: finite numbers, pairs, shapes, the geometry of a window; errors that name the layer.
+
+use super::reader::wrong;
+use crate::foreign::hdf5::{Group, Numbers};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// A layer while it is being read.
+pub(super) struct Layer<'a> {
+    pub(super) number: u32,
+    pub(super) kind: String,
+    pub(super) group: &'a Group,
+}
+
+impl Layer<'_> {
+    pub(super) fn wrong(&self, message: impl std::fmt::Display) -> Diagnostic {
+        wrong(format!("layer {} ({}): {message}", self.number, self.kind))
+    }
+
+    pub(super) fn unsupported(&self, message: impl std::fmt::Display, help: &str) -> Diagnostic {
+        Diagnostic::new("import.unsupported", format!("layer {} ({}): {message}", self.number, self.kind)).help(help)
+    }
+
+    pub(super) fn numbers(&self, key: &str) -> Result<&Numbers> {
+        self.group.numbers(key).ok_or_else(|| self.wrong(format!("it has no array '{key}'")))
+    }
+
+    /// Finite numbers.
+    pub(super) fn reals(&self, key: &str) -> Result<Vec<f64>> {
+        let reals: Vec<f64> = self.numbers(key)?.reals().collect();
+        match reals.iter().find(|x| !x.is_finite()) {
+            Some(x) => Err(self.wrong(format!("'{key}' has a number that is {x}"))),
+            None => Ok(reals),
+        }
+    }
+
+    /// A pair (y, x): two numbers, or one for both.
+    pub(super) fn pair(&self, key: &str, default: (u64, u64), least: u64) -> Result<(u64, u64)> {
+        if self.group.get(key).is_none() {
+            return Ok(default);
+        }
+        let numbers = self.reals(key)?;
+        let whole = |x: f64| (x.fract() == 0.0 && (least as f64..=65_535.0).contains(&x)).then_some(x as u64);
+        let pair = match numbers.as_slice() {
+            [both] => whole(*both).map(|both| (both, both)),
+            [y, x] => whole(*y).zip(whole(*x)),
+            _ => None,
+        };
+        pair.ok_or_else(|| self.wrong(format!("'{key}' is {numbers:?}, not two whole numbers from {least}")))
+    }
+
+    /// The shape of the layer's units: `[n]` or `[channels, height, width]`.
+    pub(super) fn shape(&self) -> Result<Vec<u64>> {
+        let mut shape = Vec::new();
+        for x in self.reals("shape")? {
+            if !(x.fract() == 0.0 && (1.0..=134_217_728.0).contains(&x)) {
+                return Err(self.wrong(format!("a shape with {x}")));
+            }
+            shape.push(x as u64);
+        }
+        match shape.len() {
+            1 | 3 => Ok(shape),
+            // A line of channels.
+            2 => Ok(vec![shape[0], 1, shape[1]]),
+            axes => Err(self.wrong(format!("its shape {shape:?} has {axes} axes"))),
+        }
+    }
+
+    /// The axes of an array without trailing ones of length 1, down to `axes`.
+    pub(super) fn axes(&self, key: &str, axes: usize) -> Result<Vec<u64>> {
+        let mut shape: Vec<u64> = self.numbers(key)?.shape().iter().map(|&axis| axis as u64).collect();
+        while shape.len() > axes && shape.last() == Some(&1) {
+            shape.pop();
+        }
+        Ok(shape)
+    }
+}
+
+/// The geometry of a window.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Geometry {
+    pub(super) stride: (u64, u64),
+    pub(super) padding: (u64, u64),
+    pub(super) dilation: (u64, u64),
+}
+
+/// The layer's shape as channels, height, width.
+pub(super) fn volume(layer: &Layer<'_>) -> Result<Vec<u64>> {
+    let shape = layer.shape()?;
+    if shape.len() == 3 { Ok(shape) } else { Err(layer.wrong(format!("a shape {shape:?} without height and width"))) }
+}
+
+pub(super) fn geometry(layer: &Layer<'_>, stride: (u64, u64)) -> Result<Geometry> {
+    Ok(Geometry {
+        stride: layer.pair("stride", stride, 1)?,
+        padding: layer.pair("padding", (0, 0), 0)?,
+        dilation: layer.pair("dilation", (1, 1), 1)?,
+    })
+}
+
+/// The input that a first layer with a window must have: given, or implied by a window of stride 1.
+pub(super) fn input_of_window(
+    layer: &Layer<'_>,
+    given: Option<Vec<u64>>,
+    channels: u64,
+    shape: &[u64],
+    kernel: (u64, u64),
+    geometry: Geometry,
+) -> Result<Vec<u64>> {
+    if let Some(given) = given {
+        return Ok(given);
+    }
+    let side = |out: u64, kernel: u64, padding: u64, dilation: u64| {
+        (out + dilation * (kernel - 1)).checked_sub(2 * padding).filter(|&side| side > 0)
+    };
+    let height = side(shape[1], kernel.0.max(1), geometry.padding.0, geometry.dilation.0);
+    let width = side(shape[2], kernel.1.max(1), geometry.padding.1, geometry.dilation.1);
+    match (geometry.stride, height, width) {
+        ((1, 1), Some(height), Some(width)) => Ok(vec![channels, height, width]),
+        _ => Err(Diagnostic::new(
+            "import.option",
+            format!(
+                "layer {} ({}) is the first, and the file does not say how large its input is",
+                layer.number, layer.kind
+            ),
+        )
+        .help("add --input-shape CHANNELS,HEIGHT,WIDTH")),
+    }
+}

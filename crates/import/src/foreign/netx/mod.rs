@@ -1,0 +1,308 @@
+//! Networks that lava-dl exports for its netx (`.net`, HDF5).
+//!
+//! Input: the tree of a file. Output: a model with one population a layer. Layers are taken in the order of their
+//! numbers. `iDecay` is the effective decay of the current, the threshold is `vThMant` times 64, a bias is a mantissa
+//! with exponent 6 (lava-dl d825ac5, `netx/hdf5.py`, `netx/blocks/models.py`). Kernels are cross-correlated as stored;
+//! what is flattened is flattened in the order C, H, W. A network of chip time has one step between layers; one with the
+//! older neuron type `LOIHI` has SLAYER's time, in which layer k starts at step k + 1.
+//!
+//! Left out on purpose: neurons with another dynamics (ALIF, RF, SDNN, complex weights), graded spikes, concatenation.
+
+mod kinds;
+mod layer;
+mod neuron;
+mod projection;
+mod reader;
+
+use std::cell::Cell;
+
+use super::hdf5::Group;
+use super::imported::{Imported, Options, listed};
+use layer::Layer;
+use neuron::set_bias;
+use nsim_files::model_builder::ModelBuilder;
+use nsim_files::npy;
+use nsim_ir::arithmetic::{ResetDesc, ThresholdTest};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use reader::{Reader, units, wrong};
+
+/// Reads the tree of a file.
+///
+/// # Errors
+/// `import.netx` for what is malformed, `import.unsupported` for what is known and has no counterpart, `import.option`
+/// for what the file does not say.
+pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
+    let layers = layers(root)?;
+    let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
+    let mut reader = Reader {
+        options,
+        model: ModelBuilder::new(name, dt_ms),
+        notes: Vec::new(),
+        layers: Vec::new(),
+        last: None,
+        expanded: Cell::new(0),
+        slayer_time: false,
+        depth: 0,
+    };
+    for (number, layer) in &layers {
+        reader.layer(*number, layer)?;
+    }
+    reader.finish()
+}
+
+/// The layers in the order of their numbers.
+fn layers(root: &Group) -> Result<Vec<(u32, &Group)>> {
+    let group = root.group("layer").ok_or_else(|| wrong("there is no group 'layer'"))?;
+    let mut layers = Vec::new();
+    for name in group.items.keys() {
+        let number = name.parse::<u32>().ok().filter(|number| number.to_string() == *name);
+        match (number, group.group(name)) {
+            (Some(number), Some(layer)) => layers.push((number, layer)),
+            _ => return Err(wrong(format!("'layer/{name}' is not the group of a numbered layer"))),
+        }
+    }
+    layers.sort_by_key(|(number, _)| *number);
+    match layers.iter().enumerate().find(|(index, (number, _))| *index as u32 != *number) {
+        _ if layers.is_empty() => Err(wrong("it has no layers")),
+        Some((index, _)) => Err(wrong(format!(
+            "layer {index} is missing: there are {} up to {}",
+            layers.len(),
+            layers[layers.len() - 1].0
+        ))),
+        None => Ok(layers),
+    }
+}
+
+/// The fields of a type of layers (`docs/import.md` says what is done with each); none for a type
+/// that is not imported.
+fn fields(kind: &str) -> &'static [&'static str] {
+    match kind {
+        "flatten" | "average" => &["type", "shape"],
+        "input" => &["type", "shape", "neuron", "weight", "bias"],
+        "dense" | "dense_rec" => {
+            &["type", "shape", "neuron", "weight", "weight_rec", "bias", "delay", "inFeatures", "outFeatures"]
+        }
+        "pool" | "unpool" => {
+            &["type", "shape", "neuron", "weight", "bias", "delay", "kernelSize", "stride", "padding", "dilation"]
+        }
+        "conv" | "convT" => &[
+            "type",
+            "shape",
+            "neuron",
+            "weight",
+            "bias",
+            "delay",
+            "kernelSize",
+            "stride",
+            "padding",
+            "dilation",
+            "groups",
+            "inChannels",
+            "outChannels",
+        ],
+        _ => &[],
+    }
+}
+
+impl Reader<'_> {
+    fn layer(&mut self, number: u32, group: &Group) -> Result<()> {
+        let Some(kind) = group.text("type") else {
+            let members: Vec<&str> = group.items.keys().take(8).map(String::as_str).collect();
+            return Err(wrong(format!("layer {number} does not say its type; it holds {}", listed(&members))));
+        };
+        let layer = Layer { number, kind: kind.to_string(), group };
+        if layer.group.group("weight").is_some() {
+            return Err(layer.unsupported(
+                "its weights are complex",
+                "resonate-and-fire layers have no counterpart on a Loihi 1 core",
+            ));
+        }
+        let known = fields(kind);
+        if let (false, Some(key)) = (known.is_empty(), group.items.keys().find(|key| !known.contains(&key.as_str()))) {
+            return Err(layer.unsupported(
+                format!("layers of the type '{kind}' do not have a field '{key}'"),
+                "remove it if the network does not depend on it",
+            ));
+        }
+        self.check_sizes(&layer)?;
+        match kind {
+            "input" => self.input(&layer),
+            "flatten" => self.flatten(&layer),
+            "dense" | "dense_rec" => self.dense(&layer),
+            "conv" => self.conv(&layer),
+            "pool" => self.pool(&layer),
+            "convT" | "unpool" => self.transposed(&layer),
+            "average" => self.average(&layer),
+            other => Err(layer.unsupported(
+                format!("layers of the type '{other}' are not imported"),
+                "imported are input, flatten, dense, dense_rec, conv, pool, convT, unpool and average",
+            )),
+        }
+    }
+
+    fn input(&mut self, layer: &Layer<'_>) -> Result<()> {
+        if self.last.is_some() {
+            return Err(layer.wrong("an input layer is not the first"));
+        }
+        let shape = layer.shape()?;
+        let parameters = match layer.group.group("neuron") {
+            Some(_) => Some(self.neuron(layer, &shape)?),
+            None => None,
+        };
+        let scalar = |key: &str, default: f64| match layer.group.get(key) {
+            None => Ok(default),
+            Some(_) => layer.group.number(key).ok_or_else(|| layer.wrong(format!("'{key}' is not one number"))),
+        };
+        match (parameters, &self.options.image) {
+            (Some(mut parameters), Some(path)) => {
+                let (weight, bias) = (scalar("weight", 64.0)?.trunc(), scalar("bias", 0.0)?.trunc());
+                let drive = image(path, &shape)?;
+                // netx, `create_input`: an image of 0 to 1 becomes -weight to weight, rounded toward zero.
+                let biases = drive.iter().map(|x| (2.0 * weight * x - weight + bias).trunc()).collect();
+                set_bias(&mut parameters, biases);
+                self.notes.push(format!(
+                    "layer {}: the image {} drives the bias of the input layer as 2 * {weight} * x - {weight} + {bias}",
+                    layer.number,
+                    path.display()
+                ));
+                self.push("input", shape, Some(parameters));
+            }
+            (None, Some(_)) => {
+                return Err(Diagnostic::new(
+                    "import.option",
+                    "the input layer has no neuron that an image could drive",
+                ));
+            }
+            (parameters, None) => {
+                if parameters.is_some() {
+                    self.notes.push(format!(
+                        "layer {}: an input layer with neurons, imported as spikes of those neurons; to drive them with \
+                         an image give --image FILE.npy",
+                        layer.number
+                    ));
+                    // Its spikes are given, as recorded; the layers behind it start as if it were there.
+                }
+                self.push("input", shape, None);
+            }
+        }
+        Ok(())
+    }
+
+    /// Holds the sizes that a file repeats to those that its arrays have.
+    fn check_sizes(&self, layer: &Layer<'_>) -> Result<()> {
+        let shape = layer.reals("shape").unwrap_or_default();
+        let all: f64 = shape.iter().product();
+        let kernel: Vec<f64> = match layer.kind.as_str() {
+            "conv" | "convT" => layer.axes("weight", 4)?.iter().skip(2).map(|&side| side as f64).collect(),
+            _ => Vec::new(),
+        };
+        let before = self.last.as_ref().map(|last| (last.units() as f64, last.shape[0] as f64));
+        let all_before = before.map(|before| before.0);
+        let channels_before = before.map(|before| before.1);
+        for (key, right) in [
+            ("outFeatures", Some(all)),
+            ("inFeatures", all_before),
+            ("outChannels", shape.first().copied()),
+            ("inChannels", channels_before),
+        ] {
+            if let (Some(given), Some(right)) = (layer.group.number(key), right)
+                && given != right
+            {
+                return Err(layer.wrong(format!("{key} is {given}, the arrays have {right}")));
+            }
+        }
+        match layer.group.numbers("kernelSize") {
+            Some(given) if !kernel.is_empty() && !given.reals().zip(&kernel).all(|(a, b)| a == *b) => {
+                let given: Vec<f64> = given.reals().collect();
+                Err(layer.wrong(format!("kernelSize is {given:?}, the kernel is {kernel:?}")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn flatten(&mut self, layer: &Layer<'_>) -> Result<()> {
+        // Populations are flattened in the order C, H, W by whatever dense layer follows.
+        let Some(last) = &self.last else { return Err(layer.wrong("there is nothing before it")) };
+        match layer.group.get("shape") {
+            Some(_) if units(&layer.shape()?) != Some(last.units()) => {
+                Err(layer.wrong(format!("its shape is {:?}, {} units arrive", layer.shape()?, last.units())))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn finish(mut self) -> Result<Imported> {
+        let Some(last) = self.last.take().filter(|_| self.depth > 0) else {
+            return Err(wrong("it has no layer of neurons"));
+        };
+        self.model.output = last.name;
+        if !last.delays.is_empty() && last.delays.iter().any(|&delay| delay != 0) {
+            self.notes.push("the delay of the last layer's spikes has no reader and is left out".to_string());
+        }
+        self.model.threshold = self.options.threshold.unwrap_or_default();
+        if self.model.threshold == ThresholdTest::Inclusive {
+            self.notes.push("a neuron spikes at v >= threshold, as in SLAYER 2; the chip compares with >".to_string());
+        }
+        // Layer k receives the spikes of layer k - 1 a step later; in SLAYER's time all begin together at step 1.
+        let first = self.options.first_step.or_else(|| {
+            let staggered = self.slayer_time || self.options.reset_interval.is_some() || self.options.image.is_some();
+            staggered.then_some(u32::from(self.slayer_time || self.options.image.is_some()))
+        });
+        match first {
+            Some(first) => {
+                // Layers answer in one step there, and one after the other here.
+                self.model.drain = self.depth - 1;
+                for population in self.model.populations.iter_mut().filter(|p| p.loihi.is_some()) {
+                    population.start_step += first;
+                }
+                self.notes
+                    .push(format!("layer k of compartments starts at step k + {first}, its bias and resets with it"));
+            }
+            None => {
+                self.model.populations.iter_mut().for_each(|population| population.start_step = 0);
+                self.notes
+                    .push("chip time: every layer runs from step 0, one step of delay between layers".to_string());
+            }
+        }
+        if let Some(interval) = self.options.reset_interval {
+            self.model.reset = Some(ResetDesc { interval: interval.into(), offset: self.options.reset_offset.into() });
+        }
+        let mut imported =
+            Imported { kind: "lava-dl netx", model: self.model, notes: self.notes, layers: self.layers }.read_out();
+        imported.model.provenance = Some(format!("imported from a lava-dl netx file; {}", imported.notes.join("; ")));
+        Ok(imported)
+    }
+}
+
+/// An image as one number from 0 to 1 for each unit of `[channels, height, width]`: an array `[height, width]`,
+/// `[height, width, channels]` or `[channels, height, width]`; 8-bit unsigned integers count 255ths, other numbers are
+/// from 0 to 1.
+fn image(path: &std::path::Path, shape: &[u64]) -> Result<Vec<f64>> {
+    let array = npy::open(path)?;
+    let scale = if array.dtype().ends_with("u1") { 255.0 } else { 1.0 };
+    let tensor = array.tensor()?;
+    if let Some(outside) = tensor.reals().find(|real| !(0.0..=scale).contains(real)) {
+        let message = format!("{outside} is no brightness: 8-bit unsigned integers, or numbers from 0 to 1, are");
+        return Err(Diagnostic::new("import.image", message)
+            .help("divide the image by its greatest possible value, or store it as uint8")
+            .in_file(path));
+    }
+    let axes: Vec<u64> = tensor.shape().iter().map(|&axis| axis as u64).collect();
+    let (channels, height, width) = match *shape {
+        [channels, height, width] => (channels, height, width),
+        _ => (1, 1, shape.iter().product()),
+    };
+    let real = |index: u64| tensor.real(index as usize) / scale;
+    let channels_last = axes == [height, width, channels];
+    if channels_last || axes == [channels, height, width] || (channels == 1 && axes == [height, width]) || axes == shape
+    {
+        let place = |c: u64, p: u64| if channels_last { p * channels + c } else { c * height * width + p };
+        return Ok((0..channels)
+            .flat_map(|c| (0..height * width).map(move |p| (c, p)))
+            .map(|(c, p)| real(place(c, p)))
+            .collect());
+    }
+    Err(Diagnostic::new("import.image", format!("the image is {axes:?}, the input layer is {shape:?}"))
+        .help("an image is [height, width, channels] or [channels, height, width]")
+        .in_file(path))
+}

@@ -1,0 +1,221 @@
+//! Weights and delays of a layer as projections.
+//!
+//! Input: weights of any range, delays of synapses, channels or units. Output: a projection in a synapse format, or one for
+//! each delay, listed synapse by synapse where delays differ.
+
+use std::collections::BTreeMap;
+
+use super::layer::{Geometry, Layer};
+use super::reader::{Last, Reader};
+use crate::foreign::encode;
+use crate::foreign::imported::{LONGEST_DELAY, LayerWeights};
+use crate::foreign::window::{MOST_LISTED, Sliding};
+use nsim_files::model_builder::{ModelBuilder, Parameter, ProjectionBuilder, ProjectionKind, tensor};
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::fixed::SignMode;
+use nsim_ir::tensor::Tensor;
+
+impl Reader<'_> {
+    /// The projection from the layer before, with its weights in a format that holds them.
+    pub(super) fn project(
+        &mut self,
+        layer: &Layer<'_>,
+        source: &Last,
+        to: &str,
+        key: &str,
+        kind: impl FnOnce(Vec<f64>) -> Result<ProjectionKind>,
+    ) -> Result<()> {
+        // netx reads weights as integers, toward zero.
+        let given = layer.reals(key)?;
+        let whole: Vec<f64> = given.iter().map(|x| x.trunc() + 0.0).collect();
+        let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
+        if cut > 0 {
+            self.notes.push(format!(
+                "layer {}: {cut} numbers of '{key}' are not whole and lose their fraction",
+                layer.number
+            ));
+        }
+        let exponent =
+            ["neuron/wgtExp", "neuron/weight_exp"].iter().find_map(|key| layer.group.number(key)).unwrap_or(0.0);
+        if exponent.fract() != 0.0 || !(-8.0..=7.0).contains(&exponent) {
+            return Err(layer.wrong(format!("a weight exponent of {exponent}, outside -8 to 7")));
+        }
+        let encoded = encode::encode(whole, exponent as i64);
+        if encoded.changed > 0 {
+            self.notes.push(format!(
+                "layer {}: {} of {} numbers of '{key}' fit no synapse format; they are rounded to even steps and clipped",
+                layer.number,
+                encoded.changed,
+                given.len()
+            ));
+        }
+        let made = encoded.in_units(exponent as i64);
+        let line = LayerWeights::new(to, layer.numbers(key)?.shape(), 1.0, &given, &made);
+        if line.is_lost() {
+            return Err(layer.wrong(format!("the weights are too small for integers: {line}"))
+                .help("netx weights are integers, as lava-dl's export_hdf5 writes them; quantise the network before it is exported"));
+        }
+        self.layers.push(line);
+        let kind = kind(encoded.weights)?;
+        self.connect(layer, source, to, kind, encoded.exponent, encoded.sign)
+    }
+
+    /// Adds a projection, or one for each delay that its sources or synapses have.
+    pub(super) fn connect(
+        &mut self,
+        layer: &Layer<'_>,
+        source: &Last,
+        to: &str,
+        kind: ProjectionKind,
+        weight_exp: i64,
+        sign: SignMode,
+    ) -> Result<()> {
+        let add = |model: &mut ModelBuilder, kind, delay| {
+            let projection =
+                ProjectionBuilder { delay, weight_exp, sign, ..ProjectionBuilder::new(&source.name, to, kind) };
+            model.projections.push(projection);
+        };
+        let first = source.delays.first().copied().unwrap_or(0);
+        let synaptic = self.synaptic_delays(layer, source)?;
+        if synaptic.is_none() && source.delays.iter().all(|&delay| delay == first) {
+            add(&mut self.model, kind, first);
+            return Ok(());
+        }
+        let synapses =
+            list(&kind, source, self.model.population(to).map_or(&[][..], |p| &p.shape)).ok_or_else(|| {
+                layer.unsupported(
+                    format!(
+                        "its delays differ, so its synapses are listed one by one, and it has more than {MOST_LISTED}"
+                    ),
+                    "give all units of the layer before it one delay",
+                )
+            })?;
+        let delay_of = |from: u64, target: u64| {
+            let axonal = source.delays.get(from as usize).copied().unwrap_or(0);
+            let own = synaptic.as_ref().map_or(0, |delays| delays[(target * source.units() + from) as usize]);
+            axonal + own
+        };
+        let mut by_delay: BTreeMap<u32, Vec<(u64, u64, f64)>> = BTreeMap::new();
+        for synapse in synapses {
+            by_delay.entry(delay_of(synapse.0, synapse.1)).or_default().push(synapse);
+        }
+        if let Some((&longest, _)) = by_delay.last_key_value().filter(|&(&delay, _)| f64::from(delay) > LONGEST_DELAY) {
+            return Err(layer.unsupported(format!("a delay of {longest} steps"), "the delay field holds 0 to 62"));
+        }
+        for (delay, synapses) in by_delay {
+            add(&mut self.model, ProjectionKind::Sparse(synapses), delay);
+        }
+        Ok(())
+    }
+
+    /// Whole delays of the file, each at most 62.
+    pub(super) fn delay_numbers(&self, layer: &Layer<'_>) -> Result<Option<Vec<u32>>> {
+        if layer.group.get("delay").is_none() {
+            return Ok(None);
+        }
+        let floors: Vec<f64> = layer.reals("delay")?.iter().map(|x| x.floor()).collect();
+        match floors.iter().find(|delay| !(0.0..=LONGEST_DELAY).contains(*delay)) {
+            Some(delay) => Err(layer.unsupported(
+                format!("a delay of {delay} steps"),
+                "the delay field holds 0 to 62; train with max_delay=62",
+            )),
+            None => Ok(Some(floors.iter().map(|&delay| delay as u32).collect())),
+        }
+    }
+
+    /// Delays of the layer's own synapses: `[target][source]`, or of its inputs.
+    pub(super) fn synaptic_delays(&self, layer: &Layer<'_>, source: &Last) -> Result<Option<Vec<u32>>> {
+        let Some(delays) = self.delay_numbers(layer)? else { return Ok(None) };
+        let (targets, sources) = (self.last.as_ref().map_or(0, Last::units), source.units());
+        let count = delays.len() as u64;
+        if layer.kind == "average" || count <= 1 || self.is_axonal(count) {
+            return Ok(None);
+        }
+        if targets.checked_mul(sources) == Some(count) {
+            return Ok(Some(delays));
+        }
+        if count == sources && targets.checked_mul(sources).is_some_and(|all| all <= MOST_LISTED as u64) {
+            return Ok(Some((0..targets).flat_map(|_| delays.iter().copied()).collect()));
+        }
+        Err(layer.wrong(format!("{count} delays for {sources} sources and {targets} targets")))
+    }
+
+    /// Whether so many delays are those of the layer's own spikes: one a channel or a unit.
+    pub(super) fn is_axonal(&self, count: u64) -> bool {
+        self.last.as_ref().is_some_and(|last| count == last.shape[0] || count == last.units())
+    }
+
+    /// Keeps the delays of the layer's spikes for the layer that follows.
+    pub(super) fn delays(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let Some(delays) = self.delay_numbers(layer)? else { return Ok(()) };
+        let count = delays.len() as u64;
+        if count != 1 && !self.is_axonal(count) {
+            return Ok(());
+        }
+        let expanded =
+            match self.each(layer, "delay", delays.iter().map(|&d| f64::from(d)).collect(), &self.last_shape())? {
+                Parameter::Same(delay) => vec![delay as u32],
+                Parameter::Each(delays) => delays.into_iter().map(|delay| delay as u32).collect(),
+            };
+        if let Some(last) = &mut self.last {
+            last.delays = expanded;
+        }
+        Ok(())
+    }
+
+    pub(super) fn last_shape(&self) -> Vec<u64> {
+        self.last.as_ref().map_or_else(Vec::new, |last| last.shape.clone())
+    }
+}
+
+/// The synapses of a projection one by one, unless there are too many.
+fn list(kind: &ProjectionKind, source: &Last, target: &[u64]) -> Option<Vec<(u64, u64, f64)>> {
+    let within = |many: Option<u64>| many.is_some_and(|many| many <= MOST_LISTED as u64);
+    match kind {
+        ProjectionKind::Sparse(synapses) => Some(synapses.clone()),
+        ProjectionKind::Dense(weights) => {
+            let sources = source.units();
+            let all = weights.len() as u64;
+            within(Some(all))
+                .then(|| (0..all).map(|at| (at % sources, at / sources, weights.real(at as usize))).collect())
+        }
+        ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
+            let geometry = Geometry { stride: *stride, padding: *padding, dilation: *dilation };
+            windowed(weights, geometry, *groups, &source.shape, target)
+        }
+        ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
+            let geometry = Geometry { stride: *stride, padding: *padding, dilation: (1, 1) };
+            let channels = *source.shape.first()?;
+            let places = channels.checked_mul(kernel.0)?.checked_mul(kernel.1)?;
+            if !within(Some(places)) {
+                return None;
+            }
+            let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize).to_vec();
+            let weights = tensor(axes, vec![*weight; places as usize]);
+            windowed(&weights, geometry, channels, &source.shape, target)
+        }
+    }
+}
+
+/// The synapses of a convolution one by one.
+fn windowed(
+    weights: &Tensor,
+    geometry: Geometry,
+    groups: u64,
+    source: &[u64],
+    target: &[u64],
+) -> Option<Vec<(u64, u64, f64)>> {
+    let volume = |shape: &[u64]| <[usize; 3]>::try_from(shape.iter().map(|&axis| axis as usize).collect::<Vec<_>>());
+    let pair = |(y, x): (u64, u64)| (y as usize, x as usize);
+    let &[_, _, kh, kw] = weights.shape() else { return None };
+    let window = Sliding {
+        source: volume(source).ok()?,
+        target: volume(target).ok()?,
+        size: (kh, kw),
+        stride: pair(geometry.stride),
+        padding: pair(geometry.padding),
+        dilation: pair(geometry.dilation),
+        groups: (groups > 0).then_some(groups as usize)?,
+    };
+    Some(window.synapses()?.map(|(from, to, index)| (from, to, weights.real(index))).collect())
+}

@@ -1,0 +1,73 @@
+//! The state of reading a netx file: the model so far and what reaches the next layer.
+
+use std::cell::Cell;
+
+use crate::foreign::imported::{LayerWeights, Options};
+use nsim_files::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// Parameters that are given for each channel are expanded to at most so many numbers, all layers together.
+pub(super) const MOST_EXPANDED: u64 = 1 << 22;
+/// The exponent of a bias (netx, `bias_exp`).
+pub(super) const BIAS_EXP: f64 = 6.0;
+
+pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new("import.netx", message)
+}
+
+/// What spikes reach the next layer.
+#[derive(Debug, Clone)]
+pub(super) struct Last {
+    /// The population.
+    pub(super) name: String,
+    pub(super) shape: Vec<u64>,
+    /// Delay field of each of its units; empty for none.
+    pub(super) delays: Vec<u32>,
+}
+
+impl Last {
+    pub(super) fn units(&self) -> u64 {
+        units(&self.shape).unwrap_or(u64::MAX)
+    }
+}
+
+pub(super) fn units(shape: &[u64]) -> Option<u64> {
+    shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
+}
+
+pub(super) struct Reader<'a> {
+    pub(super) options: &'a Options,
+    pub(super) model: ModelBuilder,
+    pub(super) notes: Vec<String>,
+    pub(super) layers: Vec<LayerWeights>,
+    pub(super) last: Option<Last>,
+    pub(super) expanded: Cell<u64>,
+    pub(super) slayer_time: bool,
+    /// Populations of compartments so far, which decides when the next one starts.
+    pub(super) depth: u32,
+}
+
+impl Reader<'_> {
+    /// Adds a population and makes it the last.
+    pub(super) fn push(&mut self, name: &str, shape: Vec<u64>, loihi: Option<Vec<(&'static str, Parameter)>>) {
+        let start_step = match &loihi {
+            Some(_) => {
+                self.depth += 1;
+                self.depth - 1
+            }
+            None => 0,
+        };
+        let population = PopulationBuilder { loihi, start_step, ..PopulationBuilder::input(name, shape.clone()) };
+        self.model.populations.push(population);
+        self.last = Some(Last { name: name.to_string(), shape, delays: Vec::new() });
+    }
+
+    /// The layer before, or an input of this shape when there is none.
+    pub(super) fn source(&mut self, shape: impl FnOnce() -> Result<Vec<u64>>) -> Result<Last> {
+        if self.last.is_none() {
+            let shape = shape()?;
+            self.push("input", shape, None);
+        }
+        self.last.clone().ok_or_else(|| wrong("no layer"))
+    }
+}

@@ -1,0 +1,346 @@
+//! What stands between two populations as one linear map.
+//!
+//! Input: the nodes on a connection. Output: its shape, linear part, bias and delays.
+
+use std::collections::BTreeMap;
+
+use super::linear::{Connection, Linear, Window, at, scaled, spread, sum_of_delays};
+use super::neuron::reals;
+use super::reader::{MOST_UNITS, Reader, product, unsupported, wrong};
+use crate::foreign::hdf5::Group;
+use crate::foreign::imported::LONGEST_DELAY;
+use crate::foreign::window::{MOST_LISTED, Sliding};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+impl Reader<'_> {
+    /// The linear map of these nodes behind a population of this shape.
+    pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
+        let (linear, bias) = (Linear::Diagonal(vec![1.0]), None);
+        let mut connection =
+            Connection { shape: source.to_vec(), linear, bias, source_delay: Vec::new(), delay: Vec::new() };
+        for name in nodes {
+            connection = self.pass(connection, name)?;
+        }
+        Ok(connection)
+    }
+
+    pub(super) fn pass(&self, mut connection: Connection, name: &str) -> Result<Connection> {
+        let node = &self.flat.nodes[name];
+        let group = node.group;
+        let units = product(&connection.shape).ok_or_else(|| wrong(format!("'{name}' hears too many units")))?;
+        match node.kind.as_str() {
+            "Pass" | "Output" => self.check_shape(name, units)?,
+            // Every population is flattened in C order; the batch axis is not in a file.
+            "Flatten" => {
+                let dim = |key: &str, default: f64| group.number(key).unwrap_or(default);
+                let (start, end, axes) = (dim("start_dim", 1.0), dim("end_dim", -1.0), connection.shape.len() as f64);
+                if !(start == 0.0 || start == 1.0) || !(end == -1.0 || end >= axes - 1.0) {
+                    return Err(unsupported(
+                        format!("node '{name}' flattens the axes {start} to {end} only, of {:?}", connection.shape),
+                        "flatten all axes: start_dim 0 (or 1, behind a batch), end_dim -1",
+                    ));
+                }
+                connection.shape = vec![units];
+            }
+            "Scale" => {
+                let scale = reals(group, name, "scale")?;
+                let scale = spread(scale, &connection.shape).ok_or_else(|| {
+                    wrong(format!("node '{name}': its scale does not fit the shape {:?}", connection.shape))
+                })?;
+                connection.bias =
+                    connection.bias.map(|bias| bias.iter().enumerate().map(|(i, b)| b * at(&scale, i)).collect());
+                connection.linear =
+                    scaled(connection.linear, &scale, &connection.shape).ok_or_else(|| self.too_many(name))?;
+            }
+            "Linear" | "Affine" => {
+                let numbers = group.numbers("weight").ok_or_else(|| wrong(format!("node '{name}' has no weight")))?;
+                let weights = reals(group, name, "weight")?;
+                let &[targets, sources] = numbers.shape() else {
+                    return Err(wrong(format!("node '{name}': its weight is {:?}", numbers.shape())));
+                };
+                if sources != units {
+                    return Err(wrong(format!(
+                        "node '{name}': its weight is {:?} and {units} units arrive",
+                        numbers.shape()
+                    )));
+                }
+                self.before_weights(&mut connection, name)?;
+                connection.linear = self.then_dense(connection.linear, weights, targets, sources, name)?;
+                connection.shape = vec![targets];
+                connection.bias = self.bias(group, name, &connection.shape)?;
+            }
+            "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
+                let window = self.window(&connection.shape, name)?;
+                self.before_weights(&mut connection, name)?;
+                let target = window.sliding.target.to_vec();
+                connection.linear = self.then_window(connection.linear, window, &connection.shape, name)?;
+                connection.shape = target;
+                connection.bias = self.bias(group, name, &connection.shape)?;
+            }
+            "Delay" => {
+                let delays = reals(group, name, "delay")?;
+                let delays = spread(delays, &connection.shape).ok_or_else(|| {
+                    wrong(format!("node '{name}': its delays do not fit the shape {:?}", connection.shape))
+                })?;
+                let steps = delays.iter().map(|delay| (delay / self.dt).round_ties_even()).collect::<Vec<_>>();
+                if let Some(long) = steps.iter().find(|steps| !(0.0..=LONGEST_DELAY).contains(*steps)) {
+                    return Err(unsupported(
+                        format!("node '{name}' delays by {long} steps of {} ms", self.dt * 1e3),
+                        "the delay field holds 0 to 62 steps",
+                    ));
+                }
+                let steps: Vec<u32> = steps.iter().map(|&steps| steps as u32).collect();
+                connection.delay = sum_of_delays(&connection.delay, &steps);
+            }
+            other => return Err(wrong(format!("node '{name}' of the type '{other}' is in the middle of a way"))),
+        }
+        Ok(connection)
+    }
+
+    /// Notes delays that are no whole number of steps.
+    pub(super) fn note_rounded_delays(&mut self) -> Result<()> {
+        for (name, node) in self.flat.nodes.iter().filter(|(_, node)| node.kind == "Delay") {
+            let steps: Vec<f64> = reals(node.group, name, "delay")?.iter().map(|delay| delay / self.dt).collect();
+            let off = |steps: f64| (steps - steps.round_ties_even()).abs();
+            let Some(most) = steps.iter().copied().max_by(|a, b| off(*a).total_cmp(&off(*b))) else { continue };
+            if off(most) > 1e-3 {
+                self.notes.push(format!(
+                    "node '{name}': {} of its {} delays are no whole number of steps and are rounded, the furthest from {most:.3} \
+                     to {} (--dt gives other steps)",
+                    steps.iter().filter(|steps| off(**steps) > 1e-3).count(),
+                    steps.len(),
+                    most.round_ties_even()
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes the delays so far those of the sources, before weights that mix units.
+    fn before_weights(&self, connection: &mut Connection, name: &str) -> Result<()> {
+        if connection.bias.as_ref().is_some_and(|bias| bias.iter().any(|&b| b != 0.0)) {
+            return Err(unsupported(
+                format!("before node '{name}' a bias was added, without a neuron in between"),
+                "multiply the bias with the weights and add the product to the bias behind them",
+            ));
+        }
+        let delay = std::mem::take(&mut connection.delay);
+        let equal = delay.windows(2).all(|pair| pair[0] == pair[1]);
+        if !equal && !matches!(connection.linear, Linear::Diagonal(_)) {
+            return Err(unsupported(
+                format!("between node '{name}' and the weights before it each unit has a delay of its own"),
+                "put a neuron between the two, or give all these units one delay",
+            ));
+        }
+        let delay = if equal { delay.first().map_or_else(Vec::new, |&delay| vec![delay]) } else { delay };
+        connection.source_delay = sum_of_delays(&connection.source_delay, &delay);
+        Ok(())
+    }
+
+    /// The bias that a node adds, unless it is zero.
+    pub(super) fn bias(&self, group: &Group, name: &str, shape: &[usize]) -> Result<Option<Vec<f64>>> {
+        if group.get("bias").is_none() {
+            return Ok(None);
+        }
+        let bias = reals(group, name, "bias")?;
+        if bias.iter().all(|&b| b == 0.0) {
+            return Ok(None);
+        }
+        let bias =
+            spread(bias, shape).ok_or_else(|| wrong(format!("node '{name}': its bias does not fit {shape:?}")))?;
+        let units = product(shape).unwrap_or(0);
+        Ok(Some((0..units).map(|unit| at(&bias, unit)).collect()))
+    }
+
+    pub(super) fn window(&self, shape: &[usize], name: &str) -> Result<Window> {
+        let node = &self.flat.nodes[name];
+        let bad = |what: String| wrong(format!("node '{name}': {what}"));
+        let &[channels, height, width] = shape else {
+            return Err(bad(format!("the shape {shape:?} that arrives has no height and width")));
+        };
+        let line = node.kind == "Conv1d";
+        let pair = |key: &str, default: usize, least: f64| -> Result<(usize, usize)> {
+            if node.group.get(key).is_none() {
+                return Ok((default, default));
+            }
+            let numbers = reals(node.group, name, key)?;
+            if numbers.iter().any(|x| x.fract() != 0.0 || !(least..=65_535.0).contains(x)) {
+                return Err(bad(format!("'{key}' is {numbers:?}")));
+            }
+            match numbers.as_slice() {
+                [one] if line => Ok((default.min(1), *one as usize)),
+                [one] => Ok((*one as usize, *one as usize)),
+                [y, x] if !line => Ok((*y as usize, *x as usize)),
+                _ => Err(bad(format!("'{key}' is {numbers:?}"))),
+            }
+        };
+        let conv = matches!(node.kind.as_str(), "Conv1d" | "Conv2d");
+        if let Some(plane) = node.group.numbers("input_shape") {
+            let plane: Vec<f64> = plane.reals().collect();
+            let arrives = [height as f64, width as f64];
+            if !(plane == arrives || (line && plane == arrives[1..])) {
+                return Err(bad(format!("its input_shape is {plane:?}, {height} x {width} arrive")));
+            }
+        }
+        let (size, out, groups, kernel) = if conv {
+            let numbers = node.group.numbers("weight").ok_or_else(|| bad("it has no weight".to_string()))?;
+            let (out, per_group, size) = match *numbers.shape() {
+                [out, per_group, kw] if line => (out, per_group, (1, kw)),
+                [out, per_group, kh, kw] if !line => (out, per_group, (kh, kw)),
+                _ => return Err(bad(format!("its weight is {:?}", numbers.shape()))),
+            };
+            let groups = pair("groups", 1, 1.0)?.1;
+            if per_group.checked_mul(groups) != Some(channels) || out % groups != 0 || out == 0 || size.0 * size.1 == 0
+            {
+                return Err(bad(format!(
+                    "its weight is {:?} in {groups} groups, {channels} channels arrive",
+                    numbers.shape()
+                )));
+            }
+            (size, out, groups, Ok(reals(node.group, name, "weight")?))
+        } else {
+            let size = pair("kernel_size", 1, 1.0)?;
+            let weight = if node.kind == "AvgPool2d" { 1.0 / (size.0 * size.1) as f64 } else { 1.0 };
+            (size, channels, channels, Err(weight))
+        };
+        let stride = pair("stride", 1, 1.0)?;
+        let dilation = if conv { pair("dilation", 1, 1.0)? } else { (1, 1) };
+        // Silent places before and behind each axis.
+        let (padding, after) = match node.group.text("padding") {
+            Some("valid") => ((0, 0), (0, 0)),
+            Some("same") => {
+                if stride != (1, 1) {
+                    return Err(unsupported(
+                        format!("node '{name}': padding 'same' with a stride"),
+                        "give the padding as numbers",
+                    ));
+                }
+                // As torch pads: where the window has no middle, the greater half is behind.
+                let reach = (dilation.0 * (size.0 - 1), dilation.1 * (size.1 - 1));
+                let before = (reach.0 / 2, reach.1 / 2);
+                (before, (reach.0 - before.0, reach.1 - before.1))
+            }
+            Some(other) => return Err(bad(format!("padding '{}'", other.chars().take(40).collect::<String>()))),
+            None => {
+                let (y, x) = pair("padding", 0, 0.0)?;
+                let both = if line { (0, x) } else { (y, x) };
+                (both, both)
+            }
+        };
+        let side = |n: usize, size: usize, stride: usize, padding: usize, dilation: usize| {
+            (n + padding).checked_sub(dilation * (size - 1) + 1).map(|room| room / stride + 1)
+        };
+        let target = (
+            side(height, size.0, stride.0, padding.0 + after.0, dilation.0),
+            side(width, size.1, stride.1, padding.1 + after.1, dilation.1),
+        );
+        let (Some(to_h), Some(to_w)) = target else {
+            return Err(bad(format!("its window is larger than the {height} x {width} that arrive")));
+        };
+        if product(&[out, to_h, to_w]).is_none() {
+            return Err(bad(format!("it makes more than {MOST_UNITS} units")));
+        }
+        let (source, target) = ([channels, height, width], [out, to_h, to_w]);
+        Ok(Window { sliding: Sliding { source, target, size, stride, padding, dilation, groups }, kernel })
+    }
+
+    /// Refuses a shape of the file that is not what arrives.
+    pub(super) fn check_shape(&self, name: &str, units: usize) -> Result<()> {
+        let Some(shape) = self.flat.nodes[name].group.numbers("shape") else { return Ok(()) };
+        let shape: Vec<f64> = shape.reals().collect();
+        if shape.is_empty() || shape.iter().product::<f64>() == units as f64 {
+            return Ok(());
+        }
+        Err(wrong(format!("node '{name}' has the shape {shape:?}, and {units} units arrive")))
+    }
+
+    pub(super) fn too_many(&self, name: &str) -> Diagnostic {
+        unsupported(
+            format!(
+                "node '{name}' follows another without a neuron in between, and their product has too many synapses"
+            ),
+            "put a neuron between them, or join them into one layer",
+        )
+    }
+
+    pub(super) fn then_dense(
+        &self,
+        before: Linear,
+        weights: Vec<f64>,
+        targets: usize,
+        sources: usize,
+        name: &str,
+    ) -> Result<Linear> {
+        match before {
+            Linear::Diagonal(scale) if scale.iter().all(|&s| s == 1.0) => Ok(Linear::Dense(weights, sources)),
+            Linear::Diagonal(scale) => {
+                let scaled = weights.iter().enumerate().map(|(i, w)| w * at(&scale, i % sources)).collect();
+                Ok(Linear::Dense(scaled, sources))
+            }
+            before => {
+                let list = self.listed(before, name)?;
+                let inputs = list.iter().map(|s| s.0 + 1).max().unwrap_or(1) as usize;
+                let whole = targets.checked_mul(inputs).filter(|&n| n <= MOST_LISTED);
+                let work = targets.checked_mul(list.len()).filter(|&n| n <= 64 * MOST_LISTED);
+                let (Some(whole), Some(_)) = (whole, work) else { return Err(self.too_many(name)) };
+                let mut dense = vec![0.0; whole];
+                for &(from, via, weight) in &list {
+                    for target in 0..targets {
+                        dense[target * inputs + from as usize] += weight * weights[target * sources + via as usize];
+                    }
+                }
+                Ok(Linear::Dense(dense, inputs))
+            }
+        }
+    }
+
+    pub(super) fn then_window(&self, before: Linear, window: Window, shape: &[usize], name: &str) -> Result<Linear> {
+        match before {
+            Linear::Diagonal(scale) if scale.len() == 1 => {
+                let kernel = match window.kernel {
+                    Ok(kernel) => Ok(kernel.iter().map(|w| w * scale[0]).collect()),
+                    Err(weight) => Err(weight * scale[0]),
+                };
+                Ok(Linear::Window(Window { kernel, ..window }))
+            }
+            Linear::Window(first) if first.then(&window).is_some() => {
+                first.then(&window).map(Linear::Window).ok_or_else(|| self.too_many(name))
+            }
+            before => {
+                let units = product(shape).unwrap_or(0);
+                let first = match before {
+                    Linear::Diagonal(scale) => (0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect(),
+                    before => self.listed(before, name)?,
+                };
+                let second = window.list().ok_or_else(|| self.too_many(name))?;
+                let mut by_source: BTreeMap<u64, Vec<(u64, f64)>> = BTreeMap::new();
+                for (via, to, weight) in second {
+                    by_source.entry(via).or_default().push((to, weight));
+                }
+                let mut sums: BTreeMap<(u64, u64), f64> = BTreeMap::new();
+                for (from, via, weight) in first {
+                    for &(to, next) in by_source.get(&via).map_or(&[][..], Vec::as_slice) {
+                        *sums.entry((to, from)).or_default() += weight * next;
+                    }
+                    if sums.len() > MOST_LISTED / 4 {
+                        return Err(self.too_many(name));
+                    }
+                }
+                Ok(Linear::List(sums.into_iter().map(|((to, from), weight)| (from, to, weight)).collect()))
+            }
+        }
+    }
+
+    /// A linear part synapse by synapse; a diagonal has no size of its own.
+    pub(super) fn listed(&self, linear: Linear, name: &str) -> Result<Vec<(u64, u64, f64)>> {
+        match linear {
+            Linear::List(list) => Ok(list),
+            Linear::Window(window) => window.list().ok_or_else(|| self.too_many(name)),
+            Linear::Dense(weights, sources) if weights.len() <= MOST_LISTED => {
+                Ok(weights.iter().enumerate().map(|(i, &w)| ((i % sources) as u64, (i / sources) as u64, w)).collect())
+            }
+            Linear::Diagonal(scale) => Ok(scale.iter().enumerate().map(|(i, &s)| (i as u64, i as u64, s)).collect()),
+            Linear::Dense(..) => Err(self.too_many(name)),
+        }
+    }
+}

@@ -1,0 +1,353 @@
+//! Paths and neurons as projections and populations of a model.
+//!
+//! Input: paths that end at a population. Output: its projections, biases, and the population that decides.
+
+use std::collections::BTreeMap;
+
+use super::linear::{Connection, Linear, at, scaled};
+use super::neuron::{Discrete, all};
+use super::reader::{Reader, product, resets, unsupported, wrong};
+use crate::foreign::imported::{LONGEST_DELAY, NEVER, ResetMode, every_step};
+use crate::foreign::window::MOST_LISTED;
+use nsim_files::model_builder::{Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
+use nsim_ir::base::diagnostic::Result;
+
+impl Reader<'_> {
+    /// Makes all layers start a step later where a bias of a current is to reach the first of them
+    /// in its first step: the compartment that brings biases spikes in step 0 for the first time.
+    pub(super) fn wait_for_biases(
+        &mut self,
+        order: &[String],
+        discrete: &BTreeMap<String, Option<Discrete>>,
+    ) -> Result<()> {
+        let mut waits = false;
+        for name in order.iter().filter(|name| self.depths[*name] == 0) {
+            let Some(neuron) = &discrete[name] else { continue };
+            if all(&neuron.du, |du| du == 4096.0) {
+                continue;
+            }
+            for path in self.paths(name)? {
+                waits |= self.walk(&self.shapes[&path[0]], &path[1..])?.bias.is_some();
+            }
+        }
+        if waits {
+            self.notes
+                .push("layers start a step later than their depth: a bias reaches the first current then".to_string());
+        }
+        let started = self.depths.iter_mut().filter(|(name, _)| self.flat.nodes[*name].kind != "Input");
+        started.for_each(|(_, depth)| *depth += u32::from(waits));
+        Ok(())
+    }
+
+    /// All input of a population: projections, and its bias.
+    pub(super) fn incoming(&mut self, name: &str, neuron: &Discrete) -> Result<()> {
+        let shape = self.shapes[name].clone();
+        let units = product(&shape).unwrap_or(0);
+        let mut bias: Vec<f64> = (0..units).map(|unit| neuron.bias.get(unit)).collect();
+        let mut current = vec![0.0; 0];
+        let memory = !all(&neuron.du, |du| du == 4096.0);
+        let mut projections = Vec::new();
+        for path in self.paths(name)? {
+            let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
+            if product(&arrived.shape) != Some(units) {
+                return Err(wrong(format!(
+                    "{:?} arrives at '{name}', which has {shape:?}: its shape differs from that of its parameters",
+                    arrived.shape
+                )));
+            }
+            if let Some(added) = &arrived.bias {
+                if memory {
+                    current.resize(units, 0.0);
+                    current.iter_mut().zip(added).for_each(|(sum, b)| *sum += b);
+                } else {
+                    bias.iter_mut().zip(added).enumerate().for_each(|(i, (sum, b))| *sum += b * neuron.gain.get(i));
+                }
+            }
+            projections.extend(self.projections(&path[0], name, arrived, &neuron.gain)?);
+        }
+        if current.iter().any(|&b| b != 0.0) {
+            let weights: Vec<f64> = current.iter().enumerate().map(|(i, b)| b * neuron.gain.get(i)).collect();
+            let source = self.always();
+            let kind = ProjectionKind::Dense(tensor(vec![units, 1], weights));
+            projections.push(ProjectionBuilder::new(&source, &self.names[name], kind));
+            self.notes.push(format!(
+                "'{name}': its current keeps a bias, which '{source}', a compartment that spikes in every step, brings"
+            ));
+        }
+        let to = self.names[name].clone();
+        if self.options.reset == Some(ResetMode::SubtractLater) && resets(&self.flat.nodes[name].kind) {
+            projections.extend(self.later_subtraction(&to, neuron, units)?);
+        }
+        let mut parameters = Vec::new();
+        if matches!(neuron.threshold, None | Some(Parameter::Same(0.0))) {
+            // Without a threshold above 0 it is in integers: the largest weight takes the whole
+            // mantissa, unless all are mantissas.
+            let every: Vec<f64> = projections.iter().flat_map(|projection| weights(&projection.kind)).collect();
+            let most = every.iter().fold(0.0, |most: f64, weight| most.max(weight.abs()));
+            let mantissas =
+                neuron.threshold.is_some() && most <= 254.0 && every.iter().all(|weight| weight % 2.0 == 0.0);
+            let scale = if most > 0.0 && !mantissas { 254.0 / most } else { 1.0 };
+            for projection in &mut projections {
+                projection.weight_scale = Some(scale);
+            }
+            if bias.iter().any(|&b| b != 0.0) {
+                let register: Vec<f64> = bias.iter().map(|b| b * scale * 64.0).collect();
+                let exponent =
+                    (0..=7).find(|&e| register.iter().all(|b| (b / f64::from(1 << e)).abs() <= 4095.0)).ok_or_else(
+                        || unsupported(format!("the bias of '{name}' is beyond its weights"), "scale it down"),
+                    )?;
+                let mantissas = register.iter().map(|b| (b / f64::from(1 << exponent)).round_ties_even()).collect();
+                parameters.push(("bias_mant", Parameter::from_values(mantissas)));
+                parameters.push(("bias_exp", Parameter::Same(f64::from(exponent))));
+            }
+            let spikes = if neuron.threshold.is_none() { "never spikes" } else { "spikes above 0" };
+            self.notes.push(format!("'{name}' {spikes}: its v counts {} for a unit", scale * 64.0));
+        } else if bias.iter().any(|&b| b != 0.0) {
+            parameters.push(("bias", Parameter::from_values(bias)));
+        }
+        let population = self.model.populations.iter_mut().find(|population| population.name == to);
+        if let Some(loihi) = population.and_then(|population| population.loihi.as_mut()) {
+            loihi.extend(parameters);
+        }
+        self.model.projections.extend(projections);
+        Ok(())
+    }
+
+    /// The synapses of each neuron to itself that move a subtraction of the threshold to the step
+    /// after the spike.
+    fn later_subtraction(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionBuilder>> {
+        let Some(threshold) = &neuron.threshold else { return Ok(Vec::new()) };
+        let weight = |unit: usize| -(neuron.dv.get(unit) / 4096.0) * threshold.get(unit);
+        let kept = |unit: usize| 1.0 - neuron.du.get(unit) / 4096.0;
+        let first: Vec<f64> = (0..units).map(weight).collect();
+        let second: Vec<f64> = (0..units).map(|unit| -kept(unit) * weight(unit)).collect();
+        let mut synapses = Vec::new();
+        for (delay, weights) in [(0, first), (1, second)] {
+            if weights.iter().any(|&weight| weight != 0.0) {
+                self.count(units)?;
+                let own = weights.iter().enumerate().map(|(i, &weight)| (i as u64, i as u64, weight)).collect();
+                let kind = ProjectionKind::Sparse(own);
+                synapses.push(ProjectionBuilder { delay, ..ProjectionBuilder::new(name, name, kind) });
+            }
+        }
+        Ok(synapses)
+    }
+
+    /// A name that no population has: the one that is asked for, with underscores behind it where that is taken.
+    fn free_name(&self, wanted: &str) -> String {
+        let mut name = wanted.to_string();
+        while self.names.values().any(|taken| *taken == name) {
+            name.push('_');
+        }
+        name
+    }
+
+    /// The compartment that spikes in every step.
+    pub(super) fn always(&mut self) -> String {
+        let name = self.free_name("always");
+        if self.model.population(&name).is_none() {
+            self.model.populations.push(PopulationBuilder::loihi(&name, vec![1], every_step()));
+        }
+        name
+    }
+
+    /// A connection as projections: one, or one for each delay.
+    pub(super) fn projections(
+        &mut self,
+        from: &str,
+        to: &str,
+        connection: Connection,
+        gain: &Parameter,
+    ) -> Result<Vec<ProjectionBuilder>> {
+        let target = self.shapes[to].clone();
+        let source_units = product(&self.shapes[from]).unwrap_or(0);
+        let units = product(&target).unwrap_or(0);
+        let gains = match gain {
+            Parameter::Same(gain) => vec![*gain],
+            Parameter::Each(gains) => gains.clone(),
+        };
+        let linear = scaled(connection.linear, &gains, &connection.shape).ok_or_else(|| self.too_many(to))?;
+        let (from_name, to_name) = (self.names[from].clone(), self.names[to].clone());
+        let source_volume = self.shapes[from].len() == 3;
+        let (before, behind) = (connection.source_delay, connection.delay);
+        let equal = |list: &[u32]| list.windows(2).all(|pair| pair[0] == pair[1]);
+        let own_delays = !equal(&before) || !equal(&behind);
+        let kind = match linear {
+            Linear::Window(window) if own_delays => {
+                ProjectionKind::Sparse(window.list().ok_or_else(|| self.too_many(to))?)
+            }
+            Linear::Dense(mut weights, sources) => {
+                // A product may not reach the last sources.
+                if sources < source_units {
+                    let mut wide = vec![0.0; units * source_units];
+                    for (row, old) in wide.chunks_exact_mut(source_units).zip(weights.chunks_exact(sources)) {
+                        row[..sources].copy_from_slice(old);
+                    }
+                    weights = wide;
+                }
+                ProjectionKind::Dense(tensor(vec![units, source_units], weights))
+            }
+            Linear::Window(window) if target == window.sliding.target && source_volume => {
+                let pair = |(y, x): (usize, usize)| (y as u64, x as u64);
+                let per_group = window.sliding.per_group();
+                let padding_after = window.sliding.padding_after();
+                match window.kernel {
+                    Ok(kernel) => ProjectionKind::Conv2d {
+                        weights: tensor(
+                            vec![window.sliding.target[0], per_group, window.sliding.size.0, window.sliding.size.1],
+                            kernel,
+                        ),
+                        stride: pair(window.sliding.stride),
+                        padding: pair(window.sliding.padding),
+                        padding_after,
+                        dilation: pair(window.sliding.dilation),
+                        groups: window.sliding.groups as u64,
+                    },
+                    Err(weight) => ProjectionKind::SumPool2d {
+                        kernel: pair(window.sliding.size),
+                        stride: pair(window.sliding.stride),
+                        padding: pair(window.sliding.padding),
+                        padding_after,
+                        weight,
+                    },
+                }
+            }
+            Linear::Diagonal(scale) => {
+                self.count(units)?;
+                ProjectionKind::Sparse((0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect())
+            }
+            other => ProjectionKind::Sparse(self.listed(other, to)?),
+        };
+        if let ProjectionKind::Sparse(synapses) = &kind {
+            self.count(synapses.len())?;
+        }
+        let of =
+            |list: &[u32], index: u64| list.get(if list.len() == 1 { 0 } else { index as usize }).copied().unwrap_or(0);
+        let waits = self.waits(from, to);
+        let delay_of = |source: u64, target: u64| waits + of(&before, source) + of(&behind, target);
+        let longest = waits + before.iter().max().unwrap_or(&0) + behind.iter().max().unwrap_or(&0);
+        if f64::from(longest) > LONGEST_DELAY {
+            return Err(unsupported(
+                format!("delays from '{from}' to '{to}', with the wait for spikes of longer ways, are {longest} steps"),
+                "the delay field holds 0 to 62 steps: skip fewer layers",
+            ));
+        }
+        let mut projection =
+            ProjectionBuilder { delay: delay_of(0, 0), ..ProjectionBuilder::new(&from_name, &to_name, kind) };
+        if !own_delays {
+            return Ok(vec![projection]);
+        }
+        let synapses: Vec<(u64, u64, f64)> = match projection.kind {
+            ProjectionKind::Sparse(synapses) => synapses,
+            ProjectionKind::Dense(weights) => {
+                self.count(weights.len())?;
+                let sources = source_units as u64;
+                (0..weights.len() as u64).map(|i| (i % sources, i / sources, weights.real(i as usize))).collect()
+            }
+            // Windows with delays of their own were listed above.
+            ProjectionKind::Conv2d { .. } | ProjectionKind::SumPool2d { .. } => Vec::new(),
+        };
+        let mut by_delay: BTreeMap<u32, Vec<(u64, u64, f64)>> = BTreeMap::new();
+        for synapse in synapses {
+            by_delay.entry(delay_of(synapse.0, synapse.1)).or_default().push(synapse);
+        }
+        projection.kind = ProjectionKind::Sparse(Vec::new());
+        Ok(by_delay
+            .into_iter()
+            .map(|(delay, synapses)| ProjectionBuilder {
+                delay,
+                kind: ProjectionKind::Sparse(synapses),
+                ..projection.clone()
+            })
+            .collect())
+    }
+
+    /// Counts synapses that are listed one by one.
+    pub(super) fn count(&mut self, synapses: usize) -> Result<()> {
+        self.listed += synapses;
+        if self.listed > MOST_LISTED {
+            return Err(unsupported(
+                format!("more than {MOST_LISTED} synapses would be listed one by one"),
+                "projections that are no matrix and no window are listed",
+            ));
+        }
+        Ok(())
+    }
+
+    /// The population that decides: the one that leads to the output, or integrators that show what does.
+    pub(super) fn output(&mut self, order: &[String]) -> Result<()> {
+        let outputs: Vec<String> =
+            self.flat.nodes.iter().filter(|(_, node)| node.kind == "Output").map(|(name, _)| name.clone()).collect();
+        let mut leading: Vec<(Vec<String>, String)> = Vec::new();
+        for output in &outputs {
+            leading.extend(self.paths(output)?.into_iter().map(|path| (path, output.clone())));
+        }
+        let neurons = |name: &String| self.flat.nodes[name].kind != "Input";
+        let Some((path, output)) = leading.iter().find(|(path, _)| neurons(&path[0])).or(leading.first()) else {
+            let last = order.iter().rev().find(|name| neurons(name)).ok_or_else(|| wrong("it has no neurons"))?;
+            self.model.output = self.names[last].clone();
+            self.drain(&last.clone());
+            self.notes.push(format!("no way leads to an output; '{}' is taken for it", self.model.output));
+            return Ok(());
+        };
+        if leading.len() > 1 {
+            self.notes.push(format!("{} ways lead to outputs; '{}' is taken", leading.len(), path[0]));
+        }
+        let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
+        self.check_shape(output, product(&arrived.shape).unwrap_or(0))?;
+        let plain = path[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
+        if plain && neurons(&path[0]) {
+            self.model.output = self.names[&path[0]].clone();
+            self.drain(&path[0].clone());
+            return Ok(());
+        }
+        // Weights without a neuron behind them: v shows what they sum in each step.
+        let output = output.clone();
+        let name = self.free_name("output");
+        self.names.insert(output.clone(), name.clone());
+        self.shapes.insert(output.clone(), arrived.shape.clone());
+        let shape = arrived.shape.iter().map(|&axis| axis as u64).collect();
+        let memoryless = Parameter::Same(4096.0);
+        let parameters =
+            vec![("du", memoryless.clone()), ("dv", memoryless.clone()), ("vth_mant", Parameter::Same(NEVER))];
+        let start_step = if neurons(&path[0]) { self.depths[&path[0]] + 1 } else { 0 };
+        self.depths.insert(output.clone(), start_step);
+        let population = PopulationBuilder::loihi(&name, shape, parameters);
+        self.model.populations.push(PopulationBuilder { start_step, ..population });
+        let neuron = Discrete {
+            du: memoryless.clone(),
+            dv: memoryless,
+            taus: [None, None],
+            gain: Parameter::Same(1.0),
+            threshold: None,
+            bias: Parameter::Same(0.0),
+        };
+        self.notes
+            .push(format!("weights lead to '{output}' without a neuron: '{name}' shows their sum of each step as v"));
+        self.incoming(&output, &neuron)?;
+        self.model.output = name;
+        self.drain(&output);
+        Ok(())
+    }
+
+    /// The steps that the output answers later.
+    fn drain(&mut self, output: &str) {
+        let depth = self.depths[output];
+        self.model.drain = depth;
+        if depth > 0 {
+            self.notes.push(format!(
+                "layer k starts at step k, as a spike takes a step from layer to layer; {depth} more after the last step of the \
+                 input (drain), as the tools that train such networks let a spike pass all layers in one step"
+            ));
+        }
+    }
+}
+
+/// The weights of a projection.
+fn weights(kind: &ProjectionKind) -> Vec<f64> {
+    match kind {
+        ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => weights.reals().collect(),
+        ProjectionKind::Sparse(synapses) => synapses.iter().map(|synapse| synapse.2).collect(),
+        ProjectionKind::SumPool2d { weight, .. } => vec![*weight],
+    }
+}

@@ -1,0 +1,209 @@
+//! The graph of a file: graphs within graphs unfolded, populations named and given shapes, the paths between them.
+//!
+//! Input: groups of the file. Output: nodes and edges without nesting, and what leads from which population to which.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::neuron::reals;
+use super::reader::{DEEPEST, Flat, MOST_NODES, MOST_PATHS, MOST_UNITS, Node, Reader, is_population, product, wrong};
+use crate::foreign::hdf5::{Group, Item, Numbers};
+use crate::foreign::imported::population_name;
+use nsim_ir::base::diagnostic::Result;
+
+/// Adds a graph's nodes under a prefix; edges that end at a graph end at its inputs, those that leave it leave its outputs.
+pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mut Flat<'a>) -> Result<()> {
+    if depth > DEEPEST {
+        return Err(wrong(format!("graphs are nested deeper than {DEEPEST}")));
+    }
+    let nodes = graph.group("nodes").ok_or_else(|| wrong("a graph has no group 'nodes'"))?;
+    let mut graphs: BTreeMap<&str, (Vec<String>, Vec<String>)> = BTreeMap::new();
+    let mut names: BTreeSet<&str> = BTreeSet::new();
+    for (name, item) in &nodes.items {
+        let Item::Group(node) = item else { return Err(wrong(format!("node '{name}' is no group"))) };
+        let kind = node.text("type").ok_or_else(|| wrong(format!("node '{name}' does not say its type")))?;
+        names.insert(name);
+        let full = format!("{prefix}{name}");
+        if full.len() > 512 || flat.nodes.len() >= MOST_NODES {
+            return Err(wrong(format!("more than {MOST_NODES} nodes, or a name of more than 512 letters")));
+        }
+        if kind == "NIRGraph" {
+            let inner = node.group("nodes");
+            let of_kind = |wanted: &str| -> Vec<String> {
+                let is = |item: &Item| matches!(item, Item::Group(group) if group.text("type") == Some(wanted));
+                let members = inner.into_iter().flat_map(|nodes| nodes.items.iter());
+                members.filter(|(_, item)| is(item)).map(|(inner, _)| format!("{full}/{inner}")).collect()
+            };
+            graphs.insert(name, (of_kind("Input"), of_kind("Output")));
+            unfold(node, &format!("{full}/"), depth + 1, flat)?;
+        } else {
+            let kind = if depth > 0 && matches!(kind, "Input" | "Output") { "Pass" } else { kind };
+            flat.nodes.insert(full, Node { kind: kind.to_string(), group: node });
+        }
+    }
+    let edges: &[String] = match graph.get("edges") {
+        Some(Item::Texts(shape, texts)) if shape.len() == 2 && shape[1] == 2 => texts,
+        Some(Item::Texts(_, texts)) if texts.is_empty() => &[],
+        Some(Item::Numbers(numbers)) if numbers.is_empty() => &[],
+        _ => return Err(wrong("a graph's 'edges' are no pairs of names")),
+    };
+    for pair in edges.chunks_exact(2) {
+        for end in pair {
+            if !names.contains(end.as_str()) {
+                return Err(wrong(format!("an edge names '{end}', which is no node")));
+            }
+        }
+        let single = |end: &String| vec![format!("{prefix}{end}")];
+        let from = graphs.get(pair[0].as_str()).map_or_else(|| single(&pair[0]), |ends| ends.1.clone());
+        let to = graphs.get(pair[1].as_str()).map_or_else(|| single(&pair[1]), |ends| ends.0.clone());
+        for (a, b) in from.iter().flat_map(|a| to.iter().map(move |b| (a, b))) {
+            flat.edges.insert((a.clone(), b.clone()));
+            if flat.edges.len() > MOST_NODES {
+                return Err(wrong(format!("more than {MOST_NODES} edges")));
+            }
+        }
+    }
+    Ok(())
+}
+
+impl Reader<'_> {
+    pub(super) fn name_populations(&mut self, populations: &[String]) -> Result<()> {
+        let mut taken = BTreeSet::new();
+        for name in populations {
+            let plain = population_name(name);
+            let mut unique = if plain.is_empty() { "node".to_string() } else { plain.clone() };
+            let mut count = 1;
+            while !taken.insert(unique.clone()) {
+                count += 1;
+                unique = format!("{plain}_{count}");
+            }
+            self.names.insert(name.clone(), unique);
+        }
+        if !populations.iter().any(|name| self.flat.nodes[name].kind != "Input") {
+            return Err(wrong("it has no neurons"));
+        }
+        Ok(())
+    }
+
+    /// `[n]` or `[channels, height, width]` of an array's axes.
+    pub(super) fn volume(shape: &[usize]) -> Vec<usize> {
+        let mut shape = shape.to_vec();
+        while shape.len() > 3 && shape[0] == 1 {
+            shape.remove(0);
+        }
+        match shape.as_slice() {
+            [] => vec![1],
+            [_] | [_, _, _] => shape,
+            // Channels of a line.
+            [channels, length] => vec![*channels, 1, *length],
+            _ => vec![product(&shape).unwrap_or(usize::MAX)],
+        }
+    }
+
+    /// Shapes of populations: what inputs say, what parameters have, what arrives.
+    pub(super) fn find_shapes(&mut self, populations: &[String]) -> Result<()> {
+        for name in populations {
+            let node = &self.flat.nodes[name];
+            let shape = if node.kind == "Input" {
+                let given = reals(node.group, name, "shape")?;
+                let whole = given.iter().all(|x| x.fract() == 0.0 && (1.0..=MOST_UNITS as f64).contains(x));
+                if !whole {
+                    return Err(wrong(format!("input '{name}' has the shape {given:?}")));
+                }
+                Some(given.iter().map(|&x| x as usize).collect::<Vec<_>>())
+            } else {
+                let fields = ["v_threshold", "tau_mem", "tau", "r", "v_leak", "tau_syn", "threshold"];
+                let shapes = fields.iter().filter_map(|key| node.group.numbers(key)).map(Numbers::shape);
+                shapes
+                    .max_by_key(|shape| shape.iter().product::<usize>())
+                    .filter(|s| product(s) > Some(1))
+                    .map(<[_]>::to_vec)
+            };
+            if let Some(shape) = shape {
+                let shape = Self::volume(&shape);
+                if product(&shape).is_none() {
+                    return Err(wrong(format!("'{name}' has more than {MOST_UNITS} units")));
+                }
+                self.shapes.insert(name.clone(), shape);
+            }
+        }
+        // Parameters of one number fit any shape: the one that arrives.
+        for _ in 0..populations.len() {
+            let missing: Vec<String> =
+                populations.iter().filter(|name| !self.shapes.contains_key(*name)).cloned().collect();
+            let mut changed = false;
+            for name in &missing {
+                for path in self.paths(name)? {
+                    if let Some(shape) = self.shapes.get(&path[0]).cloned() {
+                        let shape = self.walk(&shape, &path[1..])?.shape;
+                        self.shapes.insert(name.clone(), shape);
+                        changed = true;
+                        break;
+                    }
+                }
+            }
+            if missing.is_empty() || !changed {
+                break;
+            }
+        }
+        for name in populations {
+            self.shapes.entry(name.clone()).or_insert_with(|| vec![1]);
+        }
+        Ok(())
+    }
+
+    /// Every path that ends at a node: the population that it leaves, then the nodes on it.
+    pub(super) fn paths(&self, to: &str) -> Result<Vec<Vec<String>>> {
+        let mut paths = Vec::new();
+        let mut open: Vec<Vec<String>> = vec![vec![to.to_string()]];
+        while let Some(path) = open.pop() {
+            let last = &path[path.len() - 1];
+            for (from, _) in self.flat.edges.iter().filter(|(_, end)| end == last) {
+                let mut longer = path.clone();
+                if path.contains(from) && !is_population(&self.flat.nodes[from].kind) {
+                    return Err(wrong(format!("node '{from}' feeds itself without a neuron in between")));
+                }
+                longer.push(from.clone());
+                if is_population(&self.flat.nodes[from].kind) {
+                    // Without the end, from the source on.
+                    let mut whole = longer[1..].to_vec();
+                    whole.reverse();
+                    paths.push(whole);
+                } else {
+                    open.push(longer);
+                }
+                if paths.len() + open.len() > MOST_PATHS {
+                    return Err(wrong(format!("more than {MOST_PATHS} ways lead to '{to}'")));
+                }
+            }
+        }
+        paths.sort();
+        Ok(paths)
+    }
+
+    /// Populations in the order in which spikes reach them, inputs first.
+    pub(super) fn order(&self, populations: &[String]) -> Vec<String> {
+        let mut order: Vec<String> =
+            populations.iter().filter(|name| self.flat.nodes[*name].kind == "Input").cloned().collect();
+        let mut seen: BTreeSet<String> = order.iter().cloned().collect();
+        let mut next: Vec<String> = order.clone();
+        let mut passed: BTreeSet<String> = seen.clone();
+        while !next.is_empty() {
+            let mut after = Vec::new();
+            for name in &next {
+                for (_, to) in
+                    self.flat.edges.range((name.clone(), String::new())..).take_while(|(from, _)| from == name)
+                {
+                    if passed.insert(to.clone()) {
+                        after.push(to.clone());
+                        if is_population(&self.flat.nodes[to].kind) && seen.insert(to.clone()) {
+                            order.push(to.clone());
+                        }
+                    }
+                }
+            }
+            next = after;
+        }
+        order.extend(populations.iter().filter(|name| !seen.contains(*name)).cloned());
+        order
+    }
+}

@@ -1,0 +1,246 @@
+//! Networks in the neuromorphic intermediate representation (`.nir`, HDF5).
+//!
+//! Input: the tree of a file. Output: a model with one population for each node that has a state. The nodes
+//! between two populations (`Linear`, `Affine`, `Scale`, `Conv1d`, `Conv2d`, `SumPool2d`, `AvgPool2d`, `Flatten`,
+//! `Delay`) become one projection; graphs within graphs are unfolded; edges may form cycles.
+//!
+//! The equations are of continuous time (NIR 7232ada, `docs/source/primitives.md`); they are
+//! discretised as their exporters do, by Euler's rule with the new current: `I <- (1 - dt /
+//! tau_syn) I + (dt / tau_syn) w_in x`, `v <- (1 - dt / tau_mem) v + (dt / tau_mem) (R I +
+//! v_leak)`. So the effective decays are `4096 dt / tau`: as they are in the model, where a time
+//! constant of `-dt / ln(1 - dt / tau)` stands for them, rounded on the chip. And a weight counts
+//! `(dt / tau_syn) w_in (dt / tau_mem) R` in the units of the threshold. The timestep is not in a
+//! file: it is `tau_mem / R` where that agrees with `tau_syn / w_in` in every node, or it has to be
+//! said. A bias goes to v where the current has no memory; where it has one, a compartment that
+//! spikes in every step delivers it, from step 1 on. A model that nsim exported is recognised and
+//! restored as it was ([`super::nir_export`]).
+//!
+//! A reset by subtraction is asked for, since the format does not have it (`--reset subtract`).
+//! snnTorch subtracts in the step after the spike: `v <- b v + I - theta`, b the share that stays.
+//! SoftReset subtracts at the spike, so that `v <- b (v - theta) + I`; a synapse of `-(1 - b)
+//! theta` from each neuron to itself makes the two equal (`--reset subtract-later`). Where the
+//! current has a memory of share a, a second one, a step later, of `a (1 - b) theta` takes away
+//! what the current keeps of the first.
+//!
+//! Left out on purpose: resets to other values than zero, for which a core has no circuit.
+
+mod connection;
+mod depth;
+mod emit;
+mod graph;
+mod linear;
+mod neuron;
+mod reader;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::hdf5::Group;
+use super::imported::{Imported, NEVER, Options, ResetMode};
+use super::nir_export;
+use graph::unfold;
+use nsim_files::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::neurons::NeuronKind;
+use reader::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
+
+/// Reads the tree of a file.
+///
+/// # Errors
+/// `import.nir` for what is malformed, `import.unsupported` for what a core cannot do, `import.option` for what the file
+/// does not say.
+pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
+    let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
+    let mut notes = Vec::new();
+    match nir_export::restore(root) {
+        Some(Ok(model)) => {
+            check_restored(&model, options)?;
+            notes.push("written by nsim and unchanged since: restored as it was".to_string());
+            return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new() });
+        }
+        Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
+        None => {}
+    }
+    if graph.text("type") != Some("NIRGraph") {
+        return Err(wrong("its root is no NIRGraph"));
+    }
+    let mut flat = Flat::default();
+    unfold(graph, "", 0, &mut flat)?;
+    let mut model = ModelBuilder::new(name, 1.0);
+    model.threshold = options.threshold.unwrap_or_default();
+    let mut reader = Reader {
+        flat,
+        options,
+        model,
+        notes,
+        names: BTreeMap::new(),
+        shapes: BTreeMap::new(),
+        depths: BTreeMap::new(),
+        loops: BTreeSet::new(),
+        dt: 0.0,
+        listed: 0,
+    };
+    reader.network()?;
+    let Reader { model, notes, .. } = reader;
+    let mut imported = Imported { kind: "NIR", model, notes, layers: Vec::new() }.read_out();
+    imported.model.provenance = Some(format!("imported from a NIR file; {}", imported.notes.join("; ")));
+    Ok(imported)
+}
+
+/// Refuses options that contradict a model of nsim's own.
+fn check_restored(model: &ModelBuilder, options: &Options) -> Result<()> {
+    let ours = |kind| model.populations.iter().any(|population| population.loihi.is_some() && population.kind == kind);
+    let contradicted = match options.reset {
+        None => None,
+        Some(ResetMode::Zero) => ours(NeuronKind::SoftReset).then_some("--reset zero"),
+        Some(_) => (!ours(NeuronKind::SoftReset)).then_some("--reset by subtraction"),
+    };
+    let other_test = options.threshold.is_some_and(|threshold| threshold != model.threshold).then_some("--threshold");
+    let other_step = options.dt_ms.is_some_and(|dt| (dt / model.timestep_ms - 1.0).abs() > 1e-9);
+    let decay = options.decay.map(|_| "--decay");
+    match contradicted.or(other_test).or(decay).or(other_step.then_some("--dt")) {
+        None => Ok(()),
+        Some(option) => Err(Diagnostic::new(
+            "import.option",
+            format!(
+                "the file holds a model of nsim with a timestep of {} ms, which {option} contradicts",
+                model.timestep_ms
+            ),
+        )
+        .help("leave the option out: the model is restored as it was")),
+    }
+}
+
+impl Reader<'_> {
+    fn network(&mut self) -> Result<()> {
+        self.check_kinds()?;
+        self.dt = self.timestep()?;
+        let populations: Vec<String> = self
+            .flat
+            .nodes
+            .iter()
+            .filter(|(_, node)| is_population(&node.kind))
+            .map(|(name, _)| name.clone())
+            .collect();
+        self.name_populations(&populations)?;
+        self.find_shapes(&populations)?;
+        // Inputs first, then the others in the order in which spikes reach them.
+        let order = self.order(&populations);
+        self.find_depths(&order)?;
+        let mut discrete = BTreeMap::new();
+        for name in &order {
+            let neuron = self.discretise(name)?;
+            discrete.insert(name.clone(), neuron);
+        }
+        self.note_rounded_delays()?;
+        self.wait_for_biases(&order, &discrete)?;
+        // Neurons whose file does not say to what value they reset.
+        let mut unsaid = false;
+        for name in &order {
+            let shape: Vec<u64> = self.shapes[name].iter().map(|&axis| axis as u64).collect();
+            let loihi = discrete[name].as_ref().map(|neuron| {
+                let [tau_u, tau_v] = neuron.taus.clone();
+                let mut parameters = vec![
+                    tau_u.map_or(("du", neuron.du.clone()), |tau| ("tau_u_ms", tau)),
+                    tau_v.map_or(("dv", neuron.dv.clone()), |tau| ("tau_v_ms", tau)),
+                ];
+                match &neuron.threshold {
+                    Some(Parameter::Same(0.0)) => parameters.push(("vth_mant", Parameter::Same(0.0))),
+                    Some(threshold) => parameters.push(("vth", threshold.clone())),
+                    None => parameters.push(("vth_mant", Parameter::Same(NEVER))),
+                }
+                parameters
+            });
+            let node = &self.flat.nodes[name];
+            let (resets, said) = (resets(&node.kind), node.group.get("v_reset").is_some());
+            unsaid |= resets && !said;
+            let kind = match self.options.reset.filter(|&reset| resets && reset != ResetMode::Zero) {
+                Some(_) if said => {
+                    return Err(Diagnostic::new(
+                        "import.option",
+                        format!("node '{name}' has v_reset 0, which --reset {} contradicts", self.reset_name()),
+                    )
+                    .help(
+                        "leave --reset out: a neuron with v_reset returns to that value. snnTorch and sinabs write v_reset 0 for \
+                         networks that subtract too: read such a network of snnTorch from its state dict (torch.save), or delete \
+                         the field from each node with h5py: del file['node/nodes/NAME/v_reset']",
+                    ));
+                }
+                Some(_) => NeuronKind::SoftReset,
+                None => NeuronKind::Loihi,
+            };
+            let (start_step, name) = (self.depths[name], self.names[name].clone());
+            let input = PopulationBuilder::input(&name, shape);
+            self.model.populations.push(PopulationBuilder { loihi, kind, start_step, ..input });
+        }
+        for name in &order {
+            if let Some(neuron) = discrete.remove(name).flatten() {
+                self.incoming(name, &neuron)?;
+            }
+        }
+        self.output(&order)?;
+        if unsaid && self.options.reset.is_none() {
+            self.notes.push(
+                "the file does not say how neurons reset; as on the chip v returns to zero (--reset zero says so; \
+                 a network trained with reset by subtraction will differ: snnTorch subtracts a step after the spike, \
+                 --reset subtract-later, others at the spike, --reset subtract)"
+                    .to_string(),
+            );
+        }
+        if unsaid && self.options.reset.is_some_and(|reset| reset != ResetMode::Zero) {
+            self.notes.push(format!(
+                "neurons subtract their threshold {} (SoftReset): Loihi 1 has no such compartment; nsim convert makes \
+                 them reset to zero and measures the loss",
+                match self.options.reset {
+                    Some(ResetMode::SubtractLater) =>
+                        "in the step after their spike, of which a synapse to themselves takes what decays too early",
+                    _ => "when they spike",
+                }
+            ));
+        }
+        self.model.timestep_ms = self.dt * 1e3;
+        Ok(())
+    }
+
+    /// The value of `--reset`.
+    fn reset_name(&self) -> &'static str {
+        match self.options.reset {
+            Some(ResetMode::Subtract) => "subtract",
+            Some(ResetMode::SubtractLater) => "subtract-later",
+            Some(ResetMode::Zero) | None => "zero",
+        }
+    }
+
+    fn check_kinds(&self) -> Result<()> {
+        const LINEAR: [&str; 11] = [
+            "Linear",
+            "Affine",
+            "Scale",
+            "Conv1d",
+            "Conv2d",
+            "SumPool2d",
+            "AvgPool2d",
+            "Flatten",
+            "Delay",
+            "Pass",
+            "Output",
+        ];
+        for (name, node) in &self.flat.nodes {
+            let known = fields(&node.kind);
+            let unknown = |key: &&String| !known.contains(&key.as_str()) && !WITHOUT_MEANING.contains(&key.as_str());
+            if let (false, Some(key)) = (known.is_empty(), node.group.items.keys().find(unknown)) {
+                return Err(unsupported(
+                    format!("node '{name}' has a field '{key}', which nodes of the type '{}' do not have", node.kind),
+                    "remove it if the network does not depend on it",
+                ));
+            }
+            if !is_population(&node.kind) && !LINEAR.contains(&node.kind.as_str()) {
+                return Err(unsupported(
+                    format!("node '{name}' is of the type '{}'", node.kind),
+                    "imported are Input, Output, Linear, Affine, Scale, CubaLIF, LIF, IF, CubaLI, LI, I, Threshold, Conv1d, \
+                     Conv2d, SumPool2d, AvgPool2d, Flatten, Delay and graphs of them",
+                ));
+            }
+        }
+        Ok(())
+    }
+}

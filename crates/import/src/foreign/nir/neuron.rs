@@ -1,0 +1,271 @@
+//! Neurons in continuous time as compartments in steps.
+//!
+//! Input: time constants, resistances, thresholds of a node. Output: the timestep of the file, and decays, gain, threshold
+//! and bias in that step.
+
+use std::cmp::Ordering;
+
+use super::reader::{Reader, product, resets, unsupported, wrong};
+use crate::foreign::hdf5::Group;
+use crate::foreign::imported::{DecayRule, decimal};
+use nsim_files::model_builder::Parameter;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// What a neuron is once it is discretised.
+pub(super) struct Discrete {
+    pub(super) du: Parameter,
+    pub(super) dv: Parameter,
+    /// Time constants in ms of the current and of the voltage, where 4096ths do not hold the decays
+    /// as they are.
+    pub(super) taus: [Option<Parameter>; 2],
+    /// What a weight of 1 counts in the units of the threshold.
+    pub(super) gain: Parameter,
+    /// None for what never spikes.
+    pub(super) threshold: Option<Parameter>,
+    /// Added to v in each step.
+    pub(super) bias: Parameter,
+}
+
+/// A decay that is nearer to a whole number of 4096ths is that number: time constants have single
+/// precision.
+const EXACT: f64 = 1e-3;
+
+/// Finite numbers of a field.
+pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
+    let numbers = node.numbers(key).ok_or_else(|| wrong(format!("node '{name}' has no array '{key}'")))?;
+    let single = numbers.dtype().ends_with("f4");
+    let reals: Vec<f64> = numbers.reals().map(|x| if single { decimal(x) } else { x }).collect();
+    match reals.iter().find(|x| !x.is_finite()) {
+        Some(x) => Err(wrong(format!("node '{name}': '{key}' has a number that is {x}"))),
+        None if reals.is_empty() => Err(wrong(format!("node '{name}': '{key}' is empty"))),
+        None => Ok(reals),
+    }
+}
+
+/// A field that may be absent.
+pub(super) fn optional(node: &Group, name: &str, key: &str, default: f64) -> Result<Parameter> {
+    match node.get(key) {
+        Some(_) => Ok(Parameter::from_values(reals(node, name, key)?)),
+        None => Ok(Parameter::Same(default)),
+    }
+}
+
+pub(super) fn parameter(node: &Group, name: &str, key: &str) -> Result<Parameter> {
+    Ok(Parameter::from_values(reals(node, name, key)?))
+}
+
+/// Entry by entry, where one number counts for all.
+pub(super) fn zip(a: &Parameter, b: &Parameter, f: impl Fn(f64, f64) -> f64) -> Parameter {
+    match (a, b) {
+        (Parameter::Same(a), b) => b.map(|b| f(*a, b)),
+        (a, Parameter::Same(b)) => a.map(|a| f(a, *b)),
+        (Parameter::Each(a), Parameter::Each(b)) => {
+            Parameter::from_values(a.iter().zip(b).map(|(&a, &b)| f(a, b)).collect())
+        }
+    }
+}
+
+pub(super) fn all(value: &Parameter, f: impl Fn(f64) -> bool) -> bool {
+    match value {
+        Parameter::Same(x) => f(*x),
+        Parameter::Each(values) => values.iter().all(|&x| f(x)),
+    }
+}
+
+impl Reader<'_> {
+    /// The timestep in seconds: said, or the one that all nodes agree on.
+    pub(super) fn timestep(&mut self) -> Result<f64> {
+        if let Some(dt) = self.options.dt_ms {
+            self.notes.push(format!("timestep {dt} ms, as --dt says"));
+            return Ok(dt / 1e3);
+        }
+        let (mut found, mut timed): (Vec<(String, f64)>, bool) = (Vec::new(), false);
+        let mut implied_by = "tau / r";
+        for (name, node) in &self.flat.nodes {
+            let ratio = |tau: &str, by: &str| -> Result<Vec<f64>> {
+                let ratio =
+                    zip(&parameter(node.group, name, tau)?, &optional(node.group, name, by, 1.0)?, |a, b| a / b);
+                Ok(match ratio {
+                    Parameter::Same(x) => vec![x],
+                    Parameter::Each(values) => values,
+                })
+            };
+            match node.kind.as_str() {
+                "CubaLIF" | "CubaLI" => {
+                    timed = true;
+                    implied_by = "tau_mem / r, and tau_syn / w_in agrees";
+                    for (tau, by) in [("tau_mem", "r"), ("tau_syn", "w_in")] {
+                        found.extend(ratio(tau, by)?.into_iter().map(|x| (name.clone(), x)));
+                    }
+                }
+                "LIF" | "LI" => {
+                    timed = true;
+                    // A resistance of 1 is how nothing is said.
+                    if !all(&optional(node.group, name, "r", 1.0)?, |r| r == 1.0) {
+                        found.extend(ratio("tau", "r")?.into_iter().map(|x| (name.clone(), x)));
+                    }
+                }
+                "Delay" => timed = true,
+                _ => {}
+            }
+        }
+        if !timed {
+            self.notes.push("nothing in the file depends on the timestep: 1 ms".to_string());
+            return Ok(1e-3);
+        }
+        let ask = |message: String| {
+            Diagnostic::new("import.option", message).help("say how long a timestep is: --dt MS, for example --dt 0.1")
+        };
+        let Some((_, first)) = found.first().cloned() else {
+            return Err(ask("the timestep is not in the file, and its nodes do not imply one".to_string()));
+        };
+        if let Some((name, other)) =
+            found.iter().find(|(_, dt)| (dt / first - 1.0).abs().partial_cmp(&1e-3) != Some(Ordering::Less))
+        {
+            return Err(ask(format!(
+                "the nodes do not imply one timestep: {:.6} ms by '{}', {:.6} ms by '{name}'",
+                first * 1e3,
+                found[0].0,
+                other * 1e3
+            )));
+        }
+        if !(first > 0.0 && first <= 1e3) {
+            return Err(ask(format!("the nodes imply a timestep of {first} s")));
+        }
+        // Many exporters computed in single precision: a timestep has few digits.
+        let digits: f64 = format!("{first:.4e}").parse().unwrap_or(first);
+        let dt = if (digits / first - 1.0).abs() < 1e-5 { digits } else { first };
+        self.notes.push(format!("timestep {:.6} ms: {implied_by}", dt * 1e3));
+        Ok(dt)
+    }
+
+    /// A node's neuron in steps; nothing for an input.
+    pub(super) fn discretise(&mut self, name: &str) -> Result<Option<Discrete>> {
+        let node = &self.flat.nodes[name];
+        let (group, dt) = (node.group, self.dt);
+        let units = product(&self.shapes[name]).unwrap_or(0);
+        let get = |key: &str, default: Option<f64>| -> Result<Parameter> {
+            let value = match default {
+                Some(default) => optional(group, name, key, default)?,
+                None => parameter(group, name, key)?,
+            };
+            match &value {
+                Parameter::Each(values) if values.len() != units => {
+                    Err(wrong(format!("node '{name}': '{key}' has {} numbers for {units} units", values.len())))
+                }
+                _ => Ok(value),
+            }
+        };
+        let fraction = |key: &str| -> Result<Parameter> {
+            let tau = get(key, None)?;
+            if !all(&tau, |tau| tau > 0.0) {
+                return Err(wrong(format!("node '{name}': '{key}' is not above 0")));
+            }
+            if self.options.decay == Some(DecayRule::Exponential) {
+                return Ok(tau.map(|tau| -(-dt / tau).exp_m1()));
+            }
+            if !all(&tau, |tau| dt <= tau * (1.0 + 1e-6)) {
+                return Err(Diagnostic::new(
+                    "import.option",
+                    format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3),
+                )
+                .help(
+                    "give a shorter one with --dt MS; time constants of a file are in seconds. A tool whose states decay by \
+                     exp(-dt / tau) is read with --decay exponential",
+                ));
+            }
+            Ok(tau.map(|tau| (dt / tau).min(1.0)))
+        };
+        // What is left after a step, 1 - fraction, as exp(-dt / tau).
+        let tau = |fraction: &Parameter| {
+            let exact = |fraction: f64| (4096.0 * fraction - (4096.0 * fraction).round()).abs() < EXACT;
+            let none = all(fraction, exact) || !all(fraction, |fraction| fraction < 1.0);
+            (!none).then(|| fraction.map(|fraction| -dt * 1e3 / (-fraction).ln_1p()))
+        };
+        // In 4096ths; whole numbers of them where these hold the decays.
+        let decay = |fraction: &Parameter| match tau(fraction) {
+            None => fraction.map(|fraction| (4096.0 * fraction).round_ties_even()),
+            Some(_) => fraction.map(|fraction| 4096.0 * fraction),
+        };
+        // `dt / tau * (tau / dt)`, which exporters write for "no scaling", is 1 but for rounding.
+        let snapped = |gain: Parameter| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
+        let forget = Parameter::Same(4096.0);
+        let none = Parameter::Same(0.0);
+        let spiking = resets(&node.kind);
+        if spiking && !all(&get("v_reset", Some(0.0))?, |v| v == 0.0) {
+            return Err(unsupported(
+                format!("node '{name}' resets to another value than 0"),
+                "a compartment of Loihi returns to zero",
+            ));
+        }
+        let threshold = match node.kind.as_str() {
+            "Threshold" => Some(get("threshold", None)?),
+            _ if spiking => Some(get("v_threshold", None)?),
+            _ => None,
+        };
+        // One of 0 is a mantissa of 0; beside others, weights have no scale.
+        if threshold.as_ref().is_some_and(|threshold| !all(threshold, |x| x > 0.0) && !all(threshold, |x| x == 0.0)) {
+            return Err(unsupported(
+                format!("node '{name}' has a threshold below 0, or one of 0 beside others"),
+                "a threshold mantissa is not negative, and weights are scaled by it",
+            ));
+        }
+        let neuron = match node.kind.as_str() {
+            "CubaLIF" | "CubaLI" => {
+                let (synapse, membrane) = (fraction("tau_syn")?, fraction("tau_mem")?);
+                let current = snapped(zip(&synapse, &get("w_in", Some(1.0))?, |a, b| a * b));
+                let voltage = snapped(zip(&membrane, &get("r", Some(1.0))?, |a, b| a * b));
+                Discrete {
+                    du: decay(&synapse),
+                    dv: decay(&membrane),
+                    taus: [tau(&synapse), tau(&membrane)],
+                    gain: zip(&current, &voltage, |a, b| a * b),
+                    bias: zip(&membrane, &get("v_leak", Some(0.0))?, |a, b| a * b),
+                    threshold,
+                }
+            }
+            "LIF" | "LI" => {
+                let membrane = fraction("tau")?;
+                Discrete {
+                    du: forget,
+                    dv: decay(&membrane),
+                    taus: [None, tau(&membrane)],
+                    gain: snapped(zip(&membrane, &get("r", Some(1.0))?, |a, b| a * b)),
+                    bias: zip(&membrane, &get("v_leak", Some(0.0))?, |a, b| a * b),
+                    threshold,
+                }
+            }
+            "IF" | "I" => {
+                // Where nothing else has a timestep, exporters mean sums: a spike counts its weight.
+                let said = self.options.dt_ms.is_some();
+                let r = get("r", Some(1.0))?;
+                let gain = if said && !all(&r, |r| r == 1.0) { r.map(|r| r * dt) } else { r };
+                Discrete {
+                    du: forget,
+                    dv: none.clone(),
+                    taus: [None, None],
+                    gain: snapped(gain),
+                    bias: none,
+                    threshold,
+                }
+            }
+            "Threshold" => {
+                let taus = [None, None];
+                Discrete { du: forget.clone(), dv: forget, taus, gain: Parameter::Same(1.0), bias: none, threshold }
+            }
+            _ => return Ok(None),
+        };
+        let shown = |value: &Parameter| match value {
+            Parameter::Same(x) => format!("{}", (x * 1e6).round() / 1e6),
+            Parameter::Each(_) => "each its own".to_string(),
+        };
+        self.notes.push(format!(
+            "'{name}' ({}): du {}, dv {}, a weight counts {}",
+            self.flat.nodes[name].kind,
+            shown(&neuron.du),
+            shown(&neuron.dv),
+            shown(&neuron.gain)
+        ));
+        Ok(Some(neuron))
+    }
+}

@@ -1,0 +1,574 @@
+//! A model as a NIR file, and back without loss.
+//!
+//! Input: a model. Output: the tree of a `.nir` file that any tool of NIR reads: `CubaLIF` neurons with time
+//! constants `4096 dt / du` in seconds, weights, thresholds and biases in units of the register divided by 64 for models in
+//! integers and in their own units for models in real numbers, `w_in` and `r` such that a weight counts 1. What NIR has no
+//! word for (weight exponents, refractory periods, clips, resets, semantics) stands in the graph's metadata, as the whole
+//! text of the model and its arrays. [`restore`] takes the model from there, provided that exporting it again gives the
+//! file that it was found in: a file that somebody changed is read like any other.
+
+use std::collections::BTreeMap;
+
+use super::hdf5::{Group, Item, Numbers};
+use super::imported::{NEVER, every_step};
+use nsim_files::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind};
+use nsim_files::network::{ArrayRef, Network, NetworkFile};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::neurons::NeuronKind;
+use nsim_ir::tensor;
+use nsim_ir::tensor::Tensor;
+
+/// The version of NIR whose layout is written.
+const VERSION: &str = "1.0.8";
+/// The key of the model's text in the metadata.
+const TEXT: &str = "nsim_model";
+/// What the text calls the file of its arrays.
+const ARRAYS: &str = "arrays";
+/// What a decay of zero is written as: a time constant at which `4096 dt / tau` is 0 though `dt / tau` is not.
+const ENDLESS: f64 = 4_503_599_627_370_496.0;
+/// The most numbers that a list of synapses may take as a matrix.
+const MOST_MATRIX: u64 = 1 << 24;
+
+fn unsupported(message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new("export.unsupported", message)
+}
+
+/// The tree of a file, and what other tools will not see of the model.
+///
+/// # Errors
+/// `export.unsupported` for what has no form in NIR: spike response neurons, lists of synapses beyond 2^24 places.
+pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
+    let dt = model.timestep_ms / 1e3;
+    let mut graph =
+        Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt, biases: BTreeMap::new() };
+    let biases = model.populations.iter().filter(|population| graph.takes_biases_of(model, population));
+    let biases: Vec<String> = biases.map(|population| population.name.clone()).collect();
+    for population in model.populations.iter().filter(|population| !biases.contains(&population.name)) {
+        graph.population(population)?;
+        let heard = model.projections.iter().any(|projection| projection.to == population.name);
+        if population.loihi.is_some() && !heard {
+            graph.notes.push(format!(
+                "'{}' has no input: nir.read of Python gives it an input of its own, which a file that it writes keeps",
+                population.name
+            ));
+        }
+    }
+    for (index, projection) in model.projections.iter().enumerate() {
+        if !projection.from.iter().any(|from| biases.contains(from)) {
+            graph.projection(model, projection, index)?;
+        }
+    }
+    let output = model.population(&model.output).ok_or_else(|| unsupported("the model has no output"))?;
+    let name = graph.free("output");
+    graph.nodes = graph.nodes.with(&name, node("Output").with("shape", shape(&output.shape)));
+    graph.edges.push((model.output.clone(), name));
+    let (text, arrays) = model.ron(ARRAYS);
+    let mut stored = Group::default();
+    for (index, (key, tensor)) in arrays.iter().enumerate() {
+        let entry = Group::default().with("key", key.as_str()).with("numbers", array(tensor));
+        stored = stored.with(&index.to_string(), entry);
+    }
+    let metadata = Group::default().with(TEXT, text.as_str()).with("nsim_arrays", stored);
+    let edges = graph.edges.iter().flat_map(|(from, to)| [from.clone(), to.clone()]).collect();
+    let root = node("NIRGraph")
+        .with("nodes", graph.nodes)
+        .with("edges", Item::Texts(vec![graph.edges.len(), 2], edges))
+        .with("metadata", metadata);
+    Ok((Group::default().with("version", VERSION).with("node", root), graph.notes))
+}
+
+/// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not write it.
+#[must_use]
+pub fn restore(root: &Group) -> Option<Result<ModelBuilder, String>> {
+    let metadata = root.group("node/metadata")?;
+    let text = metadata.text(TEXT)?;
+    Some(restored(metadata, text).and_then(|model| match export(&model) {
+        Ok((again, _)) if again.group("node") == root.group("node") => Ok(model),
+        Ok(_) => Err("its nodes are not those that it was written with".to_string()),
+        Err(problem) => Err(problem.to_string()),
+    }))
+}
+
+fn restored(metadata: &Group, text: &str) -> Result<ModelBuilder, String> {
+    let source = SourceText::new("metadata", text);
+    let file = NetworkFile::parse(&source).map_err(|problem| problem.to_string())?;
+    let mut arrays = BTreeMap::new();
+    for item in metadata.group("nsim_arrays").into_iter().flat_map(|group| group.items.values()) {
+        let Item::Group(entry) = item else { return Err("an array of its metadata is none".to_string()) };
+        let (Some(key), Some(numbers)) = (entry.text("key"), entry.numbers("numbers")) else {
+            return Err("an array of its metadata is none".to_string());
+        };
+        let reals: Vec<f64> = numbers.reals().collect();
+        let numbers_of = if numbers.is_integer() {
+            let whole: Option<Vec<i32>> =
+                reals.iter().map(|&x| (f64::from(x as i32) == x).then_some(x as i32)).collect();
+            tensor::Numbers::Integers(whole.ok_or("an array of its metadata is beyond 32 bits")?)
+        } else {
+            tensor::Numbers::Reals(reals)
+        };
+        let tensor = Tensor::new(numbers.shape().to_vec(), numbers_of).ok_or("an array of its metadata is none")?;
+        arrays.insert(ArrayRef::Safetensors(ARRAYS.to_string(), key.to_string()), tensor);
+    }
+    let network = Network::new(file, source, arrays).map_err(|problem| problem.to_string())?;
+    ModelBuilder::from_network(&network).map_err(|problem| problem.to_string())
+}
+
+/// A node of a type.
+fn node(kind: &str) -> Group {
+    Group::default().with("type", kind)
+}
+
+fn shape(axes: &[u64]) -> Numbers {
+    let axes: Vec<i64> = axes.iter().map(|&axis| axis as i64).collect();
+    Numbers::i64(&[axes.len()], &axes)
+}
+
+/// A tensor in a type that holds its numbers.
+fn array(tensor: &Tensor) -> Numbers {
+    match tensor.numbers() {
+        tensor::Numbers::Integers(x) => {
+            Numbers::i64(tensor.shape(), &x.iter().map(|&x| i64::from(x)).collect::<Vec<_>>())
+        }
+        tensor::Numbers::Reals(x) => Numbers::f64(tensor.shape(), x),
+    }
+}
+
+struct Graph {
+    nodes: Group,
+    edges: Vec<(String, String)>,
+    notes: Vec<String>,
+    dt: f64,
+    /// Biases of currents with memory that a compartment brings in every step, by population, until
+    /// a node takes them.
+    biases: BTreeMap<String, Vec<f64>>,
+}
+
+impl Graph {
+    /// Whether a population is what an import makes of biases of a current: a compartment that
+    /// spikes in every step. Then these are kept, and its projections become biases of nodes again.
+    fn takes_biases_of(&mut self, model: &ModelBuilder, population: &PopulationBuilder) -> bool {
+        let is_made = population.units() == 1
+            && population.loihi == Some(every_step())
+            && population.name != model.output
+            && model.projections.iter().all(|projection| projection.to != population.name);
+        let mut sums: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+        for projection in model.projections.iter().filter(|projection| projection.from.contains(&population.name)) {
+            let undelayed = |other: &ProjectionBuilder| {
+                let target = model.population(&other.to);
+                let mut sources = other.from.iter().filter_map(|from| model.population(from));
+                target.is_some_and(|target| sources.all(|source| written_delay(other, source, target) == 0))
+            };
+            let other = model
+                .projections
+                .iter()
+                .find(|other| other.to == projection.to && !other.from.contains(&population.name) && undelayed(other));
+            let (ProjectionKind::Dense(weights), 1, 0, Some(other)) =
+                (&projection.kind, projection.from.len(), projection.delay, other)
+            else {
+                return false;
+            };
+            let weights: Vec<f64> = weights.reals().map(|w| w * counts(model, projection)).collect();
+            let by_channel = matches!(other.kind, ProjectionKind::Conv2d { .. })
+                && by_channel(&weights, model.population(&projection.to).map_or(&[][..], |p| &p.shape)).is_some();
+            let holds = by_channel || matches!(other.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
+            let taken = self.biases.contains_key(&projection.to) || sums.contains_key(&projection.to);
+            if !is_made || !holds || taken {
+                return false;
+            }
+            sums.insert(projection.to.clone(), weights);
+        }
+        let any = is_made && !sums.is_empty();
+        if any {
+            self.biases.extend(sums);
+        }
+        any
+    }
+
+    /// A name that no node has.
+    fn free(&self, name: &str) -> String {
+        let mut free = name.to_string();
+        let mut count = 1;
+        while self.nodes.items.contains_key(&free) {
+            count += 1;
+            free = format!("{name}_{count}");
+        }
+        free
+    }
+
+    fn population(&mut self, population: &PopulationBuilder) -> Result<()> {
+        let axes: Vec<usize> = population.shape.iter().map(|&axis| axis as usize).collect();
+        let units = population.units() as usize;
+        let name = &population.name;
+        if population.units() > MOST_MATRIX {
+            return Err(unsupported(format!(
+                "'{name}' has {} units: parameters of NIR are one for each",
+                population.units()
+            )));
+        }
+        let Some(parameters) = &population.loihi else {
+            self.nodes =
+                std::mem::take(&mut self.nodes).with(name, node("Input").with("shape", shape(&population.shape)));
+            return Ok(());
+        };
+        let dt = self.dt;
+        let get = |key: &str| population.parameter(key);
+        // dt / tau of each compartment.
+        let fraction = |decay: &str, tau: &str| -> Parameter {
+            match (get(decay), get(tau)) {
+                (Some(decay), _) => decay.map(|d| d / 4096.0),
+                (None, Some(tau)) => tau.map(|tau| -(-dt * 1e3 / tau).exp_m1()),
+                (None, None) => Parameter::Same(1.0),
+            }
+        };
+        let (synapse, membrane) = match population.kind {
+            NeuronKind::Loihi | NeuronKind::SoftReset => (fraction("du", "tau_u_ms"), fraction("dv", "tau_v_ms")),
+            NeuronKind::If => (Parameter::Same(1.0), Parameter::Same(0.0)),
+        };
+        let threshold = match (get("vth_mant"), get("vth")) {
+            (Some(mantissa), _) => mantissa.clone(),
+            (None, Some(real)) => real.clone(),
+            (None, None) => Parameter::Same(NOTHING),
+        };
+        let bias = |unit: usize| match (get("bias_mant"), get("bias")) {
+            (Some(mantissa), _) => mantissa.get(unit) * get("bias_exp").map_or(0.0, |e| e.get(unit)).exp2() / 64.0,
+            (None, Some(real)) => real.get(unit),
+            (None, None) => 0.0,
+        };
+        let each = |f: &dyn Fn(usize) -> f64| Numbers::f64(&axes, &(0..units).map(f).collect::<Vec<_>>());
+        let tau = |fraction: &Parameter, unit: usize| {
+            let fraction = fraction.get(unit);
+            if fraction > 0.0 { dt / fraction } else { dt * ENDLESS }
+        };
+        // What import makes of an integrator: a threshold that nothing reaches.
+        let integrates = get("vth_mant") == Some(&Parameter::Same(NEVER));
+        let neuron = node(if integrates { "CubaLI" } else { "CubaLIF" })
+            .with("tau_syn", each(&|unit| tau(&synapse, unit)))
+            .with("tau_mem", each(&|unit| tau(&membrane, unit)))
+            .with("w_in", each(&|unit| tau(&synapse, unit) / dt))
+            .with("r", each(&|unit| tau(&membrane, unit) / dt))
+            .with("v_leak", each(&|unit| bias(unit) * (tau(&membrane, unit) / dt)));
+        let neuron = match integrates {
+            true => neuron,
+            false => neuron.with("v_reset", each(&|_| 0.0)).with("v_threshold", each(&|unit| threshold.get(unit))),
+        };
+        self.nodes = std::mem::take(&mut self.nodes).with(name, neuron);
+        if population.kind == NeuronKind::SoftReset {
+            self.notes.push(format!(
+                "NIR has no reset by subtraction: other tools will reset '{name}' to zero, only nsim sees what it does"
+            ));
+        }
+        let lost: Vec<&str> = parameters
+            .iter()
+            .filter(|(key, value)| match *key {
+                "refractory" => *value != Parameter::Same(1.0),
+                "vmin_exp" => *value != Parameter::Same(23.0),
+                "vmax_exp" => *value != Parameter::Same(7.0),
+                _ => false,
+            })
+            .map(|(key, _)| *key)
+            .chain((population.start_step > 0).then_some("start_step"))
+            .collect();
+        if !lost.is_empty() {
+            self.notes.push(format!("NIR has no {}: only nsim will see that of '{name}'", lost.join(", ")));
+        }
+        Ok(())
+    }
+
+    fn projection(&mut self, model: &ModelBuilder, projection: &ProjectionBuilder, index: usize) -> Result<()> {
+        let find = |name: &str| {
+            model.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
+        };
+        let target = find(&projection.to)?;
+        let unit = counts(model, projection);
+        let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
+        if matrix && target.shape.len() > 1 {
+            self.notes.push(format!(
+                "weights from {} make a line of '{}', which is {:?}: nir.read of Python will refuse the file, nsim reads it",
+                projection.from.join(" and "),
+                target.name,
+                target.shape
+            ));
+        }
+        let sources = projection.from.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
+        let together: u64 = sources.iter().map(|source| source.units()).sum();
+        let mut first = 0;
+        for (part, source) in sources.iter().enumerate() {
+            let name = self.free(&format!("w{index}_{part}"));
+            let undelayed = written_delay(projection, source, target) == 0;
+            let bias = if undelayed { self.bias_for(projection, target) } else { None };
+            let chain = self.weights(projection, (source, target), (first, together), unit, bias)?;
+            first += source.units();
+            let mut last = source.name.clone();
+            for (step, node) in chain.into_iter().enumerate() {
+                let name = if step == 0 { name.clone() } else { self.free(&format!("{name}_{step}")) };
+                self.nodes = std::mem::take(&mut self.nodes).with(&name, node);
+                self.edges.push((last, name.clone()));
+                last = name;
+            }
+            self.edges.push((last, target.name.clone()));
+        }
+        Ok(())
+    }
+
+    /// The bias that is still to be brought to a target, where the node of this projection holds
+    /// it.
+    fn bias_for(&mut self, projection: &ProjectionBuilder, target: &PopulationBuilder) -> Option<Vec<f64>> {
+        let bias = self.biases.get(&target.name)?;
+        let held = match projection.kind {
+            ProjectionKind::Dense(_) | ProjectionKind::Sparse(_) => Some(bias.clone()),
+            ProjectionKind::Conv2d { .. } => by_channel(bias, &target.shape),
+            ProjectionKind::SumPool2d { .. } => None,
+        }?;
+        self.biases.remove(&target.name);
+        Some(held)
+    }
+
+    /// The nodes from a source to a target, in order.
+    fn weights(
+        &mut self,
+        projection: &ProjectionBuilder,
+        (source, target): (&PopulationBuilder, &PopulationBuilder),
+        (first, together): (u64, u64),
+        unit: f64,
+        bias: Option<Vec<f64>>,
+    ) -> Result<Vec<Group>> {
+        let (rows, columns) = (target.units(), source.units());
+        let mut chain = Vec::new();
+        let flatten = || {
+            node("Flatten")
+                .with("start_dim", Numbers::i64(&[], &[0]))
+                .with("end_dim", Numbers::i64(&[], &[-1]))
+                .with("input_type", shape(&source.shape))
+        };
+        let pair = |(y, x): (u64, u64)| Numbers::i64(&[2], &[y as i64, x as i64]);
+        let matrix = |weights: Vec<f64>| {
+            let weights: Vec<f64> = weights.iter().map(|w| w * unit).collect();
+            let linear = node(if bias.is_some() { "Affine" } else { "Linear" })
+                .with("weight", Numbers::f64(&[rows as usize, columns as usize], &weights));
+            match &bias {
+                Some(bias) => linear.with("bias", Numbers::f64(&[rows as usize], bias)),
+                None => linear,
+            }
+        };
+        match &projection.kind {
+            ProjectionKind::Dense(weights) => {
+                if source.shape.len() > 1 {
+                    chain.push(flatten());
+                }
+                let slice = (0..rows).flat_map(|row| (0..columns).map(move |c| (row * together + first + c) as usize));
+                chain.push(matrix(slice.map(|at| weights.real(at)).collect()));
+            }
+            ProjectionKind::Sparse(synapses) => {
+                if rows.checked_mul(columns).is_none_or(|all| all > MOST_MATRIX) {
+                    return Err(unsupported(format!(
+                        "the listed synapses to '{}' are a matrix of {rows} x {columns} in NIR, more than {MOST_MATRIX} numbers",
+                        target.name
+                    )));
+                }
+                if source.shape.len() > 1 {
+                    chain.push(flatten());
+                }
+                let mut weights = vec![0.0; (rows * columns) as usize];
+                for (from, to, weight) in synapses {
+                    if let Some(column) = from.checked_sub(first).filter(|&column| column < columns && *to < rows) {
+                        weights[(to * columns + column) as usize] += weight;
+                    }
+                }
+                chain.push(matrix(weights));
+            }
+            ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
+                let scaled: Vec<f64> = weights.reals().map(|weight| weight * unit).collect();
+                let kernel = (weights.shape(), scaled.as_slice());
+                chain.push(self.convolution(
+                    (source, target),
+                    kernel,
+                    (*stride, *padding, *dilation),
+                    *groups,
+                    bias,
+                )?);
+            }
+            ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight }
+                if padding != padding_after =>
+            {
+                // NIR's pools have one padding an axis; a kernel can have zeros.
+                let channels = source.shape.first().copied().unwrap_or(1);
+                let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize);
+                let weights = vec![weight * unit; axes.iter().product()];
+                let step = (*stride, *padding, (1, 1));
+                chain.push(self.convolution((source, target), (&axes, &weights), step, channels, None)?);
+            }
+            ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
+                chain.push(
+                    node("SumPool2d")
+                        .with("kernel_size", pair(*kernel))
+                        .with("stride", pair(*stride))
+                        .with("padding", pair(*padding)),
+                );
+                let axes: Vec<usize> = target.shape.iter().map(|&axis| axis as usize).collect();
+                let scale = vec![weight * unit; rows as usize];
+                chain.push(node("Scale").with("scale", Numbers::f64(&axes, &scale)));
+            }
+        }
+        let delay = written_delay(projection, source, target);
+        // The target's own shape, where weights make a line of it.
+        if delay > 0 {
+            let seconds = vec![f64::from(delay) * self.dt; rows as usize];
+            let line = [rows as usize];
+            let volume: Vec<usize> = target.shape.iter().map(|&axis| axis as usize).collect();
+            let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
+            let axes = if matrix { &line[..] } else { &volume[..] };
+            chain.push(node("Delay").with("delay", Numbers::f64(axes, &seconds)));
+        }
+        Ok(chain)
+    }
+
+    /// A convolution as NIR has it: one padding for both ends of an axis, and square, since
+    /// `nir.read` of Python takes the height of a kernel for its width. Rows and columns of zeros
+    /// before and behind a kernel do both: with F before and B behind, of a dilation d, a padding
+    /// of `before + F d` on both sides acts like `before + d (F - B)` behind.
+    fn convolution(
+        &mut self,
+        (source, target): (&PopulationBuilder, &PopulationBuilder),
+        (axes, weights): (&[usize], &[f64]),
+        (stride, before, dilation): Step,
+        groups: u64,
+        bias: Option<Vec<f64>>,
+    ) -> Result<Group> {
+        let (&[out, inner, kh, kw], &[_, from_h, from_w], &[_, to_h, to_w]) =
+            (axes, source.shape.as_slice(), target.shape.as_slice())
+        else {
+            return Err(unsupported(format!("the convolution to '{}' has no volumes", target.name)));
+        };
+        let rows = Axis {
+            from: from_h,
+            to: to_h,
+            kernel: kh as u64,
+            stride: stride.0,
+            before: before.0,
+            dilation: dilation.0,
+        };
+        let columns = Axis {
+            from: from_w,
+            to: to_w,
+            kernel: kw as u64,
+            stride: stride.1,
+            before: before.1,
+            dilation: dilation.1,
+        };
+        let least = rows.kernel.max(columns.kernel);
+        let sizes = least..=2 * least + rows.before + columns.before + 2;
+        let square = sizes.clone().find_map(|size| Some((rows.widened(size)?, columns.widened(size)?)));
+        let (rows, columns) = match square {
+            Some(both) => both,
+            None => {
+                self.notes.push(format!(
+                    "the kernel to '{}' is {kh} x {kw} and cannot be made square: nir.read of Python may refuse the file, nsim \
+                     reads it",
+                    target.name
+                ));
+                let own = |axis: Axis| (axis.kernel..=*sizes.end()).find_map(|size| axis.widened(size));
+                own(rows).zip(own(columns)).ok_or_else(|| {
+                    unsupported(format!("the paddings of the convolution to '{}' have no form in NIR", target.name))
+                })?
+            }
+        };
+        let (height, width) = (rows.size as usize, columns.size as usize);
+        // `nir.read` takes the channels of a kernel for those of its input, so groups become zeros
+        // too where they fit.
+        let all = inner * groups as usize;
+        let in_one = groups > 1 && (out * all * height * width) as u64 <= MOST_MATRIX;
+        if groups > 1 && !in_one {
+            self.notes.push(format!(
+                "the convolution to '{}' has {groups} groups: nir.read of Python will refuse the file, nsim reads it",
+                target.name
+            ));
+        }
+        let (groups, planes) = if in_one { (1, all) } else { (groups, inner) };
+        let mut wide = vec![0.0; out * planes * height * width];
+        for (index, weight) in weights.iter().enumerate() {
+            let (plane, y, x) =
+                (index / (kh * kw), index / kw % kh + rows.first as usize, index % kw + columns.first as usize);
+            let (channel, within) = (plane / inner, plane % inner);
+            let group = if in_one { channel / (out / (all / inner)) } else { 0 };
+            wide[((channel * planes + group * inner + within) * height + y) * width + x] = *weight;
+        }
+        let pair = |y: u64, x: u64| Numbers::i64(&[2], &[y as i64, x as i64]);
+        Ok(node("Conv2d")
+            .with("weight", Numbers::f64(&[out, planes, height, width], &wide))
+            .with("bias", Numbers::f64(&[out], &bias.unwrap_or_else(|| vec![0.0; out])))
+            .with("stride", pair(rows.stride, columns.stride))
+            .with("padding", pair(rows.padding, columns.padding))
+            .with("dilation", pair(dilation.0, dilation.1))
+            .with("groups", Numbers::i64(&[], &[groups as i64]))
+            .with("input_shape", shape(&source.shape[1..])))
+    }
+}
+
+/// Stride, padding before and dilation of a window, as (y, x).
+type Step = ((u64, u64), (u64, u64), (u64, u64));
+
+/// A window along one axis.
+#[derive(Clone, Copy)]
+struct Axis {
+    from: u64,
+    to: u64,
+    kernel: u64,
+    stride: u64,
+    before: u64,
+    dilation: u64,
+}
+
+/// The same window with zeros around its kernel and one padding for both ends.
+struct Widened {
+    size: u64,
+    /// Zeros before the kernel.
+    first: u64,
+    stride: u64,
+    padding: u64,
+}
+
+impl Axis {
+    /// The window with a kernel of this size, if it then gives the same outputs.
+    fn widened(&self, size: u64) -> Option<Widened> {
+        let zeros = size.checked_sub(self.kernel)?;
+        let reach = self.dilation * (size - 1) + 1;
+        // One output needs no stride: a large one leaves room behind.
+        let stride = if self.to == 1 && zeros > 0 { self.from + reach + self.before } else { self.stride };
+        (0..=zeros).find_map(|first| {
+            let padding = self.before + first * self.dilation;
+            let outputs = (self.from + 2 * padding).checked_sub(reach)? / stride + 1;
+            (outputs == self.to).then_some(Widened { size, first, stride, padding })
+        })
+    }
+}
+
+/// What a weight of 1 of a projection counts, in units of the register divided by 64, as the
+/// threshold mantissa is, or in those of a real threshold.
+fn counts(model: &ModelBuilder, projection: &ProjectionBuilder) -> f64 {
+    let real = model.population(&projection.to).is_some_and(|target| target.parameter("vth").is_some());
+    match (real, projection.weight_scale) {
+        (true, _) => 1.0,
+        (false, scale) => scale.unwrap_or(1.0) * (projection.weight_exp as f64).exp2(),
+    }
+}
+
+/// The delay of a projection without the wait for a layer that starts later, which import adds.
+fn written_delay(projection: &ProjectionBuilder, source: &PopulationBuilder, target: &PopulationBuilder) -> u32 {
+    let wait = match &source.loihi {
+        None => target.start_step,
+        Some(_) => target.start_step.saturating_sub(source.start_step).saturating_sub(1),
+    };
+    projection.delay.saturating_sub(wait)
+}
+
+/// One bias a channel, where all units of a channel have the same.
+fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Vec<f64>> {
+    let &[channels, height, width] = shape else { return None };
+    let plane = (height * width) as usize;
+    let equal = plane > 0 && biases.len() as u64 == channels * height * width;
+    let channel = |chunk: &[f64]| chunk.iter().all(|bias| *bias == chunk[0]).then(|| chunk[0]);
+    if equal { biases.chunks(plane).map(channel).collect() } else { None }
+}
+
+/// A threshold that nothing has.
+const NOTHING: f64 = 1.0;

@@ -1,0 +1,710 @@
+//! State dicts of PyTorch: layers and neurons of lava-dl, SLAYER, snnTorch and Norse by the names
+//! of their tensors.
+//!
+//! Input: the tensors of a checkpoint, in the order of the file, and a description of the neurons
+//! where the file has none. Output: a model. What each name means is a table, [`ROLES`]; a tensor
+//! without a row there is refused by its name, since nothing says that the network does not depend
+//! on it. Weights that are stored as length and direction (weight norm, in both of torch's namings)
+//! are multiplied out. Networks of integers (lava-dl, SLAYER) are built from matrices
+//! ([`super::slayer`]). Networks of real numbers (snnTorch, Norse) become a NIR graph first, with
+//! the equations of their exporters, and are read by [`super::nir`]: decays, biases and resets then
+//! have one reader.
+//!
+//! Errors: `import.state-dict` for what is in the file, `import.option` for what the file and its
+//! user say of the neurons.
+
+use std::collections::BTreeMap;
+
+use super::hdf5::{Group, Item, Numbers};
+use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, population_name};
+use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
+use super::{nir, torch};
+use nsim_files::model_builder::Parameter;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// What a tensor is to its module.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Role {
+    /// `[target][source..]`.
+    Weight,
+    Bias,
+    /// `[target][target]`, from the layer to itself.
+    Recurrent,
+    RecurrentBias,
+    /// One weight from each neuron to itself.
+    OneToOne,
+    /// lava-dl, in 4096ths.
+    CurrentDecay,
+    VoltageDecay,
+    /// snnTorch: share of the current that stays.
+    Alpha,
+    /// snnTorch: share of the voltage that stays.
+    Beta,
+    Threshold,
+    /// snnTorch: 0 subtracts, 1 clears, 2 does nothing.
+    Reset,
+    GradedSpikes,
+}
+
+/// The names of tensors by their ends; the first that fits counts, and what stands before it is the
+/// module.
+const ROLES: [(&str, Role); 17] = [
+    ("recurrent_synapse.weight", Role::Recurrent),
+    ("recurrent.weight", Role::Recurrent),
+    ("recurrent_weights", Role::Recurrent),
+    ("recurrent.bias", Role::RecurrentBias),
+    ("recurrent.V", Role::OneToOne),
+    ("V", Role::OneToOne),
+    ("synapse.weight", Role::Weight),
+    ("input_weights", Role::Weight),
+    ("weight", Role::Weight),
+    ("bias", Role::Bias),
+    ("neuron.current_decay", Role::CurrentDecay),
+    ("neuron.voltage_decay", Role::VoltageDecay),
+    ("alpha", Role::Alpha),
+    ("beta", Role::Beta),
+    ("threshold", Role::Threshold),
+    ("reset_mechanism_val", Role::Reset),
+    ("graded_spikes_factor", Role::GradedSpikes),
+];
+
+/// Names that say nothing of a network that is not being trained: kernels of a training, states
+/// left from the last sample.
+const WITHOUT_MEANING: [&str; 8] =
+    ["srmKernel", "refKernel", "mem", "syn", "spk", "current_state", "voltage_state", "num_batches_tracked"];
+/// Parts of a checkpoint that belong to the training.
+const OF_TRAINING: [&str; 4] = ["optimizer", "optimizer_state_dict", "optim", "scheduler"];
+
+/// A tensor.
+struct Array {
+    key: String,
+    shape: Vec<usize>,
+    numbers: Vec<f64>,
+    /// Whether the numbers are of single precision.
+    single: bool,
+}
+
+/// What belongs together by its name.
+#[derive(Default)]
+struct Module {
+    name: String,
+    arrays: BTreeMap<Role, Array>,
+}
+
+impl Module {
+    fn numbers(&self, role: Role) -> Option<&[f64]> {
+        self.arrays.get(&role).map(|array| array.numbers.as_slice())
+    }
+
+    fn has(&self, role: Role) -> bool {
+        self.arrays.contains_key(&role)
+    }
+}
+
+fn wrong(message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new("import.state-dict", message)
+}
+
+/// Reads a checkpoint.
+///
+/// # Errors
+/// `import.torch`, `import.pickle`, `import.state-dict`, `import.option`, `import.slayer`.
+pub fn read(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported> {
+    let mut checkpoint = torch::open(bytes)?;
+    let (modules, ignored) = modules(arrays(&mut checkpoint)?)?;
+    let mut notes = Vec::new();
+    if !ignored.is_empty() {
+        notes.push(format!("not used: {}", ignored.iter().take(12).cloned().collect::<Vec<_>>().join(", ")));
+    }
+    if modules.iter().any(|module| module.has(Role::Beta)) {
+        if options.neuron.is_some() {
+            return Err(Diagnostic::new(
+                "import.option",
+                "the file has the parameters of its neurons (beta, threshold)",
+            )
+            .help("leave --neuron out"));
+        }
+        return real("PyTorch state dict of snnTorch", name, modules, None, notes, options);
+    }
+    let (neuron, described) = slayer::neuron_of(options)?;
+    notes.extend(described);
+    match neuron.kind {
+        NeuronKind::Leaky { .. } => real("PyTorch state dict", name, modules, Some(&neuron), notes, options),
+        NeuronKind::Lif { .. } => real("PyTorch state dict of Norse", name, modules, Some(&neuron), notes, options),
+        _ => integers(name, &modules, neuron, notes, options),
+    }
+}
+
+/// Every tensor, weights that are stored as length and direction multiplied out.
+fn arrays(checkpoint: &mut torch::Checkpoint) -> Result<Vec<Array>> {
+    // (length, direction) of `torch.nn.utils.weight_norm`, and of its successor.
+    const NORMED: [(&str, &str); 2] =
+        [("_g", "_v"), ("parametrizations.weight.original0", "parametrizations.weight.original1")];
+    let entries: Vec<(String, Vec<usize>)> =
+        checkpoint.entries().map(|(key, shape)| (key.to_string(), shape.to_vec())).collect();
+    let shape_of = |key: &str| entries.iter().find(|(other, _)| other == key).map(|(_, shape)| shape.clone());
+    let mut arrays = Vec::new();
+    for (key, shape) in &entries {
+        let part = |end: &str| key.strip_suffix(end).map(str::to_string);
+        let lengths = NORMED.iter().find_map(|(length, direction)| {
+            let base = part(direction).filter(|base| *direction != "_v" || base.ends_with("weight"))?;
+            let whole = if *direction == "_v" { base.clone() } else { format!("{base}weight") };
+            Some((format!("{base}{length}"), whole))
+        });
+        let is_length = NORMED.iter().any(|(length, direction)| {
+            part(length).is_some_and(|base| shape_of(&format!("{base}{direction}")).is_some())
+        });
+        if is_length {
+            continue;
+        }
+        let (numbers, single) =
+            (checkpoint.tensor(key)?, checkpoint.dtype(key).is_some_and(|dtype| dtype.ends_with("f4")));
+        let Some((length, whole)) = lengths else {
+            arrays.push(Array { key: key.clone(), shape: shape.clone(), numbers, single });
+            continue;
+        };
+        let Some(axes) = shape_of(&length) else {
+            return Err(wrong(format!("'{key}' is a direction of weights without the lengths '{length}'")));
+        };
+        let lengths = checkpoint.tensor(&length)?;
+        let numbers = multiplied(&numbers, shape, &lengths, &axes).ok_or_else(|| {
+            wrong(format!("'{length}' is {axes:?}, '{key}' is {shape:?}: lengths and directions differ"))
+        })?;
+        arrays.push(Array { key: whole, shape: shape.clone(), numbers, single: false });
+    }
+    Ok(arrays)
+}
+
+/// `g v / |v|`, the norm over all axes but those that the lengths have.
+fn multiplied(directions: &[f64], shape: &[usize], lengths: &[f64], axes: &[usize]) -> Option<Vec<f64>> {
+    let fits = axes.is_empty() || (axes.len() == shape.len() && axes.iter().zip(shape).all(|(g, v)| *g == 1 || g == v));
+    if !fits || lengths.is_empty() {
+        return None;
+    }
+    let group = |mut index: usize| {
+        let (mut at, mut step) = (0, 1);
+        for (k, &side) in shape.iter().enumerate().rev() {
+            let axis = axes.get(k).copied().unwrap_or(1);
+            at += if axis == 1 { 0 } else { index % side * step };
+            step *= axis;
+            index /= side;
+        }
+        at
+    };
+    let mut squares = vec![0.0f64; lengths.len()];
+    for (index, v) in directions.iter().enumerate() {
+        squares[group(index)] += v * v;
+    }
+    let scaled = |(index, v): (usize, &f64)| {
+        let norm = squares[group(index)].sqrt();
+        if norm > 0.0 { lengths[group(index)] * v / norm } else { 0.0 }
+    };
+    Some(directions.iter().enumerate().map(scaled).collect())
+}
+
+/// Tensors grouped by their modules, in the order of the file, and the names of those without a
+/// meaning.
+fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
+    let mut modules: Vec<Module> = Vec::new();
+    let mut ignored = Vec::new();
+    for array in arrays {
+        let last = array.key.rsplit('.').next().unwrap_or_default();
+        let of_training = array.key.split('.').any(|part| OF_TRAINING.contains(&part));
+        if of_training || WITHOUT_MEANING.contains(&last) {
+            ignored.push(array.key);
+            continue;
+        }
+        if last.starts_with("running_") {
+            return Err(wrong(format!("'{}' belongs to a batch normalisation", array.key)).help(
+                "fold its scale and shift into the weights and biases of the layer before it, and save the network without it",
+            ));
+        }
+        if last == "delay" {
+            // A delay of nothing is what layers without delays may store.
+            if array.numbers.iter().all(|&delay| delay < 1.0) {
+                ignored.push(array.key);
+                continue;
+            }
+            return Err(wrong(format!("'{}' holds learned delays", array.key))
+                .help("export the network with lava-dl as .net, which says what they delay"));
+        }
+        let role = ROLES.iter().find_map(|(end, role)| {
+            let module = array.key.strip_suffix(end)?;
+            (module.is_empty() || module.ends_with('.')).then(|| (module.trim_end_matches('.').to_string(), *role))
+        });
+        let Some((name, role)) = role else {
+            return Err(wrong(format!("nothing is known of the tensor '{}' {:?}", array.key, array.shape)).help(
+                "known are the layers and neurons of lava-dl, SLAYER, snnTorch and Norse (docs/import.md); if the network does \
+                 not depend on it, remove it before saving: del state['NAME']",
+            ));
+        };
+        let index = modules.iter().position(|module| module.name == name).unwrap_or_else(|| {
+            modules.push(Module { name, ..Module::default() });
+            modules.len() - 1
+        });
+        let key = array.key.clone();
+        if modules[index].arrays.insert(role, array).is_some() {
+            return Err(wrong(format!("'{key}' is there twice, as weights and as length and direction")));
+        }
+    }
+    Ok((modules, ignored))
+}
+
+/// The weights of each layer as matrices `[target][source]`, in the order of the file.
+fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)>> {
+    let shape_of = |module: &Module| {
+        module.arrays.get(&Role::Weight).map(|array| {
+            let mut axes = array.shape.clone();
+            while axes.len() > 2 && axes.last() == Some(&1) {
+                axes.pop();
+            }
+            axes
+        })
+    };
+    let layers: Vec<(usize, Vec<usize>)> =
+        modules.iter().enumerate().filter_map(|(index, module)| Some((index, shape_of(module)?))).collect();
+    let mut matrices: Vec<(usize, Matrix)> = Vec::new();
+    for (place, (index, axes)) in layers.iter().enumerate() {
+        let module = &modules[*index];
+        let array = &module.arrays[&Role::Weight];
+        let (&[targets, ..], true) = (axes.as_slice(), axes.len() >= 2 && !array.numbers.is_empty()) else {
+            return Err(wrong(format!("'{}' is {:?}, no weights of a layer", array.key, array.shape)).help(
+                "if it is a normalisation's, fold it into the weights before it and save the network without it",
+            ));
+        };
+        let sources = array.numbers.len() / targets;
+        // A kernel is a dense layer where it covers all of its input: the layer behind it then
+        // receives one unit a kernel.
+        let kernel = axes.get(1..).unwrap_or_default();
+        let before = (place > 0).then(|| layers[place - 1].1[0]);
+        let covers = match (before, layers.get(place + 1)) {
+            _ if axes.len() == 2 => true,
+            (Some(before), _) => before == sources,
+            (None, _) if options.input_shape.is_some() => options
+                .input_shape
+                .as_ref()
+                .is_some_and(|given| given.iter().map(|&axis| axis as usize).eq(kernel.iter().copied())),
+            (None, Some((_, next))) => next.len() == 2 && next[1] == targets,
+            (None, None) => {
+                return Err(Diagnostic::new(
+                    "import.option",
+                    format!(
+                        "'{}' is {:?}: a convolution, or a dense layer on an image {kernel:?}",
+                        array.key, array.shape
+                    ),
+                )
+                .help(format!("if it is a dense layer say so: --input-shape {}", listed(kernel))));
+            }
+        };
+        if !covers {
+            let message = format!("'{}' is {:?}, the kernel of a convolution", array.key, array.shape);
+            let advice = "a state dict does not say how a convolution steps: ";
+            return Err(Diagnostic::new("import.unsupported", message).help(format!(
+                "{advice}export the network as .nir, or with lava-dl as .net; a dense layer on an image {kernel:?} is read \
+                 with --input-shape {}",
+                listed(kernel)
+            )));
+        }
+        let square = |role: Role| match module.arrays.get(&role) {
+            Some(array) if array.numbers.len() != targets * targets => Err(wrong(format!(
+                "'{}' is {:?}, its layer has {targets} units: it is not square",
+                array.key, array.shape
+            ))),
+            found => Ok(found.map(|array| array.numbers.clone())),
+        };
+        let decay = |role: Role| match module.numbers(role) {
+            None => Ok(None),
+            Some(numbers) if numbers.len() == 1 || numbers.len() == targets => {
+                Ok(Some(numbers.iter().map(|x| x.round_ties_even().clamp(0.0, 4096.0)).collect::<Vec<_>>()))
+            }
+            Some(numbers) => Err(wrong(format!("'{}' has {} decays for {targets} units", module.name, numbers.len()))),
+        };
+        let decays = match (decay(Role::CurrentDecay)?, decay(Role::VoltageDecay)?) {
+            (Some(du), Some(dv)) => Some((du, dv)),
+            (None, None) => None,
+            _ => return Err(wrong(format!("'{}' has one of current_decay and voltage_decay", module.name))),
+        };
+        let (weights, recurrent) = (array.numbers.clone(), square(Role::Recurrent)?);
+        let name = population_name(&module.name);
+        matrices.push((*index, Matrix { name, targets, sources, weights, recurrent, decays }));
+    }
+    if matrices.is_empty() {
+        return Err(wrong("there is no '.weight' of a dense layer"));
+    }
+    Ok(matrices)
+}
+
+fn listed(axes: &[usize]) -> String {
+    axes.iter().map(usize::to_string).collect::<Vec<_>>().join(",")
+}
+
+/// A network of lava-dl or SLAYER.
+fn integers(
+    name: &str,
+    modules: &[Module],
+    mut neuron: slayer::Neuron,
+    mut notes: Vec<String>,
+    options: &Options,
+) -> Result<Imported> {
+    options.refuse_unused("layers of SLAYER and lava-dl", &["--neuron", "--input-shape"])?;
+    let lava = modules.iter().any(|module| {
+        module.has(Role::CurrentDecay) || module.arrays.values().any(|array| array.key.contains("synapse."))
+    });
+    for module in modules {
+        for (role, array) in &module.arrays {
+            let unused = match role {
+                Role::Bias | Role::RecurrentBias => array.numbers.iter().any(|&b| b != 0.0),
+                Role::Weight | Role::Recurrent | Role::CurrentDecay | Role::VoltageDecay => !module.has(Role::Weight),
+                _ => true,
+            };
+            if unused {
+                let message = format!("layers of SLAYER and lava-dl do not have '{}'", array.key);
+                return Err(wrong(message).help(
+                    "biases and neurons of real numbers are read with a neuron of the type Leaky, Synaptic or LIF in --neuron",
+                ));
+            }
+        }
+    }
+    let (_, matrices): (Vec<usize>, Vec<Matrix>) = matrices(modules, options)?.into_iter().unzip();
+    let kind = if lava { "PyTorch state dict of lava-dl" } else { "PyTorch state dict of SLAYER" };
+    if let (true, NeuronKind::Loihi { scale, du, dv, .. }) = (lava, &mut neuron.kind) {
+        *scale = LAVA_SCALE;
+        let of_file = matrices.iter().filter_map(|matrix| matrix.decays.as_ref());
+        let differs =
+            |given: Option<f64>, decays: &[f64]| given.is_some_and(|given| decays.iter().any(|&d| d != given));
+        if of_file.clone().any(|decays| differs(*du, &decays.0) || differs(*dv, &decays.1)) {
+            notes.push("the decays are those of the weights' file, not those of --neuron".to_string());
+        }
+    }
+    slayer::build(kind, name, matrices, &neuron, notes, options)
+}
+
+/// Parameters of a layer's neurons in steps, one for all or one each.
+struct RealNeuron {
+    name: String,
+    /// Share of the current that a step takes away; none for a current without memory.
+    synapse: Option<Vec<f64>>,
+    /// Share of the voltage that a step takes away.
+    membrane: Vec<f64>,
+    /// What the current of a step counts in the voltage; none for 1.
+    gain: Option<Vec<f64>>,
+    leak: f64,
+    threshold: Vec<f64>,
+}
+
+/// A network of snnTorch or Norse, as a graph of NIR; `neuron` describes the neurons where the file
+/// does not.
+fn real(
+    kind: &'static str,
+    name: &str,
+    mut modules: Vec<Module>,
+    neuron: Option<&slayer::Neuron>,
+    mut notes: Vec<String>,
+    options: &Options,
+) -> Result<Imported> {
+    options.refuse_unused("a state dict", &["--neuron", "--reset", "--input-shape"])?;
+    for array in modules.iter_mut().flat_map(|module| module.arrays.values_mut()).filter(|array| array.single) {
+        array.numbers.iter_mut().for_each(|number| *number = decimal(*number));
+    }
+    let modules = &modules[..];
+    let layers = matrices(modules, options)?;
+    let dt_ms = options.dt_ms.or(neuron.and_then(|neuron| neuron.dt_ms)).unwrap_or(1.0);
+    let dt = dt_ms / 1e3;
+    // Modules of neurons, in the order of the file.
+    let neurons: Vec<&Module> = modules.iter().filter(|module| module.has(Role::Beta)).collect();
+    if neuron.is_none() && neurons.len() != layers.len() {
+        let names =
+            |modules: &[&Module]| modules.iter().map(|module| module.name.clone()).collect::<Vec<_>>().join(", ");
+        let weights: Vec<&Module> = layers.iter().map(|(index, _)| &modules[*index]).collect();
+        return Err(wrong(format!(
+            "layers of weights ({}) and of neurons ({}) are not as many",
+            names(&weights),
+            names(&neurons)
+        ))
+        .help("export the network with snntorch.export_nir, which says what follows what"));
+    }
+    let mut reset: Option<(bool, String)> = None;
+    let mut own_reset = |subtracts: bool, whose: &str| match &reset {
+        Some((before, first)) if *before != subtracts => {
+            Err(wrong(format!("'{first}' and '{whose}' reset in different ways, one by subtraction and one to zero"))
+                .help("train all layers with the same reset_mechanism"))
+        }
+        _ => {
+            reset = Some((subtracts, whose.to_string()));
+            Ok(())
+        }
+    };
+    let mut graph = Graph::default();
+    let shape: Vec<i64> =
+        slayer::input_shape(options, layers[0].1.sources)?.into_iter().map(|axis| axis as i64).collect();
+    let flat = shape.len() == 1;
+    let mut last = graph.node("input", node("Input").with("shape", Numbers::i64(&[shape.len()], &shape)));
+    if !flat {
+        last = graph.follow(&last, "flatten", node("Flatten"));
+    }
+    let mut lines = Vec::new();
+    // Layers of snnTorch whose reset to zero takes away the input of the next step too, as that of
+    // Leaky alone does not (snnTorch 1.0.0, `_base_zero`).
+    let mut held = Vec::new();
+    for (place, (index, matrix)) in layers.iter().enumerate() {
+        let layer = &modules[*index];
+        let described = match neuron.map(|neuron| &neuron.kind) {
+            None => {
+                let module = neurons[place];
+                let (described, subtracts) = snntorch(module)?;
+                if let Some(subtracts) = subtracts {
+                    own_reset(subtracts, &module.name)?;
+                }
+                described
+            }
+            Some(&NeuronKind::Leaky { alpha, beta, threshold, subtracts }) => {
+                own_reset(subtracts, &layer.name)?;
+                RealNeuron {
+                    name: layer.name.clone(),
+                    synapse: alpha.map(|alpha| vec![1.0 - alpha]),
+                    membrane: vec![1.0 - beta],
+                    gain: None,
+                    leak: 0.0,
+                    threshold: vec![threshold],
+                }
+            }
+            Some(&NeuronKind::Lif { tau_syn_inv, tau_mem_inv, v_leak, v_th }) => {
+                own_reset(false, &layer.name)?;
+                RealNeuron {
+                    name: layer.name.clone(),
+                    synapse: Some(vec![dt * tau_syn_inv]),
+                    membrane: vec![dt * tau_mem_inv],
+                    gain: Some(vec![dt * tau_mem_inv]),
+                    leak: v_leak,
+                    threshold: vec![v_th],
+                }
+            }
+            Some(_) => return Err(wrong("neurons of integers")),
+        };
+        let weights = weights_node(&matrix.weights, (matrix.targets, matrix.sources), layer, Role::Bias)?;
+        last = graph.follow(&last, &format!("{}.weight", layer.name), weights);
+        let population = graph.node(&described.name.clone(), neuron_node(&described, matrix.targets, dt)?);
+        graph.edge(&last, &population);
+        // A recurrent layer's weights stand with its neurons in snnTorch, with its weights in
+        // Norse.
+        let owner = if neuron.is_none() { neurons[place] } else { layer };
+        if let Some(array) = owner.arrays.get(&Role::Recurrent) {
+            if array.numbers.len() != matrix.targets * matrix.targets {
+                return Err(wrong(format!("'{}' is {:?}, not square", array.key, array.shape)));
+            }
+            let size = (matrix.targets, matrix.targets);
+            let own = weights_node(&array.numbers, size, owner, Role::RecurrentBias)?;
+            let back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
+            graph.edge(&back, &population);
+        }
+        if let Some(array) = owner.arrays.get(&Role::OneToOne) {
+            let scale = each(array, matrix.targets)?;
+            let own = node("Scale").with("scale", Numbers::f64(&[matrix.targets], &scale));
+            let back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
+            graph.edge(&back, &population);
+        }
+        let norse = matches!(neuron.map(|neuron| &neuron.kind), Some(NeuronKind::Lif { .. }));
+        let recurrent = owner.has(Role::Recurrent) || owner.has(Role::OneToOne);
+        if !norse && (described.synapse.is_some() || recurrent) {
+            held.push(population_name(&population));
+        }
+        last = population;
+        lines.push(LayerWeights::new(
+            &described.name,
+            &[matrix.targets, matrix.sources],
+            1.0,
+            &matrix.weights,
+            &matrix.weights,
+        ));
+    }
+    graph.follow(&last, "output", node("Output"));
+    check_used(modules, &layers, &neurons)?;
+    let reset = chosen_reset(reset, options)?;
+    notes.push(format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds"));
+    let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };
+    let root = Group::default().with("node", graph.finish());
+    let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?;
+    notes.extend(read.into_iter().filter(|note| !note.starts_with("timestep ")));
+    if reset == Some(ResetMode::Zero) && !held.is_empty() {
+        for name in &held {
+            let population = model.populations.iter_mut().find(|population| population.name == *name);
+            if let Some(parameters) = population.and_then(|population| population.loihi.as_mut()) {
+                parameters.push(("refractory", Parameter::Same(2.0)));
+            }
+        }
+        notes.push(format!(
+            "{}: v stays 0 in the step after a spike (refractory 2), as snnTorch's reset to zero takes the input of that step",
+            held.join(", ")
+        ));
+    }
+    model.provenance = Some(format!("imported from a {kind}; {}", notes.join("; ")));
+    Ok(Imported { kind, model, notes, layers: lines })
+}
+
+/// The reset of the file, unless an option says another one.
+fn chosen_reset(of_file: Option<(bool, String)>, options: &Options) -> Result<Option<ResetMode>> {
+    match (of_file, options.reset) {
+        (None, given) => Ok(given),
+        (Some((true, _)), None) => Ok(Some(ResetMode::SubtractLater)),
+        (Some((false, _)), None) => Ok(Some(ResetMode::Zero)),
+        (Some((true, name)), Some(ResetMode::Zero)) => Err(Diagnostic::new(
+            "import.option",
+            format!("'{name}' subtracts its threshold, which --reset zero contradicts"),
+        )
+        .help("leave --reset out; nsim convert makes such neurons reset to zero and measures the loss")),
+        (Some((false, name)), Some(ResetMode::Subtract | ResetMode::SubtractLater)) => {
+            Err(Diagnostic::new("import.option", format!("'{name}' resets to zero, which --reset contradicts"))
+                .help("leave --reset out"))
+        }
+        (Some(_), given) => Ok(given),
+    }
+}
+
+/// Refuses tensors that no layer takes up.
+fn check_used(modules: &[Module], layers: &[(usize, Matrix)], neurons: &[&Module]) -> Result<()> {
+    for (index, module) in modules.iter().enumerate() {
+        let is_layer = layers.iter().any(|(layer, _)| *layer == index);
+        let is_neuron = neurons.iter().any(|neuron| neuron.name == module.name);
+        for (role, array) in &module.arrays {
+            let used = match role {
+                Role::Weight => true,
+                Role::Bias => is_layer,
+                Role::Recurrent | Role::RecurrentBias | Role::OneToOne => {
+                    if neurons.is_empty() {
+                        is_layer
+                    } else {
+                        is_neuron
+                    }
+                }
+                Role::CurrentDecay | Role::VoltageDecay => false,
+                Role::Alpha | Role::Beta | Role::Threshold | Role::Reset | Role::GradedSpikes => is_neuron,
+            };
+            if !used {
+                return Err(wrong(format!("'{}' belongs to no layer of this network", array.key))
+                    .help("if the network does not depend on it, remove it before saving: del state['NAME']"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// One number for all or one for each unit.
+fn each(array: &Array, units: usize) -> Result<Vec<f64>> {
+    match array.numbers.len() {
+        1 => Ok(vec![array.numbers[0]; units]),
+        n if n == units => Ok(array.numbers.clone()),
+        n => Err(wrong(format!("'{}' has {n} numbers for {units} units", array.key))),
+    }
+}
+
+/// A layer of snnTorch, and whether it subtracts its threshold where the file says so.
+fn snntorch(module: &Module) -> Result<(RealNeuron, Option<bool>)> {
+    let get = |role: Role| module.numbers(role).filter(|numbers| !numbers.is_empty());
+    let lost = |what: &str| wrong(format!("'{}' has no '{what}'", module.name));
+    // snnTorch clamps both shares to 0 to 1.
+    let taken = |shares: &[f64]| shares.iter().map(|x| 1.0 - x.clamp(0.0, 1.0)).collect::<Vec<_>>();
+    let membrane = taken(get(Role::Beta).ok_or_else(|| lost("beta"))?);
+    let threshold = get(Role::Threshold).ok_or_else(|| lost("threshold"))?.to_vec();
+    if get(Role::GradedSpikes).is_some_and(|factor| factor.iter().any(|&factor| factor != 1.0)) {
+        return Err(wrong(format!("'{}' sends graded spikes", module.name))
+            .help("spikes of a Loihi 1 core carry no value: train with graded_spikes_factor 1"));
+    }
+    let subtracts = match get(Role::Reset) {
+        None => None,
+        Some(&[0.0]) => Some(true),
+        Some(&[1.0]) => Some(false),
+        Some(other) => {
+            return Err(wrong(format!("'{}' has the reset_mechanism_val {other:?}", module.name))
+                .help("0 (subtract) and 1 (zero) are read; a neuron without a reset has no counterpart on a core"));
+        }
+    };
+    let (name, synapse) = (module.name.clone(), get(Role::Alpha).map(taken));
+    Ok((RealNeuron { name, synapse, membrane, gain: None, leak: 0.0, threshold }, subtracts))
+}
+
+/// A node of a type.
+fn node(kind: &str) -> Group {
+    Group::default().with("type", kind)
+}
+
+/// The time constant, in steps, of what no step takes anything from.
+const ENDLESS: f64 = 4_503_599_627_370_496.0;
+
+/// The node of a layer's neurons: NIR's equations with the shares that a step takes away.
+fn neuron_node(neuron: &RealNeuron, units: usize, dt: f64) -> Result<Group> {
+    let spread = |numbers: &[f64]| match numbers.len() {
+        1 => Ok(vec![numbers[0]; units]),
+        n if n == units => Ok(numbers.to_vec()),
+        n => Err(wrong(format!("'{}' has {n} numbers for {units} units", neuron.name))),
+    };
+    let array = |numbers: &[f64]| Numbers::f64(&[units], numbers);
+    let steps = |shares: &[f64]| -> Vec<f64> {
+        shares.iter().map(|&share| if share > 0.0 { 1.0 / share } else { ENDLESS }).collect()
+    };
+    let seconds = |steps: &[f64]| array(&steps.iter().map(|steps| steps * dt).collect::<Vec<_>>());
+    let membrane = steps(&spread(&neuron.membrane)?);
+    // NIR counts a current with dt / tau r.
+    let r: Vec<f64> = match &neuron.gain {
+        None => membrane.clone(),
+        Some(gain) => spread(gain)?.iter().zip(&membrane).map(|(gain, steps)| gain * steps).collect(),
+    };
+    let common = |group: Group| -> Result<Group> {
+        Ok(group
+            .with("r", array(&r))
+            .with("v_leak", array(&vec![neuron.leak; units]))
+            .with("v_threshold", array(&spread(&neuron.threshold)?)))
+    };
+    match &neuron.synapse {
+        None => common(node("LIF").with("tau", seconds(&membrane))),
+        Some(synapse) => {
+            let synapse = steps(&spread(synapse)?);
+            let currents = node("CubaLIF").with("tau_syn", seconds(&synapse)).with("w_in", array(&synapse));
+            common(currents.with("tau_mem", seconds(&membrane)))
+        }
+    }
+}
+
+/// Weights with their bias, if there is one.
+fn weights_node(weights: &[f64], (targets, sources): (usize, usize), module: &Module, bias: Role) -> Result<Group> {
+    let linear = |kind: &str| node(kind).with("weight", Numbers::f64(&[targets, sources], weights));
+    match module.arrays.get(&bias) {
+        None => Ok(linear("Linear")),
+        Some(array) => Ok(linear("Affine").with("bias", Numbers::f64(&[targets], &each(array, targets)?))),
+    }
+}
+
+/// A graph that is being built.
+#[derive(Default)]
+struct Graph {
+    nodes: Group,
+    edges: Vec<(String, String)>,
+}
+
+impl Graph {
+    /// Adds a node; returns its name, which no other has.
+    fn node(&mut self, wanted: &str, node: Group) -> String {
+        let mut name = wanted.to_string();
+        while self.nodes.items.contains_key(&name) {
+            name.push('_');
+        }
+        self.nodes = std::mem::take(&mut self.nodes).with(&name, node);
+        name
+    }
+
+    fn edge(&mut self, from: &str, to: &str) {
+        self.edges.push((from.to_string(), to.to_string()));
+    }
+
+    /// Adds a node behind another.
+    fn follow(&mut self, after: &str, name: &str, node: Group) -> String {
+        let name = self.node(name, node);
+        self.edge(after, &name);
+        name
+    }
+
+    fn finish(self) -> Group {
+        let count = self.edges.len();
+        let edges = self.edges.into_iter().flat_map(|(from, to)| [from, to]).collect();
+        node("NIRGraph").with("nodes", self.nodes).with("edges", Item::Texts(vec![count, 2], edges))
+    }
+}

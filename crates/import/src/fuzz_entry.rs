@@ -1,0 +1,89 @@
+//! What the fuzz targets of `tests/fuzz` and the tests of their corpora run: each parser on any bytes.
+//!
+//! Input: bytes. Output: nothing; a parser may refuse them, and may not panic or take memory beyond its bound. Models
+//! that are read are turned into the text and back, as an import does.
+
+use std::path::Path;
+
+use crate::foreign::imported::DecayRule;
+use crate::foreign::{Options, from_bytes, hdf5 as hdf5_file, slayer, torch};
+use crate::spikes::events::{nir_data, read};
+use crate::spikes::{EventFormat, EventOptions, Expected};
+use nsim_ir::arithmetic::ThresholdTest;
+use nsim_ir::base::diagnostic::SourceText;
+
+/// Imports a model and writes it as text.
+fn import(path: &str, data: &[u8]) {
+    let options = [
+        Options::default(),
+        // What NIR takes, and what netx takes.
+        Options { dt_ms: Some(1.0), decay: Some(DecayRule::Exponential), ..Options::default() },
+        Options {
+            dt_ms: Some(1.0),
+            threshold: Some(ThresholdTest::Inclusive),
+            reset_interval: Some(16),
+            input_shape: Some(vec![1, 8, 8]),
+            ..Options::default()
+        },
+    ];
+    for options in options {
+        if let Ok(imported) = from_bytes(Path::new(path), data.to_vec(), &options) {
+            let _ = imported.model.build(Path::new(path));
+        }
+    }
+}
+
+/// HDF5: netx, NIR, NIR data, and what is none of them.
+pub fn hdf5(data: &[u8]) {
+    import("fuzz.net", data);
+    if let Ok(tree) = hdf5_file::tree(Path::new("fuzz.nir"), data.to_vec()) {
+        let expected = Expected { units: 3, volume: None, dt_ms: 1.0 };
+        let _ = nir_data::read(&tree, Path::new("fuzz.nir"), "in", &expected, &EventOptions::default());
+    }
+}
+
+/// PyTorch checkpoints.
+pub fn checkpoint(data: &[u8]) {
+    if let Ok(mut checkpoint) = torch::open(data.to_vec()) {
+        let names: Vec<String> = checkpoint.entries().map(|(name, _)| name.to_string()).take(64).collect();
+        for name in names {
+            let _ = checkpoint.tensor(&name);
+        }
+    }
+    import("fuzz.pt", data);
+}
+
+/// Network configs of SLAYER.
+pub fn yaml(data: &[u8]) {
+    if let Ok(text) = std::str::from_utf8(data) {
+        let _ = slayer::config(&SourceText::new("fuzz.yml", text));
+    }
+}
+
+/// Arrays and event lists.
+pub fn arrays(data: &[u8]) {
+    if let Ok(array) = nsim_files::npy::Array::from_bytes(Path::new("fuzz.npy"), data.to_vec()) {
+        let _ = array.tensor();
+    }
+    if let Ok(file) = nsim_files::safetensors::TensorFile::from_bytes(Path::new("fuzz.safetensors"), data.to_vec()) {
+        for entry in file.entries().unwrap_or_default().into_iter().take(64) {
+            let _ = file.tensor(&entry.key);
+        }
+    }
+    let _ = crate::spikes::csv::from_bytes(Path::new("fuzz.csv"), data.to_vec(), 64);
+    let _ = crate::spikes::npz::from_bytes(Path::new("fuzz.npz"), data.to_vec(), "in", 64, Default::default());
+}
+
+/// Event recordings; the first byte chooses the format.
+pub fn events(data: &[u8]) {
+    let Some((&first, mut rest)) = data.split_first() else { return };
+    let format = EventFormat::ALL[usize::from(first) % EventFormat::ALL.len()];
+    let expected = Expected { units: 128, volume: Some((2, 8, 8)), dt_ms: 1.0 };
+    let options = EventOptions {
+        crop: Some((0, 0, 16, 16)),
+        pool: Some((2, 2)),
+        steps: (first & 0x40 == 0).then_some(64),
+        ..EventOptions::default()
+    };
+    let _ = read::read_input(&mut rest, "fuzz", format, &expected, &options);
+}

@@ -1,0 +1,372 @@
+//! Model files with every array that they refer to.
+//!
+//! Input: a path or the name of a shipped model. Output: a [`Network`]. A problem with an array is reported at the
+//! place in the model file that names it, together with what is wrong with the array's file. Whether the numbers make
+//! sense is for `compile::frontend::lower`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::foreign;
+use nsim_files::network::{ArrayRef, Network, NetworkFile, array_refs};
+use nsim_files::shipped;
+use nsim_files::shipped::Origin;
+use nsim_files::text::beside;
+use nsim_files::{changes, npy, safetensors};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use nsim_ir::tensor::Tensor;
+
+/// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported as `nsim import` without options
+/// would.
+///
+/// # Errors
+/// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names them.
+pub fn load_model(argument: &str) -> Result<Network> {
+    load_model_with(argument, None)
+}
+
+/// As [`load_model`], with the milliseconds of a timestep where the file does not say.
+///
+/// # Errors
+/// As [`load_model`]; `model.timestep` where the file says another one.
+pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
+    let path = Path::new(argument);
+    if shipped::is_path(argument) && foreign::is_foreign(path) {
+        return foreign::network(path, &foreign::Options { dt_ms, ..Default::default() });
+    }
+    let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown")?;
+    agreeing(network(source, origin)?, dt_ms)
+}
+
+/// A model of nsim's own, which says its timestep, unless another one is asked for.
+///
+/// # Errors
+/// `model.timestep`.
+pub fn agreeing(network: Network, dt_ms: Option<f64>) -> Result<Network> {
+    let own = &network.file().timestep_ms;
+    let Some(dt) = dt_ms.filter(|dt| (dt / own.value - 1.0).abs() > 1e-9) else { return Ok(network) };
+    let message = format!("the model has a timestep of {} ms, which --dt {dt} contradicts", own.value);
+    Err(Diagnostic::new("model.timestep", message)
+        .at(network.source(), own.span)
+        .help(format!("leave --dt out, or change the model: --set timestep_ms={dt}")))
+}
+
+/// Loads a model from its text; arrays are looked for beside the path of `source`, or among the shipped ones.
+///
+/// # Errors
+/// As [`load_model`].
+pub fn network(source: SourceText, origin: Origin) -> Result<Network> {
+    network_of(changes::model(source)?, origin)
+}
+
+/// A model from its final text.
+fn network_of(source: SourceText, origin: Origin) -> Result<Network> {
+    let file = NetworkFile::parse(&source)?;
+    let arrays = read_arrays(&source, origin, array_refs(&file))?;
+    Network::new(file, source, arrays)
+}
+
+/// A model whose arrays are tensors of one safetensors file in memory, by whatever name the model refers to it.
+///
+/// # Errors
+/// `model.syntax`; of tensors, at the place that names them.
+pub fn with_tensors(source: SourceText, bytes: Vec<u8>) -> Result<Network> {
+    let file = NetworkFile::parse(&source)?;
+    let tensors = safetensors::TensorFile::from_bytes(source.path(), bytes)?;
+    let mut arrays = BTreeMap::new();
+    for (reference, span) in array_refs(&file) {
+        let tensor = match reference {
+            ArrayRef::Safetensors(_, key) => tensors.tensor(key),
+            ArrayRef::Npy(_) => Err(Diagnostic::new("io.missing", "it is not among the tensors in memory")),
+        };
+        let (ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _)) = reference;
+        arrays.insert(reference.clone(), tensor.map_err(|problem| point_at(&source, span, name, problem))?);
+    }
+    Network::new(file, source, arrays)
+}
+
+/// A model that is read once, for many changes of it.
+#[derive(Debug)]
+pub struct Unchanged {
+    network: Network,
+    origin: Origin,
+}
+
+impl Unchanged {
+    /// Reads a model; `None` when it is another tool's, or cannot be used as it is.
+    #[must_use]
+    pub fn load(argument: &str) -> Option<Self> {
+        let path = Path::new(argument);
+        if shipped::is_path(argument) && foreign::is_foreign(path) {
+            return None;
+        }
+        let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown").ok()?;
+        let file = NetworkFile::parse(&source).ok()?;
+        let arrays = read_arrays(&source, origin, array_refs(&file)).ok()?;
+        Some(Unchanged { network: Network::new(file, source, arrays).ok()?, origin })
+    }
+
+    /// Numbers in its arrays.
+    #[must_use]
+    pub fn numbers(&self) -> u64 {
+        array_refs(self.network.file()).iter().map(|(reference, _)| self.network.array(reference).len() as u64).sum()
+    }
+
+    /// The model as [`load_model`] would read it now, under the changes of the process and of the thread.
+    ///
+    /// # Errors
+    /// As [`load_model`].
+    pub fn changed(&self) -> Result<Network> {
+        let source = changes::model(self.network.source().clone())?;
+        let file = NetworkFile::parse(&source)?;
+        match self.network.with_file(file, source.clone()) {
+            Some(network) => Ok(network),
+            None => network_of(source, self.origin),
+        }
+    }
+}
+
+fn read_arrays(
+    source: &SourceText,
+    origin: Origin,
+    references: Vec<(&ArrayRef, Span)>,
+) -> Result<BTreeMap<ArrayRef, Tensor>> {
+    let mut arrays = BTreeMap::new();
+    // A safetensors file often holds every layer: it is read once.
+    let mut opened: BTreeMap<&str, safetensors::TensorFile> = BTreeMap::new();
+    for (reference, span) in references {
+        if arrays.contains_key(reference) {
+            continue;
+        }
+        let tensor = match reference {
+            ArrayRef::Npy(name) => {
+                bytes_of(source, origin, name, npy::open, npy::Array::from_bytes).and_then(|array| array.tensor())
+            }
+            ArrayRef::Safetensors(name, key) => {
+                if !opened.contains_key(name.as_str()) {
+                    let file = bytes_of(source, origin, name, safetensors::open, safetensors::TensorFile::from_bytes)
+                        .map_err(|problem| point_at(source, span, name, problem))?;
+                    opened.insert(name, file);
+                }
+                opened[name.as_str()].tensor(key)
+            }
+        };
+        let (ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _)) = reference;
+        arrays.insert(reference.clone(), tensor.map_err(|problem| point_at(source, span, name, problem))?);
+    }
+    Ok(arrays)
+}
+
+fn bytes_of<T>(
+    source: &SourceText,
+    origin: Origin,
+    name: &str,
+    open: impl Fn(&Path) -> Result<T>,
+    from_bytes: impl Fn(&Path, Vec<u8>) -> Result<T>,
+) -> Result<T> {
+    match origin {
+        Origin::File => open(&beside(source.path(), name)),
+        Origin::Shipped => match shipped::ARRAYS.iter().find(|(path, _)| *path == name) {
+            Some((path, bytes)) => from_bytes(Path::new(path), bytes.to_vec()),
+            None => Err(Diagnostic::new("io.missing", "this array is not shipped")),
+        },
+    }
+}
+
+/// A problem with an array's file, reported where the model names it.
+fn point_at(source: &SourceText, span: Span, name: &str, mut problem: Diagnostic) -> Diagnostic {
+    let file = problem.file().map_or_else(|| name.to_string(), |file| file.display().to_string());
+    problem.message = format!("{file}: {}", problem.message);
+    problem.at(source, span)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_files::network::{ParameterValue, PopulationDesc, ProjectionDesc, Source};
+    use nsim_ir::tensor::Numbers;
+
+    const EVERYTHING: &str = r#"// A comment.
+#![enable(implicit_some)]
+Network(
+    name: "all", /* nested /* comment */ */
+    timestep_ms: 1.0,
+    populations: [
+        Input(name: "µ-in", shape: [2, 3, 3]),
+        Loihi(name: "a", shape: [2], du: 1024, dv: [128, 256], vth_mant: Npy("v.npy"), refractory: 1,),
+        Loihi(name: "b", shape: [2], tau_u_ms: 3.5, tau_v_ms: Uniform(low: 1, high: 2.5, seed: 7), vth: 1, bias: -0.5),
+    ],
+    projections: [
+        Dense(from: ["µ-in"], to: "a", weights: Safetensors("w.safetensors", "fc.weight"), sign: Mixed, weight_exp: -1),
+        Dense(from: ["a"], to: "b", weights: [[2, -4], [6.0, 8e0]], sign: Excitatory, weight_bits: 8, delay: 3),
+        Sparse(from: ["a"], to: "b", synapses: [(0, 1, 2), (1, 0, -2.5)], weight_scale: 2.0),
+        Conv2d(from: ["µ-in"], to: "a", weights: [[[[1]], [[2]]]], stride: (2, 2), padding: (0, 1)),
+        SumPool2d(from: ["µ-in"], to: "a", kernel: (3, 3), weight: 1),
+        Random(from: ["a"], to: "b", fan_out: 2, low: -4, high: 4, seed: 0),
+    ],
+    output: "b",
+    classes: ["x", "y"],
+    reset: (interval: 10),
+    threshold: Inclusive,
+    semantics: Lava,
+    weight_rounding: Floor,
+    scene: "scene:slip?seed=1",
+    provenance: "made by hand",
+)
+"#;
+
+    fn folder() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let npy = std::fs::File::create(folder.path().join("v.npy")).unwrap();
+        npy::write(npy, &[2], [80, 90]).unwrap();
+        let json = r#"{"fc.weight":{"dtype":"I8","shape":[2,18],"data_offsets":[0,36]}}"#;
+        let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
+        bytes.extend(json.bytes());
+        bytes.extend([2; 36]);
+        std::fs::write(folder.path().join("w.safetensors"), bytes).unwrap();
+        folder
+    }
+
+    fn load(folder: &tempfile::TempDir, text: &str) -> Result<Network> {
+        let path = folder.path().join("m.ron");
+        std::fs::write(&path, text).unwrap();
+        load_model(path.to_str().unwrap())
+    }
+
+    #[test]
+    fn every_kind_of_value_is_read_and_knows_its_place() {
+        let folder = folder();
+        let network = load(&folder, EVERYTHING).unwrap();
+        let text_of = |span: Span| &network.source().text()[span.start..span.end];
+        let file = network.file();
+        assert_eq!(text_of(file.populations[0].value.name().span), "\"µ-in\"");
+        let PopulationDesc::Neurons(a) = &file.populations[1].value else { panic!() };
+        let du = a.get("du").unwrap();
+        assert!(matches!(du.value, ParameterValue::Same(x) if x == 1024.0));
+        assert_eq!(text_of(du.span), "1024");
+        let ParameterValue::Each(Source::InPlace(tensor, spans)) = &a.get("dv").unwrap().value else { panic!() };
+        assert_eq!((tensor.numbers(), text_of(spans[1])), (&Numbers::Reals(vec![128.0, 256.0]), "256"));
+        let ParameterValue::Each(Source::File(reference)) = &a.get("vth_mant").unwrap().value else { panic!() };
+        assert_eq!(network.array(reference).numbers(), &Numbers::Integers(vec![80, 90]));
+        let PopulationDesc::Neurons(b) = &file.populations[2].value else { panic!() };
+        let tau = &b.get("tau_v_ms").unwrap();
+        assert!(matches!(tau.value, ParameterValue::Each(Source::Uniform { low: 1.0, high: 2.5, seed: 7, .. })));
+        assert_eq!(text_of(tau.span), "Uniform(low: 1, high: 2.5, seed: 7)");
+        let ProjectionDesc::Dense(first) = &file.projections[0].value else { panic!() };
+        let Source::File(reference) = &first.weights.source else { panic!() };
+        assert_eq!(network.array(reference).shape(), [2, 18]);
+        assert_eq!(text_of(file.projections[0].value.synapse().weight_exp.unwrap().span), "-1");
+        let ProjectionDesc::Dense(second) = &file.projections[1].value else { panic!() };
+        let Source::InPlace(tensor, spans) = &second.weights.source else { panic!() };
+        assert_eq!((tensor.shape(), text_of(spans[1])), (&[2, 2][..], "[6.0, 8e0]"));
+        let ProjectionDesc::Sparse(sparse) = &file.projections[2].value else { panic!() };
+        assert_eq!((sparse.synapses[1].value, text_of(sparse.synapses[1].span)), ((1, 0, -2.5), "(1, 0, -2.5)"));
+        let ProjectionDesc::Conv2d(conv) = &file.projections[3].value else { panic!() };
+        let Source::InPlace(kernel, _) = &conv.weights.source else { panic!() };
+        assert_eq!((kernel.shape(), conv.stride.as_ref().unwrap().value), (&[1, 2, 1, 1][..], (2, 2)));
+    }
+
+    #[test]
+    fn a_problem_with_an_array_stands_where_the_model_names_it() {
+        let folder = folder();
+        let error = load(&folder, &EVERYTHING.replace("v.npy", "absent.npy")).unwrap_err();
+        let position = error.position().unwrap();
+        assert_eq!((error.code, position.line, position.column), ("io.missing", 8, 74), "{error}");
+        assert!(error.message.contains("absent.npy: there is no such file"), "{error}");
+        let error = load(&folder, &EVERYTHING.replace("fc.weight", "fc.wait")).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("safetensors.key", 12));
+        assert!(error.help.unwrap().contains("fc.weight"));
+        std::fs::write(folder.path().join("v.npy"), [0u8; 4096]).unwrap();
+        let error = load(&folder, EVERYTHING).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("npy.format", 8));
+    }
+
+    /// A network of three inputs and two compartments whose synapses are said in this way.
+    fn listed(way: &str) -> String {
+        format!(
+            "Network(name: \"t\", timestep_ms: 1.0, populations: [Input(name: \"a\", shape: [2]), Input(name: \"b\", \
+             shape: [1]), Loihi(name: \"o\", shape: [2], du: 1024, dv: 128, vth_mant: 80)],\n projections: \
+             [Sparse(from: [\"a\", \"b\"], to: \"o\", {way})], output: \"o\")"
+        )
+    }
+
+    #[test]
+    fn synapses_in_arrays_are_those_listed_in_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, numbers: &[i32]| {
+            let file = std::fs::File::create(folder.path().join(name)).unwrap();
+            npy::write(file, &[numbers.len() as u64], numbers.iter().copied()).unwrap();
+        };
+        write("s.npy", &[0, 0, 1, 2]);
+        write("f.npy", &[0, 2, 3, 4]);
+        write("t.npy", &[1, 0, 1, 1]);
+        write("w.npy", &[4, -2, 6, 8]);
+        write("d.npy", &[0, 3, 3, 0]);
+        let lowered = |way: &str| nsim_files::model_builder::ModelBuilder::from_network(&load(&folder, &listed(way))?);
+        let in_place = lowered("synapses: [(0, 1, 4), (0, 0, -2), (1, 1, 6), (2, 1, 8)]").unwrap();
+        let files = r#"target: Npy("t.npy"), weight: Npy("w.npy")"#;
+        for from in [r#"source: Npy("s.npy")"#, r#"first: Npy("f.npy")"#] {
+            let arrays = lowered(&format!("arrays: ({from}, {files})")).unwrap();
+            assert_eq!(arrays.projections, in_place.projections, "{from}");
+        }
+        let delayed = lowered(&format!(r#"arrays: (source: Npy("s.npy"), {files}, delay: Npy("d.npy"))"#)).unwrap();
+        let found: Vec<_> = delayed.projections.iter().map(|p| (p.delay, p.kind.clone())).collect();
+        let sparse =
+            |synapses: &[(u64, u64, f64)]| nsim_files::model_builder::ProjectionKind::Sparse(synapses.to_vec());
+        assert_eq!(found, [(0, sparse(&[(0, 1, 4.0), (2, 1, 8.0)])), (3, sparse(&[(0, 0, -2.0), (1, 1, 6.0)]))]);
+    }
+
+    #[test]
+    fn arrays_of_synapses_that_do_not_match_are_refused_where_they_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, numbers) in
+            [("two.npy", &[0, 1][..]), ("three.npy", &[0, 1, 2]), ("far.npy", &[0, 5]), ("back.npy", &[0, 2, 1, 2])]
+        {
+            let file = std::fs::File::create(folder.path().join(name)).unwrap();
+            npy::write(file, &[numbers.len() as u64], numbers.iter().copied()).unwrap();
+        }
+        let refused = |way: &str| {
+            let network = load(&folder, &listed(&format!("arrays: ({way})"))).unwrap();
+            nsim_files::model_builder::ModelBuilder::from_network(&network).unwrap_err()
+        };
+        let two = r#"Npy("two.npy")"#;
+        for (way, code, word) in [
+            (format!("target: {two}, weight: {two}"), "model.synapse-arrays", "neither source nor first"),
+            (format!("source: {two}, first: {two}, target: {two}, weight: {two}"), "model.synapse-arrays", "both"),
+            (format!(r#"source: {two}, target: {two}, weight: Npy("three.npy")"#), "model.synapse-arrays", "3 numbers"),
+            (
+                format!(r#"source: {two}, target: Npy("far.npy"), weight: {two}"#),
+                "model.synapse-index",
+                "entry 1: target 5",
+            ),
+            (
+                format!(r#"first: Npy("three.npy"), target: {two}, weight: {two}"#),
+                "model.synapse-arrays",
+                "3 numbers for 3",
+            ),
+            (
+                format!(r#"first: Npy("back.npy"), target: {two}, weight: {two}"#),
+                "model.synapse-arrays",
+                "does not ascend",
+            ),
+        ] {
+            let error = refused(&way);
+            assert_eq!(error.code, code, "{way}: {error}");
+            assert!(error.message.contains(word) && error.position().is_some(), "{way}: {error}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_name_is_answered_with_the_shipped_ones() {
+        let error = load_model("vtsnn-slipp").unwrap_err();
+        assert_eq!(error.code, "model.unknown");
+        assert!(error.help.unwrap().contains("path to a .ron file"));
+    }
+
+    #[test]
+    fn every_shipped_model_loads() {
+        for model in shipped::MODELS {
+            load_model(model.name).unwrap_or_else(|error| panic!("{error}"));
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! What probes recorded, in forms that other tools read.
+//!
+//! Input: numbers `[samples][compartments][steps]` of one register of one population. Output: CSV with a row for each
+//! spike or each number, NIR data (spikes as events, other registers on a grid of time), or Parquet with CSV's columns (with
+//! the feature `parquet`). NumPy arrays are written in [`nsim_files::npy`].
+
+use std::path::Path;
+
+use crate::foreign::hdf5;
+use crate::spikes::events::nir_data;
+use nsim_files::write;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// The most numbers of a NIR file, which is made in memory.
+const MOST_GRIDDED: usize = 1 << 26;
+
+/// A recorded register.
+pub struct Trace<'a> {
+    /// The population.
+    pub population: &'a str,
+    /// The register's name: spikes, u, v or v_register.
+    pub register: &'a str,
+    /// Samples, compartments, timesteps.
+    pub shape: [usize; 3],
+    /// Seconds of a timestep.
+    pub dt_s: f64,
+}
+
+impl Trace<'_> {
+    /// Writes rows `sample,timestep,channel` for spikes, `sample,timestep,compartment,value` for other registers.
+    ///
+    /// # Errors
+    /// As [`write::Batch::add`].
+    pub fn csv(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
+        let [_, units, steps] = self.shape;
+        let spikes = self.register == "spikes";
+        batch.add(path, |out| {
+            if spikes {
+                // The length stands in a comment, as in event lists: silence at the end has no row.
+                writeln!(out, "# steps: {steps}\nsample,timestep,channel")?;
+            } else {
+                writeln!(out, "sample,timestep,compartment,value")?;
+            }
+            for (at, number) in numbers.enumerate() {
+                let (sample, unit, step) = (at / (units * steps).max(1), at / steps.max(1) % units, at % steps.max(1));
+                if !spikes {
+                    writeln!(out, "{sample},{step},{unit},{number}")?;
+                } else if number != 0.0 {
+                    writeln!(out, "{sample},{step},{unit}")?;
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Refuses what a file that is made in memory does not take.
+    fn check_size(&self, format: &str) -> Result<()> {
+        let [samples, units, steps] = self.shape;
+        if samples * units * steps <= MOST_GRIDDED {
+            return Ok(());
+        }
+        let message =
+            format!("{samples} x {units} x {steps} numbers are more than a {format} file takes, {MOST_GRIDDED}");
+        Err(Diagnostic::new("write.too-large", message).help("choose fewer --samples, or --probe-format npy"))
+    }
+
+    /// Writes a file of NIR data, with the population as its node and the register as its observable.
+    ///
+    /// # Errors
+    /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
+    pub fn nir(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
+        self.check_size("NIR")?;
+        let [samples, units, steps] = self.shape;
+        let data = if self.register == "spikes" {
+            let mut events = vec![Vec::new(); samples];
+            for (at, _) in numbers.enumerate().filter(|(_, number)| *number != 0.0) {
+                events[at / (units * steps)].push(((at % steps) as u32, (at / steps % units) as u32));
+            }
+            events.iter_mut().for_each(|sample| sample.sort_unstable());
+            nir_data::events(&events, units as u32, steps as u32, self.dt_s)
+        } else {
+            // NIR has time before neurons.
+            let mut grid = vec![0.0; samples * units * steps];
+            for (at, number) in numbers.enumerate() {
+                let (sample, unit, step) = (at / (units * steps), at / steps % units, at % steps);
+                grid[(sample * steps + step) * units + unit] = number;
+            }
+            nir_data::gridded(&grid, [samples, steps, units], self.dt_s)
+        };
+        let bytes = hdf5::write(&nir_data::file(self.population, self.register, data))?;
+        batch.add(path, |out| out.write_all(&bytes))
+    }
+
+    /// Writes a Parquet file with the columns of [`Self::csv`]: `sample`, `timestep` and `channel` or `compartment` as
+    /// 32-bit integers, `value` as a double. Registers are integers of at most 24 bits, which doubles hold exactly. The
+    /// number of timesteps and the register stand in the file's metadata as `steps` and `register`.
+    ///
+    /// # Errors
+    /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
+    #[cfg(feature = "parquet")]
+    pub fn parquet(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
+        self.check_size("Parquet")?;
+        let [_, units, steps] = self.shape;
+        let spikes = self.register == "spikes";
+        let (mut places, mut values) = ([Vec::new(), Vec::new(), Vec::new()], Vec::new());
+        for (at, number) in numbers.enumerate().filter(|(_, number)| !spikes || *number != 0.0) {
+            let of_row = [at / (units * steps), at % steps, at / steps % units];
+            places.iter_mut().zip(of_row).for_each(|(column, index)| column.push(index as i32));
+            if !spikes {
+                values.push(number);
+            }
+        }
+        let bytes =
+            self.table(&places, &values).map_err(|error| Diagnostic::new("write.parquet", error.to_string()))?;
+        batch.add(path, |out| out.write_all(&bytes))
+    }
+
+    /// The file, in memory.
+    #[cfg(feature = "parquet")]
+    fn table(&self, places: &[Vec<i32>; 3], values: &[f64]) -> Result<Vec<u8>, parquet::errors::ParquetError> {
+        use parquet::data_type::{DoubleType, Int32Type};
+        use parquet::file::metadata::KeyValue;
+        use parquet::file::properties::WriterProperties;
+        use parquet::file::writer::SerializedFileWriter;
+        use parquet::schema::parser::parse_message_type;
+        let message = match self.register {
+            "spikes" => "message spikes { required int32 sample; required int32 timestep; required int32 channel; }",
+            _ => {
+                "message trace { required int32 sample; required int32 timestep; required int32 compartment; required double value; }"
+            }
+        };
+        let entries = [("population", self.population.to_string()), ("register", self.register.to_string())];
+        let entries = entries.into_iter().chain([("steps", self.shape[2].to_string())]);
+        let entries = entries.map(|(key, value)| KeyValue::new(key.to_string(), value)).collect();
+        let properties = WriterProperties::builder().set_key_value_metadata(Some(entries)).build();
+        let mut file = SerializedFileWriter::new(Vec::new(), parse_message_type(message)?.into(), properties.into())?;
+        let mut rows = file.next_row_group()?;
+        let mut places = places.iter();
+        while let Some(mut column) = rows.next_column()? {
+            match places.next() {
+                Some(place) => column.typed::<Int32Type>().write_batch(place, None, None)?,
+                None => column.typed::<DoubleType>().write_batch(values, None, None)?,
+            };
+            column.close()?;
+        }
+        rows.close()?;
+        file.into_inner()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::spikes::{EventOptions, Expected, read_source, read_spikes};
+
+    fn whole(write: impl FnOnce(&mut write::Batch) -> Result<()>) {
+        let mut batch = write::Batch::new(false);
+        write(&mut batch).unwrap();
+        batch.commit().unwrap();
+    }
+
+    #[test]
+    fn spikes_that_are_written_are_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let trace = Trace { population: "out", register: "spikes", shape: [2, 3, 4], dt_s: 2e-3 };
+        let numbers: Vec<f64> = (0..24).map(|i| f64::from(u8::from([1, 6, 11, 12, 23].contains(&i)))).collect();
+        let events = [vec![(1, 0), (2, 1), (3, 2)], vec![(0, 0), (3, 2)]];
+        let csv = folder.path().join("s.csv");
+        whole(|batch| trace.csv(&csv, batch, numbers.iter().copied()));
+        let back = read_source(&csv, 3).unwrap();
+        assert_eq!((back.len(), back[0].steps), (2, 4));
+        let nir = folder.path().join("s.nir");
+        whole(|batch| trace.nir(&nir, batch, numbers.iter().copied()));
+        let expected = Expected { units: 3, volume: None, dt_ms: 2.0 };
+        let again = read_spikes(&nir, "out", &expected, &EventOptions::default()).unwrap();
+        for (sample, events) in events.iter().enumerate() {
+            let mut from_csv = back[sample].events.clone();
+            from_csv.sort_unstable();
+            assert_eq!((&from_csv, &again[sample].events, again[sample].steps), (events, events, 4));
+        }
+    }
+
+    #[test]
+    fn voltages_keep_their_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let trace = Trace { population: "out", register: "v", shape: [1, 2, 3], dt_s: 1e-3 };
+        let path = folder.path().join("v.nir");
+        whole(|batch| trace.nir(&path, batch, (0..6).map(f64::from)));
+        let tree = hdf5::tree(&path, std::fs::read(&path).unwrap()).unwrap();
+        let data = tree.numbers("nodes/out/observables/v/data").unwrap();
+        assert_eq!(
+            (data.shape(), data.reals().collect::<Vec<_>>()),
+            (&[1, 3, 2][..], vec![0.0, 3.0, 1.0, 4.0, 2.0, 5.0])
+        );
+        let csv = folder.path().join("v.csv");
+        whole(|batch| trace.csv(&csv, batch, (0..6).map(f64::from)));
+        let text = std::fs::read_to_string(csv).unwrap();
+        assert_eq!(text.lines().nth(4), Some("0,0,1,3"));
+    }
+
+    #[cfg(feature = "parquet")]
+    #[test]
+    fn parquet_holds_the_rows_of_csv() {
+        use parquet::file::reader::{FileReader, SerializedFileReader};
+        use parquet::record::RowAccessor;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("v.parquet");
+        let trace = Trace { population: "out", register: "v", shape: [1, 2, 3], dt_s: 1e-3 };
+        whole(|batch| trace.parquet(&path, batch, (0..6).map(|v| f64::from(v) - 3.0)));
+        let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let rows: Vec<_> = file.get_row_iter(None).unwrap().map(Result::unwrap).collect();
+        let row = |r: &parquet::record::Row| (r.get_int(1).unwrap(), r.get_int(2).unwrap(), r.get_double(3).unwrap());
+        let expected = [(0, 0, -3.0), (1, 0, -2.0), (2, 0, -1.0), (0, 1, 0.0), (1, 1, 1.0), (2, 1, 2.0)];
+        assert_eq!(rows.iter().map(row).collect::<Vec<_>>(), expected);
+        let path = folder.path().join("s.parquet");
+        let trace = Trace { register: "spikes", ..trace };
+        whole(|batch| trace.parquet(&path, batch, [0.0, 1.0, 0.0, 0.0, 0.0, 1.0].into_iter()));
+        let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let rows: Vec<_> = file.get_row_iter(None).unwrap().map(Result::unwrap).collect();
+        let row = |r: &parquet::record::Row| [0, 1, 2].map(|k| r.get_int(k).unwrap());
+        assert_eq!(rows.iter().map(row).collect::<Vec<_>>(), [[0, 1, 0], [0, 2, 1]]);
+    }
+}

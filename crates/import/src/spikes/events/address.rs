@@ -1,0 +1,161 @@
+//! Formats of fixed-size events: an address and a time each.
+//!
+//! N-MNIST and SLAYER: five bytes, the last three a polarity bit and 23 bits of microseconds,
+//! big-endian (Orchard et al. 2015; slayerPytorch 01beeeb, `src/spikeFileIO.py`). SLAYER's own
+//! writer of `.bs1` loses the high byte of a channel, so channels above 255 come back from its
+//! files as others. N-MNIST's `.bin` marks each turn of its clock by an entry. Prophesee `.dat`: a
+//! text header, then eight bytes each: 32 bits of microseconds, 14 of x, 14 of y, 4 of polarity,
+//! little-endian (Metavision SDK, file format DAT).
+
+use std::io::{BufRead, Read};
+
+use super::event::{Event, Remark, Sink, fill, unreadable, wrong};
+use nsim_ir::base::diagnostic::Result;
+
+/// The longest line of a header, and the most lines.
+const MOST_HEADER: usize = 1 << 12;
+/// The row of N-MNIST's entries that are no events but turns of its clock, and the time that each
+/// adds.
+pub(super) const OVERFLOW_ROW: u32 = 240;
+const OVERFLOW_US: i64 = 1 << 13;
+
+fn polarity_and_time(bytes: &[u8; 5]) -> (bool, i64) {
+    let word = u32::from_be_bytes([0, bytes[2], bytes[3], bytes[4]]);
+    (word >> 23 & 1 == 1, i64::from(word & 0x7f_ffff))
+}
+
+/// SLAYER `.bs2`.
+///
+/// # Errors
+/// `io.read`, and those of the sink.
+pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+    let mut bytes = [0; 5];
+    while fill(input, &mut bytes, sink)? {
+        let (on, t_us) = polarity_and_time(&bytes);
+        sink.event(Event { t_us, x: bytes[0].into(), y: bytes[1].into(), on })?;
+    }
+    Ok(())
+}
+
+/// `.bin` of N-MNIST and N-Caltech101, in which an entry of row 240 is a turn of the clock and no
+/// event.
+///
+/// # Errors
+/// `io.read`, and those of the sink.
+pub fn bin(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+    let (mut bytes, mut passed_us) = ([0; 5], 0);
+    while fill(input, &mut bytes, sink)? {
+        let (on, t_us) = polarity_and_time(&bytes);
+        if u32::from(bytes[1]) == OVERFLOW_ROW {
+            passed_us += OVERFLOW_US;
+            sink.remark(Remark::ClockTurn);
+            continue;
+        }
+        sink.event(Event { t_us: passed_us + t_us, x: bytes[0].into(), y: bytes[1].into(), on })?;
+    }
+    Ok(())
+}
+
+/// SLAYER `.bs1`.
+///
+/// # Errors
+/// `io.read`, and those of the sink.
+pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+    let mut bytes = [0; 5];
+    while fill(input, &mut bytes, sink)? {
+        let (on, t_us) = polarity_and_time(&bytes);
+        sink.event(Event { t_us, x: u16::from_be_bytes([bytes[0], bytes[1]]).into(), y: 0, on })?;
+    }
+    Ok(())
+}
+
+/// The lines of a header, each beginning with '%' and a space, without these; and a byte that was
+/// read behind them.
+pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [u8])> {
+    let mut lines = Vec::new();
+    while lines.len() < 256 {
+        let begins = |input: &mut dyn BufRead, with: u8| -> Result<bool> {
+            Ok(input.fill_buf().map_err(|error| unreadable(&error))?.first() == Some(&with))
+        };
+        if !begins(input, b'%')? {
+            return Ok((lines, b""));
+        }
+        // Data may begin with the same sign: the space behind it makes it a line.
+        input.consume(1);
+        if !begins(input, b' ')? {
+            return Ok((lines, b"%"));
+        }
+        let mut line = Vec::new();
+        loop {
+            let buffer = input.fill_buf().map_err(|error| unreadable(&error))?;
+            let end = buffer.iter().position(|&byte| byte == b'\n').map_or(buffer.len(), |end| end + 1);
+            line.extend_from_slice(&buffer[..end]);
+            let done = buffer.is_empty() || line.last() == Some(&b'\n');
+            input.consume(end);
+            if line.len() > MOST_HEADER {
+                return Err(wrong(format!("a line of the header is longer than {MOST_HEADER} bytes")));
+            }
+            if done {
+                break;
+            }
+        }
+        let line = String::from_utf8_lossy(&line).trim().to_string();
+        let last = line == "end";
+        lines.push(line);
+        if last {
+            return Ok((lines, b""));
+        }
+    }
+    Err(wrong("the header has more than 256 lines"))
+}
+
+/// Prophesee `.dat` with events of type 0, 12 or 40, which are all addresses.
+///
+/// # Errors
+/// `input.events` for events of another type or size, and for polarities beyond 1.
+pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+    let (lines, begun) = header(input)?;
+    let input = &mut begun.chain(input);
+    let number = |name: &str| {
+        let line = lines.iter().find_map(|line| line.strip_prefix(name).filter(|rest| rest.starts_with(' ')))?;
+        line.trim().parse::<u32>().ok()
+    };
+    if let (Some(width), Some(height)) = (number("Width"), number("Height")) {
+        sink.size(width, height);
+    }
+    if let Some(version) = number("Version").filter(|&version| version != 2) {
+        return Err(wrong(format!("version {version} of .dat is not read; version 2 is"))
+            .help("write it again with the tools of its camera: metavision_file_to_dat -i FILE"));
+    }
+    let mut kind = [0; 2];
+    if !fill(input, &mut kind, sink)? {
+        return Err(wrong("the file ends behind its header"));
+    }
+    if !matches!(kind, [0 | 12 | 40, 8]) {
+        let named = if kind[0] == 14 { " (external triggers)" } else { "" };
+        let message = format!("its records are of type {}{named} and {} bytes, not events of pixels", kind[0], kind[1]);
+        return Err(wrong(message).help("the types 0, 12 and 40 of 8 bytes are read"));
+    }
+    let mut bytes = [0; 8];
+    // 32 bits of microseconds last for 71 minutes.
+    let (mut turns, mut before, mut index) = (0i64, 0u32, 0u64);
+    while fill(input, &mut bytes, sink)? {
+        let time = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+        let word = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]);
+        if before > u32::MAX / 4 * 3 && time < u32::MAX / 4 {
+            turns += 1;
+            sink.remark(Remark::ClockTurn);
+        } else if before < u32::MAX / 4 && time > u32::MAX / 4 * 3 && turns > 0 {
+            // A step back over the turn.
+            turns -= 1;
+        }
+        before = time;
+        if word >> 28 > 1 {
+            return Err(wrong(format!("event {index} has the polarity {}; 0 and 1 are known", word >> 28)));
+        }
+        index += 1;
+        let t_us = (turns << 32) + i64::from(time);
+        sink.event(Event { t_us, x: word & 0x3fff, y: word >> 14 & 0x3fff, on: word >> 28 == 1 })?;
+    }
+    Ok(())
+}

@@ -1,0 +1,175 @@
+//! What decoders and their receivers share: an event, the receiver's trait, counts, and reading by fixed sizes.
+
+use std::io::BufRead;
+
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// One event of a sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Event {
+    /// Microseconds on the clock of the recording.
+    pub t_us: i64,
+    /// Column, or the number of a taxel.
+    pub x: u32,
+    /// Row.
+    pub y: u32,
+    /// Whether the signal rose.
+    pub on: bool,
+}
+
+/// What a decoder reports of a recording besides its events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Remark {
+    /// The clock of the recording began again: later times are moved on by its range.
+    ClockTurn,
+    /// A record that is no event of a pixel, such as a trigger or a frame.
+    NotAnEvent,
+    /// An event before the first record that says when it was.
+    Untimed,
+    /// The file ends early, with this number of bytes behind the last whole record.
+    Cut(u64),
+    /// Nothing says the unit of the times; they are read as microseconds.
+    AssumedMicroseconds,
+}
+
+/// What was read, and what of it was left out.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Events of the file.
+    pub events: u64,
+    /// Earliest and latest time in microseconds.
+    pub span_us: Option<(i64, i64)>,
+    /// Events outside the window in space, time or polarity.
+    pub dropped: u64,
+    /// Events earlier than one before them.
+    pub disordered: u64,
+    /// Events that fell into a bin with another.
+    pub merged: u64,
+    /// Bins that had events, but fewer than a spike needs.
+    pub faint: u64,
+    /// Turns of the recording's clock, by which later times were moved on.
+    pub clock_turns: u64,
+    /// Records that are no events of pixels.
+    pub not_events: u64,
+    /// Bytes behind the last whole record of a file that ends early.
+    pub cut_bytes: Option<u64>,
+    /// Whether the times are taken for microseconds because nothing says their unit.
+    pub unit_assumed: bool,
+}
+
+impl Counts {
+    /// Counts an event of this time.
+    pub fn event(&mut self, t_us: i64) {
+        self.events += 1;
+        let (earliest, latest) = self.span_us.unwrap_or((t_us, t_us));
+        self.disordered += u64::from(t_us < latest);
+        self.span_us = Some((earliest.min(t_us), latest.max(t_us)));
+    }
+
+    /// Counts what a decoder reports.
+    pub fn remark(&mut self, remark: Remark) {
+        match remark {
+            Remark::ClockTurn => self.clock_turns += 1,
+            Remark::NotAnEvent => self.not_events += 1,
+            Remark::Untimed => {
+                self.events += 1;
+                self.dropped += 1;
+            }
+            Remark::Cut(bytes) => self.cut_bytes = Some(bytes),
+            Remark::AssumedMicroseconds => self.unit_assumed = true,
+        }
+    }
+}
+
+/// Receives the events of a decoder.
+pub trait Sink {
+    /// The file says that the sensor has so many columns and rows.
+    fn size(&mut self, columns: u32, rows: u32);
+    /// An event.
+    ///
+    /// # Errors
+    /// When there are more than can be kept.
+    fn event(&mut self, event: Event) -> Result<()>;
+    /// What the decoder reports besides events.
+    fn remark(&mut self, _remark: Remark) {}
+}
+
+/// What is wrong with a recording.
+pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new("input.events", message)
+}
+
+/// The problem of a stream that is chosen in a format without streams.
+pub(super) fn no_streams(format: &str) -> Diagnostic {
+    Diagnostic::new("input.option", format!("{format} has one stream: stream=N is for AEDAT4 and EVT3"))
+}
+
+pub(super) fn unreadable(error: &std::io::Error) -> Diagnostic {
+    Diagnostic::new("io.read", format!("cannot be read: {error}"))
+}
+
+/// Passes each row of a text that is neither empty nor a comment, without spaces around it. A last
+/// row that cannot be read is one that the end cuts off, which is reported.
+///
+/// # Errors
+/// `io.read`; those of a row, with its number.
+pub(super) fn rows(
+    input: &mut dyn BufRead,
+    longest: usize,
+    sink: &mut dyn Sink,
+    mut row: impl FnMut(&str, &mut dyn Sink) -> Result<()>,
+) -> Result<()> {
+    let (mut number, mut line, mut any) = (0u64, Vec::new(), false);
+    loop {
+        line.clear();
+        let read = std::io::Read::take(&mut *input, longest as u64 + 1).read_until(b'\n', &mut line);
+        if read.map_err(|error| unreadable(&error))? == 0 {
+            return Ok(());
+        }
+        number += 1;
+        let outcome = match std::str::from_utf8(&line) {
+            _ if line.len() > longest => Err(wrong(format!("it is longer than {longest} bytes"))),
+            Err(_) => Err(wrong("it is no text")),
+            Ok(text) => match text.trim_start_matches('\u{feff}').trim() {
+                text if text.is_empty() || text.starts_with('#') => continue,
+                text => row(text, sink),
+            },
+        };
+        match outcome {
+            Err(problem) if problem.code == "input.events" && any && line.last() != Some(&b'\n') => {
+                sink.remark(Remark::Cut(line.len() as u64));
+                return Ok(());
+            }
+            Err(mut problem) => {
+                if matches!(problem.code, "input.events" | "input.unit") {
+                    problem.message = format!("row {number}: {}", problem.message);
+                }
+                return Err(problem);
+            }
+            Ok(()) => any = true,
+        }
+    }
+}
+
+/// Fills a buffer with the next record; false at the end of the input. A record that the end cuts
+/// off is reported.
+///
+/// # Errors
+/// `io.read`.
+pub(super) fn fill(input: &mut dyn BufRead, buffer: &mut [u8], sink: &mut dyn Sink) -> Result<bool> {
+    let mut filled = 0;
+    while filled < buffer.len() {
+        match std::io::Read::read(input, &mut buffer[filled..]) {
+            Ok(0) => {
+                if filled > 0 {
+                    sink.remark(Remark::Cut(filled as u64));
+                }
+                return Ok(false);
+            }
+            Ok(read) => filled += read,
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(unreadable(&error)),
+        }
+    }
+    Ok(true)
+}

@@ -1,0 +1,221 @@
+//! NIR's data files: events, or values on a grid of time.
+//!
+//! Input: the tree of a file that `nir.write_data` made (NIR 1.0.8, `data_ir`). Output: the spikes of its samples. Of
+//! several observables the one named `spikes` of the population's node is read, else the only one. Times are in seconds;
+//! a grid's own step is a timestep unless bins are asked for. Also makes such trees, for spikes (as events) and for other
+//! registers (on a grid).
+
+use std::path::Path;
+
+use super::event::wrong;
+use crate::foreign::hdf5::{Attribute, Group, Item, Numbers};
+use crate::spikes::options::{ArrayOptions, EventOptions};
+use crate::spikes::population::{Expected, PopulationSpikes};
+use nsim_files::budget::MOST_STEPS;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// The most samples of a file.
+const MOST_SAMPLES: usize = 1 << 20;
+
+fn kind(group: &Group) -> Option<&str> {
+    match group.attributes.get("__type__")? {
+        Attribute::Text(kind) => Some(kind),
+        Attribute::Number(_) => None,
+    }
+}
+
+fn number(group: &Group, key: &str) -> Option<f64> {
+    match group.attributes.get(key)? {
+        Attribute::Number(x) => Some(*x),
+        Attribute::Text(_) => None,
+    }
+}
+
+/// Whether a tree is one of data.
+#[must_use]
+pub fn is_data(root: &Group) -> bool {
+    kind(root) == Some("NIRGraphData")
+}
+
+/// The observable of a population.
+fn observable<'a>(root: &'a Group, population: &str) -> Result<&'a Group> {
+    let mut found: Vec<(&str, &str, &Group)> = Vec::new();
+    for (node, item) in root.group("nodes").into_iter().flat_map(|nodes| &nodes.items) {
+        let Item::Group(node_group) = item else { continue };
+        for name in node_group.group("observables").into_iter().flat_map(|list| list.items.keys()) {
+            if let Some(group) = node_group.group(&format!("observables/{name}")) {
+                found.push((node, name, group));
+            }
+        }
+    }
+    let in_node = found.iter().filter(|(node, ..)| *node == population).collect::<Vec<_>>();
+    let chosen = match (in_node.as_slice(), found.as_slice()) {
+        ([one], _) => Some(one.2),
+        ([], [one]) => Some(one.2),
+        _ => in_node.iter().find(|(_, name, _)| *name == "spikes").map(|(.., group)| *group),
+    };
+    chosen.ok_or_else(|| {
+        let names: Vec<String> = found.iter().take(8).map(|(node, name, _)| format!("{node}/{name}")).collect();
+        wrong(format!("which of the observables {} is for '{population}'?", names.join(", ")))
+            .help("name the node like the population, and its observable 'spikes'")
+    })
+}
+
+/// Reads the samples of a tree for a population.
+///
+/// # Errors
+/// `input.events`, `input.shape`, `input.too-long`.
+pub fn read(
+    root: &Group,
+    path: &Path,
+    population: &str,
+    expected: &Expected,
+    options: &EventOptions,
+) -> Result<Vec<PopulationSpikes>> {
+    let group = observable(root, population)?;
+    let &EventOptions { bin_us, steps, least, .. } = options;
+    let gridded = kind(group) == Some("TimeGriddedData");
+    let least = least.filter(|_| gridded);
+    if *options != (EventOptions { bin_us, steps, least, ..EventOptions::default() }) {
+        return Err(Diagnostic::new(
+            "input.option",
+            "NIR data has channels and times: bin_ms and steps are its only options, and least of a grid",
+        ));
+    }
+    let of_grid = ArrayOptions { least, ..ArrayOptions::default() };
+    let array = |key: &str, axes: usize| {
+        let numbers = group.numbers(key).ok_or_else(|| wrong(format!("the observable has no '{key}'")))?;
+        if numbers.shape().len() == axes {
+            Ok(numbers)
+        } else {
+            Err(wrong(format!("'{key}' is {:?}", numbers.shape())))
+        }
+    };
+    let check = |units: f64| {
+        if units == expected.units as f64 {
+            return Ok(());
+        }
+        let message = format!("the recording has {units} neurons, the population {}", expected.units);
+        Err(Diagnostic::new("input.shape", message))
+    };
+    let bound = |steps: f64| {
+        if (1.0..=f64::from(MOST_STEPS)).contains(&steps) {
+            return Ok(steps as u32);
+        }
+        Err(Diagnostic::new("input.too-long", format!("{steps} timesteps, beyond 1..={MOST_STEPS}")))
+    };
+    let silent = |samples: usize, steps: u32| {
+        if samples > MOST_SAMPLES {
+            return Err(wrong(format!("{samples} samples")));
+        }
+        Ok(PopulationSpikes::silent(samples, expected.units, steps, path))
+    };
+    match kind(group) {
+        Some("TimeGriddedData") => {
+            let data = array("data", 3)?;
+            let &[samples, steps, units] = data.shape() else { return Err(wrong("'data' is empty")) };
+            // Each step of the grid is a timestep, so that both have one length.
+            let (grid_us, step_us) = (number(group, "dt").unwrap_or(0.0) * 1e6, bin_us.unwrap_or(expected.dt_ms * 1e3));
+            if (grid_us - step_us).abs() > step_us * 1e-6 {
+                let (grid, step) = (grid_us / 1e3, step_us / 1e3);
+                return Err(wrong(format!("a step of its grid (dt) is {grid} ms, a timestep {step} ms"))
+                    .help(format!("FILE?bin_ms={grid} takes each step of the grid as a timestep")));
+            }
+            if options.steps.is_some_and(|wanted| wanted as usize != steps) {
+                return Err(Diagnostic::new(
+                    "input.option",
+                    format!("the grid has {steps} steps: steps= is for events"),
+                ));
+            }
+            check(units as f64)?;
+            let all = bound(steps as f64)?;
+            let mut recordings = silent(samples, all)?;
+            for (at, number) in data.reals().enumerate() {
+                if !of_grid.is_spike(number, path)? {
+                    continue;
+                }
+                let (sample, step, unit) = (at / (steps * units), at / units % steps, at % units);
+                recordings[sample].events.push((step as u32, unit as u32));
+            }
+            Ok(recordings)
+        }
+        Some("EventData" | "ValuedEventData") => {
+            let (idx, time) = (array("idx", 2)?, array("time", 2)?);
+            if idx.shape() != time.shape() {
+                return Err(wrong("'idx' and 'time' have different shapes"));
+            }
+            check(number(group, "n_neurons").unwrap_or(0.0))?;
+            let values: Option<Vec<f64>> = group.numbers("value").map(|values| values.reals().collect());
+            let bin_s = options.bin_us.map_or(expected.dt_ms / 1e3, |us| us / 1e6);
+            let end = number(group, "t_max").unwrap_or(0.0);
+            // t_max / dt may fall a little short of the number that it means.
+            let steps = match options.steps {
+                Some(steps) => steps,
+                None => bound((end / bin_s + 1e-6).floor())?,
+            };
+            let (samples, each) = (idx.shape()[0], idx.shape()[1]);
+            let mut recordings = silent(samples, steps)?;
+            for (at, (unit, seconds)) in idx.reals().zip(time.reals()).enumerate() {
+                // An index of -1 and an endless time fill up the shorter samples.
+                if unit < 0.0 || !seconds.is_finite() {
+                    continue;
+                }
+                if let Some(value) = values.as_ref().map(|values| values.get(at).copied().unwrap_or(f64::NAN))
+                    && value != 1.0
+                {
+                    return Err(wrong(format!("an event carries the value {value}; events of the value 1 are spikes"))
+                        .help("write the events without values, as EventData"));
+                }
+                let step = (seconds / bin_s + 1e-6).floor();
+                if unit >= expected.units as f64 || unit.fract() != 0.0 || !(0.0..f64::from(steps)).contains(&step) {
+                    return Err(wrong(format!("an event of neuron {unit} at {seconds} s lies outside the recording")));
+                }
+                recordings[at / each.max(1)].events.push((step as u32, unit as u32));
+            }
+            Ok(recordings)
+        }
+        other => Err(wrong(format!("an observable of the kind '{}'", other.unwrap_or("?")))),
+    }
+}
+
+/// A tree with spikes of samples, each (step, unit), as events of a node.
+#[must_use]
+pub fn events(samples: &[Vec<(u32, u32)>], units: u32, steps: u32, dt_s: f64) -> Group {
+    let most = samples.iter().map(Vec::len).max().unwrap_or(0).max(1);
+    let (mut idx, mut time) = (Vec::new(), Vec::new());
+    for sample in samples {
+        for place in 0..most {
+            let event = sample.get(place);
+            idx.push(event.map_or(-1, |&(_, unit)| i64::from(unit)));
+            time.push(event.map_or(f64::INFINITY, |&(step, _)| f64::from(step) * dt_s));
+        }
+    }
+    let shape = [samples.len(), most];
+    attributed(
+        Group::default().with("idx", Numbers::i64(&shape, &idx)).with("time", Numbers::f64(&shape, &time)),
+        "EventData",
+        &[("n_neurons", f64::from(units)), ("t_max", f64::from(steps) * dt_s)],
+    )
+}
+
+/// A tree with numbers `[samples][steps][units]` on a grid of time.
+#[must_use]
+pub fn gridded(numbers: &[f64], shape: [usize; 3], dt_s: f64) -> Group {
+    attributed(Group::default().with("data", Numbers::f64(&shape, numbers)), "TimeGriddedData", &[("dt", dt_s)])
+}
+
+/// A whole file with one observable of one node.
+#[must_use]
+pub fn file(node: &str, observable: &str, data: Group) -> Group {
+    let node_group =
+        attributed(Group::default().with("observables", Group::default().with(observable, data)), "NIRNodeData", &[]);
+    attributed(Group::default().with("nodes", Group::default().with(node, node_group)), "NIRGraphData", &[])
+}
+
+fn attributed(mut group: Group, kind: &str, numbers: &[(&str, f64)]) -> Group {
+    group.attributes.insert("__type__".to_string(), Attribute::Text(kind.to_string()));
+    for (key, x) in numbers {
+        group.attributes.insert((*key).to_string(), Attribute::Number(*x));
+    }
+    group
+}

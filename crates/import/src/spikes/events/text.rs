@@ -1,0 +1,188 @@
+//! Events in text: a header that names the columns, then a row an event.
+//!
+//! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and
+//! a time: `t`, `ts`, `time` or `timestamp`, with the unit behind it (`t_s`, `t_ms`, `t_us`,
+//! `t_ns`). They stand in any order, separated by commas; others are left alone, and so are lines
+//! that begin with `#`. A time without a unit is in microseconds, which the sink records: a
+//! fraction of one, or a time beyond all clocks, is asked about.
+
+use std::io::BufRead;
+
+use super::event::{Event, Remark, Sink, rows, wrong};
+use crate::spikes::options::TimeUnit;
+use nsim_files::text::TIMES;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// The longest row.
+const MOST_ROW: usize = 4096;
+/// The latest time, about 285 years.
+const MOST_US: i64 = 9_000_000_000_000_000;
+/// The names of columns that keep recordings apart, which would be read as one.
+const SEVERAL: [&str; 7] = ["sample", "label", "camera", "cam", "stream", "sensor", "trigger"];
+
+/// Where each field stands.
+#[derive(Debug, Clone, PartialEq)]
+struct Columns {
+    x: usize,
+    y: Option<usize>,
+    polarity: Option<usize>,
+    time: usize,
+    /// The unit that the name of the times says.
+    unit: Option<TimeUnit>,
+    /// Why the rows are not one recording.
+    refused: Option<String>,
+}
+
+/// The problem of times of which nothing says the unit, and which are hardly microseconds.
+pub(super) fn unit_unknown(message: String) -> Diagnostic {
+    Diagnostic::new("input.unit", message)
+        .help("name the times t_s, t_ms, t_us or t_ns, or say their unit in the source: FILE?unit=s (or ms, us, ns)")
+}
+
+impl Columns {
+    fn from_header(line: &str) -> Option<Columns> {
+        let names: Vec<String> =
+            line.split(',').map(|name| name.trim().trim_matches('"').to_ascii_lowercase()).collect();
+        let find = |wanted: &[&str]| names.iter().position(|name| wanted.contains(&name.as_str()));
+        let unit = |name: &str| match name.rsplit_once('_') {
+            Some((stem, unit)) if TIMES.contains(&stem) => TimeUnit::from_name(unit).map(Some),
+            _ => TIMES.contains(&name).then_some(None),
+        };
+        let mut times = names.iter().enumerate().filter_map(|(place, name)| Some((place, unit(name)?)));
+        let (time, unit) = times.next()?;
+        let refused = match (times.next(), find(&SEVERAL)) {
+            (Some((other, _)), _) => Some(format!("'{}' and '{}' are both times", names[time], names[other])),
+            (None, place) => place.map(|place| format!("a column '{}' keeps several recordings apart", names[place])),
+        };
+        const POLARITY: [&str; 3] = ["p", "polarity", "pol"];
+        let twice = [&["x"][..], &["y"], &POLARITY].into_iter().find_map(|wanted| {
+            let mut named = names.iter().filter(|name| wanted.contains(&name.as_str()));
+            let (first, second) = (named.next()?, named.next()?);
+            Some(format!("'{first}' and '{second}' are the same field"))
+        });
+        let (polarity, refused) = (find(&POLARITY), refused.or(twice));
+        Some(Columns { x: find(&["x"])?, y: find(&["y"]), polarity, time, unit, refused })
+    }
+
+    /// The event of a row; what is wrong with it without its number.
+    fn event(&self, text: &str) -> Result<Event> {
+        let fields: Vec<&str> = text.split(',').map(str::trim).collect();
+        let number = |column: usize, name: &str| -> Result<f64> {
+            let field = fields.get(column).copied().unwrap_or("");
+            let shown: String = field.chars().take(40).collect();
+            field
+                .parse::<f64>()
+                .ok()
+                .filter(|x| x.is_finite())
+                .ok_or_else(|| wrong(format!("{name} '{shown}' is no number")))
+        };
+        let place = |column: Option<usize>, name: &str| -> Result<u32> {
+            let Some(column) = column else { return Ok(0) };
+            let value = number(column, name)?;
+            let fits = value.fract() == 0.0 && (0.0..=65_535.0).contains(&value);
+            if fits {
+                Ok(value as u32)
+            } else {
+                Err(wrong(format!("{name} {value} is not a whole number from 0 to 65535")))
+            }
+        };
+        let on = match self.polarity {
+            None => true,
+            Some(column) => match fields.get(column).map(|field| field.to_ascii_lowercase()).as_deref() {
+                Some("true" | "on") => true,
+                Some("false" | "off") => false,
+                _ => match number(column, "polarity")? {
+                    1.0 => true,
+                    0.0 | -1.0 => false,
+                    other => return Err(wrong(format!("polarity {other} is not 0, 1 or -1"))),
+                },
+            },
+        };
+        let time = number(self.time, "time")?;
+        let t_us = self.unit.unwrap_or(TimeUnit::Microseconds).microseconds(time);
+        if self.unit.is_none() && (time.fract() != 0.0 || t_us.abs() > MOST_US) {
+            return Err(unit_unknown(format!(
+                "nothing says the unit of the time {time}, which is not one of whole microseconds"
+            )));
+        }
+        if t_us.abs() > MOST_US {
+            return Err(wrong(format!("a time of {t_us} us")));
+        }
+        Ok(Event { t_us, x: place(Some(self.x), "x")?, y: place(self.y, "y")?, on })
+    }
+}
+
+/// Whether a line is the header of such a file.
+#[must_use]
+pub fn is_header(line: &str) -> bool {
+    Columns::from_header(line).is_some()
+}
+
+/// Reads a file, whose times are of this unit where their name says none.
+///
+/// # Errors
+/// `input.events` with the row; `input.unit` for times that are hardly microseconds and of which
+/// nothing says the unit; `input.option` for another unit than the file's own.
+pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+    let mut columns: Option<Columns> = None;
+    rows(input, MOST_ROW, sink, |text, sink| {
+        if let Some(columns) = &columns {
+            return sink.event(columns.event(text)?);
+        }
+        let help = "a header names t_us, x, y and p in any order; y and p may be absent";
+        let mut named = Columns::from_header(text).ok_or_else(|| wrong("it is no header of events").help(help))?;
+        if let Some(why) = &named.refused {
+            return Err(wrong(why).help("write a file for each recording, with the columns t_us, x, y and p"));
+        }
+        if named.unit.is_some_and(|unit| said.is_some_and(|said| said != unit)) {
+            let message = "unit= contradicts the unit in the name of the times";
+            return Err(Diagnostic::new("input.option", message).help("leave unit= out"));
+        }
+        named.unit = named.unit.or(said);
+        if named.unit.is_none() {
+            sink.remark(Remark::AssumedMicroseconds);
+        }
+        columns = Some(named);
+        Ok(())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Kept(Vec<Event>);
+
+    impl Sink for Kept {
+        fn size(&mut self, _: u32, _: u32) {}
+        fn event(&mut self, event: Event) -> Result<()> {
+            self.0.push(event);
+            Ok(())
+        }
+    }
+
+    fn read(text: &str) -> Result<Vec<(i64, u32, u32, bool)>> {
+        let mut kept = Kept(Vec::new());
+        events(None, &mut text.as_bytes(), &mut kept)?;
+        Ok(kept.0.iter().map(|event| (event.t_us, event.x, event.y, event.on)).collect())
+    }
+
+    #[test]
+    fn columns_stand_in_any_order_and_polarity_may_be_absent() {
+        let meant = vec![(5, 1, 2, true), (9, 3, 4, false)];
+        assert_eq!(read("t,x,y,p\n5,1,2,1\n9,3,4,0\n").unwrap(), meant);
+        assert_eq!(read("# made by hand\r\np, y ,T_ms,x,more\r\n1,2,0.005,1,7\r\n\r\n-1,4,0.009,3,7").unwrap(), meant);
+        assert_eq!(read("x,timestamp\n1,5\n").unwrap(), [(5, 1, 0, true)]);
+        for (wrong, what) in [
+            ("1,2,3\n", "no header"),
+            ("t,x,y\n1,2\n", "row 2: y '' is no number"),
+            ("t,x\n1,-1\n", "x -1"),
+            ("t,x,p\n1,1,2\n", "polarity 2"),
+            ("t,x,p,pol\n1,1,1,0\n", "'p' and 'pol' are the same field"),
+            ("t,x\nNaN,1\n", "no number"),
+        ] {
+            let error = read(wrong).unwrap_err();
+            assert!(error.code == "input.events" && error.message.contains(what), "{wrong}: {error}");
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! Folders with a recording for each sample.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use crate::kind::FileKind;
+use nsim_files::{disk, write};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// The manifest of a folder of recordings.
+pub const MANIFEST: &str = "dataset.ron";
+
+/// Sample and label of a name `sample_<i>_label_<c>.npy`, with any extension.
+fn sample_name(name: &str) -> Option<(u64, u32)> {
+    let (stem, _) = name.rsplit_once('.')?;
+    let (index, label) = stem.strip_prefix("sample_")?.split_once("_label_")?;
+    let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    (plain(index) && plain(label)).then(|| Some((index.parse().ok()?, label.parse().ok()?)))?
+}
+
+/// A sort key that compares the numbers within a name by their value.
+fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
+    let mut parts: Vec<(Option<u128>, String)> = Vec::new();
+    for run in name.chars().collect::<Vec<_>>().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit()) {
+        let text: String = run.iter().collect();
+        parts.push((text.parse().ok(), text));
+    }
+    parts
+}
+
+/// Sample number, label and path of each recording of a folder, sorted by number. When no name has a number and a label,
+/// every recording of events is a sample without a label, sorted by name (numbers in names by value).
+///
+/// # Errors
+/// `input.folder` when there is none, or two have the same number; `io.*`.
+pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
+    let unreadable =
+        |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);
+    let mut unfinished = false;
+    for one in [Some(folder), folder.parent()].into_iter().flatten() {
+        unfinished |= write::is_unfinished(one, MANIFEST).map_err(unreadable)?;
+    }
+    if unfinished {
+        return Err(Diagnostic::new(
+            "input.unfinished",
+            "its recordings are not complete: the command that wrote them was ended",
+        )
+        .help("run `nsim scene .. -o` on this folder again")
+        .in_file(folder));
+    }
+    let mut found = BTreeMap::new();
+    let mut others = Vec::new();
+    for path in disk::list(folder).map_err(unreadable)? {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let named = match sample_name(&name) {
+            Some(named) if matches!(FileKind::detect(&path)?, FileKind::Npy | FileKind::Events(_)) => Some(named),
+            _ => None,
+        };
+        match named {
+            Some((index, label)) => {
+                if found.insert(index, (Some(label), path)).is_some() {
+                    return Err(Diagnostic::new("input.folder", format!("two files are sample {index}"))
+                        .help("each sample has one file, sample_<i>_label_<c>.npy")
+                        .in_file(folder));
+                }
+            }
+            None => others.push((name, path)),
+        }
+    }
+    if found.is_empty() {
+        let is_recording = |path: &Path| matches!(FileKind::detect(path), Ok(FileKind::Events(_)));
+        let mut events: Vec<_> = others.iter().filter(|(_, path)| is_recording(path)).collect();
+        events.sort_by_cached_key(|(name, _)| natural_order(name));
+        found = events.iter().zip(0..).map(|((_, path), index)| (index, (None, path.clone()))).collect();
+    }
+    if found.is_empty() {
+        others.sort();
+        let missing =
+            Diagnostic::new("input.folder", "the folder holds no sample_<i>_label_<c>.npy and no recording of events")
+                .in_file(folder);
+        let inner: Vec<&str> =
+            others.iter().filter(|(_, path)| path.is_dir()).map(|(name, _)| name.as_str()).take(8).collect();
+        let help = if others.iter().any(|(name, _)| name == MANIFEST) {
+            format!("it holds a manifest: give {}", folder.join(MANIFEST).display())
+        } else if inner.is_empty() {
+            format!("it holds {} other files", others.len())
+        } else {
+            format!("it holds the folders {}; give one of them", inner.join(", "))
+        };
+        return Err(missing.help(help));
+    }
+    Ok(found.into_iter().map(|(index, (label, path))| (index, label, path)).collect())
+}

@@ -1,0 +1,62 @@
+//! Labels of samples that lie beside their spikes.
+//!
+//! Input: an array of one axis, a class from 0 on for each sample. Output: samples with labels.
+//!
+//! Errors: `input.labels` for another shape or number, for as many labels as there are no samples, and for a label that differs from
+//! one that the source itself gives.
+
+use std::path::Path;
+
+use super::population::PopulationSpikes;
+use nsim_files::npy;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::tensor::Numbers;
+
+/// The labels of a `.npy` file.
+///
+/// # Errors
+/// `input.labels`, `npy.*`, `io.*`.
+pub fn read(path: &Path) -> Result<Vec<u32>> {
+    from_array(&npy::open(path)?)
+}
+
+/// The labels of an array.
+///
+/// # Errors
+/// `input.labels`, `npy.value`.
+pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
+    let wrong = |message: String| Diagnostic::new("input.labels", message).in_file(array.path());
+    let length: usize = array.shape().iter().product();
+    if array.shape().iter().filter(|&&axis| axis == length).count() == 0 {
+        let message = format!("labels of shape {:?} are not one number for each sample", array.shape());
+        return Err(wrong(message).help("an array of one axis: labels.argmax(axis=1) makes one of one-hot rows"));
+    }
+    let tensor = array.tensor()?;
+    let class = |number: f64| (number >= 0.0 && number.fract() == 0.0 && number < 4e9).then_some(number as u32);
+    let numbers: Vec<f64> = match tensor.numbers() {
+        Numbers::Integers(numbers) => numbers.iter().map(|&number| f64::from(number)).collect(),
+        Numbers::Reals(numbers) => numbers.clone(),
+    };
+    let labels = numbers.iter().enumerate().map(|(sample, &number)| {
+        class(number).ok_or_else(|| wrong(format!("the label of sample {sample} is {number}, not a class from 0 on")))
+    });
+    labels.collect()
+}
+
+/// Gives samples their labels.
+///
+/// # Errors
+/// `input.labels`.
+pub fn apply(path: &Path, labels: &[u32], samples: &mut [PopulationSpikes]) -> Result<()> {
+    let wrong = |message: String| Diagnostic::new("input.labels", message).in_file(path);
+    if labels.len() != samples.len() {
+        return Err(wrong(format!("there are {} labels and {} samples", labels.len(), samples.len())));
+    }
+    for (index, (sample, &label)) in samples.iter_mut().zip(labels).enumerate() {
+        if let Some(own) = sample.label.filter(|own| *own != label) {
+            return Err(wrong(format!("the label of sample {index} is {label}, the source itself says {own}")));
+        }
+        sample.label = Some(label);
+    }
+    Ok(())
+}

@@ -1,0 +1,520 @@
+//! Data-set manifests and the recordings that they name.
+//!
+//! Input: a `.ron` with a [`DataSet`]. Output: a [`Manifest`] whose labels, folds and files agree with each other, and from
+//! it the spikes of one population, sample by sample or all at once, and the samples that each fold trains and tests on.
+//! Lists of samples in text files have the form of clear-nus/VT_SNN's `train_80_20_k.txt` and `test_80_20_k.txt`: rows of a
+//! sample's number, from 0, and its label.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::options::EventOptions;
+use super::population::{Expected, PopulationSpikes};
+use super::recordings::{Request, read, read_sample};
+use nsim_files::dataset::DataSet;
+use nsim_files::text::beside;
+use nsim_files::text::read_text;
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use nsim_ir::spanned::{Spanned, parse};
+use nsim_ir::stimulus::pairs;
+
+/// A manifest that agrees with itself.
+#[derive(Debug, Clone)]
+pub struct Manifest {
+    set: DataSet,
+    source: SourceText,
+    /// By the names of the recordings.
+    options: BTreeMap<String, EventOptions>,
+}
+
+/// The samples that a fold of a cross-validation trains and tests on.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Split {
+    /// Samples to train on.
+    pub train: Vec<u32>,
+    /// Samples to test on; none of them is trained on.
+    pub test: Vec<u32>,
+}
+
+/// Numbers of samples, and the labels that the lists give them.
+type Listed = (Vec<Split>, BTreeMap<u32, u32>);
+
+/// Reads a manifest; the recordings stay where they are.
+///
+/// # Errors
+/// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`, `dataset.fold`, `input.option`;
+/// `io.*`.
+pub fn read_manifest(path: &Path) -> Result<Manifest> {
+    from_source(read_text(path)?)
+}
+
+/// A manifest from its text; recordings are looked for beside the path of `source`.
+///
+/// # Errors
+/// As [`read_manifest`].
+pub fn from_source(source: SourceText) -> Result<Manifest> {
+    let set: DataSet = parse(&source, "dataset.syntax")?;
+    let whole = |code, message: String| Diagnostic::new(code, message).in_file(source.path());
+    if set.populations.is_empty() {
+        return Err(whole("dataset.files", "the data set has no population".into()));
+    }
+    match (set.samples.first(), set.recordings.values().next()) {
+        (None, None) => return Err(whole("dataset.samples", "the data set has no sample".into())),
+        (Some(sample), Some(_)) => {
+            let message = "recordings of all samples together leave no place for samples with files of their own";
+            return Err(Diagnostic::new("dataset.samples", message).at(&source, sample.span));
+        }
+        (None, Some(_)) => {
+            if let Some(name) = set.populations.keys().find(|name| !set.recordings.contains_key(*name)) {
+                return Err(whole("dataset.files", format!("there is no recording for '{name}'")));
+            }
+        }
+        (Some(_), None) => {}
+    }
+    if let (Some(fold), Some(_)) = (set.folds.first(), set.splits.first()) {
+        let message = "the samples of folds are listed here or in the text files of splits, not in both";
+        return Err(Diagnostic::new("dataset.fold", message).at(&source, fold.span));
+    }
+    let unlisted = |name: &str, value: &Spanned<String>| {
+        Diagnostic::new("dataset.files", format!("'{name}' is not listed among the populations"))
+            .at(&source, value.span)
+    };
+    let mut others = set.recordings.iter().chain(&set.options).filter(|(name, _)| !set.populations.contains_key(*name));
+    if let Some((name, value)) = others.next() {
+        return Err(unlisted(name, value));
+    }
+    let mut options = BTreeMap::new();
+    for (name, text) in &set.options {
+        let parsed = pairs(text).and_then(|pairs| EventOptions::parse(&pairs));
+        options.insert(name.clone(), parsed.map_err(|problem| problem.at(&source, text.span))?);
+    }
+    for (index, sample) in set.samples.iter().enumerate() {
+        let at = |code, message: String| Diagnostic::new(code, message).at(&source, sample.span);
+        if let Some(name) = set.populations.keys().find(|name| !sample.files.contains_key(*name)) {
+            return Err(at("dataset.files", format!("sample {index} has no file for '{name}'")));
+        }
+        if let Some((name, file)) = sample.files.iter().find(|(name, _)| !set.populations.contains_key(*name)) {
+            return Err(unlisted(name, file));
+        }
+        if let Some(label) =
+            sample.label.filter(|&label| !set.classes.is_empty() && label as usize >= set.classes.len())
+        {
+            let message = format!("label {label} of sample {index} is outside the {} classes", set.classes.len());
+            return Err(at("dataset.label", message));
+        }
+    }
+    for (index, sample) in set.samples.iter().enumerate() {
+        if let Some(onset) = sample.onset_ms.filter(|onset| !onset.is_finite() || *onset < 0.0) {
+            let message = format!("onset {onset} ms of sample {index} is no time from the start of the sample");
+            return Err(Diagnostic::new("dataset.onset", message).at(&source, sample.span));
+        }
+    }
+    for (index, fold) in set.folds.iter().enumerate() {
+        let mut seen = vec![false; set.samples.len()];
+        for &sample in &fold.value {
+            match seen.get_mut(sample as usize) {
+                Some(seen) if !*seen => *seen = true,
+                Some(_) => {
+                    return Err(Diagnostic::new("dataset.fold", format!("fold {index} names sample {sample} twice"))
+                        .at(&source, fold.span));
+                }
+                // How many there are is not known before the recordings are read.
+                None if set.samples.is_empty() => {}
+                None => {
+                    let message = format!("fold {index} names sample {sample} of {}", set.samples.len());
+                    return Err(Diagnostic::new("dataset.fold", message).at(&source, fold.span));
+                }
+            }
+        }
+    }
+    Ok(Manifest { set, source, options })
+}
+
+impl Manifest {
+    /// What the manifest says.
+    #[must_use]
+    pub fn set(&self) -> &DataSet {
+        &self.set
+    }
+
+    /// Its text, for messages.
+    #[must_use]
+    pub fn source(&self) -> &SourceText {
+        &self.source
+    }
+
+    /// What `files` calls the recordings for a population of the model.
+    ///
+    /// # Errors
+    /// `dataset.population` with the ones that it has.
+    pub fn recording_of(&self, population: &str) -> Result<&str> {
+        self.set.populations.iter().find(|(_, for_population)| *for_population == population).map_or_else(
+            || {
+                let known: Vec<&str> = self.set.populations.values().map(String::as_str).collect();
+                Err(Diagnostic::new(
+                    "dataset.population",
+                    format!("the data set has nothing for population '{population}'"),
+                )
+                .help(format!("it has recordings for: {}", known.join(", ")))
+                .in_file(self.source.path()))
+            },
+            |(name, _)| Ok(name.as_str()),
+        )
+    }
+
+    /// The samples of each fold, and what the lists say of labels.
+    fn listed(&self, samples: usize) -> Result<Listed> {
+        let mut labels = BTreeMap::new();
+        if self.set.splits.is_empty() {
+            let all = 0..samples as u32;
+            let split = |fold: &Spanned<Vec<u32>>| {
+                let tested: BTreeSet<u32> = fold.value.iter().copied().collect();
+                Split {
+                    train: all.clone().filter(|sample| !tested.contains(sample)).collect(),
+                    test: fold.value.clone(),
+                }
+            };
+            return Ok((self.set.folds.iter().map(split).collect(), labels));
+        }
+        let mut splits = Vec::new();
+        for entry in &self.set.splits {
+            let mut read = |name: &str, other: &BTreeSet<u32>| {
+                let text =
+                    read_text(&beside(self.source.path(), name)).map_err(|p| self.point_at(entry.span, name, p))?;
+                samples_of(&text, other, &mut labels)
+            };
+            let train = read(&entry.train, &BTreeSet::new())?;
+            let test = read(&entry.test, &train.iter().copied().collect())?;
+            splits.push(Split { train, test });
+        }
+        Ok((splits, labels))
+    }
+
+    /// How many folds there are.
+    #[must_use]
+    pub fn folds(&self) -> usize {
+        self.set.folds.len().max(self.set.splits.len())
+    }
+
+    /// Which of so many samples each fold trains and tests on.
+    ///
+    /// # Errors
+    /// `dataset.split` for a row of a list, `dataset.label` where two lists disagree; `io.*`.
+    pub fn splits(&self, samples: usize) -> Result<Vec<Split>> {
+        Ok(self.listed(samples)?.0)
+    }
+
+    /// What the recordings of a population are read with.
+    fn options_of(&self, name: &str) -> EventOptions {
+        self.options.get(name).cloned().unwrap_or_default()
+    }
+
+    /// The spikes of one sample for a population, when samples have files of their own.
+    ///
+    /// # Errors
+    /// `dataset.population`, `dataset.samples` for a sample that does not exist, `dataset.steps`; problems with the file
+    /// at the place that names it.
+    pub fn read_sample(&self, population: &str, expected: &Expected, sample: usize) -> Result<PopulationSpikes> {
+        let name = self.recording_of(population)?;
+        let Some(entry) = self.set.samples.get(sample) else {
+            let message = format!("there is no sample {sample}; the data set has {}", self.set.samples.len());
+            return Err(Diagnostic::new("dataset.samples", message).in_file(self.source.path()));
+        };
+        let file = &entry.value.files[name];
+        let path = beside(self.source.path(), &file.value);
+        let options = self.options_of(name);
+        let mut spikes = read_sample(&path, Request { population, expected, options: &options })
+            .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
+        spikes.label = entry.label.or(spikes.label);
+        self.check_steps(&mut spikes, file)?;
+        Ok(spikes)
+    }
+
+    /// Checks that a sample has as many timesteps as the manifest says.
+    fn check_steps(&self, spikes: &mut PopulationSpikes, file: &Spanned<String>) -> Result<()> {
+        match self.set.steps {
+            // Rows of a .csv cannot say that silence follows them; the manifest can.
+            Some(steps) if spikes.units.is_none() && spikes.steps < steps => spikes.steps = steps,
+            Some(steps) if spikes.steps != steps => {
+                let message = format!("{} has {} timesteps, the data set {steps}", file.value, spikes.steps);
+                return Err(Diagnostic::new("dataset.steps", message).at(&self.source, file.span));
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The recordings of all samples that lie together.
+    fn read_together(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
+        let name = self.recording_of(population)?;
+        let file = &self.set.recordings[name];
+        let path = beside(self.source.path(), &file.value);
+        let options = self.options_of(name);
+        let mut all = read(&path, Request { population, expected, options: &options })
+            .map_err(|problem| self.point_at(file.span, &file.value, problem))?;
+        for spikes in &mut all {
+            self.check_steps(spikes, file)?;
+        }
+        Ok(all)
+    }
+
+    /// The spikes of every sample for a population.
+    ///
+    /// # Errors
+    /// As [`Manifest::read_sample`] and [`Manifest::splits`]; `dataset.samples` for a list of samples that are not there.
+    pub fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
+        let mut all = if self.set.recordings.is_empty() {
+            let read: Vec<_> = (0..self.set.samples.len())
+                .into_par_iter()
+                .map(|sample| self.read_sample(population, expected, sample))
+                .collect();
+            // The first problem in order of the samples, whichever thread met one first.
+            read.into_iter().collect::<Result<Vec<_>, _>>()?
+        } else {
+            self.read_together(population, expected)?
+        };
+        let (splits, labels) = self.listed(all.len())?;
+        let most = splits.iter().flat_map(|split| split.train.iter().chain(&split.test)).max();
+        if let Some(sample) = most.filter(|&&sample| sample as usize >= all.len()) {
+            let message = format!("a fold names sample {sample}; there are {}", all.len());
+            return Err(Diagnostic::new("dataset.samples", message).in_file(self.source.path()));
+        }
+        for (sample, label) in labels {
+            let known = &mut all[sample as usize].label;
+            if known.is_some_and(|known| known != label) {
+                let message = format!("sample {sample} has label {label} in a list of a split and another elsewhere");
+                return Err(Diagnostic::new("dataset.label", message).in_file(self.source.path()));
+            }
+            *known = Some(label);
+        }
+        let classes = self.set.classes.len();
+        let beyond = |spikes: &PopulationSpikes| spikes.label.is_some_and(|label| label as usize >= classes);
+        if let Some(sample) = all.iter().position(beyond).filter(|_| classes > 0) {
+            let message = format!("the label of sample {sample} is outside the {classes} classes");
+            return Err(Diagnostic::new("dataset.label", message).in_file(self.source.path()));
+        }
+        Ok(all)
+    }
+
+    /// The spikes of every sample, when the data set has one population only.
+    ///
+    /// # Errors
+    /// As [`Manifest::read`]; `dataset.population` when there are several.
+    pub fn read_only(&self, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
+        let mut populations = self.set.populations.values();
+        match (populations.next(), populations.next()) {
+            (Some(population), None) => self.read(population, expected),
+            _ => Err(Diagnostic::new("dataset.population", "the data set has recordings for several populations")
+                .in_file(self.source.path())),
+        }
+    }
+
+    fn point_at(&self, span: Span, name: &str, mut problem: Diagnostic) -> Diagnostic {
+        let position = problem.position().map_or(String::new(), |at| format!(":{}:{}", at.line, at.column));
+        problem.message = format!("{name}{position}: {}", problem.message);
+        problem.at(&self.source, span)
+    }
+}
+
+/// The samples of a list, rows `sample label`; `other` are those of the list that is not to share any with it.
+fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<u32, u32>) -> Result<Vec<u32>> {
+    let (mut samples, mut seen) = (Vec::new(), BTreeSet::new());
+    let mut start = 0;
+    for line in source.text().split_inclusive('\n') {
+        let row = line.split('#').next().unwrap_or_default();
+        let span = Span { start: start + row.len() - row.trim_start().len(), end: start + row.trim_end().len() };
+        start += line.len();
+        let fields: Vec<&str> = row.split_whitespace().collect();
+        if fields.is_empty() {
+            continue;
+        }
+        let wrong = |code, message: String| {
+            Err(Diagnostic::new(code, message)
+                .help("a row is the number of a sample, from 0, and its label")
+                .at(source, span))
+        };
+        // Tables that NumPy wrote have whole numbers as 1.000e+00.
+        let whole = |text: &str| {
+            let value: f64 = text.parse().ok()?;
+            (value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value)).then_some(value as u32)
+        };
+        let [Some(sample), Some(label)] = *fields.iter().map(|field| whole(field)).collect::<Vec<_>>() else {
+            return wrong("dataset.split", format!("'{}' is not a sample and a label", row.trim()));
+        };
+        if !seen.insert(sample) {
+            return wrong("dataset.split", format!("sample {sample} is listed twice"));
+        }
+        if other.contains(&sample) {
+            return wrong("dataset.split", format!("sample {sample} is trained on too"));
+        }
+        if let Some(before) = labels.insert(sample, label).filter(|before| *before != label) {
+            return wrong("dataset.label", format!("sample {sample} has label {label} here and {before} before"));
+        }
+        samples.push(sample);
+    }
+    if samples.is_empty() {
+        return Err(Diagnostic::new("dataset.split", "the list names no sample").in_file(source.path()));
+    }
+    Ok(samples)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_files::mapping::pretty;
+    use nsim_files::npy;
+
+    const SET: &str = r#"DataSet(
+    name: "two",
+    populations: {"touch": "skin", "sight": "eye"},
+    steps: 3,
+    classes: ["a", "b"],
+    samples: [
+        (files: {"touch": "t0.npy", "sight": "s0.csv"}, label: 1),
+        (files: {"touch": "t1.npy", "sight": "s0.csv"}),
+    ],
+    folds: [[0], [1]],
+    seed: 5,
+)"#;
+
+    fn expected(units: u64) -> Expected {
+        Expected { units, volume: None, dt_ms: 1.0 }
+    }
+
+    fn load(text: &str) -> Result<Manifest> {
+        from_source(SourceText::new("d.ron", text))
+    }
+
+    #[test]
+    fn recordings_are_found_beside_the_manifest() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["t0.npy", "t1.npy"] {
+            npy::write(std::fs::File::create(folder.path().join(name)).unwrap(), &[2, 3], [0, 0, 1, 0, 1, 0]).unwrap();
+        }
+        std::fs::write(folder.path().join("s0.csv"), "0,4\n").unwrap();
+        let path = folder.path().join("d.ron");
+        std::fs::write(&path, SET).unwrap();
+        let manifest = read_manifest(&path).unwrap();
+        let touch = manifest.read("skin", &expected(2)).unwrap();
+        assert_eq!(touch.iter().map(|s| s.label).collect::<Vec<_>>(), [Some(1), None]);
+        assert_eq!(touch[1].events, [(2, 0), (1, 1)]);
+        let sight = manifest.read_sample("eye", &expected(5), 0).unwrap();
+        assert_eq!((sight.steps, sight.events.clone()), (3, vec![(0, 4)]));
+        let error = manifest.read_sample("eye", &expected(4), 0).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("input.channel", 7));
+        assert!(error.message.contains("s0.csv:1:1: channel 4"), "{error}");
+        assert_eq!(manifest.read("hand", &expected(2)).unwrap_err().code, "dataset.population");
+        assert_eq!(manifest.read_only(&expected(2)).unwrap_err().code, "dataset.population");
+        std::fs::write(&path, SET.replace("steps: 3", "steps: 4")).unwrap();
+        assert_eq!(read_manifest(&path).unwrap().read("skin", &expected(2)).unwrap_err().code, "dataset.steps");
+    }
+
+    #[test]
+    fn a_manifest_agrees_with_itself() {
+        let cases = [
+            ("label: 1", "label: 2", "dataset.label", 7),
+            ("\"touch\": \"t1.npy\", ", "", "dataset.files", 8),
+            ("\"touch\": \"t1.npy\"", "\"touch\": \"t1.npy\", \"sound\": \"x\"", "dataset.files", 8),
+            ("[1]]", "[2]]", "dataset.fold", 10),
+            ("[1]]", "[1, 1]]", "dataset.fold", 10),
+            ("label: 1", "label: 1, onset_ms: -1", "dataset.onset", 7),
+            ("label: 1", "label: -1", "dataset.syntax", 7),
+            ("seed", "sead", "dataset.syntax", 11),
+        ];
+        for (from, to, code, line) in cases {
+            assert!(SET.contains(from));
+            let error = load(&SET.replace(from, to)).unwrap_err();
+            assert_eq!((error.code, error.position().unwrap().line), (code, line), "{error}");
+        }
+        let none = "DataSet(name: \"x\", populations: {\"a\": \"a\"}, samples: [])";
+        assert_eq!(load(none).unwrap_err().code, "dataset.samples");
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let first = load(SET).unwrap();
+        let text = pretty(first.set(), 2).unwrap();
+        let again = load(&text).unwrap();
+        assert_eq!(pretty(again.set(), 2).unwrap(), text);
+        assert_eq!(again.set().samples[0].files["sight"].value, "s0.csv");
+    }
+
+    /// What the authors' pipeline leaves behind: one array for each sense, and lists of samples.
+    #[test]
+    fn arrays_of_all_samples_are_read_with_lists_of_samples() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let array = |name: &str, shape: &[u64], numbers: &[u8]| {
+            npy::write(std::fs::File::create(at(name)).unwrap(), shape, numbers.iter().copied()).unwrap();
+        };
+        // Four samples of 3 taxels x 2 polarities x 1 step and of 2 polarities x 1 x 3 pixels x 1 step.
+        let bits = |row: u32| (0..6).map(move |bit| (row >> bit & 1) as u8);
+        array("tact.npy", &[4, 3, 2, 1], &[1, 2, 4, 63].into_iter().flat_map(bits).collect::<Vec<_>>());
+        array("vis.npy", &[4, 2, 1, 3, 1], &[1, 9, 16, 0].into_iter().flat_map(bits).collect::<Vec<_>>());
+        let list = |name: &str, rows: &str| std::fs::write(at(name), rows).unwrap();
+        list("train_80_20_1.txt", "0 1\n2 0\n");
+        list("test_80_20_1.txt", "3.000e+00 1.0\n");
+        list("train_80_20_2.txt", "2 0\n3 1 # the last\n");
+        list("test_80_20_2.txt", "0 1\n\n");
+        let set = r#"DataSet(
+    name: "both",
+    populations: {"touch": "skin", "sight": "eye"},
+    options: {"sight": "polarity=merge"},
+    recordings: {"touch": "tact.npy", "sight": "vis.npy"},
+    classes: ["a", "b"],
+    splits: [
+        (train: "train_80_20_1.txt", test: "test_80_20_1.txt"),
+        (train: "train_80_20_2.txt", test: "test_80_20_2.txt"),
+    ],
+)"#;
+        let manifest = |text: &str| {
+            std::fs::write(at("d.ron"), text).unwrap();
+            read_manifest(&at("d.ron"))
+        };
+        let good = manifest(set).unwrap();
+        let skin = good.read("skin", &expected(6)).unwrap();
+        assert_eq!(skin.iter().map(|s| s.label).collect::<Vec<_>>(), [Some(1), None, Some(0), Some(1)]);
+        assert_eq!((&skin[2].events[..], skin[3].events.len()), (&[(0, 2)][..], 6));
+        let eye = good.read("eye", &expected(3)).unwrap();
+        assert_eq!((&eye[1].events[..], &eye[2].events[..]), (&[(0, 0)][..], &[(0, 1)][..]));
+        let split = |train: &[u32], test: &[u32]| Split { train: train.to_vec(), test: test.to_vec() };
+        assert_eq!(good.splits(4).unwrap(), [split(&[0, 2], &[3]), split(&[2, 3], &[0])]);
+
+        let wrong = |rows: &str| {
+            list("test_80_20_2.txt", rows);
+            let error = good.read("skin", &expected(6)).unwrap_err();
+            (error.code, error.position().map(|at| (at.line, at.column)))
+        };
+        assert_eq!(wrong("0 1\n 1 x\n"), ("dataset.split", Some((2, 2))));
+        assert_eq!(wrong("0 1\n0 1\n"), ("dataset.split", Some((2, 1))));
+        assert_eq!(wrong("0 1 2\n"), ("dataset.split", Some((1, 1))));
+        assert_eq!(wrong("3 1\n"), ("dataset.split", Some((1, 1))));
+        assert_eq!(wrong("1 1\n0 0\n"), ("dataset.label", Some((2, 1))));
+        assert_eq!(wrong("-1 1\n"), ("dataset.split", Some((1, 1))));
+        assert_eq!(wrong(""), ("dataset.split", None));
+        assert_eq!(wrong("9 1\n"), ("dataset.samples", None));
+        assert_eq!(wrong("1 2\n"), ("dataset.label", None));
+        std::fs::remove_file(at("test_80_20_2.txt")).unwrap();
+        let error = good.read("skin", &expected(6)).unwrap_err();
+        assert_eq!((error.code, error.position().unwrap().line), ("io.missing", 9));
+
+        let cases = [
+            ("\"touch\": \"tact.npy\", ", "", "dataset.files"),
+            ("\"sight\": \"polarity=merge\"", "\"sigh\": \"\"", "dataset.files"),
+            ("polarity=merge", "polarity=both&x=1", "input.option"),
+            ("polarity=merge", "polarity", "input.scene-syntax"),
+            ("splits", "folds: [[0]], splits", "dataset.fold"),
+            ("splits", "samples: [(files: {})], splits", "dataset.samples"),
+        ];
+        for (from, to, code) in cases {
+            assert_eq!(manifest(&set.replace(from, to)).unwrap_err().code, code, "{to}");
+        }
+        let lists = set.find("    splits").unwrap();
+        let folds = manifest(&format!("{}    folds: [[1, 3]])", &set[..lists])).unwrap();
+        assert_eq!(folds.splits(4).unwrap(), [split(&[0, 2], &[1, 3])]);
+        let beyond = manifest(&format!("{}    folds: [[4]])", &set[..lists])).unwrap();
+        assert_eq!(beyond.read("skin", &expected(6)).unwrap_err().code, "dataset.samples");
+    }
+}

@@ -1,0 +1,25 @@
+//! Spikes from files: arrays, lists, recordings of events, data sets.
+//!
+//! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population.
+//! [`crate::kind`] decides which format a file has; [`source`] is the way in. Each reader
+//! stands below it: [`manifest`] reads data sets with the readers of [`recordings`], which are
+//! [`mod@array`], [`npz`], [`csv`], [`folder`] and [`events`].
+
+pub mod array;
+pub mod csv;
+pub mod events;
+pub mod folder;
+pub mod labels;
+pub mod manifest;
+pub mod npz;
+pub mod options;
+pub mod population;
+pub mod recordings;
+pub mod source;
+
+pub use self::folder::{MANIFEST, list_folder};
+pub use self::manifest::{Manifest, read_manifest};
+pub use self::options::{EventOptions, Origin, Polarity, TimeUnit};
+pub use self::population::{Expected, PopulationSpikes};
+pub use self::source::{read_source, read_spikes};
+pub use crate::kind::EventFormat;

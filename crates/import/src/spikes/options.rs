@@ -1,0 +1,200 @@
+//! How a recording becomes spikes: the options that stand after the `?` of a source.
+
+use std::path::Path;
+
+use nsim_files::budget::MOST_STEPS;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// What becomes of the polarities.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Polarity {
+    /// Channels of their own: falling, then rising.
+    #[default]
+    Both,
+    /// One channel for both.
+    Merge,
+    /// Only rising events.
+    On,
+    /// Only falling events.
+    Off,
+}
+
+/// Which moment is step 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// The first event of the file.
+    First,
+    /// So many microseconds on the recording's clock.
+    At(i64),
+}
+
+/// The unit of times in text and arrays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TimeUnit {
+    /// Seconds.
+    Seconds,
+    /// Milliseconds.
+    Milliseconds,
+    /// Microseconds.
+    Microseconds,
+    /// Nanoseconds.
+    Nanoseconds,
+}
+
+impl TimeUnit {
+    /// The unit of a name: `s`, `ms`, `us` or `ns`.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Some(match name {
+            "s" => TimeUnit::Seconds,
+            "ms" => TimeUnit::Milliseconds,
+            "us" => TimeUnit::Microseconds,
+            "ns" => TimeUnit::Nanoseconds,
+            _ => return None,
+        })
+    }
+
+    /// A time of this unit in whole microseconds, downward; what its rounding took off a whole one
+    /// is given back.
+    #[must_use]
+    pub fn microseconds(self, time: f64) -> i64 {
+        let us = time
+            * match self {
+                TimeUnit::Seconds => 1e6,
+                TimeUnit::Milliseconds => 1e3,
+                TimeUnit::Microseconds => 1.0,
+                TimeUnit::Nanoseconds => 1e-3,
+            };
+        (us + 1e-4 + us.abs() * f64::EPSILON).floor() as i64
+    }
+}
+
+/// How a recording becomes spikes.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct EventOptions {
+    /// Columns and rows of the sensor.
+    pub size: Option<(u32, u32)>,
+    /// Left, top, width and height of the part that is kept.
+    pub crop: Option<(u32, u32, u32, u32)>,
+    /// Columns and rows that are summed into one.
+    pub pool: Option<(u32, u32)>,
+    /// Microseconds of a timestep.
+    pub bin_us: Option<f64>,
+    /// Whether times go to the nearest step, ties to even, as SLAYER bins; downward otherwise.
+    pub nearest: bool,
+    /// Timesteps of the sample.
+    pub steps: Option<u32>,
+    /// The moment that is step 0.
+    pub start: Option<Origin>,
+    /// What becomes of the polarities.
+    pub polarity: Polarity,
+    /// The events that a bin needs to be a spike; of an array, the least number that is one.
+    pub least: Option<f64>,
+    /// The unit of times of which the file does not say it.
+    pub unit: Option<TimeUnit>,
+    /// The stream that is read of several.
+    pub stream: Option<u32>,
+}
+
+/// Every option, for messages.
+const OPTIONS: &str = "options are size=W,H crop=X,Y,W,H pool=N bin_ms=T round=down|even steps=N start=first start_ms=T \
+    polarity=both|merge|on|off least=N unit=s|ms|us|ns stream=N, joined by &";
+
+/// The options that arrays take.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct ArrayOptions {
+    /// What becomes of the polarities.
+    pub polarity: Polarity,
+    /// The least number that is a spike.
+    pub least: Option<f64>,
+}
+
+impl ArrayOptions {
+    /// Whether a number is a spike.
+    ///
+    /// # Errors
+    /// `input.value` for a fraction, where nothing says from which number on there is a spike.
+    pub(super) fn is_spike(self, number: f64, path: &Path) -> Result<bool> {
+        match self.least {
+            Some(least) => Ok(number >= least),
+            None if number.fract() == 0.0 => Ok(number != 0.0),
+            None => Err(Diagnostic::new("input.value", format!("the array holds {number}: a spike is a whole number"))
+                .help(format!("encode real numbers as spikes, or take those from 0.5 on: {}?least=0.5", path.display()))
+                .in_file(path)),
+        }
+    }
+}
+
+impl EventOptions {
+    /// The options of an array, where no others are given.
+    #[must_use]
+    pub fn of_array(&self) -> Option<ArrayOptions> {
+        let &EventOptions { polarity, least, .. } = self;
+        (*self == EventOptions { polarity, least, ..EventOptions::default() })
+            .then_some(ArrayOptions { polarity, least })
+    }
+
+    /// Options as `key=value` pairs of an argument.
+    ///
+    /// # Errors
+    /// `input.option` with the keys that exist.
+    pub fn parse(pairs: &[(String, String)]) -> Result<Self> {
+        let mut options = EventOptions::default();
+        for (key, value) in pairs {
+            let bad = |what: &str| Diagnostic::new("input.option", format!("{key}={value}: {what}")).help(OPTIONS);
+            let numbers = |count: std::ops::RangeInclusive<usize>, least: u32| -> Result<Vec<u32>> {
+                let list: Option<Vec<u32>> = value.split(',').map(|part| part.trim().parse().ok()).collect();
+                list.filter(|list| count.contains(&list.len()) && list.iter().all(|&x| (least..=1 << 16).contains(&x)))
+                    .ok_or_else(|| bad(&format!("{count:?} whole numbers from {least} to 65536 are expected")))
+            };
+            let milliseconds = || -> Result<f64> {
+                value
+                    .parse()
+                    .ok()
+                    .filter(|x: &f64| x.is_finite() && x.abs() <= 1e15)
+                    .ok_or_else(|| bad("no number of milliseconds"))
+            };
+            match key.as_str() {
+                "size" => options.size = numbers(2..=2, 1)?.get(..2).map(|p| (p[0], p[1])),
+                "crop" => options.crop = numbers(4..=4, 0)?.get(..4).map(|p| (p[0], p[1], p[2], p[3])),
+                "pool" => {
+                    let pool = numbers(1..=2, 1)?;
+                    options.pool = Some((pool[0], *pool.last().unwrap_or(&pool[0])));
+                }
+                "bin_ms" => {
+                    let ms = milliseconds()?;
+                    options.bin_us = Some(ms * 1e3).filter(|us| *us > 0.0);
+                    options.bin_us.ok_or_else(|| bad("a bin is longer than nothing"))?;
+                }
+                "round" if value == "even" => options.nearest = true,
+                "round" if value == "down" => options.nearest = false,
+                "steps" => {
+                    let steps = value.parse().ok().filter(|steps| (1..=MOST_STEPS).contains(steps));
+                    options.steps = Some(steps.ok_or_else(|| bad("no number of timesteps from 1 to 2^24"))?);
+                }
+                "start" if value == "first" => options.start = Some(Origin::First),
+                "start_ms" => options.start = Some(Origin::At((milliseconds()? * 1e3) as i64)),
+                "polarity" => {
+                    options.polarity = match value.as_str() {
+                        "both" => Polarity::Both,
+                        "merge" => Polarity::Merge,
+                        "on" => Polarity::On,
+                        "off" => Polarity::Off,
+                        _ => return Err(bad("it is both, merge, on or off")),
+                    }
+                }
+                "unit" => {
+                    let unit = TimeUnit::from_name(value);
+                    options.unit = Some(unit.ok_or_else(|| bad("it is s, ms, us or ns"))?);
+                }
+                "stream" => options.stream = Some(numbers(1..=1, 0)?[0]),
+                "least" => {
+                    let least = value.parse().ok().filter(|least: &f64| *least > 0.0 && least.is_finite());
+                    options.least = Some(least.ok_or_else(|| bad("no number above 0"))?);
+                }
+                _ => return Err(bad("there is no such option")),
+            }
+        }
+        Ok(options)
+    }
+}

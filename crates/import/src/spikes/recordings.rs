@@ -1,0 +1,151 @@
+//! Reads a file or a folder of recordings; manifests stand above, in [`super::source`].
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::events::nir_data;
+use super::events::read::{read_file, read_input, report};
+use super::folder::list_folder;
+use super::options::{ArrayOptions, EventOptions};
+use super::population::{Expected, PopulationSpikes};
+use super::{array, csv, npz};
+use crate::foreign::hdf5;
+use crate::kind::{FileKind, RECORDINGS};
+use nsim_files::budget::MOST_ARRAY;
+use nsim_files::npy;
+use nsim_files::text::read_bytes;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// What the recordings of a source are read for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Request<'a> {
+    /// The name of the population.
+    pub(super) population: &'a str,
+    pub(super) expected: &'a Expected,
+    /// What stands after the `?` of the source.
+    pub(super) options: &'a EventOptions,
+}
+
+/// Reads a file or a folder for a population.
+///
+/// # Errors
+/// `input.kind` for another kind of file; `input.option` for an option that an array does not take; `input.*`, `npy.*`,
+/// `hdf5.*`, `io.*`.
+pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
+    let Request { expected, options, .. } = request;
+    let units = expected.units;
+    match FileKind::detect(path)? {
+        FileKind::Folder => read_folder(path, request),
+        FileKind::Events(format) => {
+            let (spikes, counts) = read_file(path, format, expected, options)?;
+            report(path, &counts);
+            Ok(vec![spikes])
+        }
+        FileKind::Hdf5 => read_nir_data(path, request),
+        FileKind::Npz => npz::read(path, request.population, units, array_options(path, options)?),
+        FileKind::Npy => array::from_array(&npy::open(path)?, units, array_options(path, options)?),
+        FileKind::SpikeList => {
+            takes_no_options(path, options)?;
+            csv::read(path, units)
+        }
+        FileKind::Stream => from_stream(path, read_bytes(path, MOST_ARRAY)?, request),
+        FileKind::Ron => {
+            Err(Diagnostic::new("input.kind", "a data set cannot be a recording of another data set").in_file(path))
+        }
+        kind => Err(unknown(kind).in_file(path)),
+    }
+}
+
+/// Reads what came through a pipe.
+fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
+    let Request { expected, options, .. } = request;
+    match FileKind::from_bytes(&bytes, path) {
+        FileKind::Npy => {
+            let options = array_options(path, options)?;
+            array::from_array(&npy::Array::from_bytes(path, bytes)?, expected.units, options)
+        }
+        FileKind::Events(format) => {
+            let name = path.display().to_string();
+            let (spikes, counts) = read_input(&mut bytes.as_slice(), &name, format, expected, options)
+                .map_err(|problem| problem.or_in_file(path))?;
+            report(path, &counts);
+            Ok(vec![spikes])
+        }
+        _ => {
+            takes_no_options(path, options)?;
+            csv::from_bytes(path, bytes, expected.units)
+        }
+    }
+}
+
+/// The problem of a file that holds no spikes.
+fn unknown(kind: FileKind) -> Diagnostic {
+    Diagnostic::new("input.kind", format!("this is {kind}, which is not read as spikes")).help(format!(
+        "read are .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), {RECORDINGS}, a \
+         .ron data-set manifest, and a folder of sample_<i>_label_<c>.npy or of recordings"
+    ))
+}
+
+/// Refuses options for a source that takes none.
+pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()> {
+    if *options == EventOptions::default() {
+        return Ok(());
+    }
+    Err(Diagnostic::new(
+        "input.kind",
+        "options after '?' are for recordings of events, for arrays (polarity, least) and for scenes",
+    )
+    .help(format!("options are for {RECORDINGS}"))
+    .in_file(path))
+}
+
+/// The options that an array takes.
+fn array_options(path: &Path, options: &EventOptions) -> Result<ArrayOptions> {
+    let message = "an array has timesteps already: polarity and least are the options that it takes";
+    options.of_array().ok_or_else(|| Diagnostic::new("input.option", message).in_file(path))
+}
+
+fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
+    let tree = hdf5::tree(path, hdf5::bytes_of(path)?)?;
+    if !nir_data::is_data(&tree) {
+        return Err(Diagnostic::new("input.kind", "this is no file of NIR data")
+            .in_file(path)
+            .help("nir.write_data makes one; a NIR graph is a model, not a recording"));
+    }
+    let Request { population, expected, options } = request;
+    nir_data::read(&tree, path, population, expected, options).map_err(|problem| problem.or_in_file(path))
+}
+
+/// Reads a folder of `sample_<i>_label_<c>.npy` or of recordings of events; other files are left alone.
+fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
+    let read: Vec<_> = list_folder(folder)?
+        .into_par_iter()
+        .map(|(_, label, path)| {
+            let mut recording = read_sample(&path, request)?;
+            recording.label = label;
+            Ok(recording)
+        })
+        .collect();
+    // The first problem in order of the samples, whichever thread met one first.
+    read.into_iter().collect()
+}
+
+/// Reads a source that holds exactly one sample.
+pub(super) fn read_sample(path: &Path, request: Request<'_>) -> Result<PopulationSpikes> {
+    if matches!(FileKind::detect(path)?, FileKind::Folder | FileKind::Stream) {
+        return Err(Diagnostic::new(
+            "input.kind",
+            "a sample of a data set is a .npy or a .csv file, or a recording of events",
+        )
+        .in_file(path));
+    }
+    let mut recordings = read(path, request)?;
+    match (recordings.pop(), recordings.len()) {
+        (Some(recording), 0) => Ok(recording),
+        (_, rest) => {
+            Err(Diagnostic::new("input.shape", format!("one sample is expected; the file holds {}", rest + 1))
+                .in_file(path))
+        }
+    }
+}

@@ -1,0 +1,378 @@
+//! What happened in a run, as counts. Energy and time are pure functions of these and a target (`cost`).
+//!
+//! Counts are of the mapped program, whatever the simulator skipped. True of every [`Activity`]: copies of messages sent
+//! equal copies received; merging is addition, so neither order nor threads can change a total.
+
+use std::ops::AddAssign;
+
+use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
+use crate::placement::Route;
+
+/// Adds counts field by field, and multiplies them.
+macro_rules! counts {
+    ($counts:ident: $($field:ident),*) => {
+        impl $counts {
+            /// The same, so many times over.
+            #[must_use]
+            pub fn times(self, times: u64) -> Self {
+                $counts { $($field: self.$field * times,)* }
+            }
+        }
+
+        impl AddAssign for $counts {
+            fn add_assign(&mut self, other: Self) {
+                $(self.$field += other.$field;)*
+            }
+        }
+    };
+}
+
+counts!(Totals: spikes_in, spikes, synaptic_events, compartment_updates, active_updates);
+counts!(CoreCounts: messages_in, events_dense, events_sparse, visited, active, spikes, messages_out);
+counts!(HopCounts: local, east_west, north_south, chip);
+
+/// Sums over a network, which every engine can count.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Totals {
+    /// Input spikes.
+    pub spikes_in: u64,
+    /// Compartments that fired.
+    pub spikes: u64,
+    /// Synapses reached by spikes, inputs' included; deliveries that fall after the end are not counted.
+    pub synaptic_events: u64,
+    /// Compartments times steps.
+    pub compartment_updates: u64,
+    /// Of those, the ones not at rest: u, v, the accumulator or the bias was not zero, or a refractory period ran.
+    pub active_updates: u64,
+}
+
+/// Values that left their field.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Overflow {
+    /// Dendritic accumulators that wrapped.
+    pub q_wrapped: u64,
+    /// Currents, or sums of current and bias, that wrapped.
+    pub u_wrapped: u64,
+    /// Voltages that were clipped.
+    pub v_clipped: u64,
+    /// The first of them: the earliest step, then the lowest compartment.
+    pub first: Option<(u32, CompartmentId)>,
+}
+
+impl Overflow {
+    /// Notes one that happened in `step` at `compartment`.
+    pub fn note(&mut self, step: u32, compartment: CompartmentId) {
+        let here = (step, compartment);
+        self.first = Some(self.first.map_or(here, |first| first.min(here)));
+    }
+
+    /// Whether anything left its field.
+    #[must_use]
+    pub fn any(&self) -> bool {
+        self.q_wrapped + self.u_wrapped + self.v_clipped > 0
+    }
+
+    /// Adds what another part of the same sample counted.
+    pub fn merge(&mut self, other: &Overflow) {
+        self.q_wrapped += other.q_wrapped;
+        self.u_wrapped += other.u_wrapped;
+        self.v_clipped += other.v_clipped;
+        if let Some((step, compartment)) = other.first {
+            self.note(step, compartment);
+        }
+    }
+}
+
+/// What one core did.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct CoreCounts {
+    /// Messages received, inputs' included.
+    pub messages_in: u64,
+    /// Synaptic events of dense lists.
+    pub events_dense: u64,
+    /// Synaptic events of sparse lists.
+    pub events_sparse: u64,
+    /// Compartments visited.
+    pub visited: u64,
+    /// Of those, not at rest.
+    pub active: u64,
+    /// Compartments that fired.
+    pub spikes: u64,
+    /// Messages sent.
+    pub messages_out: u64,
+}
+
+impl CoreCounts {
+    /// How many counts there are.
+    pub const WORDS: usize = 7;
+
+    /// The counts in the order of their declaration.
+    #[must_use]
+    pub fn to_words(self) -> [u64; CoreCounts::WORDS] {
+        let CoreCounts { messages_in, events_dense, events_sparse, visited, active, spikes, messages_out } = self;
+        [messages_in, events_dense, events_sparse, visited, active, spikes, messages_out]
+    }
+
+    /// Counts from so many words.
+    ///
+    /// # Panics
+    /// When there are fewer: a mistake of the caller.
+    #[must_use]
+    pub fn from_words(words: &[u64]) -> Self {
+        CoreCounts {
+            messages_in: words[0],
+            events_dense: words[1],
+            events_sparse: words[2],
+            visited: words[3],
+            active: words[4],
+            spikes: words[5],
+            messages_out: words[6],
+        }
+    }
+
+    /// Synaptic events of all lists.
+    #[must_use]
+    pub fn synaptic_events(&self) -> u64 {
+        self.events_dense + self.events_sparse
+    }
+}
+
+/// Links crossed by messages.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct HopCounts {
+    /// Messages that stayed within a tile.
+    pub local: u64,
+    /// Links crossed east or west.
+    pub east_west: u64,
+    /// Links crossed north or south.
+    pub north_south: u64,
+    /// Of those, links between chips.
+    pub chip: u64,
+}
+
+impl HopCounts {
+    /// Links crossed.
+    #[must_use]
+    pub fn links(&self) -> u64 {
+        self.east_west + self.north_south
+    }
+
+    /// Adds the route of so many messages.
+    pub fn add_routes(&mut self, route: Route, times: u64) {
+        self.local += u64::from(route.links() == 0) * times;
+        self.east_west += u64::from(route.east_west) * times;
+        self.north_south += u64::from(route.north_south) * times;
+        self.chip += u64::from(route.chip) * times;
+    }
+}
+
+/// What one timestep did: all that its energy and its time depend on.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct StepActivity {
+    /// By core.
+    pub cores: IdVec<CoreId, CoreCounts>,
+    /// Links crossed by all messages sent in this step.
+    pub hops: HopCounts,
+    /// The longest route of a message sent in this step, by links, then by links north or south.
+    pub longest: Route,
+    /// Input spikes.
+    pub spikes_in: u64,
+    /// Messages that carry input spikes.
+    pub messages_from_inputs: u64,
+    /// Spikes of the output population.
+    pub spikes_out: u64,
+    /// The input channels that spiked, for models that trace single messages.
+    pub channels: Vec<ChannelId>,
+    /// The compartments that fired, each once, in any order.
+    pub fired: Vec<CompartmentId>,
+}
+
+impl StepActivity {
+    /// An empty step of a program with this many cores.
+    #[must_use]
+    pub fn new(cores: usize) -> Self {
+        StepActivity { cores: vec![CoreCounts::default(); cores].into(), ..Default::default() }
+    }
+
+    /// Forgets the counts, keeps the size.
+    pub fn clear(&mut self) {
+        self.cores.as_mut_slice().fill(CoreCounts::default());
+        self.hops = HopCounts::default();
+        self.longest = Route::default();
+        self.spikes_in = 0;
+        self.messages_from_inputs = 0;
+        self.spikes_out = 0;
+        self.channels.clear();
+        self.fired.clear();
+    }
+
+    /// Adds what other messages and compartments of the same step did, spikes by name left out.
+    ///
+    /// # Panics
+    /// When it is of a program with another number of cores.
+    pub fn merge(&mut self, other: &StepActivity) {
+        assert_eq!(self.cores.len(), other.cores.len(), "a step of another program");
+        for (sum, core) in self.cores.iter_mut().zip(&other.cores) {
+            *sum += *core;
+        }
+        self.hops += other.hops;
+        self.longest = self.longest.max(other.longest);
+        self.spikes_in += other.spikes_in;
+        self.messages_from_inputs += other.messages_from_inputs;
+        self.spikes_out += other.spikes_out;
+    }
+
+    /// Adds the route of so many messages.
+    pub fn add_routes(&mut self, route: Route, times: u64) {
+        self.hops.add_routes(route, times);
+        self.longest = self.longest.max(route);
+    }
+}
+
+/// What a whole run did.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Activity {
+    cores: IdVec<CoreId, CoreCounts>,
+    hops: HopCounts,
+    spikes_in: u64,
+    messages_from_inputs: u64,
+    steps: u64,
+}
+
+impl Activity {
+    /// Nothing yet, on a program with this many cores.
+    #[must_use]
+    pub fn new(cores: usize) -> Self {
+        Activity { cores: vec![CoreCounts::default(); cores].into(), ..Default::default() }
+    }
+
+    /// Adds a timestep that happened `times` times over.
+    ///
+    /// # Panics
+    /// When the step is of a program with another number of cores, or when messages sent and received differ: a fault of
+    /// the machine.
+    pub fn add_steps(&mut self, step: &StepActivity, times: u64) {
+        assert_eq!(self.cores.len(), step.cores.len(), "a step of another program");
+        let (mut sent, mut received) = (step.messages_from_inputs, 0);
+        for (sum, core) in self.cores.iter_mut().zip(&step.cores) {
+            *sum += core.times(times);
+            sent += core.messages_out;
+            received += core.messages_in;
+        }
+        assert_eq!(sent, received, "copies sent equal copies received");
+        self.hops += step.hops.times(times);
+        self.spikes_in += step.spikes_in * times;
+        self.messages_from_inputs += step.messages_from_inputs * times;
+        self.steps += times;
+    }
+
+    /// Adds the sum of so many timesteps.
+    ///
+    /// # Panics
+    /// As [`Activity::add_steps`].
+    pub fn add_sum(&mut self, sum: &StepActivity, steps: u64) {
+        self.add_steps(sum, 1);
+        self.steps = self.steps - 1 + steps;
+    }
+
+    /// Adds another run of the same program.
+    ///
+    /// # Panics
+    /// When it is of a program with another number of cores.
+    pub fn merge(&mut self, other: &Activity) {
+        assert_eq!(self.cores.len(), other.cores.len(), "activity of another program");
+        for (sum, core) in self.cores.iter_mut().zip(&other.cores) {
+            *sum += *core;
+        }
+        self.hops += other.hops;
+        self.spikes_in += other.spikes_in;
+        self.messages_from_inputs += other.messages_from_inputs;
+        self.steps += other.steps;
+    }
+
+    /// As many steps of these cores, whose counts, links crossed and input spikes follow from this run of some of them.
+    #[must_use]
+    pub fn on_cores(&self, cores: IdVec<CoreId, CoreCounts>, hops: HopCounts, spikes_in: u64) -> Self {
+        let mut all = Activity { cores, hops, spikes_in, messages_from_inputs: 0, steps: self.steps };
+        let sum = all.sum();
+        all.messages_from_inputs = sum.messages_in - sum.messages_out;
+        all
+    }
+
+    /// What it holds as words, for another process.
+    #[must_use]
+    pub fn to_words(&self) -> Vec<u64> {
+        let HopCounts { local, east_west, north_south, chip } = self.hops;
+        let mut words = vec![local, east_west, north_south, chip];
+        words.extend([self.spikes_in, self.messages_from_inputs, self.steps]);
+        words.extend(self.cores.iter().flat_map(|core| core.to_words()));
+        words
+    }
+
+    /// Adds what another process counted in the same steps, on as many cores.
+    ///
+    /// # Panics
+    /// When there are too few words: a mistake of the caller.
+    pub fn merge_words(&mut self, words: &[u64]) {
+        self.hops += HopCounts { local: words[0], east_west: words[1], north_south: words[2], chip: words[3] };
+        self.spikes_in += words[4];
+        self.messages_from_inputs += words[5];
+        assert_eq!(self.steps, words[6], "processes that run together run as many steps");
+        for (sum, core) in self.cores.iter_mut().zip(words[7..].chunks_exact(CoreCounts::WORDS)) {
+            *sum += CoreCounts::from_words(core);
+        }
+    }
+
+    /// By core.
+    #[must_use]
+    pub fn cores(&self) -> &IdVec<CoreId, CoreCounts> {
+        &self.cores
+    }
+
+    /// Links crossed.
+    #[must_use]
+    pub fn hops(&self) -> HopCounts {
+        self.hops
+    }
+
+    /// Timesteps of all samples.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// Messages: one for each spike and destination core.
+    #[must_use]
+    pub fn messages(&self) -> u64 {
+        self.cores.iter().map(|c| c.messages_in).sum()
+    }
+
+    /// Sums over the cores.
+    #[must_use]
+    pub fn sum(&self) -> CoreCounts {
+        let mut sum = CoreCounts::default();
+        for core in &self.cores {
+            sum += *core;
+        }
+        sum
+    }
+
+    /// Input spikes.
+    #[must_use]
+    pub fn spikes_in(&self) -> u64 {
+        self.spikes_in
+    }
+
+    /// The sums that any engine counts.
+    #[must_use]
+    pub fn totals(&self) -> Totals {
+        let sum = self.sum();
+        Totals {
+            spikes_in: self.spikes_in,
+            spikes: sum.spikes,
+            synaptic_events: sum.synaptic_events(),
+            compartment_updates: sum.visited,
+            active_updates: sum.active,
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! Which of the arithmetics, tests, roundings and read-outs of `docs/semantics.md` a network means.
+
+use serde::Deserialize;
+
+use crate::base::names::named_variants;
+
+/// Which arithmetic a network means (`docs/semantics.md`).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+pub enum Semantics {
+    /// The chip's, as recorded traces show it.
+    #[default]
+    Hardware,
+    /// lava's fixed-point LIF process: no refractory period, wider accumulator.
+    Lava,
+    /// SLAYER's Loihi kernel: step 0 skipped, 32-bit products.
+    Slayer,
+}
+
+/// When a compartment spikes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+pub enum ThresholdTest {
+    /// v > threshold, as the chip does.
+    #[default]
+    Strict,
+    /// v >= threshold, as SLAYER 2 does.
+    Inclusive,
+}
+
+/// How real or odd weights become multiples of the least step.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+pub enum WeightRounding {
+    /// To the nearest, ties to even (SLAYER's export).
+    #[default]
+    Even,
+    /// Toward zero (brian2-loihi).
+    Truncate,
+    /// Downward (lava).
+    Floor,
+}
+
+/// What of the output population decides a sample.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+pub enum ReadOut {
+    /// The output with most spikes.
+    #[default]
+    Spikes,
+    /// The output whose potential v is greatest in any step.
+    GreatestV,
+    /// The output whose potentials of all steps have the greatest sum.
+    SumOfV,
+    /// The output whose potential is greatest after the last step.
+    LastV,
+}
+
+named_variants!(ReadOut {
+    Spikes = "spikes",
+    GreatestV = "greatest_v",
+    SumOfV = "sum_of_v",
+    LastV = "last_v",
+});
+
+/// u and v of each population return to zero before the updates of steps `start_step + offset + k * interval`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResetDesc {
+    /// Timesteps between two resets.
+    pub interval: u64,
+    /// The first reset, counted from the population's own start.
+    #[serde(default)]
+    pub offset: u64,
+}

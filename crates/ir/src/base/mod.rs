@@ -1,0 +1,15 @@
+//! The lowest layer: ids, range-checked integers, units, random numbers, diagnostics.
+//!
+//! Nothing here knows of networks or cores. Every other module may use it; it uses none of them.
+
+pub mod csr;
+pub mod depths;
+pub mod diagnostic;
+pub mod fixed;
+pub mod folds;
+pub mod id;
+pub mod names;
+pub mod rng;
+pub mod shared;
+pub mod stats;
+pub mod units;

@@ -1,0 +1,135 @@
+//! Names in files, arguments and results.
+//!
+//! Input: an enum with its variants, each with its name. Output: the list of the variants and the
+//! name of each. Written once, since a name given in two lists can differ. Input: a text of any
+//! origin. Output: the text as it may be shown.
+
+use std::borrow::Cow;
+
+/// Gives an enum the constant `ALL` and the function `name`.
+#[macro_export]
+macro_rules! named_variants {
+    ($enum:ident { $($variant:ident = $name:literal),+ $(,)? }) => {
+        impl $enum {
+            /// Every variant, in the order in which they are shown.
+            pub const ALL: [$enum; [$($name),+].len()] = [$($enum::$variant),+];
+
+            /// The name in files, arguments and results.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $($enum::$variant => $name,)+
+                }
+            }
+        }
+    };
+}
+pub use named_variants;
+
+/// Whether a character controls a terminal, changes the order of the text around it, ends a line,
+/// or is none of XML's.
+#[must_use]
+pub fn is_unprintable(c: char) -> bool {
+    c.is_control()
+        || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}')
+}
+
+/// A text as it is printed: U+FFFD in place of every unprintable character but line ends and tabs.
+///
+/// Names, labels, file names and quoted content come from files that others made. Everything that
+/// shows them to a person goes through here, so that no name moves a cursor, colours a terminal or
+/// makes a picture that no reader takes.
+#[must_use]
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let is_replaced = |c: char| is_unprintable(c) && !matches!(c, '\n' | '\t');
+    match text.contains(is_replaced) {
+        true => Cow::Owned(text.replace(is_replaced, "\u{fffd}")),
+        false => Cow::Borrowed(text),
+    }
+}
+
+/// A text as XML and HTML hold it, [`printable`].
+#[must_use]
+pub fn markup(text: &str) -> String {
+    printable(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// How alike two names have to be for one to be meant by the other, by Jaro and Winkler.
+const ALIKE: f64 = 0.84;
+
+/// The question whether the name most like a word was meant, with a space behind it; nothing where none is like it.
+#[must_use]
+pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) -> String {
+    let likeness = |name: &'n str| (strsim::jaro_winkler(&word.to_lowercase(), &name.to_lowercase()), name);
+    let best = names.into_iter().map(likeness).max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(a.1)));
+    match best {
+        Some((alike, name)) if alike >= ALIKE => format!("did you mean '{name}'? "),
+        _ => String::new(),
+    }
+}
+
+/// Whether a name fits a pattern, in which `*` stands for any characters and `?` for one.
+#[must_use]
+pub fn fits_pattern(pattern: &str, name: &str) -> bool {
+    let (pattern, name): (Vec<char>, Vec<char>) = (pattern.chars().collect(), name.chars().collect());
+    let (mut at, mut from) = (0, 0);
+    // The last star, and where what it stands for ends so far.
+    let mut star: Option<(usize, usize)> = None;
+    while from < name.len() {
+        match pattern.get(at) {
+            Some('*') => {
+                star = Some((at, from));
+                at += 1;
+            }
+            Some(&c) if c == '?' || c == name[from] => (at, from) = (at + 1, from + 1),
+            _ => match star {
+                Some((place, end)) => {
+                    star = Some((place, end + 1));
+                    (at, from) = (place + 1, end + 1);
+                }
+                None => return false,
+            },
+        }
+    }
+    pattern[at..].iter().all(|&c| c == '*')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slip_of_the_pen_is_recognised_and_another_name_is_not() {
+        let names = ["vtsnn-slip", "vtsnn-slip-srm", "slip-tactile", "tiny"];
+        for (word, meant) in [
+            ("vtsnn-slp", "did you mean 'vtsnn-slip'? "),
+            ("VTSNN_slip", "did you mean 'vtsnn-slip'? "),
+            ("slip-tactil", "did you mean 'slip-tactile'? "),
+            ("tinny", "did you mean 'tiny'? "),
+            ("resnet", ""),
+            ("", ""),
+        ] {
+            assert_eq!(did_you_mean(word, names), meant, "{word}");
+        }
+        assert_eq!(did_you_mean("x", []), "");
+    }
+
+    #[test]
+    fn patterns_are_names_with_stars_and_question_marks() {
+        for (pattern, name, fits) in [
+            ("hid", "hid", true),
+            ("hid", "hidden", false),
+            ("hid*", "hidden", true),
+            ("hid*", "hid", true),
+            ("*d?n", "hidden", true),
+            ("*d?n", "hidn", false),
+            ("*", "", true),
+            ("?", "", false),
+            ("a*b*c", "axbxbc", true),
+            ("a*b*c", "axbxb", false),
+            ("**", "x", true),
+        ] {
+            assert_eq!(fits_pattern(pattern, name), fits, "{pattern} {name}");
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! How often sources spike, for weighing traffic.
+//!
+//! In come counts of a profile run, or one rate that is assumed for all; out goes a whole number for each source, in
+//! messages of [`UNIT`] steps: integers, so that sums are the same in any order.
+
+use crate::base::id::Id;
+use crate::quantised::{Quantised, SpikeSource};
+use crate::source_counts::SourceCounts;
+
+/// Steps that a rate counts the spikes of.
+pub const UNIT: f64 = 1e6;
+/// What a source that never spiked in a profile run counts nonetheless, a spike in a million steps: it decides only
+/// between what is otherwise equal.
+const LEAST: u64 = 1;
+
+/// Rates of all sources: channels first, then compartments.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Rates {
+    /// The same for all.
+    Assumed(u64),
+    /// From a run.
+    Profile {
+        /// Spikes of each channel in [`UNIT`] steps, then of each compartment.
+        of: Vec<u64>,
+        /// Channels.
+        channels: u32,
+    },
+}
+
+impl Rates {
+    /// So many spikes a step of every source.
+    #[must_use]
+    pub fn assumed(rate: f64) -> Self {
+        Rates::Assumed(((rate * UNIT).round() as u64).max(LEAST))
+    }
+
+    /// From how often each channel and each compartment spiked in so many steps.
+    #[must_use]
+    pub fn profile(channels: &[u64], compartments: &[u64], steps: u64) -> Self {
+        let rate = |&spikes: &u64| ((spikes as f64 * UNIT / steps.max(1) as f64).round() as u64).max(LEAST);
+        Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
+    }
+
+    /// From what was counted in so many steps of one network, or of several copies that all did the same.
+    ///
+    /// # Panics
+    /// When the counts are of fewer channels or compartments than the network has.
+    #[must_use]
+    pub fn of_copy(counts: &SourceCounts, network: &Quantised, steps: u64) -> Self {
+        let channels = &counts.channels.as_slice()[..network.channels() as usize];
+        let compartments = &counts.compartments.as_slice()[..network.compartments() as usize];
+        Rates::profile(channels, compartments, steps)
+    }
+
+    /// The rate of a source by number, channels first.
+    #[inline]
+    #[must_use]
+    pub fn rate_of(&self, source: u32) -> u64 {
+        match self {
+            Rates::Assumed(rate) => *rate,
+            Rates::Profile { of, .. } => of.get(source as usize).copied().unwrap_or(LEAST),
+        }
+    }
+
+    /// The rate of a source of a network with so many channels.
+    #[must_use]
+    pub fn of_source(&self, source: SpikeSource, channels: u32) -> u64 {
+        self.rate_of(match source {
+            SpikeSource::Channel(id) => id.index() as u32,
+            SpikeSource::Compartment(id) => channels + id.0,
+        })
+    }
+
+    /// The same for so many copies of the network: channels of all copies first, then their compartments.
+    #[must_use]
+    pub fn copies(&self, copies: u32) -> Rates {
+        match self {
+            Rates::Assumed(rate) => Rates::Assumed(*rate),
+            Rates::Profile { of, channels } => {
+                let (inputs, own) = of.split_at(*channels as usize);
+                let of = inputs.repeat(copies as usize).into_iter().chain(own.repeat(copies as usize)).collect();
+                Rates::Profile { of, channels: channels * copies }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::id::{ChannelId, CompartmentId};
+
+    #[test]
+    fn rates_of_copies_are_those_of_one() {
+        let rates = Rates::profile(&[5, 0], &[10], 100);
+        assert_eq!([0, 1, 2].map(|s| rates.rate_of(s)), [50_000, 1, 100_000]);
+        let two = rates.copies(2);
+        assert_eq!([0, 1, 2, 3, 4, 5].map(|s| two.rate_of(s)), [50_000, 1, 50_000, 1, 100_000, 100_000]);
+        assert_eq!(two.of_source(SpikeSource::Compartment(CompartmentId(1)), 4), 100_000);
+        assert_eq!(two.of_source(SpikeSource::Channel(ChannelId(2)), 4), 50_000);
+        assert_eq!(Rates::assumed(0.01).rate_of(7), 10_000);
+    }
+}

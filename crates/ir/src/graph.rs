@@ -1,0 +1,483 @@
+//! Populations and projections with real parameters: the model as it was meant, before any integer.
+//!
+//! Made by `compile::frontend::lower`. True of every [`Graph`]: names are unique, endpoints exist, shapes and array sizes agree,
+//! delays are in range, and there is one output population of compartments. Whether numbers fit their hardware
+//! fields is for `compile::frontend::quantise`.
+
+use std::fmt;
+use std::sync::Arc;
+
+use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
+
+use crate::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
+use crate::base::diagnostic::{SourceText, Span};
+use crate::base::fixed::{Delay, Payload, SignMode};
+use crate::neurons::NeuronKind;
+use crate::spanned::Spanned;
+use crate::tensor::{Numbers, Tensor};
+
+/// The most channels or compartments that a network may have: above it, no target could hold them (768 chips of
+/// 131,072 compartments are 100,663,296).
+pub const MOST_UNITS: u64 = 1 << 27;
+/// The most channels of an input population: four times those of the largest event cameras, with both polarities. Each has
+/// lists of its own, whether or not anything comes of it.
+pub const MOST_CHANNELS: u64 = 1 << 24;
+/// The most synapses that a projection may have.
+pub const MOST_SYNAPSES: u64 = 1 << 32;
+
+/// The shape of a population, flattened in C order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// `[n]`
+    Line(u32),
+    /// `[channels, height, width]`
+    Volume(u32, u32, u32),
+}
+
+impl Shape {
+    /// Channels or compartments.
+    #[must_use]
+    pub fn len(self) -> u32 {
+        match self {
+            Shape::Line(n) => n,
+            Shape::Volume(c, h, w) => c * h * w,
+        }
+    }
+
+    /// Positions of each channel: height times width, 1 on a line.
+    #[must_use]
+    pub fn positions(self) -> u32 {
+        match self {
+            Shape::Line(_) => 1,
+            Shape::Volume(_, h, w) => h * w,
+        }
+    }
+
+    /// Whether there is none; a lowered population always has one.
+    #[must_use]
+    pub fn is_empty(self) -> bool {
+        self.len() == 0
+    }
+
+    /// Channels, height and width, for projections over space.
+    #[must_use]
+    pub fn volume(self) -> Option<(u32, u32, u32)> {
+        match self {
+            Shape::Line(_) => None,
+            Shape::Volume(c, h, w) => Some((c, h, w)),
+        }
+    }
+}
+
+impl fmt::Display for Shape {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Shape::Line(n) => write!(f, "[{n}]"),
+            Shape::Volume(c, h, w) => write!(f, "[{c}, {h}, {w}]"),
+        }
+    }
+}
+
+/// One value for all compartments of a population, or one for each.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PerCompartment<T> {
+    /// The same for all.
+    Same(T),
+    /// One each, as many as the population has.
+    Each(Vec<T>),
+}
+
+impl<T: Copy> PerCompartment<T> {
+    /// The value of one compartment.
+    #[inline]
+    #[must_use]
+    pub fn get(&self, index: u32) -> T {
+        match self {
+            PerCompartment::Same(value) => *value,
+            PerCompartment::Each(values) => values[index as usize],
+        }
+    }
+
+    /// Whether any value is so.
+    pub fn any(&self, f: impl Fn(&T) -> bool) -> bool {
+        match self {
+            PerCompartment::Same(value) => f(value),
+            PerCompartment::Each(values) => values.iter().any(f),
+        }
+    }
+
+    /// The values of these compartments.
+    #[must_use]
+    pub fn pick(&self, indices: &[u32]) -> PerCompartment<T> {
+        match self {
+            PerCompartment::Same(value) => PerCompartment::Same(*value),
+            PerCompartment::Each(_) => PerCompartment::Each(indices.iter().map(|&index| self.get(index)).collect()),
+        }
+    }
+
+    /// Changes every value, stopping at the first failure; `f` gets the compartment, `None` when it is for all.
+    ///
+    /// # Errors
+    /// The first error of `f`.
+    pub fn try_map<U, E>(&self, mut f: impl FnMut(Option<u32>, T) -> Result<U, E>) -> Result<PerCompartment<U>, E> {
+        Ok(match self {
+            PerCompartment::Same(value) => PerCompartment::Same(f(None, *value)?),
+            PerCompartment::Each(values) => PerCompartment::Each(
+                values.iter().enumerate().map(|(i, &value)| f(Some(i as u32), value)).collect::<Result<_, _>>()?,
+            ),
+        })
+    }
+}
+
+/// A parameter and where it was given.
+#[derive(Debug, Clone)]
+pub struct Values {
+    /// The numbers.
+    pub each: PerCompartment<f64>,
+    /// Their place in the model file.
+    pub span: Span,
+}
+
+impl Values {
+    /// A default that no file gave.
+    #[must_use]
+    pub fn constant(value: f64) -> Self {
+        Values { each: PerCompartment::Same(value), span: Span::default() }
+    }
+}
+
+/// The parameters of a population of compartments.
+#[derive(Debug, Clone)]
+pub struct NeuronParameters {
+    /// Which kind.
+    pub kind: NeuronKind,
+    /// The parameters that the file gives, by name.
+    pub given: Vec<(&'static str, Values)>,
+    /// The step before which the population is held at zero.
+    pub start_step: u32,
+    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all weights.
+    pub greatest_input: Option<f64>,
+}
+
+impl NeuronParameters {
+    /// A parameter that the file gives.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&Values> {
+        self.given.iter().find(|(given, _)| *given == name).map(|(_, values)| values)
+    }
+
+    /// A parameter of one compartment, its default where the file gives none, 0 where there is no default.
+    #[must_use]
+    pub fn value(&self, name: &str, index: u32) -> f64 {
+        match self.get(name) {
+            Some(values) => values.each.get(index),
+            None => {
+                let field = self.kind.parameters().iter().find(|field| field.name == name);
+                field.and_then(|field| field.default).unwrap_or(0) as f64
+            }
+        }
+    }
+}
+
+/// What a population is made of.
+#[derive(Debug, Clone)]
+pub enum PopulationKind {
+    /// Channels that a stimulus drives.
+    Input,
+    /// Compartments.
+    Neurons(NeuronParameters),
+    /// Spike response neurons.
+    Srm(SrmParameters),
+}
+
+/// The parameters of a population of spike response neurons; times are above 0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SrmParameters {
+    /// Time constant of the response in ms.
+    pub tau_sr_ms: f64,
+    /// Time constant of the refractory response in ms.
+    pub tau_ref_ms: f64,
+    /// Peak of the refractory response in thresholds, at least 0.
+    pub scale_ref: f64,
+    /// Threshold, above 0, in the units of the weights.
+    pub theta: f64,
+}
+
+/// A node of the graph.
+#[derive(Debug, Clone)]
+pub struct Population {
+    /// Its name, unique in the network.
+    pub name: String,
+    /// Where the file declares it.
+    pub span: Span,
+    /// Its shape.
+    pub shape: Shape,
+    /// What it is made of.
+    pub kind: PopulationKind,
+    /// The integer that each of its spikes carries; `None` for binary spikes.
+    pub payload: Option<Payload>,
+}
+
+impl Population {
+    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary spikes.
+    #[must_use]
+    pub fn spike_factor(&self) -> f64 {
+        self.payload.map_or(1.0, |payload| payload.get().into())
+    }
+}
+
+/// A window sliding over a `[C, H, W]` population; pairs are (y, x).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Window {
+    /// Source channels, height, width.
+    pub source: (u32, u32, u32),
+    /// Target channels, height, width.
+    pub target: (u32, u32, u32),
+    /// Size of the window.
+    pub kernel: (u32, u32),
+    /// Step of the window.
+    pub stride: (u32, u32),
+    /// Rows and columns of nothing around the source.
+    pub padding: (u32, u32),
+    /// Distance of neighbours within the window.
+    pub dilation: (u32, u32),
+    /// Channel groups.
+    pub groups: u32,
+}
+
+/// How the sources of a projection reach its targets.
+#[derive(Debug, Clone)]
+pub enum ProjectionKind {
+    /// All to all: `[target][column]`; the projection's sources are the columns from `first_source`.
+    Dense {
+        /// Weights of all columns of the declaration.
+        weights: Arc<Tensor>,
+        /// Place of each row, when they stand in the model file.
+        rows: Arc<[Span]>,
+    },
+    /// (source within this population, target, weight, place) each.
+    Sparse {
+        /// The synapses.
+        synapses: Vec<(u32, u32, f64, Span)>,
+    },
+    /// Cross-correlation with `[C'][C / groups][kh][kw]`.
+    Conv2d {
+        /// Geometry.
+        window: Window,
+        /// Kernel.
+        weights: Arc<Tensor>,
+        /// Place of each output channel's kernel, when it stands in the model file.
+        rows: Arc<[Span]>,
+    },
+    /// The same weight from each position of a window.
+    SumPool2d {
+        /// Geometry; the groups are the channels.
+        window: Window,
+        /// The weight and its place.
+        weight: Spanned<f64>,
+    },
+    /// Seeded random synapses.
+    Random {
+        /// Synapses of each source.
+        fan_out: u32,
+        /// The least weight.
+        low: Spanned<i64>,
+        /// The greatest weight.
+        high: Spanned<i64>,
+        /// The seed.
+        seed: u64,
+    },
+}
+
+impl ProjectionKind {
+    /// Whether no two synapses share a weight.
+    #[must_use]
+    pub fn has_own_weights(&self) -> bool {
+        matches!(self, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. })
+    }
+
+    /// The same with other weights; `f` gets each with its target, or with its output channel where a kernel is shared.
+    /// A pool's weight and random ones stay.
+    #[must_use]
+    pub fn map_weights(&self, f: impl Fn(usize, f64) -> f64) -> ProjectionKind {
+        let tensor = |weights: &Arc<Tensor>| {
+            let per_row = (weights.len() / weights.shape().first().copied().unwrap_or(1).max(1)).max(1);
+            let numbers = (0..weights.len()).map(|i| f(i / per_row, weights.real(i))).collect();
+            let mapped = Tensor::new(weights.shape().to_vec(), Numbers::Reals(numbers));
+            mapped.map_or_else(|| weights.clone(), Arc::new)
+        };
+        match self {
+            ProjectionKind::Dense { weights, rows } => {
+                ProjectionKind::Dense { weights: tensor(weights), rows: rows.clone() }
+            }
+            ProjectionKind::Conv2d { window, weights, rows } => {
+                ProjectionKind::Conv2d { window: *window, weights: tensor(weights), rows: rows.clone() }
+            }
+            ProjectionKind::Sparse { synapses } => {
+                let each =
+                    synapses.iter().map(|&(source, target, w, span)| (source, target, f(target as usize, w), span));
+                ProjectionKind::Sparse { synapses: each.collect() }
+            }
+            ProjectionKind::SumPool2d { .. } | ProjectionKind::Random { .. } => self.clone(),
+        }
+    }
+}
+
+/// An edge of the graph: from one population to one.
+#[derive(Debug, Clone)]
+pub struct Projection {
+    /// `source -> target`, for messages.
+    pub name: String,
+    /// Where the file declares it.
+    pub span: Span,
+    /// The index of this population's first unit among the concatenated sources of the declaration.
+    pub first_source: u32,
+    /// Weight exponent.
+    pub weight_exp: Spanned<i64>,
+    /// Sign mode.
+    pub sign: SignMode,
+    /// Bits of a weight.
+    pub weight_bits: Spanned<i64>,
+    /// Delay field.
+    pub delay: Delay,
+    /// What a real weight of 1 counts.
+    pub weight_scale: Option<Spanned<f64>>,
+    /// Place of the weights.
+    pub weights_span: Span,
+    /// How it reaches its targets.
+    pub kind: ProjectionKind,
+}
+
+/// Facts about a network as a whole.
+#[derive(Debug, Clone)]
+pub struct NetworkFacts {
+    /// The network's name.
+    pub name: String,
+    /// Its file, for messages.
+    pub source: SourceText,
+    /// Milliseconds that a timestep stands for.
+    pub timestep_ms: f64,
+    /// What of the output population decides.
+    pub decision: ReadOut,
+    /// Steps that a sample has after its last input step.
+    pub drain: u32,
+    /// Names of classes, one for each output compartment, or none.
+    pub classes: Vec<String>,
+    /// Periodic reset.
+    pub reset: Option<ResetDesc>,
+    /// When a compartment spikes.
+    pub threshold: ThresholdTest,
+    /// Which arithmetic.
+    pub semantics: Semantics,
+    /// How weights are rounded.
+    pub weight_rounding: WeightRounding,
+    /// The stimulus to use when none is given.
+    pub scene: Option<String>,
+    /// Where the network comes from.
+    pub provenance: Option<String>,
+}
+
+/// The network with real parameters.
+#[derive(Debug, Clone)]
+pub struct Graph {
+    facts: NetworkFacts,
+    graph: DiGraph<Population, Projection>,
+    output: NodeIndex,
+}
+
+impl Graph {
+    /// A graph from checked parts; `compile::frontend::lower` is the way to get one from a file.
+    ///
+    /// # Panics
+    /// When `output` is not one of the nodes: a mistake of the caller.
+    #[must_use]
+    pub fn new(facts: NetworkFacts, graph: DiGraph<Population, Projection>, output: NodeIndex) -> Self {
+        assert!(graph.node_weight(output).is_some(), "the output population is a node");
+        Graph { facts, graph, output }
+    }
+
+    /// Facts about the network as a whole.
+    #[must_use]
+    pub fn facts(&self) -> &NetworkFacts {
+        &self.facts
+    }
+
+    /// Populations in the order of the file.
+    pub fn populations(&self) -> impl Iterator<Item = (NodeIndex, &Population)> {
+        self.graph.node_indices().map(|node| (node, &self.graph[node]))
+    }
+
+    /// Projections in the order of the file, with source and target.
+    pub fn projections(&self) -> impl Iterator<Item = (EdgeIndex, NodeIndex, NodeIndex, &Projection)> {
+        self.graph.edge_indices().filter_map(|edge| {
+            let (source, target) = self.graph.edge_endpoints(edge)?;
+            Some((edge, source, target, &self.graph[edge]))
+        })
+    }
+
+    /// The place of each projection's declaration in the file, in the order of the projections: one
+    /// for each `from` is made of a declaration.
+    #[must_use]
+    pub fn declared_places(&self) -> Vec<usize> {
+        let spans: Vec<Span> = self.projections().map(|(.., projection)| projection.span).collect();
+        let mut place = 0;
+        let each = spans.iter().enumerate().map(|(index, span)| {
+            place += usize::from(index > 0 && spans[index - 1] != *span);
+            place
+        });
+        each.collect()
+    }
+
+    /// A population.
+    #[must_use]
+    pub fn population(&self, node: NodeIndex) -> &Population {
+        &self.graph[node]
+    }
+
+    /// The population that decides.
+    #[must_use]
+    pub fn output(&self) -> NodeIndex {
+        self.output
+    }
+
+    /// Whether a population has neurons that the hardware does not have.
+    #[must_use]
+    pub fn has_srm(&self) -> bool {
+        self.populations().any(|(_, population)| matches!(population.kind, PopulationKind::Srm(_)))
+    }
+
+    /// The same network with other populations; `f` gets each and says what it is made of.
+    #[must_use]
+    pub fn with_kinds(&self, mut f: impl FnMut(NodeIndex, &Population) -> PopulationKind) -> Graph {
+        let mut graph = self.clone();
+        for node in self.graph.node_indices() {
+            graph.graph[node].kind = f(node, &self.graph[node]);
+        }
+        graph
+    }
+
+    /// The same network with other projections; `f` gets each with its target.
+    #[must_use]
+    pub fn with_projections(&self, mut f: impl FnMut(NodeIndex, &Projection) -> Projection) -> Graph {
+        let mut graph = self.clone();
+        for (edge, _, target, projection) in self.projections() {
+            graph.graph[edge] = f(target, projection);
+        }
+        graph
+    }
+
+    /// The same network with more projections, which come last; each with source and target.
+    #[must_use]
+    pub fn and_projections(mut self, added: Vec<(NodeIndex, NodeIndex, Projection)>) -> Graph {
+        for (source, target, projection) in added {
+            self.graph.add_edge(source, target, projection);
+        }
+        self
+    }
+
+    /// The petgraph, for algorithms over it.
+    #[must_use]
+    pub fn petgraph(&self) -> &DiGraph<Population, Projection> {
+        &self.graph
+    }
+}

@@ -1,0 +1,215 @@
+//! Cores that exchange messages with no others, and how often each such group is on the board.
+//!
+//! Input: a program, and which of its cores belong together. Output: a program of the first group of each kind, and where every
+//! group is. Groups of a kind hold the same copies of a network in the same slots, so that what one does when all copies see the
+//! same sample, each of them does; only their places differ. True of every [`CoreGroups`]: each core of the whole program is in
+//! one group, and the groups of a kind have as many cores.
+
+use std::collections::HashMap;
+use std::ops::Range;
+
+use crate::base::csr::Csr;
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::dealt::Dealt;
+use crate::partition::Seat;
+use crate::placement::Site;
+use crate::program::{AxonTarget, Compartments, CoreImage, Graded, NotClosed, Parts, Program};
+
+/// What of a program is one group.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Kind {
+    /// Its cores.
+    pub cores: Range<u32>,
+    /// Its input channels.
+    pub channels: Range<u32>,
+    /// Its compartments.
+    pub compartments: Range<u32>,
+    /// Copies of the network in it.
+    pub copies: u32,
+}
+
+/// A group somewhere on the board.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Group {
+    /// Which kind.
+    pub kind: usize,
+    /// The numbers of its cores in the whole program, in the order of the kind's.
+    pub cores: Vec<CoreId>,
+    /// Where they are.
+    pub sites: Vec<Site>,
+}
+
+/// Numbers of a network of which a program holds copies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct OneCopy {
+    /// Compartments.
+    pub compartments: u32,
+    /// Input channels.
+    pub channels: u32,
+    /// Populations, inputs included.
+    pub populations: u32,
+}
+
+/// A program of one group of each kind, and all groups.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CoreGroups {
+    /// The first group of each kind, one after the other.
+    pub program: Program,
+    /// What of it is of which kind.
+    pub kinds: Vec<Kind>,
+    /// All groups, by their first core.
+    pub groups: Vec<Group>,
+}
+
+/// Cores and copies of a group, ascending.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Together {
+    /// The cores.
+    pub cores: Vec<CoreId>,
+    /// The copies, all of whose compartments are on them.
+    pub copies: Vec<u32>,
+}
+
+/// Which group is of which kind: for each group the first group that is like it.
+fn first_alike(program: &Program, one: OneCopy, together: &[Together]) -> Vec<usize> {
+    let mut known = HashMap::new();
+    let key = |group: &Together| -> Vec<Vec<(usize, u32)>> {
+        let member = |id: &CompartmentId| {
+            let copy = group.copies.binary_search(&(id.0 / one.compartments)).unwrap_or(usize::MAX);
+            (copy, id.0 % one.compartments)
+        };
+        group.cores.iter().map(|&core| program.cores()[core].ids.iter().map(member).collect()).collect()
+    };
+    together.iter().enumerate().map(|(number, group)| *known.entry(key(group)).or_insert(number)).collect()
+}
+
+impl CoreGroups {
+    /// The groups of a program of copies, which share no channel.
+    ///
+    /// # Errors
+    /// [`NotClosed`] when a group sends messages to another.
+    pub fn new(program: &Program, one: OneCopy, together: &[Together]) -> Result<Self, NotClosed> {
+        CoreGroups::of_alike(program, one, together, &first_alike(program, one, together))
+    }
+
+    /// The same, with each group a kind of its own.
+    ///
+    /// # Errors
+    /// As [`CoreGroups::new`].
+    pub fn each(program: &Program, one: OneCopy, together: &[Together]) -> Result<Self, NotClosed> {
+        CoreGroups::of_alike(program, one, together, &(0..together.len()).collect::<Vec<_>>())
+    }
+
+    fn of_alike(program: &Program, one: OneCopy, together: &[Together], alike: &[usize]) -> Result<Self, NotClosed> {
+        let whole = program.parts();
+        let firsts: Vec<usize> = (0..alike.len()).filter(|&number| alike[number] == number).collect();
+        let kept_copies: Vec<u32> = firsts.iter().flat_map(|&first| together[first].copies.iter().copied()).collect();
+        let mut new_core = vec![None; whole.cores.len()];
+        let kept_cores = firsts.iter().flat_map(|&first| &together[first].cores);
+        for (number, core) in kept_cores.clone().enumerate() {
+            new_core[core.index()] = Some(CoreId::new(number));
+        }
+        let new_copy: HashMap<u32, u32> = kept_copies.iter().copied().zip(0..).collect();
+        let closed = || NotClosed("a group of cores sends messages to another".to_string());
+        let core = |core: CoreId| new_core[core.index()].ok_or_else(closed);
+        let target = |to: &AxonTarget| Ok(AxonTarget { core: core(to.core)?, ..*to });
+        let compartment = |id: CompartmentId| {
+            let copy = new_copy.get(&(id.0 / one.compartments)).ok_or_else(closed)?;
+            Ok::<_, NotClosed>(CompartmentId(copy * one.compartments + id.0 % one.compartments))
+        };
+        let mut cores = Vec::new();
+        for &number in kept_cores.clone() {
+            let mut image = whole.cores[number].clone();
+            image.ids = image.ids.iter().map(|&id| compartment(id)).collect::<Result<_, _>>()?;
+            let mut axons_out = Csr::default();
+            for list in image.axons_out.iter() {
+                axons_out.push(list.iter().map(target).collect::<Result<Vec<_>, _>>()?);
+            }
+            cores.push(CoreImage { axons_out, ..image });
+        }
+        let (mut channels, mut seats, mut populations) = (Csr::default(), Vec::new(), Vec::new());
+        for (number, &copy) in (0u32..).zip(&kept_copies) {
+            for channel in copy * one.channels..(copy + 1) * one.channels {
+                let list = whole.channels.get(channel as usize).iter();
+                channels.push(list.map(target).collect::<Result<Vec<_>, NotClosed>>()?);
+            }
+            for id in copy * one.compartments..(copy + 1) * one.compartments {
+                let seat = whole.seats[CompartmentId(id)];
+                seats.push(Seat { core: core(seat.core)?, ..seat });
+            }
+            for id in copy * one.populations..(copy + 1) * one.populations {
+                let moved = |of_copy: Compartments| {
+                    let first = number * one.compartments + of_copy.first.0 % one.compartments;
+                    Compartments { first: CompartmentId(first), ..of_copy }
+                };
+                populations.push(whole.populations[PopulationId(id)].map(moved));
+            }
+        }
+        let graded = graded_of(whole, one, &kept_copies);
+        let parts = Parts {
+            mesh: whole.mesh,
+            cores: cores.into(),
+            channels,
+            seats: seats.into(),
+            populations: populations.into(),
+            graded,
+            output: whole.output,
+            decision: whole.decision,
+            output_start: whole.output_start,
+            semantics: whole.semantics,
+            threshold: whole.threshold,
+            reset: whole.reset,
+            dealt: whole.dealt.as_ref().map(|dealt| {
+                let owners: Vec<u32> = kept_cores.clone().map(|&core| dealt.owners[core]).collect();
+                Dealt { owners: IdVec::from(owners).into(), ..dealt.clone() }
+            }),
+        };
+        let mut kinds: Vec<Kind> = Vec::new();
+        for &first in &firsts {
+            let Together { cores, copies } = &together[first];
+            let last = kinds.last();
+            let begin = |get: fn(&Kind) -> &Range<u32>| last.map_or(0, |kind| get(kind).end);
+            let next = |begin: u32, many: usize| begin..begin + many as u32;
+            kinds.push(Kind {
+                cores: next(begin(|kind| &kind.cores), cores.len()),
+                channels: next(begin(|kind| &kind.channels), copies.len() * one.channels as usize),
+                compartments: next(begin(|kind| &kind.compartments), copies.len() * one.compartments as usize),
+                copies: copies.len() as u32,
+            });
+        }
+        let group = |(group, &alike): (&Together, &usize)| Group {
+            kind: firsts.binary_search(&alike).expect("each group is like one that comes first"),
+            sites: group.cores.iter().map(|&core| whole.cores[core].site).collect(),
+            cores: group.cores.clone(),
+        };
+        let groups = together.iter().zip(alike).map(group).collect();
+        Ok(CoreGroups { program: Program::new(parts)?, kinds, groups })
+    }
+
+    /// Copies of the network in the program.
+    #[must_use]
+    pub fn copies(&self) -> u32 {
+        self.kinds.iter().map(|kind| kind.copies).sum()
+    }
+}
+
+/// Payloads of the sources of these copies, which are numbered anew.
+fn graded_of(whole: &Parts, one: OneCopy, copies: &[u32]) -> Vec<Graded> {
+    let mut graded = Vec::new();
+    let mut of_range = |from: Range<u32>, to: u32| {
+        let later = whole.graded.partition_point(|part| part.sources.end <= from.start);
+        for part in whole.graded[later..].iter().take_while(|part| part.sources.start < from.end) {
+            let (start, end) = (part.sources.start.max(from.start), part.sources.end.min(from.end));
+            graded.push(Graded { sources: to + start - from.start..to + end - from.start, payload: part.payload });
+        }
+    };
+    for (number, &copy) in (0u32..).zip(copies) {
+        of_range(copy * one.channels..(copy + 1) * one.channels, number * one.channels);
+    }
+    let (before, kept) = (whole.channels.len() as u32, copies.len() as u32 * one.channels);
+    for (number, &copy) in (0u32..).zip(copies) {
+        let from = before + copy * one.compartments;
+        of_range(from..from + one.compartments, kept + number * one.compartments);
+    }
+    graded
+}

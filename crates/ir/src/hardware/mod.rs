@@ -1,0 +1,390 @@
+//! The mirror of target files: boards (`mapping/targets`) and the chip they are made of (`mapping/chips`).
+//!
+//! A [`Target`] is a board with its chip and presets of constants ([`Constants`]) resolved and every number checked; `io::target`
+//! makes it.
+
+pub mod constants;
+
+use serde::Deserialize;
+
+use self::constants::{ClassError, Constants, Status};
+use super::neurons::NeuronKind;
+use super::resource::{LimitChanges, Limits, Resource};
+use super::spanned::Spanned;
+use crate::base::diagnostic::{Diagnostic, Result, SourceText};
+
+/// What every Loihi 1 can be programmed as.
+fn neurons_of_loihi() -> Vec<NeuronKind> {
+    vec![NeuronKind::Loihi, NeuronKind::If]
+}
+
+/// What a core and its chip can hold.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Chip")]
+pub struct Chip {
+    /// The chip's name.
+    pub name: String,
+    /// What tables of energy call it; its name where it does not say.
+    #[serde(default)]
+    pub hardware: Option<String>,
+    /// Sources of the limits, and where they disagree.
+    pub notes: String,
+    /// Tiles from west to east.
+    pub width: u32,
+    /// Tiles from north to south.
+    pub height: u32,
+    /// Cores of a tile.
+    pub cores_per_tile: u32,
+    /// Cores of the chip that may be used, at most `width * height * cores_per_tile`.
+    pub cores: u32,
+    /// Embedded x86 cores.
+    pub x86_cores: u32,
+    /// x86 cores that a chip in use keeps busy.
+    pub x86_cores_in_use: u32,
+    /// The neurons that a compartment can be.
+    #[serde(default = "neurons_of_loihi")]
+    pub neuron_kinds: Vec<NeuronKind>,
+    /// The limits of a core.
+    pub limits: Limits,
+    /// Where each limit comes from.
+    #[serde(default)]
+    pub limit_sources: Vec<LimitSource>,
+    /// What other sources say.
+    #[serde(default)]
+    pub alternatives: Vec<AlternativeLimit>,
+}
+
+/// Where a limit comes from.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LimitSource {
+    /// Its name in [`Limits`].
+    pub limit: Spanned<String>,
+    /// Paper and table, or repository and file.
+    pub source: String,
+    /// How far it can be trusted.
+    pub status: Status,
+}
+
+/// A limit as another source has it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AlternativeLimit {
+    /// Its name in [`Limits`].
+    pub limit: Spanned<String>,
+    /// The other value.
+    pub value: u32,
+    /// Paper and table, or repository and file.
+    pub source: String,
+}
+
+impl Chip {
+    /// What tables of energy call it.
+    #[must_use]
+    pub fn hardware(&self) -> &str {
+        self.hardware.as_deref().unwrap_or(&self.name)
+    }
+
+    /// Checks what the types of the fields do not.
+    ///
+    /// # Errors
+    /// A diagnostic when x86 cores are kept busy that the chip does not have, when an output axon takes no slot, or when a
+    /// source is given for a limit that does not exist.
+    pub fn check(&self, source: &SourceText) -> Result<()> {
+        let wrong = |message: String| Diagnostic::new("target.chip", format!("chip {}: {message}", self.name));
+        if self.x86_cores_in_use > self.x86_cores {
+            return Err(wrong(format!(
+                "x86_cores_in_use {} is more than x86_cores {}",
+                self.x86_cores_in_use, self.x86_cores
+            ))
+            .in_file(source.path()));
+        }
+        let limits = &self.limits;
+        if limits.axon_out_slots == 0 || limits.axon_out_slots_off_chip < limits.axon_out_slots {
+            return Err(wrong(format!(
+                "an output axon takes {} slots on its chip and {} off it; at least 1, and off it at least as many",
+                limits.axon_out_slots, limits.axon_out_slots_off_chip
+            ))
+            .in_file(source.path()));
+        }
+        let named = self.limit_sources.iter().map(|entry| &entry.limit);
+        for limit in named.chain(self.alternatives.iter().map(|entry| &entry.limit)) {
+            let is_pool = limits.pools.iter().any(|pool| pool.name == limit.value);
+            if !is_pool && !Limits::NAMES.contains(&limit.value.as_str()) {
+                return Err(wrong(format!("there is no limit {}", limit.value))
+                    .help(format!("limits are {}", Limits::NAMES.join(", ")))
+                    .at(source, limit.span));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A target file: chips on a board.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Target")]
+pub struct TargetFile {
+    /// The target's name.
+    pub name: String,
+    /// What it is, with the source.
+    pub notes: String,
+    /// Name of the chip.
+    pub chip: Spanned<String>,
+    /// Chips from west to east.
+    pub chips_x: Spanned<u32>,
+    /// Chips from north to south.
+    pub chips_y: Spanned<u32>,
+    /// Presets of constants; the first is the default.
+    pub constants: Vec<Spanned<String>>,
+}
+
+/// A target file that says only what differs from another target.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename = "Target")]
+pub struct TargetChanges {
+    /// The other target: a shipped one, or a file beside this one.
+    pub base: Spanned<String>,
+    /// The target's name; that of its file unless given.
+    pub name: Option<String>,
+    /// What it is.
+    pub notes: Option<String>,
+    /// Chips from west to east.
+    pub chips_x: Option<Spanned<u32>>,
+    /// Chips from north to south.
+    pub chips_y: Option<Spanned<u32>>,
+    /// Tiles of a chip from west to east.
+    pub width: Option<u32>,
+    /// Tiles of a chip from north to south.
+    pub height: Option<u32>,
+    /// Cores of a tile; as many as `cores_per_chip` needs unless given.
+    pub cores_per_tile: Option<u32>,
+    /// Cores of a chip; what its tiles hold when their number or size is given.
+    pub cores_per_chip: Option<u32>,
+    /// Embedded x86 cores.
+    pub x86_cores: Option<u32>,
+    /// x86 cores that a chip in use keeps busy.
+    pub x86_cores_in_use: Option<u32>,
+    /// The neurons that a compartment can be.
+    pub neuron_kinds: Option<Vec<NeuronKind>>,
+    /// Limits of a core.
+    #[serde(default)]
+    pub limits: LimitChanges,
+    /// Presets of constants in place of the other target's.
+    pub constants: Option<Vec<Spanned<String>>>,
+}
+
+impl TargetChanges {
+    /// A chip with the changes, which goes by this name where there are any. Sources of limits that
+    /// are changed no longer say where they come from.
+    #[must_use]
+    pub fn chip(&self, mut chip: Chip, name: Option<&str>) -> Chip {
+        let sizes = [self.width, self.height, self.cores_per_tile, self.cores_per_chip];
+        let x86 = [self.x86_cores, self.x86_cores_in_use];
+        let other = self.neuron_kinds.is_some() || self.limits != LimitChanges::default();
+        if let Some(name) = name.filter(|_| other || sizes.iter().chain(&x86).any(Option::is_some)) {
+            (chip.name, chip.hardware) = (name.to_string(), None);
+        }
+        chip.x86_cores = self.x86_cores.unwrap_or(chip.x86_cores);
+        chip.x86_cores_in_use = self.x86_cores_in_use.unwrap_or(chip.x86_cores_in_use.min(chip.x86_cores));
+        chip.width = self.width.unwrap_or(chip.width);
+        chip.height = self.height.unwrap_or(chip.height);
+        let tiles = chip.width.saturating_mul(chip.height);
+        let held = self.cores_per_chip.map_or(0, |cores| cores.div_ceil(tiles.max(1)));
+        chip.cores_per_tile = self.cores_per_tile.unwrap_or(chip.cores_per_tile.max(held));
+        let resized = self.width.is_some() || self.height.is_some() || self.cores_per_tile.is_some();
+        let cores = if resized { tiles.saturating_mul(chip.cores_per_tile) } else { chip.cores };
+        chip.cores = self.cores_per_chip.unwrap_or(cores);
+        chip.neuron_kinds = self.neuron_kinds.clone().unwrap_or(chip.neuron_kinds);
+        chip.limits = self.limits.applied(chip.limits);
+        chip.limit_sources.retain(|entry| !self.limits.changes(&entry.limit));
+        chip.alternatives.retain(|entry| !self.limits.changes(&entry.limit));
+        chip
+    }
+}
+
+/// The most cores of a board: 16,384 chips of Loihi's mesh protocol (Davies et al. 2018) with 128 cores each.
+pub const MOST_CORES: u64 = 16_384 * 128;
+
+/// A board with everything it refers to.
+#[derive(Debug, Clone)]
+pub struct Target {
+    name: String,
+    chips_x: u32,
+    chips_y: u32,
+    chip: Chip,
+    constants: Vec<Constants>,
+}
+
+impl Target {
+    /// Changes every preset of constants.
+    ///
+    /// # Errors
+    /// What `change` says of a preset, and of one that it spoils `constants.*`.
+    pub fn change_constants(&mut self, change: impl Fn(&mut Constants) -> Result<()>) -> Result<()> {
+        for constants in &mut self.constants {
+            change(constants)?;
+            constants.check(&SourceText::new("", ""))?;
+        }
+        Ok(())
+    }
+
+    /// A board from its parts.
+    ///
+    /// # Errors
+    /// A diagnostic when a size is 0 or too large, or no preset is given.
+    pub fn new(file: &TargetFile, source: &SourceText, chip: Chip, constants: Vec<Constants>) -> Result<Self> {
+        let wrong = |message: String| Diagnostic::new("target.size", message);
+        for (what, side) in [("chips_x", &file.chips_x), ("chips_y", &file.chips_y)] {
+            if !(1..=128).contains(&side.value) {
+                return Err(wrong(format!("{what} {} is outside 1..=128", side.value)).at(source, side.span));
+            }
+        }
+        let sizes = [
+            ("width", chip.width, 64),
+            ("height", chip.height, 64),
+            ("cores_per_tile", chip.cores_per_tile, 64),
+            ("cores", chip.cores, chip.width.saturating_mul(chip.height).saturating_mul(chip.cores_per_tile)),
+            ("limits.compartments", chip.limits[Resource::Compartments], 65_536),
+            ("limits.axons_in", chip.limits[Resource::AxonsIn], 65_536),
+            ("limits.synapses_per_entry", chip.limits.synapses_per_entry, 64),
+        ];
+        for (what, value, most) in sizes {
+            if value == 0 || value > most {
+                return Err(wrong(format!("chip {}: {what} {value} is outside 1..={most}", chip.name)));
+            }
+        }
+        // So that a number of cores always fits its type, whatever the sides.
+        let cores = u64::from(file.chips_x.value) * u64::from(file.chips_y.value) * u64::from(chip.cores);
+        if cores > MOST_CORES {
+            return Err(
+                wrong(format!("the board has {cores} cores, the most is {MOST_CORES}")).at(source, file.chips_x.span)
+            );
+        }
+        if constants.is_empty() {
+            return Err(
+                Diagnostic::new("target.constants", "the target names no preset of constants").in_file(source.path())
+            );
+        }
+        Ok(Target {
+            name: file.name.clone(),
+            chips_x: file.chips_x.value,
+            chips_y: file.chips_y.value,
+            chip,
+            constants,
+        })
+    }
+
+    /// The same board with other limits of a core, for tests and for asking what if.
+    #[must_use]
+    pub fn with_limits(mut self, limits: Limits) -> Self {
+        self.chip.limits = limits;
+        self
+    }
+
+    /// The same board with another chip, for tests and for asking what if.
+    #[must_use]
+    pub fn with_chip(mut self, chip: Chip) -> Self {
+        self.chip = chip;
+        self
+    }
+
+    /// The same board with one more preset of constants, in front.
+    #[must_use]
+    pub fn with_preset(mut self, constants: Constants) -> Self {
+        self.constants.retain(|preset| preset.name != constants.name);
+        self.constants.insert(0, constants);
+        self
+    }
+
+    /// The target's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its chip.
+    #[must_use]
+    pub fn chip(&self) -> &Chip {
+        &self.chip
+    }
+
+    /// The limits of a core.
+    #[must_use]
+    pub fn limits(&self) -> &Limits {
+        &self.chip.limits
+    }
+
+    /// How far predictions by a preset were off on such hardware; nothing where the preset was
+    /// measured on other.
+    #[must_use]
+    pub fn errors<'c>(&self, preset: &'c Constants) -> &'c [ClassError] {
+        if preset.hardware == self.chip.hardware() { &preset.errors } else { &[] }
+    }
+
+    /// Presets of constants; the first is the default.
+    #[must_use]
+    pub fn constants(&self) -> &[Constants] {
+        &self.constants
+    }
+
+    /// Number of chips.
+    #[must_use]
+    pub fn chips(&self) -> u32 {
+        self.chips_x * self.chips_y
+    }
+
+    /// Chips from west to east.
+    #[must_use]
+    pub fn chips_x(&self) -> u32 {
+        self.chips_x
+    }
+
+    /// Chips from north to south.
+    #[must_use]
+    pub fn chips_y(&self) -> u32 {
+        self.chips_y
+    }
+
+    /// Number of cores of all chips.
+    #[must_use]
+    pub fn cores(&self) -> u32 {
+        self.chips() * self.chip.cores
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::spanned::parse;
+
+    fn read<T: serde::de::DeserializeOwned>(path: &str) -> (SourceText, T) {
+        let text = std::fs::read_to_string(format!("{}/../../mapping/{path}", env!("CARGO_MANIFEST_DIR"))).unwrap();
+        let source = SourceText::new(path, text);
+        let value = parse(&source, "target.syntax").unwrap_or_else(|problem| panic!("{problem}"));
+        (source, value)
+    }
+
+    #[test]
+    fn a_source_without_a_limit_is_refused_where_it_stands() {
+        let (source, _) = read::<Chip>("chips/tiny.ron");
+        let changed =
+            SourceText::new("changed.ron", source.text().replacen("limit: \"axons_in\"", "limit: \"axon_in\"", 1));
+        let problem = parse::<Chip>(&changed, "target.syntax").unwrap().check(&changed).unwrap_err();
+        assert_eq!(problem.message, "chip tiny: there is no limit axon_in");
+        assert!(problem.position().is_some());
+    }
+
+    #[test]
+    fn a_board_of_too_many_cores_is_refused() {
+        let (source, file) = read::<TargetFile>("targets/tiny.ron");
+        let file = TargetFile { chips_x: 128.into(), chips_y: 128.into(), ..file };
+        let (_, chip) = read::<Chip>("chips/loihi1.ron");
+        let (_, constants) = read::<Constants>("constants/loihi1-evidence.ron");
+        assert_eq!(
+            u64::from(Target::new(&file, &source, chip.clone(), vec![constants.clone()]).unwrap().cores()),
+            MOST_CORES
+        );
+        let chip = Chip { width: 64, height: 64, cores_per_tile: 64, cores: 262_144, ..chip };
+        assert_eq!(Target::new(&file, &source, chip, vec![constants]).unwrap_err().code, "target.size");
+    }
+}

@@ -1,0 +1,180 @@
+//! Compartments on logical cores.
+//!
+//! True of every [`Partition`]: each compartment sits on exactly one core in exactly one slot, and each core's use of
+//! every resource is within the target's limits.
+
+use std::ops::{Index, IndexMut};
+
+use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
+use crate::resource::{Capacity, Limits, PerResource, Resource};
+
+/// Where a compartment sits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Seat {
+    /// The core.
+    pub core: CoreId,
+    /// The slot on that core.
+    pub slot: u16,
+}
+
+/// What a core uses.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct CoreUsage {
+    /// Synapses, of which there may be any number.
+    pub synapses: u64,
+    /// Of each resource.
+    pub of: PerResource<u64>,
+}
+
+impl CoreUsage {
+    /// The same but for one resource.
+    #[must_use]
+    pub fn with(mut self, resource: Resource, used: u64) -> Self {
+        self.of[resource] = used;
+        self
+    }
+
+    /// What is used beyond its limit, with the need and the limit.
+    pub fn excesses<'l>(self, limits: &'l Limits) -> impl Iterator<Item = (Capacity, u64, u64)> + use<'l> {
+        limits.against(self.of).filter(|(_, need, limit)| need > limit)
+    }
+}
+
+impl Index<Resource> for CoreUsage {
+    type Output = u64;
+    #[inline]
+    fn index(&self, resource: Resource) -> &u64 {
+        &self.of[resource]
+    }
+}
+
+impl IndexMut<Resource> for CoreUsage {
+    #[inline]
+    fn index_mut(&mut self, resource: Resource) -> &mut u64 {
+        &mut self.of[resource]
+    }
+}
+
+/// Why a list of cores is not a partition.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PartitionError {
+    /// A compartment has no seat.
+    #[error("compartment {0} sits on no core")]
+    Homeless(CompartmentId),
+    /// A compartment has two seats, or is not of this network.
+    #[error("compartment {0} sits on more than one core, or does not exist")]
+    Misplaced(CompartmentId),
+    /// A core needs more than it has.
+    #[error("{core} needs {need} {}, the limit is {limit}", capacity.name())]
+    Excess {
+        /// The core.
+        core: CoreId,
+        /// Of what.
+        capacity: Capacity,
+        /// What it needs.
+        need: u64,
+        /// What it has.
+        limit: u64,
+    },
+}
+
+/// Compartments on logical cores, within every limit.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Partition {
+    members: IdVec<CoreId, Vec<CompartmentId>>,
+    seats: IdVec<CompartmentId, Seat>,
+    usage: IdVec<CoreId, CoreUsage>,
+}
+
+impl Partition {
+    /// Cores with their compartments in slot order, and what each core uses (from `compile::resources::exact`).
+    ///
+    /// # Errors
+    /// [`PartitionError`] when a compartment has not exactly one seat or a core exceeds a limit.
+    ///
+    /// # Panics
+    /// When there are not as many usages as cores: a mistake of the caller.
+    pub fn new(
+        compartments: u32,
+        members: IdVec<CoreId, Vec<CompartmentId>>,
+        usage: IdVec<CoreId, CoreUsage>,
+        limits: &Limits,
+    ) -> Result<Self, PartitionError> {
+        assert_eq!(members.len(), usage.len(), "one usage for each core");
+        let seats = seats(compartments, &members)?;
+        Partition { members, seats, usage }.within(limits)
+    }
+
+    /// The same within other limits.
+    ///
+    /// # Errors
+    /// [`PartitionError::Excess`] when a core exceeds one.
+    pub fn within(self, limits: &Limits) -> Result<Self, PartitionError> {
+        for (core, used) in self.usage.enumerate() {
+            if let Some((capacity, need, limit)) = used.excesses(limits).next() {
+                return Err(PartitionError::Excess { core, capacity, need, limit });
+            }
+        }
+        Ok(self)
+    }
+
+    /// Number of cores.
+    #[must_use]
+    pub fn cores(&self) -> usize {
+        self.members.len()
+    }
+
+    /// Compartments of each core in slot order.
+    #[must_use]
+    pub fn members(&self) -> &IdVec<CoreId, Vec<CompartmentId>> {
+        &self.members
+    }
+
+    /// Where each compartment sits.
+    #[must_use]
+    pub fn seats(&self) -> &IdVec<CompartmentId, Seat> {
+        &self.seats
+    }
+
+    /// What each core uses.
+    #[must_use]
+    pub fn usage(&self) -> &IdVec<CoreId, CoreUsage> {
+        &self.usage
+    }
+}
+
+/// Where each compartment sits, if each sits exactly once.
+///
+/// # Errors
+/// [`PartitionError::Homeless`] or [`PartitionError::Misplaced`].
+pub fn seats(
+    compartments: u32,
+    members: &IdVec<CoreId, Vec<CompartmentId>>,
+) -> Result<IdVec<CompartmentId, Seat>, PartitionError> {
+    let mut seats: Vec<Option<Seat>> = vec![None; compartments as usize];
+    for (core, held) in members.enumerate() {
+        for (slot, &compartment) in held.iter().enumerate() {
+            let slot = u16::try_from(slot).map_err(|_| PartitionError::Misplaced(compartment))?;
+            match seats.get_mut(compartment.index()) {
+                Some(seat @ None) => *seat = Some(Seat { core, slot }),
+                _ => return Err(PartitionError::Misplaced(compartment)),
+            }
+        }
+    }
+    seats.into_iter().enumerate().map(|(i, seat)| seat.ok_or(PartitionError::Homeless(CompartmentId::new(i)))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_compartment_sits_exactly_once() {
+        let n = CompartmentId;
+        assert_eq!(seats(2, &vec![vec![n(0)]].into()), Err(PartitionError::Homeless(n(1))));
+        assert_eq!(seats(2, &vec![vec![n(0)], vec![n(1), n(0)]].into()), Err(PartitionError::Misplaced(n(0))));
+        assert_eq!(seats(1, &vec![vec![n(0), n(1)]].into()), Err(PartitionError::Misplaced(n(1))));
+        let both = seats(2, &vec![vec![n(1)], vec![n(0)]].into()).unwrap();
+        assert_eq!(both[n(0)], Seat { core: CoreId(1), slot: 0 });
+    }
+}

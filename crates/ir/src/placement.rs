@@ -1,0 +1,248 @@
+//! Logical cores on physical ones, and the routes of messages between them.
+//!
+//! Chips stand on a rectangular board and tiles on a rectangular mesh; a message goes east or west first, then north or
+//! south (dimension order, as Loihi's mesh does: Davies et al. 2018). True of every [`Placement`]: one to one, inside the
+//! mesh.
+
+use crate::base::id::{CoreId, IdVec};
+use crate::hardware::Target;
+
+/// Sizes of the board and its chips.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mesh {
+    /// Chips from west to east.
+    pub chips_x: u32,
+    /// Chips from north to south.
+    pub chips_y: u32,
+    /// Tiles of a chip from west to east.
+    pub width: u32,
+    /// Tiles of a chip from north to south.
+    pub height: u32,
+    /// Cores of a tile.
+    pub cores_per_tile: u32,
+    /// Cores of a chip that may be used.
+    pub cores_per_chip: u32,
+}
+
+impl Mesh {
+    /// The mesh of a target.
+    #[must_use]
+    pub fn for_target(target: &Target) -> Self {
+        let chip = target.chip();
+        Mesh {
+            chips_x: target.chips_x(),
+            chips_y: target.chips() / target.chips_x(),
+            width: chip.width,
+            height: chip.height,
+            cores_per_tile: chip.cores_per_tile,
+            cores_per_chip: chip.cores,
+        }
+    }
+
+    /// Cores of the whole board.
+    #[must_use]
+    pub fn cores(&self) -> u32 {
+        self.chips_x * self.chips_y * self.cores_per_chip
+    }
+
+    /// The core with this number, counting chip by chip, row of tiles by row, tile by tile.
+    #[must_use]
+    pub fn site(&self, number: u32) -> Option<Site> {
+        let (chip, within) = (number / self.cores_per_chip, number % self.cores_per_chip);
+        let tile = within / self.cores_per_tile;
+        (number < self.cores()).then(|| Site {
+            chip,
+            x: tile % self.width,
+            y: tile / self.width,
+            core: within % self.cores_per_tile,
+        })
+    }
+
+    /// The inverse of [`Mesh::site`], for a site inside the mesh.
+    #[must_use]
+    pub fn number(&self, site: Site) -> Option<u32> {
+        let inside = site.x < self.width && site.y < self.height && site.core < self.cores_per_tile;
+        let within = (site.y * self.width + site.x) * self.cores_per_tile + site.core;
+        (inside && site.chip < self.chips_x * self.chips_y && within < self.cores_per_chip)
+            .then(|| site.chip * self.cores_per_chip + within)
+    }
+
+    /// Column and row of a site's tile over the whole board.
+    #[must_use]
+    pub fn tile(&self, site: Site) -> (u32, u32) {
+        let (chip_x, chip_y) = (site.chip % self.chips_x, site.chip / self.chips_x);
+        (chip_x * self.width + site.x, chip_y * self.height + site.y)
+    }
+
+    /// The route of a message from one core to another.
+    #[must_use]
+    pub fn route(&self, from: Site, to: Site) -> Route {
+        let ((fx, fy), (tx, ty)) = (self.tile(from), self.tile(to));
+        Route {
+            east_west: fx.abs_diff(tx),
+            north_south: fy.abs_diff(ty),
+            chip: (from.chip % self.chips_x).abs_diff(to.chip % self.chips_x)
+                + (from.chip / self.chips_x).abs_diff(to.chip / self.chips_x),
+        }
+    }
+
+    /// The route of an input spike: it enters at the corner of its target's chip.
+    #[must_use]
+    pub fn route_from_corner(&self, to: Site) -> Route {
+        Route { east_west: to.x, north_south: to.y, chip: 0 }
+    }
+}
+
+/// A physical core.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Site {
+    /// Chip number, row of chips by row.
+    pub chip: u32,
+    /// Column of the tile on the chip, from the west.
+    pub x: u32,
+    /// Row of the tile on the chip, from the north.
+    pub y: u32,
+    /// Core within the tile.
+    pub core: u32,
+}
+
+/// The links that a message crosses.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Route {
+    /// East or west.
+    pub east_west: u32,
+    /// North or south.
+    pub north_south: u32,
+    /// Of those, between chips.
+    pub chip: u32,
+}
+
+impl Route {
+    /// Links crossed; 0 within a tile.
+    #[must_use]
+    pub fn links(self) -> u32 {
+        self.east_west + self.north_south
+    }
+
+    /// The longer of two routes: by links, then links between chips, then links north or south.
+    #[must_use]
+    pub fn max(self, other: Route) -> Route {
+        let key = |r: Route| (r.links(), r.chip, r.north_south);
+        if key(other) > key(self) { other } else { self }
+    }
+}
+
+/// A core that cannot be where it was put.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum PlacementError {
+    /// Outside the mesh.
+    #[error("{core} is placed on chip {} tile ({}, {}) core {}, which the target does not have", site.chip, site.x, site.y, site.core)]
+    Outside {
+        /// The logical core.
+        core: CoreId,
+        /// Its place.
+        site: Site,
+    },
+    /// Another core is there.
+    #[error("{first} and {second} are placed on the same physical core")]
+    Shared {
+        /// One of them.
+        first: CoreId,
+        /// The other.
+        second: CoreId,
+    },
+}
+
+/// Every logical core's place.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Placement {
+    mesh: Mesh,
+    sites: IdVec<CoreId, Site>,
+}
+
+impl Placement {
+    /// A placement, one to one and inside the mesh.
+    ///
+    /// # Errors
+    /// [`PlacementError`] at the first core for which that is not so.
+    pub fn new(mesh: Mesh, sites: IdVec<CoreId, Site>) -> Result<Self, PlacementError> {
+        let mut taken: std::collections::HashMap<u32, CoreId> = std::collections::HashMap::new();
+        for (core, &site) in sites.enumerate() {
+            let number = mesh.number(site).ok_or(PlacementError::Outside { core, site })?;
+            if let Some(first) = taken.insert(number, core) {
+                return Err(PlacementError::Shared { first, second: core });
+            }
+        }
+        Ok(Placement { mesh, sites })
+    }
+
+    /// The mesh.
+    #[must_use]
+    pub fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    /// The place of a core.
+    #[must_use]
+    pub fn site(&self, core: CoreId) -> Site {
+        self.sites[core]
+    }
+
+    /// All places.
+    #[must_use]
+    pub fn sites(&self) -> &IdVec<CoreId, Site> {
+        &self.sites
+    }
+
+    /// Chips that hold a core in use.
+    #[must_use]
+    pub fn chips_used(&self) -> u32 {
+        let chips: std::collections::BTreeSet<u32> = self.sites.iter().map(|site| site.chip).collect();
+        chips.len() as u32
+    }
+
+    /// Number of logical cores.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.sites.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.sites.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MESH: Mesh = Mesh { chips_x: 2, chips_y: 2, width: 8, height: 4, cores_per_tile: 4, cores_per_chip: 128 };
+
+    #[test]
+    fn numbers_and_sites_are_inverse() {
+        for number in 0..MESH.cores() {
+            assert_eq!(MESH.number(MESH.site(number).unwrap()), Some(number));
+        }
+        assert_eq!(MESH.site(MESH.cores()), None);
+    }
+
+    #[test]
+    fn routes_count_links_and_chip_borders() {
+        let from = Site { chip: 0, x: 7, y: 3, core: 0 };
+        let to = Site { chip: 3, x: 0, y: 1, core: 2 };
+        assert_eq!(MESH.route(from, to), Route { east_west: 1, north_south: 2, chip: 2 });
+        assert_eq!(MESH.route(to, from), MESH.route(from, to));
+        assert_eq!(MESH.route_from_corner(from), Route { east_west: 7, north_south: 3, chip: 0 });
+    }
+
+    #[test]
+    fn two_cores_cannot_share_a_place() {
+        let site = MESH.site(5).unwrap();
+        let error = Placement::new(MESH, vec![site, site].into()).unwrap_err();
+        assert_eq!(error, PlacementError::Shared { first: CoreId(0), second: CoreId(1) });
+        let outside = Site { chip: 4, ..site };
+        assert!(matches!(Placement::new(MESH, vec![outside].into()), Err(PlacementError::Outside { .. })));
+    }
+}

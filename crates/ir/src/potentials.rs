@@ -1,0 +1,135 @@
+//! Which output a sample's potentials decide for.
+//!
+//! Input: the potentials of all outputs after each step. Output: a score for each output, and the
+//! class: the output with the greatest score, the lowest index on a tie, none when no potential
+//! ever left zero. Scores are those of [`ReadOut`]: the greatest potential, the sum over all steps,
+//! or the last.
+//!
+//! Doubles hold the sums exactly: potentials have 24 bits, and samples fewer than 2^29 steps.
+
+use crate::arithmetic::ReadOut;
+
+/// The scores of the outputs so far.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Potentials {
+    read_out: ReadOut,
+    scores: Vec<f64>,
+    /// Whether the potential of each output has ever left zero.
+    moved: Vec<bool>,
+    steps: u64,
+}
+
+impl Potentials {
+    /// Before the first step of a sample; `None` where spikes decide.
+    #[must_use]
+    pub fn new(read_out: ReadOut, outputs: u32) -> Option<Self> {
+        let outputs = outputs as usize;
+        let moved = vec![false; outputs];
+        (read_out != ReadOut::Spikes).then(|| Potentials { read_out, scores: vec![0.0; outputs], moved, steps: 0 })
+    }
+
+    /// Adds a step with the potential of each output after it.
+    pub fn add(&mut self, potential: impl Fn(u32) -> f64) {
+        for (output, (score, moved)) in self.scores.iter_mut().zip(&mut self.moved).enumerate() {
+            let v = potential(output as u32);
+            *moved |= v != 0.0;
+            *score = match self.read_out {
+                ReadOut::GreatestV if self.steps > 0 => score.max(v),
+                ReadOut::SumOfV => *score + v,
+                _ => v,
+            };
+        }
+        self.steps += 1;
+    }
+
+    /// Adds steps in which all potentials are zero.
+    pub fn rest(&mut self, steps: u32) {
+        if steps > 0 {
+            // A sum of zeros, their maximum and the last of them are those of one.
+            self.add(|_| 0.0);
+            self.steps += u64::from(steps) - 1;
+        }
+    }
+
+    /// The score of each output.
+    #[must_use]
+    pub fn scores(&self) -> &[f64] {
+        &self.scores
+    }
+
+    /// The output with the greatest score.
+    #[must_use]
+    pub fn class(&self) -> Option<u32> {
+        if !self.moved.contains(&true) {
+            return None;
+        }
+        let best = |best: usize, next: usize| if self.scores[next] > self.scores[best] { next } else { best };
+        (0..self.scores.len()).reduce(best).map(|class| class as u32)
+    }
+
+    /// By how much the greatest score is above the second; an only output's is its lead.
+    #[must_use]
+    pub fn lead(&self) -> f64 {
+        let mut sorted = self.scores.clone();
+        sorted.sort_unstable_by(|a, b| b.total_cmp(a));
+        match sorted[..] {
+            [] => 0.0,
+            [only] => only,
+            [best, second, ..] => best - second,
+        }
+    }
+
+    /// The outputs whose potentials ever left zero, with their scores: what one of several
+    /// processes knows of its own.
+    pub fn known(&self) -> impl Iterator<Item = (u32, f64)> {
+        (0..).zip(&self.moved).zip(&self.scores).filter(|((_, moved), _)| **moved).map(|((at, _), score)| (at, *score))
+    }
+
+    /// Takes the score of an output that another process knows.
+    pub fn learn(&mut self, output: u32, score: f64) {
+        let at = output as usize;
+        (self.scores[at], self.moved[at]) = (score, true);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The classes of steps of potentials by every read-out, in the order of `ReadOut::ALL` without
+    /// spikes.
+    fn classes(steps: &[[f64; 3]]) -> [Option<u32>; 3] {
+        [ReadOut::GreatestV, ReadOut::SumOfV, ReadOut::LastV].map(|read_out| {
+            let mut potentials = Potentials::new(read_out, 3).unwrap();
+            steps.iter().for_each(|step| potentials.add(|output| step[output as usize]));
+            potentials.class()
+        })
+    }
+
+    #[test]
+    fn the_greatest_the_sum_and_the_last_decide() {
+        assert_eq!(classes(&[[0.0, 9.0, 4.0], [0.0, -5.0, 4.0], [1.0, 0.0, 0.0]]), [Some(1), Some(2), Some(0)]);
+        // All below zero: the least negative.
+        assert_eq!(classes(&[[-3.0, -1.0, -2.0]]), [Some(1); 3]);
+        // A tie goes to the lowest index, potentials that never moved to none.
+        assert_eq!(classes(&[[0.0, 2.0, 2.0]]), [Some(1); 3]);
+        assert_eq!(classes(&[[0.0; 3], [0.0; 3]]), [None; 3]);
+        assert_eq!(classes(&[]), [None; 3]);
+    }
+
+    #[test]
+    fn steps_at_rest_are_steps_of_zeros() {
+        for read_out in [ReadOut::GreatestV, ReadOut::SumOfV, ReadOut::LastV] {
+            for rests in [0, 1, 4] {
+                let [mut one, mut other] = [(); 2].map(|()| Potentials::new(read_out, 2).unwrap());
+                for potentials in [&mut one, &mut other] {
+                    potentials.add(|output| -1.0 - f64::from(output));
+                }
+                one.rest(rests);
+                (0..rests).for_each(|_| other.add(|_| 0.0));
+                assert_eq!(one, other);
+            }
+        }
+        assert_eq!(Potentials::new(ReadOut::Spikes, 2), None);
+    }
+}

@@ -1,0 +1,600 @@
+//! What the machine runs: one closed image for each core, and nothing by name.
+//!
+//! A spike of a compartment sends one message to each core that holds a target of it; there the message's input axon
+//! selects a list of synapses. Input channels do the same from outside. Input axons whose lists differ by a shift of all
+//! their slots can be members of population axons and select one stored list ([`PopulationAxon`]). True of every
+//! [`Program`]: every table is closed (each message meets an existing axon, each synapse an existing compartment), no axon
+//! is reached by two sources, and every stored list is selected.
+//! That it equals its `Quantised` network is for `compile::check::equivalence` to prove.
+
+use std::collections::{HashMap, HashSet};
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rayon::prelude::*;
+
+use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
+use crate::base::csr::Csr;
+use crate::base::fixed::{Delay, Payload, WEIGHT_SHIFT};
+use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::base::shared::Shared;
+use crate::dealt::Dealt;
+use crate::partition::Seat;
+use crate::placement::{Mesh, Site};
+use crate::quantised::connectivity::SynapseFormat;
+use crate::quantised::{Neuron, Output, Population, Reset};
+
+/// An input axon of a core.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct AxonTarget {
+    /// The core.
+    pub core: CoreId,
+    /// The input axon on that core.
+    pub axon: u16,
+}
+
+/// A synapse of an input axon's list.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Synapse {
+    /// Slot of the target compartment.
+    pub slot: u16,
+    /// Weight mantissa.
+    pub weight: i16,
+    /// Index into the core's formats.
+    pub format: u8,
+    /// Delay field.
+    pub delay: Delay,
+}
+
+impl Synapse {
+    /// What a binary spike adds over it, in units of 64, on a core with these formats. It fits 16 bits: |w| <= 256 and the
+    /// exponent is at most 7.
+    #[inline]
+    #[must_use]
+    pub fn units(&self, formats: &[CoreFormat]) -> i32 {
+        formats[usize::from(self.format)].synapse.scaled(self.weight) >> WEIGHT_SHIFT
+    }
+}
+
+/// A synapse format of a core.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CoreFormat {
+    /// Exponent, sign mode and bits of its weights.
+    pub synapse: SynapseFormat,
+    /// Bits of its delays.
+    pub delay_bits: u8,
+    /// Bits of its target indices; `None` for a dense list, whose targets follow each other.
+    pub index_bits: Option<u8>,
+    /// Bits of the slots left out before each synapse, in a list that has an index for its first one only.
+    pub skip_bits: Option<u8>,
+}
+
+/// A core's entry for several sources, distinguished by the atom that their messages carry: the channels at one position of
+/// a population. Population axons that are given the same table store it once, each with another base.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PopulationAxon {
+    /// The list of atom 0; those of the other atoms follow it.
+    pub table: u32,
+    /// Lists of the table.
+    pub atoms: u16,
+    /// Added to every slot of the lists.
+    pub base: u16,
+}
+
+/// What the message of one source selects on a core.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum InputAxon {
+    /// A list of its own, with the slots as they are.
+    Discrete {
+        /// The list.
+        list: u32,
+    },
+    /// The list of its atom in the table of a population axon.
+    Member {
+        /// The population axon.
+        axon: u16,
+        /// The atom.
+        atom: u16,
+    },
+}
+
+/// A stored list as an input axon selects it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Selected<'a> {
+    /// Added to every slot.
+    pub base: u16,
+    /// The synapses as they are stored.
+    pub stored: &'a [Synapse],
+}
+
+impl<'a> Selected<'a> {
+    /// The synapses with the slots that they lead to.
+    #[inline]
+    pub fn synapses(self) -> impl ExactSizeIterator<Item = Synapse> + Clone + 'a {
+        self.stored.iter().map(move |synapse| Synapse { slot: synapse.slot + self.base, ..*synapse })
+    }
+}
+
+/// A core's lists of synapses and the input axons that select them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Stored {
+    /// The lists: the tables of population axons, then those of discrete axons.
+    pub lists: Csr<Synapse>,
+    /// Population axons; few, or none.
+    pub populations: Vec<PopulationAxon>,
+    /// Input axons up to the last that is a member of a population axon; those after it are discrete and have the last
+    /// lists, in order. So a core without population axons has none here, and axon i has list i.
+    pub axons: Vec<InputAxon>,
+    /// Input axons after these.
+    pub plain: u32,
+}
+
+impl Stored {
+    /// Lists of discrete axons.
+    #[must_use]
+    pub fn discrete(lists: Csr<Synapse>) -> Self {
+        Stored { plain: lists.len() as u32, lists, ..Stored::default() }
+    }
+
+    /// Lists of a core with population axons, one input axon for each source that reaches it.
+    #[must_use]
+    pub fn with_populations(lists: Csr<Synapse>, populations: Vec<PopulationAxon>, mut axons: Vec<InputAxon>) -> Self {
+        let discrete = |(back, axon): &(usize, &InputAxon)| match **axon {
+            InputAxon::Discrete { list } => list as usize + back + 1 == lists.len(),
+            InputAxon::Member { .. } => false,
+        };
+        let plain = axons.iter().rev().enumerate().take_while(discrete).count();
+        axons.truncate(axons.len() - plain);
+        axons.shrink_to_fit();
+        Stored { lists, populations, axons, plain: plain as u32 }
+    }
+
+    /// Sources that reach the core.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.axons.len() + self.plain as usize
+    }
+
+    /// Whether no source reaches the core.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// An input axon.
+    #[inline]
+    #[must_use]
+    pub fn axon(&self, axon: usize) -> InputAxon {
+        self.axons.get(axon).copied().unwrap_or_else(|| {
+            let behind = self.len() - axon;
+            InputAxon::Discrete { list: (self.lists.len() - behind) as u32 }
+        })
+    }
+
+    /// Which of the stored lists an input axon selects, and what it adds to every slot of it.
+    #[inline]
+    #[must_use]
+    pub fn selected(&self, axon: usize) -> (usize, u16) {
+        match self.axon(axon) {
+            InputAxon::Discrete { list } => (list as usize, 0),
+            InputAxon::Member { axon, atom } => {
+                let population = self.populations[usize::from(axon)];
+                (population.table as usize + usize::from(atom), population.base)
+            }
+        }
+    }
+
+    /// The list that an input axon selects.
+    #[inline]
+    #[must_use]
+    pub fn get(&self, axon: usize) -> Selected<'_> {
+        let (list, base) = self.selected(axon);
+        Selected { base, stored: self.lists.get(list) }
+    }
+
+    /// The lists that the input axons select, in order.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Selected<'_>> {
+        (0..self.len()).map(|axon| self.get(axon))
+    }
+
+    /// The lists of discrete axons, in the order of axons.
+    pub fn iter_discrete(&self) -> impl Iterator<Item = usize> {
+        (0..self.len()).filter_map(|axon| match self.axon(axon) {
+            InputAxon::Discrete { list } => Some(list as usize),
+            InputAxon::Member { .. } => None,
+        })
+    }
+
+    /// Every synapse, with the slot that it leads to; one that several sources share, once for each.
+    pub fn synapses(&self) -> impl Iterator<Item = Synapse> {
+        self.iter().flat_map(Selected::synapses)
+    }
+
+    /// Synapses, those that several sources share counted for each.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        match self.populations.is_empty() {
+            true => self.lists.items().len() as u64,
+            false => self.iter().map(|list| list.stored.len() as u64).sum(),
+        }
+    }
+
+    /// Whether every axon selects a list, each list of a discrete axon is selected by it alone, each axon's atom is in the
+    /// table of its population, and slots are below a number.
+    fn is_closed(&self, slots: usize) -> bool {
+        let most = |lists: Range<usize>| lists.flat_map(|list| self.lists.get(list)).map(|s| s.slot).max();
+        if self.plain as usize > self.lists.len() {
+            return false;
+        }
+        if self.axons.is_empty() && self.populations.is_empty() {
+            let below = |synapse: &Synapse| usize::from(synapse.slot) < slots;
+            return self.plain as usize == self.lists.len() && self.lists.items().iter().all(below);
+        }
+        let mut selected = vec![false; self.lists.len()];
+        for population in &self.populations {
+            let table = population.table as usize..population.table as usize + usize::from(population.atoms);
+            let below = |slot: u16| usize::from(slot) + usize::from(population.base) < slots;
+            if population.atoms == 0 || table.end > selected.len() || !most(table.clone()).is_none_or(below) {
+                return false;
+            }
+            selected[table].fill(true);
+        }
+        let axons = (0..self.len()).all(|axon| match self.axon(axon) {
+            InputAxon::Discrete { list } => match selected.get_mut(list as usize) {
+                Some(list_of @ false) => {
+                    *list_of = true;
+                    self.lists.get(list as usize).iter().all(|synapse| usize::from(synapse.slot) < slots)
+                }
+                _ => false,
+            },
+            InputAxon::Member { axon, atom } => {
+                self.populations.get(usize::from(axon)).is_some_and(|population| atom < population.atoms)
+            }
+        });
+        axons && selected.iter().all(|&selected| selected)
+    }
+}
+
+/// A compartment's parameters on its core.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Compartment {
+    /// Its fields.
+    pub neuron: Neuron,
+    /// The step before which it is held at zero.
+    pub start_step: u32,
+}
+
+/// Everything that one core holds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CoreImage {
+    /// Where it is.
+    pub site: Site,
+    /// Compartments by slot; cores with the same ones may hold them together.
+    pub compartments: Shared<Vec<Compartment>>,
+    /// The network's number of each compartment, for what is shown to people.
+    pub ids: Vec<CompartmentId>,
+    /// Formats of its synapses.
+    pub formats: Vec<CoreFormat>,
+    /// Input axons and the synapses that they select; equal cores of several copies may hold the same.
+    pub inputs: Shared<Stored>,
+    /// Messages that a spike sends, by slot, in ascending order of cores.
+    pub axons_out: Csr<AxonTarget>,
+}
+
+/// Consecutive sources whose spikes all carry the same integer. Sources are numbered channels first, then compartments.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Graded {
+    /// The sources.
+    pub sources: Range<u32>,
+    /// What each of their spikes carries.
+    pub payload: Payload,
+}
+
+/// The compartments of a population.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Compartments {
+    /// The first.
+    pub first: CompartmentId,
+    /// How many.
+    pub count: u32,
+    /// Positions of its shape over space, at least 1: compartments are numbered channel by channel, so that channel c at
+    /// position p is number `c * positions + p`.
+    pub positions: u32,
+}
+
+impl Compartments {
+    /// Those of a population, unless it is an input.
+    #[must_use]
+    pub fn in_population(population: &Population) -> Option<Self> {
+        let (count, positions) = (population.shape.len(), population.shape.positions());
+        population.first_compartment().map(|first| Compartments { first, count, positions })
+    }
+}
+
+/// What the parts of a [`Program`] are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Parts {
+    /// The mesh that sites are on.
+    pub mesh: Mesh,
+    /// Core images.
+    pub cores: IdVec<CoreId, CoreImage>,
+    /// Messages that an input spike sends, by channel, in ascending order of cores.
+    pub channels: Csr<AxonTarget>,
+    /// Where each compartment of the network sits.
+    pub seats: IdVec<CompartmentId, Seat>,
+    /// The compartments of each population; `None` for inputs.
+    pub populations: IdVec<PopulationId, Option<Compartments>>,
+    /// Sources of graded spikes, ascending; all others send binary spikes.
+    pub graded: Vec<Graded>,
+    /// The population that decides.
+    pub output: PopulationId,
+    /// What of it decides.
+    pub decision: ReadOut,
+    /// The step before which it is held at zero.
+    pub output_start: u32,
+    /// Which arithmetic.
+    pub semantics: Semantics,
+    /// When a compartment spikes.
+    pub threshold: ThresholdTest,
+    /// Periodic reset.
+    pub reset: Option<Reset>,
+    /// Which process runs which cores, where there are several.
+    pub dealt: Option<Dealt>,
+}
+
+/// Which input axons a message has been seen to reach.
+struct Marks(IdVec<CoreId, Box<[AtomicBool]>>);
+
+impl Marks {
+    fn new(parts: &Parts) -> Self {
+        let of = |image: &CoreImage| (0..image.inputs.len()).map(|_| AtomicBool::new(false)).collect();
+        Marks(parts.cores.iter().map(of).collect())
+    }
+
+    /// Whether a message leads to an input axon that none did before.
+    fn reach(&self, target: &AxonTarget) -> bool {
+        let axon = self.0.get(target.core).and_then(|axons| axons.get(usize::from(target.axon)));
+        axon.is_some_and(|axon| !axon.swap(true, Ordering::Relaxed))
+    }
+
+    fn all(&self, core: CoreId) -> bool {
+        self.0[core].iter().all(|axon| axon.load(Ordering::Relaxed))
+    }
+}
+
+impl Parts {
+    /// What of a core points nowhere; its lists are known to be closed when they have been `seen` before.
+    fn not_closed(&self, core: CoreId, seen: bool, marks: &Marks) -> Option<&'static str> {
+        let image = &self.cores[core];
+        let slots = image.compartments.len();
+        let seat = |(slot, id): (usize, &CompartmentId)| self.seats.get(*id) == Some(&Seat { core, slot: slot as u16 });
+        let has_format = |synapse: &Synapse| usize::from(synapse.format) < image.formats.len();
+        if image.axons_out.len() != slots || image.ids.len() != slots {
+            return Some("a table has not one entry for each compartment");
+        }
+        if self.mesh.number(image.site).is_none() {
+            return Some("it is placed outside the mesh");
+        }
+        if !image.ids.iter().enumerate().all(seat) {
+            return Some("a compartment does not sit where its core says");
+        }
+        if seen {
+            return self.messages_not_closed(image, marks);
+        }
+        if !image.inputs.lists.items().iter().all(has_format) {
+            return Some("a synapse has no format");
+        }
+        if !image.inputs.is_closed(slots) {
+            return Some("a synapse leads to no compartment, or an input axon and a list do not find each other");
+        }
+        self.messages_not_closed(image, marks)
+    }
+
+    fn messages_not_closed(&self, image: &CoreImage, marks: &Marks) -> Option<&'static str> {
+        let reach = image.axons_out.items().iter().all(|target| marks.reach(target));
+        (!reach).then_some("an output axon leads nowhere or shares its input axon")
+    }
+
+    /// Whether the lists of each core are those of a core before it, which has as many slots and formats.
+    fn seen_before(&self) -> IdVec<CoreId, bool> {
+        let mut known = HashSet::new();
+        let key = |image: &CoreImage| (image.inputs.address(), image.compartments.len(), image.formats.len());
+        self.cores.iter().map(|image| !known.insert(key(image))).collect()
+    }
+}
+
+/// A table that points nowhere.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct NotClosed(pub String);
+
+/// One closed image for each core.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Program {
+    parts: Parts,
+}
+
+impl Program {
+    /// A program from its parts.
+    ///
+    /// # Errors
+    /// [`NotClosed`] when a message, a synapse, a seat or a site leads nowhere, or two sources share an axon.
+    pub fn new(parts: Parts) -> Result<Self, NotClosed> {
+        let wrong = |core: CoreId, what: &str| Err(NotClosed(format!("{core}: {what}")));
+        let marks = Marks::new(&parts);
+        let seen = parts.seen_before();
+        let core = |marks: &Marks, core| {
+            let core = CoreId::new(core);
+            parts.not_closed(core, seen[core], marks).map(|what| (core, what))
+        };
+        if (0..parts.cores.len()).into_par_iter().any(|index| core(&marks, index).is_some()) {
+            // Of two that share an input axon the second is reported, whatever the threads do.
+            let marks = Marks::new(&parts);
+            if let Some((core, what)) = (0..parts.cores.len()).find_map(|index| core(&marks, index)) {
+                return wrong(core, what);
+            }
+        }
+        if !parts.channels.items().par_iter().all(|target| marks.reach(target)) {
+            return Err(NotClosed("an input channel leads nowhere or shares its input axon".to_string()));
+        }
+        if let Some(core) = parts.cores.ids().find(|&core| !marks.all(core)) {
+            return wrong(core, "an input axon is reached by no source");
+        }
+        let seated: usize = parts.cores.iter().map(|image| image.compartments.len()).sum();
+        if seated != parts.seats.len() {
+            return Err(NotClosed("a compartment has no seat".to_string()));
+        }
+        let ends = parts.graded.iter().map(|graded| graded.sources.end);
+        let begins = parts.graded.iter().map(|graded| graded.sources.start);
+        let sources = (parts.channels.len() + parts.seats.len()) as u32;
+        if std::iter::once(0).chain(ends).zip(begins.chain([sources])).any(|(end, begin)| begin < end) {
+            return Err(NotClosed("a payload has no source, or a source has two".to_string()));
+        }
+        if parts.dealt.as_ref().is_some_and(|dealt| !dealt.is_of(parts.cores.len())) {
+            return Err(NotClosed("a core is not dealt to a rank".to_string()));
+        }
+        if parts.populations.get(parts.output).copied().flatten().is_none() {
+            return Err(NotClosed("the output is not a population of compartments".to_string()));
+        }
+        Ok(Program { parts })
+    }
+
+    /// The parts.
+    #[must_use]
+    pub fn parts(&self) -> &Parts {
+        &self.parts
+    }
+
+    /// The parts, to be changed and checked again, as tests of mutated programs do.
+    #[must_use]
+    pub fn into_parts(self) -> Parts {
+        self.parts
+    }
+
+    /// Whether the tables of a core are held here, rather than by another process.
+    #[must_use]
+    pub fn holds(&self, core: CoreId) -> bool {
+        self.parts.dealt.as_ref().is_none_or(|dealt| dealt.holds(core))
+    }
+
+    /// The rank whose part of a program this is; `None` of a whole one.
+    #[must_use]
+    pub fn held_rank(&self) -> Option<u32> {
+        self.parts.dealt.as_ref().and_then(|dealt| dealt.held)
+    }
+
+    /// What a rank holds of a program that is dealt out: the tables of its cores and the messages that go to them. All else, such
+    /// as the seats of compartments, every rank has.
+    ///
+    /// # Errors
+    /// [`NotClosed`] when the program is not dealt out, or is a part already.
+    pub fn part(&self, rank: u32) -> Result<Program, NotClosed> {
+        let whole = &self.parts;
+        let dealt = whole.dealt.as_ref().filter(|dealt| dealt.held.is_none());
+        let dealt = Dealt {
+            held: Some(rank),
+            ..dealt.cloned().ok_or_else(|| NotClosed("the program is not dealt out, or is a part".to_string()))?
+        };
+        let to_own = |list: &[AxonTarget]| {
+            list.iter().copied().filter(|target| dealt.holds(target.core)).collect::<Vec<AxonTarget>>()
+        };
+        let kept = |messages: &Csr<AxonTarget>| {
+            let mut own = Csr::default();
+            messages.iter().for_each(|list| own.push(to_own(list)));
+            own.shrink_to_fit();
+            own
+        };
+        let nothing = Shared::from(Stored::default());
+        let image = |(core, image): (CoreId, &CoreImage)| {
+            let held = dealt.holds(core);
+            CoreImage {
+                site: image.site,
+                compartments: image.compartments.clone(),
+                ids: image.ids.clone(),
+                formats: if held { image.formats.clone() } else { Vec::new() },
+                inputs: if held { image.inputs.clone() } else { nothing.clone() },
+                axons_out: kept(&image.axons_out),
+            }
+        };
+        let cores: Vec<CoreImage> = whole.cores.enumerate().map(image).collect();
+        Program::new(Parts {
+            mesh: whole.mesh,
+            cores: cores.into(),
+            channels: kept(&whole.channels),
+            seats: whole.seats.clone(),
+            populations: whole.populations.clone(),
+            graded: whole.graded.clone(),
+            output: whole.output,
+            decision: whole.decision,
+            output_start: whole.output_start,
+            semantics: whole.semantics,
+            threshold: whole.threshold,
+            reset: whole.reset,
+            dealt: Some(dealt),
+        })
+    }
+
+    /// Core images.
+    #[must_use]
+    pub fn cores(&self) -> &IdVec<CoreId, CoreImage> {
+        &self.parts.cores
+    }
+
+    /// The core that is the first to hold a core's tables and formats, by core; most often itself.
+    #[must_use]
+    pub fn first_with_tables(&self) -> IdVec<CoreId, CoreId> {
+        let mut known: HashMap<(usize, &[CoreFormat]), CoreId> = HashMap::new();
+        let mut firsts = IdVec::new();
+        for (core, image) in self.parts.cores.enumerate() {
+            firsts.push(*known.entry((image.inputs.address(), &image.formats)).or_insert(core));
+        }
+        firsts
+    }
+
+    /// The cores that are the first to hold their tables and formats.
+    pub fn cores_with_own_tables(&self) -> impl Iterator<Item = &CoreImage> {
+        let firsts = self.first_with_tables();
+        self.parts.cores.enumerate().filter(move |(core, _)| firsts[*core] == *core).map(|(_, image)| image)
+    }
+
+    /// Where each compartment of the network sits.
+    #[must_use]
+    pub fn seats(&self) -> &IdVec<CompartmentId, Seat> {
+        &self.parts.seats
+    }
+
+    /// Messages of a channel's spike.
+    #[must_use]
+    pub fn channel(&self, channel: ChannelId) -> &[AxonTarget] {
+        self.parts.channels.get(channel.index())
+    }
+
+    /// The mesh that sites are on.
+    #[must_use]
+    pub fn mesh(&self) -> &Mesh {
+        &self.parts.mesh
+    }
+
+    /// First compartment and size of the output population.
+    ///
+    /// # Panics
+    /// Never: the constructor has checked it.
+    #[must_use]
+    pub fn output(&self) -> Output {
+        let output = self.parts.populations[self.parts.output].expect("checked by the constructor");
+        let Parts { decision, output_start: start_step, .. } = self.parts;
+        Output { first: output.first, count: output.count, decision, start_step }
+    }
+
+    /// Number of compartments.
+    #[must_use]
+    pub fn compartments(&self) -> u32 {
+        self.parts.seats.len() as u32
+    }
+
+    /// Number of input channels.
+    #[must_use]
+    pub fn channels(&self) -> u32 {
+        self.parts.channels.len() as u32
+    }
+}

@@ -1,0 +1,541 @@
+//! The network in integers that fit their hardware fields: what the chip would be told, before any core.
+//!
+//! Made by `compile::frontend::quantise`. True of every [`Quantised`]: each weight is a multiple of its format's least step within
+//! the format's range, each parameter fits its field, compartments and channels are numbered without gaps in the order
+//! of the populations. Synapses stay described (a kernel, a seed) and are enumerated source by source.
+
+pub mod connectivity;
+
+use std::sync::Arc;
+
+use self::connectivity::{Connectivity, SynapseFormat};
+use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
+use crate::base::fixed::{
+    BiasExponent, BiasMantissa, Decay, Delay, Payload, Refractory, ThresholdMantissa, VmaxExponent, VminExponent,
+};
+use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
+use crate::graph::{PerCompartment, Shape};
+use crate::neurons::NeuronKind;
+use crate::pruned;
+
+/// One compartment: its kind, and what its registers are set to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Neuron {
+    /// Which rule its updates follow.
+    pub kind: NeuronKind,
+    /// Effective decay of the current.
+    pub du: Decay,
+    /// Effective decay of the voltage.
+    pub dv: Decay,
+    /// Threshold mantissa.
+    pub vth: ThresholdMantissa,
+    /// Bias mantissa.
+    pub bias_mant: BiasMantissa,
+    /// Bias exponent.
+    pub bias_exp: BiasExponent,
+    /// Refractory period.
+    pub refractory: Refractory,
+    /// Exponent of the lower clip.
+    pub vmin: VminExponent,
+    /// Exponent of the upper clip.
+    pub vmax: VmaxExponent,
+    /// Bits by which lava shifts what arrives in a step; 0 but under its semantics.
+    pub shift: u8,
+}
+
+impl Neuron {
+    /// The least that a compartment can be, for others to start from: a Loihi compartment without memory and bias, with the
+    /// greatest threshold and the widest clips.
+    pub const PLAIN: Neuron = Neuron {
+        kind: NeuronKind::Loihi,
+        du: Decay::MAX,
+        dv: Decay::MAX,
+        vth: ThresholdMantissa::MAX,
+        bias_mant: BiasMantissa::ZERO,
+        bias_exp: BiasExponent::MIN,
+        refractory: Refractory::ONE,
+        vmin: VminExponent::MAX,
+        vmax: VmaxExponent::MAX,
+        shift: 0,
+    };
+}
+
+/// The parameters of a population's compartments.
+pub type Neurons = PerCompartment<Neuron>;
+
+/// What a population is made of.
+#[derive(Debug, Clone)]
+pub enum Units {
+    /// Input channels from this one on.
+    Input(ChannelId),
+    /// Compartments from `first` on.
+    Compartments {
+        /// The first compartment.
+        first: CompartmentId,
+        /// Their parameters.
+        neurons: Neurons,
+        /// The step before which they are held at zero.
+        start_step: u32,
+    },
+}
+
+/// A population in integers.
+#[derive(Debug, Clone)]
+pub struct Population {
+    /// Its name.
+    pub name: String,
+    /// Its shape.
+    pub shape: Shape,
+    /// What it is made of.
+    pub units: Units,
+    /// The integer that each of its spikes carries; `None` for binary spikes.
+    pub payload: Option<Payload>,
+}
+
+impl Population {
+    /// The first compartment, when it has compartments.
+    #[must_use]
+    pub fn first_compartment(&self) -> Option<CompartmentId> {
+        match self.units {
+            Units::Input(_) => None,
+            Units::Compartments { first, .. } => Some(first),
+        }
+    }
+
+    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary spikes.
+    #[must_use]
+    pub fn spike_factor(&self) -> i32 {
+        self.payload.map_or(1, Payload::get)
+    }
+
+    /// The first channel, when it is an input.
+    #[must_use]
+    pub fn first_channel(&self) -> Option<ChannelId> {
+        match self.units {
+            Units::Input(first) => Some(first),
+            Units::Compartments { .. } => None,
+        }
+    }
+}
+
+/// A projection in integers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Projection {
+    /// `source -> target`.
+    pub name: String,
+    /// Where spikes come from.
+    pub source: PopulationId,
+    /// Where they go.
+    pub target: PopulationId,
+    /// How its synapses are stored.
+    pub format: SynapseFormat,
+    /// Delay field of every synapse.
+    pub delay: Delay,
+    /// Its synapses.
+    pub connectivity: Connectivity,
+}
+
+/// Something that quantisation changed or left behind, for the user to know.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Note {
+    /// The population or projection.
+    pub entity: String,
+    /// What was done to it.
+    pub message: String,
+    /// When it is of rounded weights, how they were rounded.
+    pub rounded: Option<Rounded>,
+}
+
+/// What rounding did to the weights of a projection.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rounded {
+    /// Whether the weights were real numbers, not mantissas.
+    pub real: bool,
+    /// Weights that were changed.
+    pub changed: u64,
+    /// All weights.
+    pub weights: u64,
+    /// The greatest change, as a share of the greatest weight.
+    pub worst_share: f64,
+}
+
+/// The periodic reset of a network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reset {
+    /// Timesteps between two resets, at least 1.
+    pub interval: u32,
+    /// The first, counted from each population's start step.
+    pub offset: u32,
+}
+
+impl Reset {
+    /// Whether a population with this start step returns to zero before the update of `step`.
+    #[inline]
+    #[must_use]
+    pub fn falls_on(self, step: u32, start_step: u32) -> bool {
+        match step.checked_sub(start_step.saturating_add(self.offset)) {
+            Some(since) => since % self.interval == 0,
+            None => false,
+        }
+    }
+}
+
+/// The compartments that decide a sample, and what of them does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Output {
+    /// The first compartment.
+    pub first: CompartmentId,
+    /// Number of compartments.
+    pub count: u32,
+    /// What of them decides.
+    pub decision: ReadOut,
+    /// The step before which they are held at zero, and do not decide.
+    pub start_step: u32,
+}
+
+/// What the parts of a [`Quantised`] network are made from.
+#[derive(Debug, Clone)]
+pub struct Parts {
+    /// The network's name.
+    pub name: String,
+    /// Milliseconds that a timestep stands for.
+    pub timestep_ms: f64,
+    /// Populations in the order of the file.
+    pub populations: IdVec<PopulationId, Population>,
+    /// Projections in the order of the file.
+    pub projections: IdVec<ProjectionId, Projection>,
+    /// The population that decides.
+    pub output: PopulationId,
+    /// What of it decides.
+    pub decision: ReadOut,
+    /// Steps that a sample has after its last input step.
+    pub drain: u32,
+    /// Names of classes, or none.
+    pub classes: Vec<String>,
+    /// Which arithmetic.
+    pub semantics: Semantics,
+    /// When a compartment spikes.
+    pub threshold: ThresholdTest,
+    /// Periodic reset.
+    pub reset: Option<Reset>,
+    /// What quantisation changed.
+    pub notes: Vec<Note>,
+    /// Whether sources may be gathered in population axons where a compartment has more of them than a core has input axons.
+    pub gathers: bool,
+}
+
+impl Parts {
+    /// A network of this name without populations, in the chip's semantics, with timesteps of 1 ms.
+    #[must_use]
+    pub fn empty(name: &str) -> Self {
+        Parts {
+            name: name.to_string(),
+            timestep_ms: 1.0,
+            populations: Default::default(),
+            projections: Default::default(),
+            output: PopulationId(0),
+            decision: ReadOut::Spikes,
+            drain: 0,
+            classes: Vec::new(),
+            semantics: Semantics::Hardware,
+            threshold: ThresholdTest::Strict,
+            reset: None,
+            notes: Vec::new(),
+            gathers: false,
+        }
+    }
+}
+
+/// The network in integers.
+#[derive(Debug, Clone)]
+pub struct Quantised {
+    parts: Parts,
+    channels: u32,
+    compartments: u32,
+    outgoing: IdVec<PopulationId, Vec<ProjectionId>>,
+    incoming: IdVec<PopulationId, Vec<ProjectionId>>,
+    /// The populations of compartments with their first compartments, ascending.
+    firsts: Vec<(u32, PopulationId)>,
+    pruned: Option<Arc<Pruned>>,
+}
+
+/// What a pruned network was before, and what was left out.
+///
+/// A pruned network is a network like any other, smaller and renumbered, so every stage after it takes it as it is. With
+/// this record people still see the populations, shapes and numbers of their model file. Input populations always keep
+/// their channels; a population of compartments that lost some keeps its name and place, even when nothing is left of it.
+#[derive(Debug, Clone)]
+pub struct Pruned {
+    /// The network before; of several copies, one.
+    pub original: Quantised,
+    /// For each population that lost compartments, the indices of those it kept, ascending.
+    pub kept: IdVec<PopulationId, Option<Vec<u32>>>,
+    /// Populations that were to stay whole because they are probed.
+    pub probed: Vec<PopulationId>,
+    /// Where the stimulus that it was pruned for came from; `None` when it was pruned for every stimulus.
+    pub stimulus: Option<Vec<String>>,
+    /// Channels that the stimulus never fires, ascending.
+    pub dead: Vec<ChannelId>,
+    /// What was left out, a row for each kind that was looked for.
+    pub rows: Vec<pruned::Row>,
+}
+
+impl Pruned {
+    /// How many of a kind were left out.
+    #[must_use]
+    pub fn count(&self, kind: pruned::Kind) -> u64 {
+        self.rows.iter().filter(|row| row.kind == kind).map(|row| row.count).sum()
+    }
+}
+
+/// Where spikes come from: an input channel or a compartment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum SpikeSource {
+    /// An input channel.
+    Channel(ChannelId),
+    /// A compartment.
+    Compartment(CompartmentId),
+}
+
+/// A part that contradicts another.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Inconsistent(pub String);
+
+impl Quantised {
+    /// A network from its parts.
+    ///
+    /// # Errors
+    /// [`Inconsistent`] when units are not numbered in order, an array has another size than its populations, a weight is
+    /// not in its format, an endpoint does not exist or a target is an input.
+    pub fn new(parts: Parts) -> Result<Self, Inconsistent> {
+        let (mut channels, mut compartments) = (0u32, 0u32);
+        for population in &parts.populations {
+            let (first, counter) = match &population.units {
+                Units::Input(first) => (first.0, &mut channels),
+                Units::Compartments { first, .. } => (first.0, &mut compartments),
+            };
+            if first != *counter {
+                return Err(Inconsistent(format!(
+                    "population {} does not start where the last ended",
+                    population.name
+                )));
+            }
+            *counter += population.shape.len();
+        }
+        let none = || parts.populations.iter().map(|_| Vec::new()).collect();
+        let (mut outgoing, mut incoming): (IdVec<_, Vec<_>>, IdVec<_, Vec<_>>) = (none(), none());
+        for (id, projection) in parts.projections.enumerate() {
+            check_projection(&parts, projection)?;
+            outgoing[projection.source].push(id);
+            incoming[projection.target].push(id);
+        }
+        let firsts = parts.populations.enumerate().filter_map(|(id, p)| Some((p.first_compartment()?.0, id))).collect();
+        match parts.populations.get(parts.output).map(|p| &p.units) {
+            Some(Units::Compartments { .. }) => {}
+            _ => return Err(Inconsistent("the output is not a population of compartments".to_string())),
+        }
+        Ok(Quantised { parts, channels, compartments, outgoing, incoming, firsts, pruned: None })
+    }
+
+    /// The network with the record of what was left out of it: of itself, or of one of its equal copies.
+    ///
+    /// # Errors
+    /// [`Inconsistent`] when what the record says was kept is not what is there.
+    pub fn with_record(mut self, pruned: Option<Arc<Pruned>>) -> Result<Self, Inconsistent> {
+        if let Some(pruned) = &pruned {
+            let before = pruned.original.populations();
+            let copies = self.parts.populations.len() / before.len().max(1);
+            let repeated = (0..copies).flat_map(|_| before.enumerate());
+            let sizes = repeated.map(|(id, population)| match &pruned.kept[id] {
+                Some(kept) => kept.len(),
+                None => population.shape.len() as usize,
+            });
+            if !sizes.eq(self.parts.populations.iter().map(|population| population.shape.len() as usize)) {
+                return Err(Inconsistent("the record of pruning is of another network".to_string()));
+            }
+        }
+        self.pruned = pruned;
+        Ok(self)
+    }
+
+    /// The same network as the result of a search over integers, whose rounding was chosen.
+    #[must_use]
+    pub fn with_chosen_rounding(mut self) -> Self {
+        self.parts.notes.iter_mut().for_each(|note| note.rounded = None);
+        self
+    }
+
+    /// The same populations without projections.
+    #[must_use]
+    pub fn without_projections(mut self) -> Self {
+        self.parts.projections = IdVec::default();
+        self.outgoing.iter_mut().chain(self.incoming.iter_mut()).for_each(Vec::clear);
+        self
+    }
+
+    /// What was left out, when the network was pruned.
+    #[must_use]
+    pub fn pruned(&self) -> Option<&Arc<Pruned>> {
+        self.pruned.as_ref()
+    }
+
+    /// The network as it was before it was pruned: itself, unless it was; of several copies, one.
+    #[must_use]
+    pub fn original(&self) -> &Quantised {
+        self.pruned.as_ref().map_or(self, |pruned| &pruned.original)
+    }
+
+    /// The indices that a population's compartments had before pruning, ascending; `None` when it lost none.
+    #[must_use]
+    pub fn kept(&self, population: PopulationId) -> Option<&[u32]> {
+        let pruned = self.pruned.as_ref()?;
+        let of_copy = PopulationId(population.0 % pruned.kept.len() as u32);
+        pruned.kept[of_copy].as_deref()
+    }
+
+    /// The number of units that a population had before pruning.
+    #[must_use]
+    pub fn units_shown(&self, population: PopulationId) -> u32 {
+        let original = self.original().populations();
+        original[PopulationId(population.0 % original.len() as u32)].shape.len()
+    }
+
+    /// The index in its population by which people know a compartment: the one before pruning.
+    #[must_use]
+    pub fn index_shown(&self, population: PopulationId, index: u32) -> u32 {
+        self.kept(population).map_or(index, |kept| kept[index as usize])
+    }
+
+    /// The inverse of [`Quantised::index_shown`]; `None` for a compartment that was pruned or never was.
+    #[must_use]
+    pub fn index_of_shown(&self, population: PopulationId, shown: u32) -> Option<u32> {
+        match self.kept(population) {
+            Some(kept) => kept.binary_search(&shown).ok().map(|index| index as u32),
+            None => (shown < self.units_shown(population)).then_some(shown),
+        }
+    }
+
+    /// The parts.
+    #[must_use]
+    pub fn parts(&self) -> &Parts {
+        &self.parts
+    }
+
+    /// The compartments that decide.
+    ///
+    /// # Panics
+    /// Never: the constructor has checked that the output has compartments.
+    #[must_use]
+    pub fn output(&self) -> Output {
+        let (output, decision) = (&self.parts.populations[self.parts.output], self.parts.decision);
+        let Units::Compartments { first, start_step, .. } = output.units else {
+            unreachable!("checked by the constructor")
+        };
+        // SLAYER's loop starts at step 1.
+        let least = u32::from(self.parts.semantics == Semantics::Slayer);
+        Output { first, count: output.shape.len(), decision, start_step: start_step.max(least) }
+    }
+
+    /// Populations in the order of the file.
+    #[must_use]
+    pub fn populations(&self) -> &IdVec<PopulationId, Population> {
+        &self.parts.populations
+    }
+
+    /// Projections in the order of the file.
+    #[must_use]
+    pub fn projections(&self) -> &IdVec<ProjectionId, Projection> {
+        &self.parts.projections
+    }
+
+    /// Input channels of all input populations.
+    #[must_use]
+    pub fn channels(&self) -> u32 {
+        self.channels
+    }
+
+    /// Compartments of all populations.
+    #[must_use]
+    pub fn compartments(&self) -> u32 {
+        self.compartments
+    }
+
+    /// Projections that leave a population, in the order of the file.
+    #[must_use]
+    pub fn outgoing(&self, population: PopulationId) -> &[ProjectionId] {
+        &self.outgoing[population]
+    }
+
+    /// Projections into a population, in the order of the file.
+    pub fn incoming(&self, population: PopulationId) -> impl Iterator<Item = (ProjectionId, &Projection)> + Clone {
+        self.incoming[population].iter().map(|&id| (id, &self.parts.projections[id]))
+    }
+
+    /// Projections that leave a population, each with the first compartment of its target.
+    pub fn targets_of(
+        &self,
+        population: PopulationId,
+    ) -> impl Iterator<Item = (ProjectionId, &Projection, CompartmentId)> {
+        self.outgoing[population].iter().filter_map(|&id| {
+            let projection = &self.parts.projections[id];
+            Some((id, projection, self.parts.populations[projection.target].first_compartment()?))
+        })
+    }
+
+    /// Input populations in order.
+    pub fn inputs(&self) -> impl Iterator<Item = (PopulationId, &Population)> {
+        self.parts.populations.enumerate().filter(|(_, p)| matches!(p.units, Units::Input(_)))
+    }
+
+    /// A population by name.
+    #[must_use]
+    pub fn population_named(&self, name: &str) -> Option<PopulationId> {
+        self.parts.populations.enumerate().find(|(_, p)| p.name == name).map(|(id, _)| id)
+    }
+
+    /// The population of a compartment, and the compartment's index in it.
+    ///
+    /// # Panics
+    /// When the compartment is not of this network.
+    #[must_use]
+    pub fn population_of(&self, compartment: CompartmentId) -> (PopulationId, u32) {
+        // Of populations that begin at one compartment, all but the last are empty.
+        let after = self.firsts.partition_point(|&(first, _)| first <= compartment.0);
+        let (first, id) = self.firsts[after - 1];
+        assert!(compartment.0 < self.compartments, "compartments are numbered over the populations");
+        (id, compartment.0 - first)
+    }
+
+    /// Every source of spikes: channels, then compartments.
+    pub fn sources(&self) -> impl Iterator<Item = SpikeSource> + use<> {
+        let channels = (0..self.channels).map(|c| SpikeSource::Channel(ChannelId(c)));
+        channels.chain((0..self.compartments).map(|c| SpikeSource::Compartment(CompartmentId(c))))
+    }
+
+    /// The number of synapses.
+    #[must_use]
+    pub fn synapses(&self) -> u64 {
+        self.parts.projections.ids().map(|id| self.synapses_of(id)).sum()
+    }
+
+    /// The number of synapses of a projection.
+    #[must_use]
+    pub fn synapses_of(&self, projection: ProjectionId) -> u64 {
+        let projection = &self.parts.projections[projection];
+        projection.connectivity.count(self.parts.populations[projection.source].shape.len().into())
+    }
+}
+
+fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Inconsistent> {
+    let wrong = |what: &str| Inconsistent(format!("projection {}: {what}", projection.name));
+    let (Some(source), Some(target)) =
+        (parts.populations.get(projection.source), parts.populations.get(projection.target))
+    else {
+        return Err(wrong("an endpoint does not exist"));
+    };
+    if matches!(target.units, Units::Input(_)) {
+        return Err(wrong("the target is an input"));
+    }
+    projection.connectivity.check(projection.format, source.shape, target.shape).map_err(wrong)
+}

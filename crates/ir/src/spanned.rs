@@ -1,0 +1,421 @@
+//! RON with positions: [`parse`] reads a text into mirrors whose values know their place in it.
+//!
+//! RON lends slices of raw values. The offset of such a slice in the text is the place of the value; while a text is being
+//! parsed, its address is kept in a thread-local, since serde cannot pass context to nested values. A value that fails
+//! inside a raw slice reports its own position, not that of the slice's end.
+
+use std::cell::{Cell, RefCell};
+use std::sync::Arc;
+
+use ron::extensions::Extensions;
+use ron::value::RawValue;
+use serde::de::{Deserialize, DeserializeOwned, Deserializer};
+use serde::ser::{Serialize, Serializer};
+
+use super::lists::{ListError, too_deep};
+use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+
+thread_local! {
+    /// Address and length of the text that this thread is parsing.
+    static TEXT: Cell<Option<(usize, usize)>> = const { Cell::new(None) };
+    /// The original text, with the lists that are blank in the parsed one.
+    static WRITTEN: RefCell<Option<Arc<str>>> = const { RefCell::new(None) };
+    /// The innermost error seen so far: its place in the text.
+    static INNERMOST: Cell<Option<Span>> = const { Cell::new(None) };
+}
+
+/// A value and its place in the text.
+#[derive(Debug, Clone, Default)]
+pub struct Spanned<T> {
+    /// The value.
+    pub value: T,
+    /// Its place in the text; empty when it was not read from one.
+    pub span: Span,
+}
+
+impl<T> Spanned<T> {
+    /// A value with the same place.
+    pub fn map<U>(self, f: impl FnOnce(T) -> U) -> Spanned<U> {
+        Spanned { value: f(self.value), span: self.span }
+    }
+}
+
+impl<T> From<T> for Spanned<T> {
+    fn from(value: T) -> Self {
+        Spanned { value, span: Span::default() }
+    }
+}
+
+impl<T> std::ops::Deref for Spanned<T> {
+    type Target = T;
+    fn deref(&self) -> &T {
+        &self.value
+    }
+}
+
+fn options() -> ron::Options {
+    ron::Options::default().with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
+}
+
+/// A raw value's text and its place.
+fn place_of(raw: &RawValue) -> (&str, Span) {
+    let text = raw.get_ron();
+    let trimmed = text.trim_start();
+    let lead = text.len() - trimmed.len();
+    let trimmed = trimmed.trim_end();
+    let start = match TEXT.get() {
+        Some((address, length)) => {
+            (trimmed.as_ptr() as usize).checked_sub(address).filter(|&offset| offset <= length).unwrap_or(0)
+        }
+        None => lead,
+    };
+    (trimmed, Span { start, end: start + trimmed.len() })
+}
+
+/// The byte offset of a RON position (line and column from 1, columns in characters).
+fn offset_of(text: &str, position: ron::error::Position) -> usize {
+    let mut start = 0;
+    for (number, line) in text.split_inclusive('\n').enumerate() {
+        if number + 1 == position.line {
+            let within = line.char_indices().nth(position.col.saturating_sub(1)).map_or(line.len(), |(i, _)| i);
+            return start + within;
+        }
+        start += line.len();
+    }
+    text.len()
+}
+
+/// Parses the text of a value that stands at `span`, such as that of a [`Shape`].
+pub fn parse_at<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
+    options().from_str(text).map_err(|error| {
+        if INNERMOST.get().is_none() {
+            let start = span.start + offset_of(text, error.span.start);
+            let end = span.start + offset_of(text, error.span.end);
+            INNERMOST.set(Some(Span { start: start.min(end), end }));
+        }
+        E::custom(message_for::<T>(&error.code, text))
+    })
+}
+
+/// The message for a value of this type that cannot be read from this text.
+fn message_for<T>(error: &ron::Error, text: &str) -> String {
+    use ron::Error::{ExpectedArray, ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
+    let single = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
+    if matches!(error, ExpectedArray) && !text.is_empty() && text.len() <= 40 && text.chars().all(single) {
+        return format!("expected a list and found {text}: write [{text}]");
+    }
+    let whole = match std::any::type_name::<T>() {
+        "u32" | "u64" => "a whole number from 0",
+        "i64" => "a whole number",
+        _ => return plain(error),
+    };
+    match error {
+        // What follows the digits makes it another kind of number.
+        ExpectedInteger | IntegerOutOfBounds | TrailingCharacters => {
+            format!("expected {whole} and found {}", text.chars().take(40).collect::<String>())
+        }
+        error => plain(error),
+    }
+}
+
+/// Fails at this place, while parsing.
+pub fn refuse<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Display) -> Result<T, E> {
+    if INNERMOST.get().is_none() {
+        INNERMOST.set(Some(span));
+    }
+    Err(E::custom(message))
+}
+
+impl<'de, T: DeserializeOwned> Deserialize<'de> for Spanned<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (text, span) = place_of(<&RawValue>::deserialize(deserializer)?);
+        Ok(Spanned { value: parse_at(text, span)?, span })
+    }
+}
+
+impl<T: Serialize> Serialize for Spanned<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.value.serialize(serializer)
+    }
+}
+
+/// A value that is a plain number, a list, or a named source of numbers, decided by its first character.
+pub enum Shape<'de> {
+    /// `3`, `-0.5`
+    Number(f64),
+    /// `[...]`, to be read by [`list_at`].
+    List,
+    /// `Npy("...")` and its like.
+    Named(&'de str),
+}
+
+/// The text of a value and its place.
+pub fn raw<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(&'de str, Span), D::Error> {
+    Ok(place_of(<&RawValue>::deserialize(deserializer)?))
+}
+
+/// Reads a value whose first character decides its kind, and its place.
+pub fn shape_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(Shape<'de>, Span), D::Error> {
+    let (text, span) = raw(deserializer)?;
+    let shape = match text.chars().next() {
+        Some('[') => Shape::List,
+        Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => Shape::Number(parse_at(text, span)?),
+        Some(c) if c.is_ascii_alphabetic() && !text.starts_with("inf") && !text.starts_with("NaN") => {
+            Shape::Named(text)
+        }
+        _ => return refuse(span, "expected a number, a list, or a source such as Npy(\"file.npy\")"),
+    };
+    Ok((shape, span))
+}
+
+/// Reads a list from the original text.
+pub fn list_at<T>(span: Span, read: impl FnOnce(&str) -> Result<T, ListError>) -> Result<T, ListError> {
+    let written = WRITTEN.with_borrow(Option::clone).unwrap_or_default();
+    if written.get(span.start..span.end).is_none() {
+        return Err(ListError { span, message: "lists of numbers are read from files only".to_string() });
+    }
+    read(&written)
+}
+
+/// Parses a whole RON text.
+///
+/// # Errors
+/// A [`Diagnostic`] with the position of whatever is malformed; `code` names it.
+pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Result<T> {
+    parse_blanked(source, source.text(), code)
+}
+
+/// Parses a text in which the inside of lists may have been blanked out byte for byte; [`list_at`] reads those.
+pub fn parse_blanked<T: DeserializeOwned>(source: &SourceText, text: &str, code: &'static str) -> Result<T> {
+    attempt(text, source.text()).map_err(|Malformed { span, message }| {
+        let others = other_missing_fields::<T>(source.text(), text, &Malformed { span, message: message.clone() });
+        let place = |&(at, _): &(usize, String)| source.position(at).line;
+        let others: Vec<String> = others.iter().map(|one| format!("{} (line {})", one.1, place(one))).collect();
+        let also = if others.is_empty() { String::new() } else { format!("; also missing: {}", others.join(", ")) };
+        Diagnostic::new(code, message + &also).at(source, span)
+    })
+}
+
+/// Why a text cannot be read, and where.
+struct Malformed {
+    span: Span,
+    message: String,
+}
+
+/// Parses a text; `written` is the same without blanks.
+fn attempt<T: DeserializeOwned>(text: &str, written: &Arc<str>) -> Result<T, Malformed> {
+    if let Some(at) = too_deep(text) {
+        let message = plain(&ron::Error::ExceededRecursionLimit);
+        return Err(Malformed { span: Span { start: at, end: at + 1 }, message });
+    }
+    let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
+    let written = WRITTEN.replace(Some(written.clone()));
+    INNERMOST.set(None);
+    let result = options().from_str::<T>(text);
+    TEXT.set(before);
+    WRITTEN.set(written);
+    result.map_err(|error| {
+        let span = INNERMOST.take().unwrap_or_else(|| {
+            let end = offset_of(text, error.span.end);
+            Span { start: offset_of(text, error.span.start).min(end), end }
+        });
+        Malformed { span, message: plain(&error.code) }
+    })
+}
+
+/// Values of every kind that a field can have, one of which is likely to do for a while.
+const FILLERS: [&str; 8] = ["0", "\"x\"", "[]", "[0]", "(1, 1)", "()", "true", "x"];
+/// Texts longer than this are not read again to find more missing fields.
+const MOST_BYTES: usize = 1 << 20;
+/// Missing fields that are named at most.
+const MOST_MISSING: usize = 40;
+
+/// Field and owner of RON's message that a field is missing.
+fn missing_field(message: &str) -> Option<(&str, &str)> {
+    let (field, rest) = message.split_once("missing field named `")?.1.split_once('`')?;
+    Some((field, rest.split_once("in `")?.1.split_once('`')?.0))
+}
+
+/// Fields that are missing besides the first, and where. RON ends at the first one, so that is filled in and the text is read
+/// again, until something else is wrong.
+fn other_missing_fields<T: DeserializeOwned>(
+    written: &str,
+    text: &str,
+    Malformed { span, message }: &Malformed,
+) -> Vec<(usize, String)> {
+    let (mut written, mut text, mut found) = (written.to_string(), text.to_string(), Vec::new());
+    let (mut at, mut missing) = (span.start, missing_field(message).map(|(field, _)| field.to_string()));
+    // Where values were filled in, and how long they are.
+    let mut filled: Vec<(Span, usize)> = Vec::new();
+    while let Some(field) = missing.take().filter(|_| text.len() <= MOST_BYTES && found.len() < MOST_MISSING) {
+        if text.get(..at).is_none() {
+            break;
+        }
+        let comma = if text[..at].trim_end().ends_with([',', '(']) { "" } else { "," };
+        let mut fillers: Vec<String> = FILLERS.iter().map(ToString::to_string).collect();
+        let mut next = 0;
+        while let Some(filler) = fillers.get(next) {
+            next += 1;
+            let inserted = format!("{comma} {field}: {filler},");
+            let with = |text: &str| format!("{}{inserted}{}", &text[..at], &text[at..]);
+            let (now, now_written) = (with(&text), with(&written));
+            let Err(Malformed { span, message }) = attempt::<T>(&now, &now_written.as_str().into()) else {
+                return found;
+            };
+            let end = at + inserted.len();
+            let another = missing_field(&message);
+            let inside = (at..end).contains(&span.start);
+            if inside && another.is_none() {
+                // Of an enum the message names a variant.
+                let variant = message.split_once(", expected ").and_then(|(_, rest)| rest.split('`').nth(1));
+                if let Some(variant) = variant
+                    .filter(|name| message.contains("enum") && fillers.len() == FILLERS.len() && !name.is_empty())
+                {
+                    fillers.push(variant.to_string());
+                }
+                continue;
+            }
+            for (one, _) in filled.iter_mut().filter(|(one, _)| one.end > at) {
+                one.start += if one.start >= at { inserted.len() } else { 0 };
+                one.end += inserted.len();
+            }
+            filled.push((Span { start: at, end }, inserted.len()));
+            if let Some((field, owner)) = another {
+                // What a filled in value lacks is missing in no file.
+                if !filled.iter().any(|(one, _)| (one.start..one.end).contains(&span.start)) {
+                    let before = filled.iter().filter(|(one, _)| one.start < span.start);
+                    let before: usize = before.map(|(_, length)| length).sum();
+                    found.push((span.start - before, format!("`{field}` in `{owner}`")));
+                }
+                missing = Some(field.to_string());
+                at = span.start;
+            }
+            (text, written) = (now, now_written);
+            break;
+        }
+    }
+    found
+}
+
+/// RON's message in one line.
+fn plain(error: &ron::Error) -> String {
+    if matches!(error, ron::Error::ExceededRecursionLimit) {
+        return "brackets are nested too deeply".to_string();
+    }
+    let mut message = error.to_string().replace('\n', " ");
+    if message.len() > 300 {
+        let cut = (0..=300).rev().find(|&i| message.is_char_boundary(i)).unwrap_or(0);
+        message.truncate(cut);
+        message.push_str(" ...");
+    }
+    message
+}
+
+/// The name in front of the first bracket of a RON text, past comments and attributes.
+#[must_use]
+pub fn root_name(text: &str) -> &str {
+    let mut rest = text;
+    loop {
+        rest = rest.trim_start();
+        let end = if rest.starts_with("//") {
+            rest.find('\n')
+        } else if rest.starts_with("/*") {
+            rest.find("*/").map(|end| end + 2)
+        } else if rest.starts_with("#!") {
+            rest.find(']').map(|end| end + 1)
+        } else {
+            let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+            return &rest[..end];
+        };
+        match end {
+            Some(end) => rest = &rest[end..],
+            None => return "",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Outer {
+        name: Spanned<String>,
+        inner: Spanned<Vec<Spanned<u8>>>,
+    }
+
+    #[test]
+    fn a_single_value_in_the_place_of_a_list_is_told_how_a_list_is_written() {
+        for (value, written) in [("16", "write [16]"), ("\"a\"", "write [\"a\"]"), ("(1, 2)", "Expected opening `[`")] {
+            let text = SourceText::new("f.ron", format!("Outer(name: \"n\", inner: {value})"));
+            let error = parse::<Outer>(&text, "x.syntax").unwrap_err();
+            assert!(error.message.contains(written), "{value}: {}", error.message);
+        }
+    }
+
+    #[test]
+    fn values_know_where_they_stand() {
+        let source = SourceText::new("t.ron", "(name: \"x\",\n inner: [1, 22,\n  3])");
+        let outer: Outer = parse(&source, "t").unwrap();
+        assert_eq!(outer.name.value, "x");
+        let third = &outer.inner.value[2];
+        assert_eq!(
+            (third.value, source.position(third.span.start).line, source.position(third.span.start).column),
+            (3, 3, 3)
+        );
+        assert_eq!(&source.text()[outer.inner.span.start..outer.inner.span.end], "[1, 22,\n  3]");
+    }
+
+    #[derive(serde::Deserialize)]
+    enum Kind {
+        Thin,
+    }
+
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Inner {
+        _size: Spanned<u64>,
+        _kind: Kind,
+        _pair: (u32, u32),
+    }
+
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Whole {
+        _inner: Inner,
+        _more: Vec<Inner>,
+        _name: Spanned<String>,
+        _other: Inner,
+        _last: bool,
+    }
+
+    #[test]
+    fn all_missing_fields_are_named_at_once() {
+        let text = "Whole(_inner: (_size: 3),\n _more: [(_kind: Thin,), ()],\n)";
+        let error = parse::<Whole>(&SourceText::new("t.ron", text), "t").err().unwrap();
+        let said = error.to_string();
+        let first = "missing field named `_kind` in `Inner`; also missing: `_pair` in `Inner` (line 1), ";
+        assert!(said.contains(first), "{said}");
+        let second = "`_size` in `Inner` (line 2), `_pair` in `Inner` (line 2), `_size` in `Inner` (line 2), ";
+        assert!(said.contains(second), "{said}");
+        // What a missing value would have to hold is not said.
+        let rest = "`_kind` in `Inner` (line 2), `_pair` in `Inner` (line 2), `_name` in `Whole` (line 3), `_other` in \
+            `Whole` (line 3), `_last` in `Whole` (line 3)";
+        assert!(said.contains(rest), "{said}");
+        assert_eq!(error.position().unwrap().line, 1);
+        let text = "Whole(_inner: (_size: 3), _wrong: 4)";
+        let said = parse::<Whole>(&SourceText::new("t.ron", text), "t").err().unwrap().to_string();
+        assert!(said.contains("`_kind`") && !said.contains("_wrong"), "{said}");
+    }
+
+    #[test]
+    fn an_error_deep_inside_is_reported_where_it_is() {
+        let source = SourceText::new("t.ron", "(name: \"x\",\n inner: [1, 22,\n  300])");
+        let error = parse::<Outer>(&source, "t").unwrap_err();
+        assert_eq!(error.position().unwrap().line, 3, "{error}");
+        let source = SourceText::new("t.ron", "(name: \"x\",\n iner: [1])");
+        let error = parse::<Outer>(&source, "t").unwrap_err();
+        assert_eq!(error.position().unwrap().line, 2, "{error}");
+    }
+}

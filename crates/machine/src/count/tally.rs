@@ -1,0 +1,350 @@
+//! Counts of the mapped program, from who spiked when.
+//!
+//! Input: spikes by source. Output: messages, hops and synaptic events by core, from the program's tables. Every spike of a source
+//! causes the same, so the machine only counts spikes and this module multiplies. What a spike causes belongs to the step of the
+//! spike, or for inputs to the step that they enter: the cores receive it before the barrier that ends that step. A payload
+//! changes no count.
+//!
+//! How many synapses of a list are dense is known beforehand. Only near a sample's end, where deliveries fall after it, are
+//! synapses counted one by one.
+
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
+
+use crate::count::routing_tables::{RoutingTables, Selected};
+use nsim_ir::activity::StepActivity;
+use nsim_ir::base::csr::Csr;
+use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
+use nsim_ir::placement::{Route, Site};
+use nsim_ir::program::{CoreFormat, CoreImage, Program, Synapse};
+
+/// The longest delay field of a program's synapses.
+#[must_use]
+pub fn longest_delay(program: &Program) -> u32 {
+    let synapses = program.cores_with_own_tables().flat_map(|image| image.inputs.lists.items());
+    synapses.map(|synapse| u32::from(synapse.delay.get())).max().unwrap_or(0)
+}
+
+/// Whether lists of this format carry no index: their targets are consecutive.
+fn is_dense(format: &CoreFormat) -> bool {
+    format.index_bits.is_none()
+}
+
+use nsim_ir::quantised::Output;
+#[derive(Debug)]
+enum ListKinds {
+    /// Only dense ones.
+    Dense,
+    /// Only sparse ones.
+    Sparse,
+    /// Both: the number of dense ones of each stored list.
+    Both(Vec<u32>),
+    /// Both, in lists so short that numbers would take as much memory as they do.
+    Short,
+}
+
+/// The fewest synapses of a list, on average, for which the number of dense ones is stored.
+const STORED_FROM: usize = 4;
+
+impl ListKinds {
+    fn new(image: &CoreImage) -> Self {
+        let lists = &image.inputs.lists;
+        match (image.formats.iter().any(is_dense), image.formats.iter().all(is_dense)) {
+            (_, true) => ListKinds::Dense,
+            (false, false) => ListKinds::Sparse,
+            (true, false) if lists.items().len() < STORED_FROM * lists.len() => ListKinds::Short,
+            (true, false) => {
+                let dense: Vec<bool> = image.formats.iter().map(is_dense).collect();
+                let of = |list: &[_]| list.iter().filter(|s: &&Synapse| dense[usize::from(s.format)]).count() as u32;
+                ListKinds::Both(lists.iter().map(of).collect())
+            }
+        }
+    }
+
+    /// (dense, sparse) of a stored list of so many synapses, if known.
+    #[inline]
+    fn split(&self, list: usize, synapses: u64) -> Option<(u64, u64)> {
+        let dense = match self {
+            ListKinds::Dense => synapses,
+            ListKinds::Sparse => 0,
+            ListKinds::Both(dense) => u64::from(dense[list]),
+            ListKinds::Short => return None,
+        };
+        Some((dense, synapses - dense))
+    }
+}
+
+/// What a message causes at its receiver.
+#[derive(Debug, Clone, Copy)]
+struct Caused {
+    core: CoreId,
+    dense: u32,
+    sparse: u32,
+    route: Route,
+}
+
+impl Caused {
+    /// Adds it so many times.
+    #[inline]
+    fn add(self, times: u64, sum: &mut StepActivity) {
+        let core = &mut sum.cores[self.core];
+        core.messages_in += times;
+        core.events_dense += u64::from(self.dense) * times;
+        core.events_sparse += u64::from(self.sparse) * times;
+        sum.add_routes(self.route, times);
+    }
+}
+
+/// The most messages of all sources together for which what each causes is kept: two megabytes of memory.
+const MOST_KEPT: usize = 1 << 16;
+
+/// What a spike of each source causes.
+#[derive(Debug)]
+pub struct Tally<'p> {
+    program: &'p Program,
+    /// Whether this process counts input spikes, which all see.
+    counts_inputs: bool,
+    longest_delay: u32,
+    /// By core with tables of its own.
+    kinds: Vec<ListKinds>,
+    kind_of: IdVec<CoreId, u32>,
+    sites: IdVec<CoreId, Site>,
+    tables: RoutingTables<'p>,
+    /// By source, what its messages cause if every synapse is counted; `None` where there are more than are kept. Made by the first
+    /// step that is counted by itself.
+    kept: OnceLock<Option<Csr<Caused>>>,
+}
+
+impl<'p> Tally<'p> {
+    /// The counts of a program.
+    #[must_use]
+    pub fn new(program: &'p Program) -> Self {
+        let kinds: Vec<ListKinds> = program.cores_with_own_tables().map(ListKinds::new).collect();
+        let (firsts, mut own) = (program.first_with_tables(), 0);
+        let mut kind_of: IdVec<CoreId, u32> = IdVec::new();
+        for (core, &first) in firsts.enumerate() {
+            let kind = if first == core { own } else { kind_of[first] };
+            own += u32::from(first == core);
+            kind_of.push(kind);
+        }
+        let sites = program.cores().iter().map(|image| image.site).collect();
+        Tally {
+            program,
+            counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
+            longest_delay: longest_delay(program),
+            kinds,
+            kind_of,
+            sites,
+            tables: RoutingTables::new(program),
+            kept: OnceLock::new(),
+        }
+    }
+
+    /// The longest delay field.
+    #[must_use]
+    pub fn longest_delay(&self) -> u32 {
+        self.longest_delay
+    }
+
+    /// Bytes of memory that it holds, the program not included.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let of = |kinds: &ListKinds| if let ListKinds::Both(dense) = kinds { size_of_val(dense.as_slice()) } else { 0 };
+        let kinds: usize = self.kinds.iter().map(|kinds| size_of::<ListKinds>() + of(kinds)).sum();
+        kinds + 4 * self.kind_of.len() + size_of::<Site>() * self.sites.len() + self.tables.bytes()
+    }
+
+    /// Synaptic events of a core's stored list whose delay field is below `reach`: (dense, sparse).
+    #[inline]
+    fn events(
+        &self,
+        (core, list): (CoreId, usize),
+        stored: &[Synapse],
+        formats: &[CoreFormat],
+        reach: u32,
+    ) -> (u64, u64) {
+        let known = if reach > self.longest_delay {
+            self.kinds[self.kind_of[core] as usize].split(list, stored.len() as u64)
+        } else {
+            None
+        };
+        known.unwrap_or_else(|| counted(stored, formats, reach))
+    }
+
+    /// The core of a source, unless it is a channel.
+    fn core_of(&self, source: u32) -> Option<CoreId> {
+        let compartment = source.checked_sub(self.program.channels())?;
+        Some(self.program.seats()[CompartmentId(compartment)].core)
+    }
+
+    /// Synaptic events of a spike of each of these sources, of those synapses whose delay field is below `reach`. Sources are
+    /// numbered channels first.
+    #[must_use]
+    pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
+        let mut sum = 0;
+        self.tables.resolve(sources, |Selected { core, list, stored, formats, .. }| {
+            let (dense, sparse) = self.events((core, list), stored, formats, reach);
+            sum += dense + sparse;
+        });
+        sum
+    }
+
+    /// Adds what spikes of these sources cause, `times` of each, counting synapses whose delay field is below `reach`.
+    pub fn add_spikes(
+        &self,
+        sources: impl Iterator<Item = u32> + Clone,
+        times: impl Fn(u32) -> u64,
+        reach: u32,
+        sum: &mut StepActivity,
+    ) {
+        for source in sources.clone() {
+            self.add_sent(source, self.tables.messages(source).len() as u64, times(source), sum);
+        }
+        let mut last = None;
+        self.each_caused(sources, reach, |source, caused| {
+            let times = match last {
+                Some((of, times)) if of == source => times,
+                _ => times(source),
+            };
+            last = Some((source, times));
+            caused.add(times, sum);
+        });
+    }
+
+    /// Adds so many spikes of a source that sends so many messages.
+    #[inline]
+    fn add_sent(&self, source: u32, sent: u64, times: u64, sum: &mut StepActivity) {
+        match self.core_of(source) {
+            None => {
+                sum.spikes_in += if self.counts_inputs { times } else { 0 };
+                sum.messages_from_inputs += sent * times;
+            }
+            Some(core) => {
+                // A core's spikes are counted where it is held; its messages where they arrive.
+                sum.cores[core].spikes += if self.program.holds(core) { times } else { 0 };
+                sum.cores[core].messages_out += sent * times;
+            }
+        }
+    }
+
+    /// What each message of these sources causes, with its source, counting synapses whose delay field is below `reach`.
+    fn each_caused(&self, sources: impl Iterator<Item = u32>, reach: u32, mut see: impl FnMut(u32, Caused)) {
+        let (mesh, mut last) = (self.program.mesh(), None);
+        self.tables.resolve(sources, |Selected { source, core, list, stored, formats, .. }| {
+            let from = match last {
+                Some((of, from)) if of == source => from,
+                _ => self.core_of(source).map(|core| self.sites[core]),
+            };
+            last = Some((source, from));
+            let (dense, sparse) = self.events((core, list), stored, formats, reach);
+            let to = self.sites[core];
+            let route = from.map_or_else(|| mesh.route_from_corner(to), |from| mesh.route(from, to));
+            // A list has no more synapses than an index counts.
+            see(source, Caused { core, dense: dense as u32, sparse: sparse as u32, route });
+        });
+    }
+
+    /// What the messages of each source cause, if these are few.
+    fn kept(&self) -> Option<&Csr<Caused>> {
+        let kept = self.kept.get_or_init(|| {
+            let sources = 0..self.program.channels() + self.program.compartments();
+            let mut all = 0;
+            if !sources.clone().all(|source| {
+                all += self.tables.messages(source).len();
+                all <= MOST_KEPT
+            }) {
+                return None;
+            }
+            let mut kept = Csr::default();
+            for source in sources {
+                let mut caused = Vec::new();
+                self.each_caused(std::iter::once(source), u32::MAX, |_, one| caused.push(one));
+                kept.push(caused);
+            }
+            Some(kept)
+        });
+        kept.as_ref()
+    }
+
+    /// Adds what one spike of each of these sources causes.
+    fn add_each(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
+        let Some(kept) = self.kept().filter(|_| reach > self.longest_delay) else {
+            return self.add_spikes(sources, |_| 1, reach, sum);
+        };
+        for source in sources {
+            let messages = kept.get(source as usize);
+            self.add_sent(source, messages.len() as u64, 1, sum);
+            messages.iter().for_each(|caused| caused.add(1, sum));
+        }
+    }
+
+    /// What so many spikes of each source cause if no delivery falls after a sample's end.
+    #[must_use]
+    pub fn sum(&self, fired: &[u32]) -> StepActivity {
+        let cores = self.sites.len();
+        // Each thread has counts for all cores, so it takes at least as many sources.
+        let size = fired.len().div_ceil(rayon::current_num_threads()).max(cores).max(1);
+        let of_part = |(part, some): (usize, &[u32])| {
+            let mut sum = StepActivity::new(cores);
+            let sources = ((part * size) as u32..).zip(some).filter(|&(_, &times)| times > 0).map(|(source, _)| source);
+            self.add_spikes(sources, |source| fired[source as usize].into(), u32::MAX, &mut sum);
+            sum
+        };
+        let parts: Vec<StepActivity> = match fired.len() <= size {
+            true => vec![of_part((0, fired))],
+            false => fired.par_chunks(size).enumerate().map(of_part).collect(),
+        };
+        let mut parts = parts.into_iter();
+        let mut sum = parts.next().unwrap_or_else(|| StepActivity::new(cores));
+        parts.for_each(|part| sum.merge(&part));
+        sum
+    }
+
+    /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one less.
+    pub fn add_step(&self, (channels, spikes): (&[ChannelId], &[CompartmentId]), left: u32, step: &mut StepActivity) {
+        let Output { first, count: size, .. } = self.program.output();
+        step.channels.extend_from_slice(channels);
+        step.fired.extend_from_slice(spikes);
+        step.spikes_out += spikes.iter().filter(|c| (first.0..first.0 + size).contains(&c.0)).count() as u64;
+        let before = self.program.channels();
+        self.add_each(channels.iter().map(|channel| channel.0), left, step);
+        self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);
+    }
+
+    /// Adds what the spikes of another process do on the cores of this one, in a step after which one less than `left` remain.
+    pub fn add_remote(&self, spikes: &[CompartmentId], left: u32, step: &mut StepActivity) {
+        let before = self.program.channels();
+        self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);
+    }
+
+    /// Adds the visits to all compartments in so many steps.
+    pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
+        let cores = self.program.cores().enumerate().zip(sum.cores.iter_mut());
+        for ((_, image), counts) in cores.filter(|((core, _), _)| self.program.holds(*core)) {
+            counts.visited += image.compartments.len() as u64 * steps;
+        }
+    }
+}
+
+/// Synapses of a stored list whose delay field is below `reach`, one by one: (dense, sparse).
+#[inline]
+fn counted(stored: &[Synapse], formats: &[CoreFormat], reach: u32) -> (u64, u64) {
+    let (mut dense, mut sparse) = (0, 0);
+    for synapse in stored {
+        if u32::from(synapse.delay.get()) < reach {
+            match is_dense(&formats[usize::from(synapse.format)]) {
+                true => dense += 1,
+                false => sparse += 1,
+            }
+        }
+    }
+    (dense, sparse)
+}
+
+/// Adds compartments that were not at rest.
+pub fn add_active(active: &[(CoreId, u32)], step: &mut StepActivity) {
+    for &(core, count) in active {
+        step.cores[core].active += u64::from(count);
+    }
+}

@@ -1,0 +1,337 @@
+//! The synapses of each source, collected from the cores' tables and flattened to lanes and weights.
+//!
+//! Input: a [`Program`], and the lane of each compartment. Output: for each shard and delay, source after source, the rows of
+//! weights ([`RowBuilder`]) and the synapses that are in none ([`ListBuilder`]), in the order of the source's messages and their
+//! lists. Threads take consecutive sources; their results are joined in
+//! the order of sources.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::count::routing_tables::RoutingTables;
+use crate::layout::lists::{LaneWeight, ListBuilder};
+use crate::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
+use nsim_ir::base::id::Id;
+use nsim_ir::program::Program;
+
+/// Sources that a thread takes at a time.
+const PIECE: u32 = 1_024;
+/// Pieces of each thread that are joined at a time: this bounds their memory.
+const PIECES: usize = 4;
+
+/// Synapses of consecutive sources, of one shard and delay.
+#[derive(Debug)]
+struct Piece {
+    /// Synapses of each source.
+    counts: Vec<u32>,
+    /// The synapses, source after source.
+    synapses: Vec<LaneWeight>,
+    /// Rows of each source, and synapses in them.
+    row_counts: Vec<(u32, u32)>,
+    /// The rows, source after source.
+    rows: Vec<RowPlace>,
+}
+
+/// What the sources of one kind reach over one delay in one shard.
+#[derive(Debug)]
+pub(crate) struct Flattened {
+    /// Synapses.
+    pub lists: ListBuilder,
+    /// Rows of weights.
+    pub rows: RowBuilder,
+}
+
+#[cfg(test)]
+impl Flattened {
+    /// Of lists only.
+    pub fn lists(lists: ListBuilder) -> Self {
+        Flattened { lists, rows: RowBuilder::new() }
+    }
+}
+
+/// Flattens the tables of a program.
+#[derive(Debug)]
+pub(crate) struct Flattener<'a> {
+    tables: RoutingTables<'a>,
+    /// Index in `lanes` of each core's first slot.
+    slots: Vec<u32>,
+    /// The lane of each slot, over all shards, core after core.
+    lanes: Vec<u32>,
+    /// The same lanes, ascending within each core.
+    ascending: Vec<u32>,
+    /// First lane of each shard, over all.
+    bases: &'a [u32],
+    /// Delay fields, ascending.
+    delays: &'a [u8],
+    rows: &'a ProgramRows,
+}
+
+impl<'a> Flattener<'a> {
+    /// For the lane of each compartment over all shards, the first lane of each shard, all delay fields, ascending, and the
+    /// rows that lists consist of.
+    pub fn new(
+        program: &'a Program,
+        lane_of: &[u32],
+        (bases, delays): (&'a [u32], &'a [u8]),
+        rows: &'a ProgramRows,
+    ) -> Self {
+        let (mut slots, mut lanes) = (Vec::new(), Vec::with_capacity(lane_of.len()));
+        for image in program.cores() {
+            slots.push(lanes.len() as u32);
+            lanes.extend(image.ids.iter().map(|id| lane_of[id.index()]));
+        }
+        let mut ascending = lanes.clone();
+        for (first, end) in slots.iter().zip(slots.iter().skip(1).chain([&(lanes.len() as u32)])) {
+            ascending[*first as usize..*end as usize].sort_unstable();
+        }
+        Flattener { tables: RoutingTables::new(program), slots, lanes, ascending, bases, delays, rows }
+    }
+
+    /// The synapses of these sources, by shard, then by delay; the shards have so many lanes. Sources are numbered channels
+    /// first.
+    pub fn flatten(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<Flattened> {
+        let empty = |lanes| Flattened { lists: ListBuilder::new(lanes), rows: RowBuilder::new() };
+        let builders = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| empty(lanes)));
+        let mut builders: Vec<Flattened> = builders.collect();
+        let pieces: Vec<u32> = sources.clone().step_by(PIECE as usize).collect();
+        for some in pieces.chunks(PIECES * rayon::current_num_threads()) {
+            let piece = |&first: &u32| self.piece(first..sources.end.min(first.saturating_add(PIECE)));
+            let pieces: Vec<Vec<Piece>> = some.par_iter().map(piece).collect();
+            builders.par_iter_mut().enumerate().for_each(|(place, builder)| {
+                for piece in pieces.iter().map(|piece| &piece[place]) {
+                    builder.lists.append(&piece.counts, &piece.synapses);
+                    builder.rows.append(&piece.row_counts, &piece.rows);
+                }
+            });
+        }
+        builders
+    }
+
+    fn piece(&self, sources: Range<u32>) -> Vec<Piece> {
+        let mut place_of = [0; u8::MAX as usize + 1];
+        for (place, &delay) in self.delays.iter().enumerate() {
+            place_of[usize::from(delay)] = place;
+        }
+        let none = sources.len();
+        let empty =
+            || Piece { counts: vec![0; none], synapses: Vec::new(), row_counts: vec![(0, 0); none], rows: Vec::new() };
+        let mut pieces: Vec<Piece> = (0..self.bases.len() * self.delays.len()).map(|_| empty()).collect();
+        self.tables.resolve(sources.clone(), |selected| {
+            let first_slot = self.slots[selected.core.index()] as usize;
+            let source = (selected.source - sources.start) as usize;
+            let rows = self.rows.of_axon(selected.core, selected.axon);
+            let lanes = |row: &AxonRow| {
+                let first = first_slot + usize::from(row.rank);
+                (self.ascending[first], self.ascending[first + usize::from(row.span) - 1])
+            };
+            // Rows need lanes side by side, in one shard.
+            let adjacent = |row: &AxonRow| {
+                let (first, last) = lanes(row);
+                last - first + 1 == u32::from(row.span) && self.shard(first) == self.shard(last)
+            };
+            if !rows.is_empty() && rows.iter().all(adjacent) {
+                for row in rows {
+                    let (lane, _) = lanes(row);
+                    let shard = self.shard(lane);
+                    let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(row.delay)]];
+                    let (rows, synapses) = &mut piece.row_counts[source];
+                    (*rows, *synapses) = (*rows + 1, *synapses + row.synapses);
+                    piece.rows.push(RowPlace::new(lane - self.bases[shard], row.row));
+                }
+                return;
+            }
+            let slots = first_slot + usize::from(selected.base);
+            for synapse in selected.stored {
+                let lane = self.lanes[slots + usize::from(synapse.slot)];
+                let shard = self.shard(lane);
+                let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
+                piece.counts[source] += 1;
+                piece.synapses.push((lane - self.bases[shard], synapse.units(selected.formats) as i16));
+            }
+        });
+        pieces
+    }
+
+    /// The shard of a lane.
+    #[inline]
+    fn shard(&self, lane: u32) -> usize {
+        self.bases.partition_point(|&base| base <= lane) - 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layout::image::Image;
+    use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
+    use nsim_ir::base::csr::Csr;
+    use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
+    use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
+    use nsim_ir::base::rng;
+    use nsim_ir::partition::Seat;
+    use nsim_ir::placement::{Mesh, Site};
+    use nsim_ir::program::{
+        AxonTarget, Compartment, Compartments, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Stored, Synapse,
+    };
+    use nsim_ir::quantised::Neuron;
+    use nsim_ir::quantised::connectivity::SynapseFormat;
+
+    const CORES: u64 = 9;
+    const SLOTS: u64 = 20;
+    const CHANNELS: u64 = 1_500;
+
+    fn format(exponent: i64, index_bits: Option<u8>) -> CoreFormat {
+        let exponent = WeightExponent::new(exponent).unwrap();
+        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits: WeightBits::new(8).unwrap() };
+        CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
+    }
+
+    /// Cores whose compartments are dealt out, each source with messages to some of them, each message with a list of its
+    /// own; the last core has a table that every third channel selects from, twice over at other bases.
+    fn program(seed: u64) -> Program {
+        let draw = |below, what, index| rng::below(below, seed, what, index);
+        let compartments = CORES * SLOTS;
+        // 7 and the number of compartments shard no factor, so each is named once.
+        let id = |core, slot| CompartmentId((((core * SLOTS + slot) * 7 + seed) % compartments) as u32);
+        let sources = CHANNELS + compartments;
+        let mut lists = vec![Csr::default(); CORES as usize];
+        let mut axons = vec![0u16; CORES as usize];
+        let mut selected: Vec<InputAxon> = Vec::new();
+        let synapse = |source, core, index, slots| {
+            let at = (source * CORES + core) * 64 + index;
+            Synapse {
+                slot: draw(slots, 1, at) as u16,
+                weight: draw(512, 2, at) as i16 - 256,
+                format: draw(2, 3, at) as u8,
+                delay: Delay::new([0, 3, 17][draw(3, 4, at) as usize]).unwrap(),
+            }
+        };
+        let last = CORES - 1;
+        for atom in 0..CHANNELS / 3 {
+            let list = (0..draw(4, 5, atom)).map(|index| synapse(atom, 1_000, index, SLOTS / 2));
+            lists[last as usize].push(list);
+        }
+        let mut sent: Vec<Vec<AxonTarget>> = Vec::new();
+        for source in 0..sources {
+            let mut messages = Vec::new();
+            for core in (0..CORES).filter(|&core| draw(3, 6, source * CORES + core) == 0) {
+                let axon = &mut axons[core as usize];
+                messages.push(AxonTarget { core: CoreId(core as u32), axon: *axon });
+                *axon += 1;
+                if core == last && source < CHANNELS && source % 3 == 0 {
+                    let axon = (source % 2) as u16;
+                    selected.push(InputAxon::Member { axon, atom: (source / 3) as u16 });
+                    continue;
+                }
+                if core == last {
+                    selected.push(InputAxon::Discrete { list: lists[core as usize].len() as u32 });
+                }
+                let count = [1, 1, 2, 30][draw(4, 7, source * CORES + core) as usize];
+                lists[core as usize].push((0..count).map(|index| synapse(source, core, index, SLOTS)));
+            }
+            sent.push(messages);
+        }
+        let mut seats = vec![Seat { core: CoreId(0), slot: 0 }; compartments as usize];
+        let mut cores = Vec::new();
+        for (core, lists) in (0..).zip(lists) {
+            let ids: Vec<CompartmentId> = (0..SLOTS).map(|slot| id(core, slot)).collect();
+            let mut axons_out = Csr::default();
+            for (slot, id) in (0..).zip(&ids) {
+                seats[id.index()] = Seat { core: CoreId(core as u32), slot };
+                axons_out.push(sent[CHANNELS as usize + id.index()].iter().copied());
+            }
+            let table = |base| PopulationAxon { table: 0, atoms: (CHANNELS / 3) as u16, base };
+            let inputs = match core == last {
+                true => Stored::with_populations(lists, vec![table(0), table(7)], std::mem::take(&mut selected)),
+                false => Stored::discrete(lists),
+            };
+            cores.push(CoreImage {
+                site: Site { chip: 0, x: core as u32, y: 0, core: 0 },
+                compartments: vec![Compartment { neuron: Neuron::PLAIN, start_step: 0 }; SLOTS as usize].into(),
+                ids,
+                formats: vec![format(0, Some(4)), format(3, None)],
+                inputs: inputs.into(),
+                axons_out,
+            });
+        }
+        let mut channels = Csr::default();
+        sent[..CHANNELS as usize].iter().for_each(|messages| channels.push(messages.iter().copied()));
+        Program::new(Parts {
+            mesh: Mesh { chips_x: 1, chips_y: 1, width: 16, height: 1, cores_per_tile: 1, cores_per_chip: 16 },
+            cores: cores.into(),
+            channels,
+            seats: seats.into(),
+            populations: vec![Some(Compartments { first: CompartmentId(0), count: compartments as u32, positions: 1 })]
+                .into(),
+            graded: Vec::new(),
+            output: PopulationId(0),
+            decision: ReadOut::Spikes,
+            output_start: 0,
+            semantics: Semantics::Hardware,
+            threshold: ThresholdTest::Strict,
+            reset: None,
+            dealt: None,
+        })
+        .unwrap()
+    }
+
+    /// The obvious walk: source by source, message by message, synapse by synapse.
+    fn walked(image: &Image, source: u32, shard: usize, delay: u8) -> Vec<LaneWeight> {
+        let program = image.program();
+        let messages = match source.checked_sub(program.channels()) {
+            None => program.channel(ChannelId(source)),
+            Some(compartment) => {
+                let seat = program.seats()[CompartmentId(compartment)];
+                program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
+            }
+        };
+        let mut synapses = Vec::new();
+        for message in messages {
+            let core = &program.cores()[message.core];
+            for synapse in core.inputs.get(usize::from(message.axon)).synapses() {
+                let place = image.lane(core.ids[usize::from(synapse.slot)]);
+                if synapse.delay.get() == delay && place.0 == shard {
+                    let exponent = core.formats[usize::from(synapse.format)].synapse.exponent.get();
+                    synapses.push((place.1 as u32, synapse.weight << exponent));
+                }
+            }
+        }
+        synapses
+    }
+
+    #[test]
+    fn flattened_synapses_are_those_that_messages_select() {
+        for (seed, shards) in [(1, 1), (2, 3)] {
+            let program = program(seed);
+            let image = Image::new(&program, shards).unwrap();
+            assert_eq!(image.shards.len(), shards);
+            let lanes: Vec<usize> = image.shards.iter().map(|shard| shard.lanes).collect();
+            let delays = [0, 3, 17];
+            let rows = ProgramRows::new(&program);
+            let flattener = Flattener::new(&program, &image.lanes, (&image.bases, &delays), &rows);
+            let split = program.channels();
+            for sources in [0..split, split..split + program.compartments()] {
+                let builders = flattener.flatten(sources.clone(), &lanes);
+                assert_eq!(builders.len(), shards * delays.len());
+                let mut synapses = 0;
+                for (place, mut builder) in builders.into_iter().enumerate() {
+                    let (shard, delay) = (place / delays.len(), delays[place % delays.len()]);
+                    let mut lists = vec![Vec::new(); sources.len()];
+                    for (source, lane, weight) in builder.rows.synapses(&rows.rows) {
+                        lists[source].push((lane, weight));
+                    }
+                    builder.lists.retain(|source, lane, weight| {
+                        lists[source as usize].push((lane, weight));
+                        true
+                    });
+                    for (list, source) in lists.into_iter().zip(sources.clone()) {
+                        synapses += list.len();
+                        assert_eq!(list, walked(&image, source, shard, delay), "{source} {shard} {delay}");
+                    }
+                }
+                assert!(synapses > sources.len());
+            }
+        }
+    }
+}

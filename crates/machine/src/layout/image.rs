@@ -1,0 +1,457 @@
+//! A program laid out for a run, which only reads it.
+//!
+//! Input: a [`Program`] and about how many shards to make. Output: the compartments in lanes (`shard`), and for each shard the
+//! synapses of every source (`fan_out`). Errors: [`ImageError`]. Counts are not taken from here but from the program (`tally`), so
+//! the layout cannot change them.
+//!
+//! Compartments are laid out core by core (`lane_order`).
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::count::residual::Residual;
+use crate::count::tally::Tally;
+use crate::layout::delivery_cost::DeliveryParts;
+use crate::layout::fan_out::FanOut;
+use crate::layout::flatten::Flattener;
+use crate::layout::lane_order::LaneOrder;
+use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun};
+use crate::layout::weight_rows::{ProgramRows, WeightRows};
+use crate::update::kernel::{LANES, Shared};
+use nsim_dynamics as neuron;
+use nsim_dynamics::Fields;
+use nsim_ir::arithmetic::Semantics;
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim_ir::program::Program;
+use nsim_ir::quantised::{Neuron, Reset};
+
+/// The lane of a compartment that another process holds.
+pub(crate) const ELSEWHERE: u32 = u32::MAX;
+
+/// The shortest run of equal parameters that gets a core block of its own.
+const SHORTEST_RUN: usize = 8;
+
+/// Why a program cannot be laid out.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ImageError {
+    /// The weights of all synapses of a compartment, times the largest payload, sum to too much.
+    #[error(
+        "compartment {0} has synapses that together exceed 2^{1} weight units: their sum cannot be counted exactly"
+    )]
+    FanIn(CompartmentId, u32),
+    /// Too many synapses.
+    #[error("{0} synapses on one shard of the cores, at most 2^32 - 1 can be indexed; use more threads")]
+    TooMany(usize),
+}
+
+/// The type that the arrivals of a step are summed in. Sums are in units of 64.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SumWidth {
+    /// No sum of binary spikes can leave 16 bits.
+    Bits16,
+    /// Binary spikes.
+    Bits32,
+    /// Graded spikes.
+    Bits64,
+}
+
+/// A program laid out.
+#[derive(Debug)]
+pub struct Image<'p> {
+    program: &'p Program,
+    /// What spikes cause on the chip.
+    pub(crate) tally: Tally<'p>,
+    /// The longest delay field.
+    pub(crate) longest_delay: u32,
+    pub(crate) semantics: Semantics,
+    pub(crate) reset: Option<Reset>,
+    pub(crate) fields: Vec<Fields>,
+    pub(crate) shared: Vec<Shared>,
+    pub(crate) field_of: Vec<u32>,
+    /// Whether each step sorts its spikes: dense blocks are found in ascending order, and lanes are not in that order.
+    pub(crate) sorts_spikes: bool,
+    /// Lane of each compartment of the network over all shards; [`ELSEWHERE`] where another process holds it.
+    pub(crate) lanes: Vec<u32>,
+    /// Compartments that are held.
+    pub(crate) held: usize,
+    /// Whether this process counts input spikes, which all see.
+    pub(crate) counts_inputs: bool,
+    /// Whether compartments reach dense blocks.
+    pub(crate) has_blocks: bool,
+    /// First lane of each shard, over all.
+    pub(crate) bases: Vec<u32>,
+    pub(crate) shards: Vec<Shard>,
+    pub(crate) sum_width: SumWidth,
+    /// What a spike of each source carries, channels first, 1 for binary spikes; empty if all spikes are binary.
+    pub(crate) payloads: Vec<i32>,
+    pub(crate) channels: u32,
+    /// Whether each channel is in one narrow dense block and in nothing else: then delivery counts its spikes.
+    pub(crate) delivery_counts_channels: bool,
+    /// What steps leave out of the number of synaptic events.
+    pub(crate) residual: Residual,
+    /// Skip blocks of all shards.
+    pub(crate) skip_blocks: usize,
+    /// Rows of weights that sources share.
+    rows: Arc<WeightRows>,
+}
+
+impl<'p> Image<'p> {
+    /// Flattens a program into about so many shards.
+    ///
+    /// # Errors
+    /// [`ImageError`] when sums could not be exact or an index would overflow.
+    pub fn new(program: &'p Program, shards: usize) -> Result<Self, ImageError> {
+        let parts = program.parts();
+        let tally = Tally::new(program);
+        let mut image = Image {
+            program,
+            longest_delay: tally.longest_delay(),
+            tally,
+            semantics: parts.semantics,
+            reset: parts.reset,
+            fields: Vec::new(),
+            shared: Vec::new(),
+            field_of: Vec::new(),
+            sorts_spikes: false,
+            lanes: vec![ELSEWHERE; program.compartments() as usize],
+            held: 0,
+            counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
+            has_blocks: false,
+            bases: Vec::new(),
+            shards: Vec::new(),
+            sum_width: SumWidth::Bits16,
+            payloads: payloads(program),
+            channels: program.channels(),
+            delivery_counts_channels: false,
+            residual: Residual::default(),
+            skip_blocks: 0,
+            rows: Arc::default(),
+        };
+        let blocks = image.lay_out();
+        image.held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE).count();
+        image.check_fan_in()?;
+        image.split_into_shards(blocks, shards);
+        image.name();
+        image.connect()?;
+        let mut from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments);
+        image.has_blocks = from_compartments.any(|fan_out| !fan_out.dense.blocks.is_empty());
+        let held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE);
+        image.sorts_spikes = image.has_blocks && !held.is_sorted();
+        image.delivery_counts_channels = matches!(image.shards.as_slice(), [shard]
+            if matches!(shard.from_channels.as_slice(), [fan_out] if fan_out.is_narrow(image.channels)));
+        image.residual = image.replace_by_means();
+        Ok(image)
+    }
+
+    /// The program.
+    #[must_use]
+    pub fn program(&self) -> &'p Program {
+        self.program
+    }
+
+    /// Number of compartments, those included that other processes hold.
+    #[must_use]
+    pub fn compartments(&self) -> usize {
+        self.lanes.len()
+    }
+
+    /// Whether a compartment is held by this process.
+    pub(crate) fn holds(&self, compartment: CompartmentId) -> bool {
+        self.lanes[compartment.index()] != ELSEWHERE
+    }
+
+    /// Number of sources.
+    #[must_use]
+    pub fn sources(&self) -> usize {
+        self.channels as usize + self.compartments()
+    }
+
+    /// Chunks of sixteen weights that several sources share.
+    #[must_use]
+    pub fn shared_chunks(&self) -> usize {
+        self.rows.chunks()
+    }
+
+    /// What it takes to deliver the spikes of these channels, in ascending order, that spike in one step.
+    #[must_use]
+    pub fn delivery_parts(&self, channels: &[ChannelId]) -> DeliveryParts {
+        let mut parts = DeliveryParts::default();
+        let fan_outs = self.shards.iter().flat_map(|shard| &shard.from_channels);
+        fan_outs.for_each(|fan_out| fan_out.add_parts(channels, &mut parts));
+        parts
+    }
+
+    /// The parameters of a compartment.
+    pub(crate) fn neuron(&self, compartment: CompartmentId) -> Neuron {
+        let seat = self.program.seats()[compartment];
+        self.program.cores()[seat.core].compartments[usize::from(seat.slot)].neuron
+    }
+
+    /// Shard and lane within it of a compartment.
+    pub(crate) fn lane(&self, compartment: CompartmentId) -> (usize, usize) {
+        let lane = self.lanes[compartment.index()];
+        let shard = self.bases.partition_point(|&base| base <= lane) - 1;
+        (shard, (lane - self.bases[shard]) as usize)
+    }
+
+    /// Bytes of memory that it holds, the program not included.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let shards: usize = self.shards.iter().map(Shard::bytes).sum();
+        let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
+        shards
+            + fields
+            + 4 * (self.lanes.len() + self.payloads.len())
+            + self.residual.bytes()
+            + self.tally.bytes()
+            + self.rows.bytes()
+    }
+
+    /// Lays compartments out in lanes over all shards and returns their blocks.
+    fn lay_out(&mut self) -> Vec<CoreBlock> {
+        let parts = self.program.parts();
+        let mut known = std::collections::HashMap::new();
+        let (mut blocks, mut lane) = (Vec::new(), 0u32);
+        // Parameters and population of the last block, if it is updated as vectors.
+        let mut last: Option<(u32, usize)> = None;
+        let order = LaneOrder::new(self.program);
+        for (core, core_image) in parts.cores.enumerate().filter(|(core, _)| self.program.holds(*core)) {
+            let slots = order.slots(core);
+            let ids: Vec<CompartmentId> = slots.iter().map(|&slot| core_image.ids[usize::from(slot)]).collect();
+            let field_of: Vec<u32> = slots
+                .iter()
+                .map(|&slot| {
+                    let compartment = core_image.compartments[usize::from(slot)];
+                    *known.entry((compartment.neuron, compartment.start_step)).or_insert_with(|| {
+                        let (neuron, start) = (compartment.neuron, compartment.start_step);
+                        let fields = neuron::fields(&neuron, start, parts.semantics, parts.threshold);
+                        self.shared.push(Shared::from(&fields));
+                        self.fields.push(fields);
+                        self.fields.len() as u32 - 1
+                    })
+                })
+                .collect();
+            // Weights of dense blocks are aligned when a population begins with a core block of its own.
+            let kind_of: Vec<(u32, usize)> =
+                ids.iter().zip(&field_of).map(|(&id, &f)| (f, order.population(id))).collect();
+            let mut slot = 0;
+            while slot < field_of.len() {
+                // Without padding between cores: it would be a third of a large network.
+                if last != Some(kind_of[slot]) {
+                    lane = lane.next_multiple_of(LANES as u32);
+                }
+                let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
+                let left = (field_of.len() - slot).min(room);
+                let kinds = &kind_of[slot..slot + left];
+                let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
+                let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;
+                let alike = long(0);
+                if !alike && lane % LANES as u32 != 0 {
+                    last = None;
+                    continue;
+                }
+                let length = match alike {
+                    true => run(0),
+                    false => (1..left).find(|&from| kinds[from] != kinds[from - 1] && long(from)).unwrap_or(left),
+                };
+                let vectors = |f: u32| self.vector(BlockFields::Same(f)).is_some();
+                last = Some(kinds[0]).filter(|&(f, _)| alike && vectors(f));
+                let fields = match field_of[slot..slot + length].iter().all(|&f| f == field_of[slot]) {
+                    true => BlockFields::Same(field_of[slot]),
+                    false => {
+                        self.field_of.extend(&field_of[slot..slot + length]);
+                        BlockFields::Each((self.field_of.len() - length) as u32)
+                    }
+                };
+                let starts = field_of[slot..slot + length].iter().map(|&f| self.fields[f as usize].start_step).min();
+                let length = length as u32;
+                blocks.push(CoreBlock { start: lane, length, core, fields, starts: starts.unwrap_or(0) });
+                for (offset, &compartment) in ids[slot..slot + length as usize].iter().enumerate() {
+                    self.lanes[compartment.index()] = lane + offset as u32;
+                }
+                lane += length;
+                slot += length as usize;
+            }
+        }
+        blocks
+    }
+
+    /// The parameters of a core block that can be updated as vectors.
+    fn vector(&self, fields: BlockFields) -> Option<u32> {
+        match fields {
+            // A compartment that spikes at rest would make padding spike too.
+            BlockFields::Same(f) => {
+                Some(f).filter(|&f| self.fields[f as usize].vectors && self.fields[f as usize].fires_from > 0)
+            }
+            BlockFields::Each(_) => None,
+        }
+    }
+
+    /// Chooses the type of sums: each synapse adds at most once a step, so no sum exceeds that of all absolute weights, times
+    /// the largest payload.
+    fn check_fan_in(&mut self) -> Result<(), ImageError> {
+        let factor = self.payloads.iter().map(|payload| u64::from(payload.unsigned_abs())).max().unwrap_or(1).max(1);
+        let bits = if self.payloads.is_empty() { 31 } else { 63 };
+        let mut most = 0;
+        for image in self.program.cores_with_own_tables() {
+            let mut weight = vec![0u64; image.compartments.len()];
+            for synapse in image.inputs.synapses() {
+                let units = synapse.units(&image.formats).unsigned_abs();
+                weight[usize::from(synapse.slot)] += u64::from(units) * factor;
+            }
+            if let Some(slot) = weight.iter().position(|&weight| weight >= 1 << bits) {
+                return Err(ImageError::FanIn(image.ids[slot], bits));
+            }
+            most = weight.into_iter().fold(most, u64::max);
+        }
+        self.sum_width = match self.payloads.is_empty() {
+            true if most <= i16::MAX as u64 => SumWidth::Bits16,
+            true => SumWidth::Bits32,
+            false => SumWidth::Bits64,
+        };
+        Ok(())
+    }
+
+    /// Cuts the lanes into shards of about as many whole skip blocks each.
+    fn split_into_shards(&mut self, blocks: Vec<CoreBlock>, shards: usize) {
+        let skip_blocks = blocks.last().map_or(0, |block| block.start as usize / SKIP_BLOCK + 1);
+        let size = skip_blocks.div_ceil(shards.max(1)).max(1);
+        let mut current: Option<(usize, Shard)> = None;
+        for mut block in blocks {
+            let skip_block = block.start as usize / SKIP_BLOCK;
+            let shard = skip_block / size;
+            if current.as_ref().is_none_or(|(index, _)| *index != shard) {
+                self.shards.extend(current.take().map(|(_, shard)| shard));
+                self.bases.push((shard * size * SKIP_BLOCK) as u32);
+                current = Some((shard, Shard::empty()));
+            }
+            let Some((_, shard)) = current.as_mut() else { continue };
+            block.start -= self.bases[self.bases.len() - 1];
+            let vector = self.vector(block.fields);
+            let mask = u64::MAX >> (SKIP_BLOCK as u32 - block.length);
+            let end = (block.start + block.length).next_multiple_of(LANES as u32);
+            let begins = shard.skip_blocks.len() <= block.start as usize / SKIP_BLOCK;
+            while shard.skip_blocks.len() <= block.start as usize / SKIP_BLOCK {
+                shard.skip_blocks.push(shard.vector_runs.len() as u32);
+            }
+            let index = shard.blocks.len() as u32;
+            match shard.vector_runs.last_mut() {
+                Some(run) if !begins && vector.is_some() && run.vector == vector => {
+                    run.end += 1;
+                    run.mask |= mask << (block.start - run.start);
+                    run.lanes = end - run.start;
+                }
+                _ => {
+                    let CoreBlock { start, starts, .. } = block;
+                    let lanes = end - start;
+                    shard.vector_runs.push(VectorRun {
+                        first: index,
+                        end: index + 1,
+                        start,
+                        lanes,
+                        starts,
+                        vector,
+                        mask,
+                    });
+                }
+            }
+            shard.blocks.push(block);
+        }
+        self.shards.extend(current.map(|(_, shard)| shard));
+        self.skip_blocks = skip_blocks;
+        for shard in &mut self.shards {
+            shard.skip_blocks.push(shard.vector_runs.len() as u32);
+            let skip_blocks = shard.skip_blocks.len() - 1;
+            shard.lanes = skip_blocks * SKIP_BLOCK;
+            shard.driven = vec![0; skip_blocks.div_ceil(64)];
+            shard.names = vec![CompartmentId(0); shard.lanes];
+            for block in &shard.blocks {
+                let lanes = 0..block.length;
+                let driven = match block.fields {
+                    BlockFields::Same(f) => self.fields[f as usize].drives_itself(),
+                    BlockFields::Each(first) => lanes
+                        .into_iter()
+                        .any(|i| self.fields[self.field_of[(first + i) as usize] as usize].drives_itself()),
+                };
+                if driven {
+                    let skip_block = block.start as usize / SKIP_BLOCK;
+                    shard.driven[skip_block / 64] |= 1 << (skip_block % 64);
+                }
+            }
+        }
+    }
+
+    /// Notes which compartment each lane holds.
+    fn name(&mut self) {
+        for compartment in (0..self.compartments()).map(CompartmentId::new) {
+            if !self.holds(compartment) {
+                continue;
+            }
+            let (shard, lane) = self.lane(compartment);
+            self.shards[shard].names[lane] = compartment;
+        }
+    }
+
+    /// Lays out the synapses of all sources.
+    fn connect(&mut self) -> Result<(), ImageError> {
+        let mut delays: Vec<u8> = Vec::new();
+        for image in self.program.cores_with_own_tables() {
+            for synapse in image.inputs.lists.items() {
+                let delay = synapse.delay.get();
+                if !delays.contains(&delay) {
+                    delays.push(delay);
+                }
+            }
+        }
+        delays.sort_unstable();
+        let lanes: Vec<usize> = self.shards.iter().map(|shard| shard.lanes).collect();
+        let rows = ProgramRows::new(self.program);
+        self.rows = Arc::clone(&rows.rows);
+        let flattener = Flattener::new(self.program, &self.lanes, (&self.bases, &delays), &rows);
+        for (kind, sources) in [0..self.channels, self.channels..self.sources() as u32].into_iter().enumerate() {
+            let builders = flattener.flatten(sources, &lanes).into_par_iter().enumerate();
+            let fan_outs: Vec<_> = builders
+                .map(|(index, builder)| {
+                    let (delay, lanes) = (delays[index % delays.len()], lanes[index / delays.len()]);
+                    FanOut::new(delay, builder, &rows.rows, lanes)
+                })
+                .collect();
+            let mut fan_outs = fan_outs.into_iter();
+            for shard in &mut self.shards {
+                let of_shard: Result<Vec<_>, usize> =
+                    fan_outs.by_ref().take(delays.len()).filter_map(Result::transpose).collect();
+                let of_shard = of_shard.map_err(ImageError::TooMany)?;
+                match kind {
+                    0 => shard.from_channels = of_shard,
+                    _ => shard.from_compartments = of_shard,
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Counts fan-outs by the means of dense blocks where the residual can be counted.
+    fn replace_by_means(&mut self) -> Residual {
+        let (sources, channels) = (self.sources(), self.channels as usize);
+        let mut residual = Residual::default();
+        for shard in &mut self.shards {
+            if self.delivery_counts_channels {
+                residual.replace_by_means(&mut shard.from_channels, 0, sources);
+            }
+            residual.replace_by_means(&mut shard.from_compartments, channels, sources);
+        }
+        residual
+    }
+}
+
+/// What a spike of each source carries, channels first; empty if all spikes are binary.
+fn payloads(program: &Program) -> Vec<i32> {
+    let graded = &program.parts().graded;
+    let sources = if graded.is_empty() { 0 } else { program.channels() + program.compartments() };
+    let mut payloads = vec![1; sources as usize];
+    for graded in graded {
+        payloads[graded.sources.start as usize..graded.sources.end as usize].fill(graded.payload.get());
+    }
+    payloads
+}

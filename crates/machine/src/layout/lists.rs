@@ -1,0 +1,336 @@
+//! Lists of synapses by source.
+//!
+//! Input: lanes and weights, source after source ([`ListBuilder`]). Output: a [`ListTable`] in the narrowest form that fits all.
+//! Errors: more synapses than a list position can index.
+
+use std::ops::Range;
+
+use crate::layout::padded_runs;
+use crate::layout::padded_runs::{Compact, ListPlace, Packing, PaddedRuns};
+use nsim_ir::spikes::Spike;
+
+/// Synapses of the sources of one kind; weights in units of 64.
+#[derive(Debug)]
+pub(crate) struct ListTable {
+    /// Where each source's list is.
+    pub places: Vec<ListPlace>,
+    /// The synapses.
+    pub synapses: ListForm,
+}
+
+/// Lanes and weights.
+#[derive(Debug)]
+pub(crate) enum ListForm {
+    /// Weights of 8 bits and lanes of 16; longer lists have larger runs.
+    Fours(PaddedRuns<Compact, 4>),
+    /// The same.
+    Eights(PaddedRuns<Compact, 8>),
+    /// The same.
+    Sixteens(PaddedRuns<Compact, 16>),
+    /// Lane and weight in one word.
+    Packed(PaddedRuns<Packing, 4>),
+    /// Lanes and weights in arrays of their own.
+    Split(Split),
+}
+
+/// Lanes that 16 bits can address.
+pub(crate) const ADDRESSED: usize = 1 << 16;
+
+/// The fewest lanes of a shard whose lists are compact: smaller shards fit the cache anyway, and would need many times their own
+/// number of sums.
+const COMPACT_FROM: usize = 1 << 12;
+
+impl ListForm {
+    /// Whether lanes have 16 bits.
+    pub fn is_compact(&self) -> bool {
+        matches!(self, ListForm::Fours(_) | ListForm::Eights(_) | ListForm::Sixteens(_))
+    }
+}
+
+/// Lanes and weights in arrays of their own, where they do not fit one word.
+#[derive(Debug)]
+pub(crate) struct Split {
+    targets: Vec<u32>,
+    weights: Vec<i16>,
+}
+
+impl Split {
+    /// As [`PaddedRuns::deliver`].
+    #[inline(always)]
+    pub fn deliver<P: Spike>(
+        &self,
+        places: &[ListPlace],
+        spikes: &[P],
+        mut add: impl FnMut(usize, i16, P::Payload),
+    ) -> u64 {
+        let mut events = 0;
+        for spike in spikes {
+            let place = places[spike.source()];
+            events += place.len() as u64;
+            let (targets, weights) = (&self.targets[place.elements()], &self.weights[place.elements()]);
+            for (&target, &weight) in targets.iter().zip(weights) {
+                add(target as usize, weight, spike.payload());
+            }
+        }
+        events
+    }
+}
+
+impl ListTable {
+    /// Bytes of memory that it holds.
+    pub fn bytes(&self) -> usize {
+        let synapses = match &self.synapses {
+            ListForm::Fours(runs) => runs.bytes(),
+            ListForm::Eights(runs) => runs.bytes(),
+            ListForm::Sixteens(runs) => runs.bytes(),
+            ListForm::Packed(runs) => runs.bytes(),
+            ListForm::Split(split) => 6 * split.targets.len(),
+        };
+        size_of_val(self.places.as_slice()) + synapses
+    }
+}
+
+/// A synapse: lane, and weight in units of 64.
+pub(crate) type LaneWeight = (u32, i16);
+
+/// Synapses in the order of sources, before their form is chosen.
+#[derive(Debug)]
+pub(crate) struct ListBuilder {
+    lanes: usize,
+    packing: Packing,
+    /// Synapses up to the end of each source.
+    ends: Vec<usize>,
+    words: Words,
+}
+
+/// Lanes and weights, in words while all fit.
+#[derive(Debug)]
+enum Words {
+    Packed(Vec<u32>),
+    Split { targets: Vec<u32>, weights: Vec<i16> },
+}
+
+impl ListBuilder {
+    /// A builder for a shard with so many lanes.
+    pub fn new(lanes: usize) -> Self {
+        ListBuilder { lanes, packing: Packing::new(lanes), ends: Vec::new(), words: Words::Packed(Vec::new()) }
+    }
+
+    fn len(&self) -> usize {
+        match &self.words {
+            Words::Packed(words) => words.len(),
+            Words::Split { targets, .. } => targets.len(),
+        }
+    }
+
+    /// Appends a synapse; the first that does not fit a word splits all.
+    fn push(&mut self, (target, weight): LaneWeight) {
+        if let Words::Packed(words) = &mut self.words {
+            if let Some(word) = self.packing.pack(target, weight) {
+                return words.push(word);
+            }
+            let packing = self.packing;
+            let (targets, weights) = words.iter().map(|&w| packing.unpack(w)).map(|(t, w)| (t as u32, w)).unzip();
+            self.words = Words::Split { targets, weights };
+        }
+        if let Words::Split { targets, weights } = &mut self.words {
+            targets.push(target);
+            weights.push(weight);
+        }
+    }
+
+    /// Appends the lists of the next sources, of so many synapses each.
+    pub fn append(&mut self, counts: &[u32], mut synapses: &[LaneWeight]) {
+        for &count in counts {
+            let list;
+            (list, synapses) = synapses.split_at(count as usize);
+            list.iter().for_each(|&synapse| self.push(synapse));
+            self.ends.push(self.len());
+        }
+    }
+
+    /// Calls `take` with each source, ascending, and its lanes.
+    pub fn each(&self, mut take: impl FnMut(u32, &[u32])) {
+        let (mut begin, mut unpacked) = (0, Vec::new());
+        for (source, &end) in (0..).zip(&self.ends) {
+            let list = begin..end;
+            begin = end;
+            match &self.words {
+                Words::Packed(words) => {
+                    unpacked.clear();
+                    unpacked.extend(words[list].iter().map(|&word| self.packing.unpack(word).0 as u32));
+                    take(source, &unpacked);
+                }
+                Words::Split { targets, .. } => take(source, &targets[list]),
+            }
+        }
+    }
+
+    /// Removes the synapses for which `keep` is false of source, lane and weight.
+    pub fn retain(&mut self, mut keep: impl FnMut(u32, u32, i16) -> bool) {
+        let (mut begin, mut kept, mut fit) = (0, 0, true);
+        for (source, end) in (0..).zip(&mut self.ends) {
+            let list = begin..*end;
+            begin = list.end;
+            for at in list {
+                match &mut self.words {
+                    Words::Packed(words) => {
+                        let (target, weight) = self.packing.unpack(words[at]);
+                        if keep(source, target as u32, weight) {
+                            words[kept] = words[at];
+                            kept += 1;
+                        }
+                    }
+                    Words::Split { targets, weights } => {
+                        let (target, weight) = (targets[at], weights[at]);
+                        if keep(source, target, weight) {
+                            (targets[kept], weights[kept]) = (target, weight);
+                            fit &= self.packing.pack(target, weight).is_some();
+                            kept += 1;
+                        }
+                    }
+                }
+            }
+            *end = kept;
+        }
+        match &mut self.words {
+            Words::Packed(words) => words.truncate(kept),
+            Words::Split { targets, weights } => {
+                targets.truncate(kept);
+                weights.truncate(kept);
+                if fit {
+                    let all = targets.iter().zip(weights);
+                    self.words = Words::Packed(all.filter_map(|(&t, &mut w)| self.packing.pack(t, w)).collect());
+                }
+            }
+        }
+    }
+
+    /// The table, `None` when it is empty.
+    ///
+    /// # Errors
+    /// The number of synapses, when positions do not fit.
+    pub fn finish(self) -> Result<Option<ListTable>, usize> {
+        let ListBuilder { lanes, packing, ends, words } = self;
+        let begins = || std::iter::once(0).chain(ends.iter().copied());
+        let lists = || begins().zip(&ends).map(|(begin, &end)| begin..end);
+        let total = ends.last().copied().unwrap_or(0);
+        if total == 0 {
+            return Ok(None);
+        }
+        let fits = |&word: &u32| {
+            let (target, weight) = packing.unpack(word);
+            u16::try_from(target).is_ok() && i8::try_from(weight).is_ok()
+        };
+        let compact = lanes >= COMPACT_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
+        let lengths = lists().map(|list| list.len());
+        let (places, synapses) = match words {
+            Words::Packed(words) => {
+                let synapses = words.iter().map(|&word| packing.unpack(word));
+                let size = [4, 8, 16].into_iter().min_by(|&a, &b| {
+                    let cost = |size| padded_runs::cost(size, lengths.clone());
+                    cost(a).total_cmp(&cost(b))
+                });
+                match size.filter(|_| compact) {
+                    Some(4) => named(PaddedRuns::new(Compact, lengths, synapses), ListForm::Fours),
+                    Some(8) => named(PaddedRuns::new(Compact, lengths, synapses), ListForm::Eights),
+                    Some(_) => named(PaddedRuns::new(Compact, lengths, synapses), ListForm::Sixteens),
+                    None => named(PaddedRuns::new(packing, lengths, synapses), ListForm::Packed),
+                }
+                .ok_or(total)?
+            }
+            Words::Split { mut targets, mut weights } => {
+                let place = |list: Range<usize>| ListPlace::new(list.start, list.len());
+                targets.shrink_to_fit();
+                weights.shrink_to_fit();
+                (lists().map(place).collect::<Option<_>>().ok_or(total)?, ListForm::Split(Split { targets, weights }))
+            }
+        };
+        Ok(Some(ListTable { places, synapses }))
+    }
+}
+
+/// Positions, and runs as a [`ListForm`].
+fn named<G>(made: Option<(Vec<ListPlace>, G)>, form: fn(G) -> ListForm) -> Option<(Vec<ListPlace>, ListForm)> {
+    made.map(|(places, runs)| (places, form(runs)))
+}
+
+#[cfg(test)]
+impl ListTable {
+    /// Lane and weight of each synapse of a source.
+    pub fn list(&self, source: usize) -> Vec<LaneWeight> {
+        use nsim_ir::base::id::{ChannelId, Id};
+        let (ids, place, mut queue) = ([ChannelId::new(source)], self.places[source], Vec::new());
+        let mut list = Vec::new();
+        let push = |lane: usize, weight, ()| list.push((lane as u32, weight));
+        match &self.synapses {
+            ListForm::Fours(runs) => runs.deliver(&self.places, &ids, &mut queue, push),
+            ListForm::Eights(runs) => runs.deliver(&self.places, &ids, &mut queue, push),
+            ListForm::Sixteens(runs) => runs.deliver(&self.places, &ids, &mut queue, push),
+            ListForm::Packed(runs) => runs.deliver(&self.places, &ids, &mut queue, push),
+            ListForm::Split(lists) => lists.deliver(&self.places, &ids, push),
+        };
+        // Padding comes last.
+        list.truncate(place.len());
+        list
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::base::rng;
+
+    /// What the table of these lists says.
+    fn read(lists: &[Vec<(u32, i16)>], lanes: usize) -> (Vec<Vec<(u32, i16)>>, ListTable) {
+        let mut builder = ListBuilder::new(lanes);
+        lists.iter().for_each(|list| builder.append(&[list.len() as u32], list));
+        let table = builder.finish().unwrap().unwrap();
+        ((0..lists.len()).map(|source| table.list(source)).collect(), table)
+    }
+
+    fn draw(sources: u64, lanes: u64, weight: i64) -> Vec<Vec<(u32, i16)>> {
+        let of = |source, index| {
+            let weight = rng::below(2 * weight as u64, 2, source, index) as i64 - weight;
+            (rng::below(lanes, 1, source, index) as u32, weight as i16)
+        };
+        (0..sources).map(|source| (0..rng::below(60, 3, source, 0)).map(|index| of(source, index)).collect()).collect()
+    }
+
+    /// Lists are stored in the narrowest form that fits, and read back as they were.
+    #[test]
+    fn tables_hold_what_they_were_given() {
+        let compact = draw(200, 65_536, 128);
+        let (out, table) = read(&compact, 65_536);
+        assert_eq!(out, compact);
+        assert!(table.synapses.is_compact());
+        for (lanes, weight) in [(65_537, 128), (8_000, 129), (4_000, 128), (1_000_000, 2_000)] {
+            let mut packed = draw(200, lanes, weight);
+            packed[7].extend([(lanes as u32 - 1, (weight - 1) as i16), (0, -weight as i16)]);
+            let (out, table) = read(&packed, lanes as usize);
+            assert_eq!(out, packed);
+            assert!(matches!(table.synapses, ListForm::Packed(_)), "{lanes} {weight}");
+        }
+        let mut apart = draw(200, 1_000_000, 2_000);
+        apart[100].push((999_999, i16::MIN));
+        let (out, table) = read(&apart, 1_000_000);
+        assert_eq!(out, apart);
+        assert!(matches!(table.synapses, ListForm::Split(_)));
+    }
+
+    #[test]
+    fn longer_lists_have_larger_runs() {
+        let of = |length: u64| {
+            let list = |source| (0..length).map(|k| (rng::below(8_000, 1, source, k) as u32, 1)).collect();
+            read(&(0..100).map(list).collect::<Vec<_>>(), 8_000).1.synapses
+        };
+        assert!(matches!((of(3), of(8), of(64)), (ListForm::Fours(_), ListForm::Eights(_), ListForm::Sixteens(_))));
+    }
+
+    #[test]
+    fn an_empty_table_is_none() {
+        let mut builder = ListBuilder::new(100);
+        builder.append(&[0], &[]);
+        assert!(builder.finish().unwrap().is_none());
+    }
+}

@@ -1,0 +1,247 @@
+//! The planner: which synapses go to dense blocks, and which to lists.
+//!
+//! Input: the lanes that each source reaches over one delay, source after source. Output: the dense blocks to make
+//! ([`PlannedBlock`]). The choice minimises an estimate of the time and memory of delivery. A chunk of sixteen lanes is added in
+//! less time than one listed synapse, so blocks pay even with many zeros. But a chunk takes the memory of ten synapses, so blocks
+//! with many zeros do not pay in networks that fit no cache.
+
+use crate::layout::delivery_cost::DELIVERY_COST as COST;
+use crate::layout::padded_runs::{Packing, RunForm};
+use crate::update::kernel::LANES;
+
+/// Bytes of a synapse in a list.
+const LISTED: usize = Packing::SYNAPSE;
+/// Bytes of a chunk.
+const CHUNK_BYTES: usize = 2 * LANES;
+/// The fewest synapses of a chunk that is worth its memory where memory counts: 6.4 bytes a synapse.
+const DENSE: u32 = 5;
+/// Bytes of weights that may be mostly zeros: half of a second-level cache.
+const CACHED: usize = 1 << 20;
+/// Steps in which each source spikes about once: sources of a block that spike together find it once.
+const STEPS: usize = 20;
+/// Chunks of zeros a source that may be added to join two blocks, by round: similar blocks join first. The last is worth what a
+/// block costs.
+const ZEROS: [usize; 5] = [1, 3, 6, 12, (COST.block + COST.range) / COST.chunk];
+
+/// Consecutive sources that become a dense block.
+#[derive(Debug)]
+pub(crate) struct PlannedBlock {
+    /// The first source.
+    pub first: u32,
+    /// The first source after it.
+    pub end: u32,
+    /// Its chunks, ascending.
+    pub chunks: Vec<u32>,
+    /// Chunks of its sources, summed, without those that hold only zeros.
+    own: usize,
+    /// Synapses in them.
+    synapses: usize,
+}
+
+impl PlannedBlock {
+    /// How many sources.
+    pub fn sources(&self) -> usize {
+        (self.end - self.first) as usize
+    }
+
+    /// Chunks of all sources.
+    pub fn size(&self) -> usize {
+        self.sources() * self.chunks.len()
+    }
+
+    /// Cost when each source spikes once.
+    fn cost(&self) -> usize {
+        let ranges = self.chunks.chunk_by(|a, b| a + 1 == *b).count();
+        self.size() * COST.chunk + self.sources().min(STEPS) * (COST.block + ranges * COST.range)
+    }
+
+    /// Joins the next block if that adds few zeros; returns the chunks of zeros added, or the next block. Zeros may be half of
+    /// all chunks, and `spare` more.
+    fn join(&mut self, next: PlannedBlock, zeros: usize, spare: usize) -> Result<usize, PlannedBlock> {
+        let sources = (next.end - self.first) as usize;
+        let others = || next.chunks.iter().filter(|chunk| self.chunks.binary_search(chunk).is_err());
+        let size = (self.chunks.len() + others().count()) * sources;
+        let (own, more) = (self.own + next.own, size - self.size() - next.size());
+        if more > zeros * self.sources().min(next.sources()).min(STEPS) || (size > 2 * own && more > spare) {
+            return Err(next);
+        }
+        let others: Vec<u32> = others().copied().collect();
+        self.chunks.extend(others);
+        self.chunks.sort_unstable();
+        (self.end, self.own, self.synapses) = (next.end, own, self.synapses + next.synapses);
+        Ok(more)
+    }
+}
+
+/// One way to divide the synapses.
+#[derive(Debug)]
+struct Candidate {
+    /// The fewest synapses of a chunk that goes to a block.
+    least: u32,
+    blocks: Vec<PlannedBlock>,
+    /// Chunks of all dense blocks.
+    size: usize,
+    /// Synapses left to the lists.
+    listed: usize,
+    /// Chunks of the current source.
+    chunks: Vec<u32>,
+}
+
+impl Candidate {
+    fn new(least: u32) -> Self {
+        Candidate { least, blocks: Vec::new(), size: 0, listed: 0, chunks: Vec::new() }
+    }
+
+    fn take(&mut self, source: u32, touched: &[u32], counts: &[u32]) {
+        let mut synapses = 0;
+        self.chunks.clear();
+        for &chunk in touched {
+            let count = counts[chunk as usize];
+            if count >= self.least {
+                self.chunks.push(chunk);
+                synapses += count as usize;
+            } else {
+                self.listed += count as usize;
+            }
+        }
+        if self.chunks.is_empty() {
+            return;
+        }
+        self.chunks.sort_unstable();
+        self.size += self.chunks.len();
+        if let Some(last) = self.blocks.last_mut()
+            && last.end == source
+            && last.chunks == self.chunks
+        {
+            (last.end, last.own) = (source + 1, last.own + self.chunks.len());
+            last.synapses += synapses;
+            return;
+        }
+        let (chunks, own) = (self.chunks.clone(), self.chunks.len());
+        self.blocks.push(PlannedBlock { first: source, end: source + 1, chunks, own, synapses });
+    }
+
+    /// Joins neighbours where zeros cost less than another block.
+    fn join(&mut self) {
+        for zeros in ZEROS {
+            let mut joined: Vec<PlannedBlock> = Vec::with_capacity(self.blocks.len());
+            for mut next in self.blocks.drain(..) {
+                if let Some(last) = joined.last_mut() {
+                    let spare = (CACHED / CHUNK_BYTES).saturating_sub(self.size);
+                    match last.join(next, zeros, spare) {
+                        Ok(more) => {
+                            self.size += more;
+                            continue;
+                        }
+                        Err(back) => next = back,
+                    }
+                }
+                joined.push(next);
+            }
+            self.blocks = joined;
+        }
+    }
+
+    /// Bytes of the weights of all blocks.
+    fn bytes(&self) -> usize {
+        CHUNK_BYTES * self.size
+    }
+
+    /// Drops the blocks that cost more than lists would.
+    fn drop_losses(&mut self) {
+        let (listed, size) = (&mut self.listed, &mut self.size);
+        self.blocks.retain(|block| {
+            let keep = block.cost() <= block.synapses * COST.synapse + block.sources() * COST.list;
+            *listed += if keep { 0 } else { block.synapses };
+            *size -= if keep { 0 } else { block.size() };
+            keep
+        });
+    }
+
+    /// Cost when each source spikes once.
+    fn cost(&self, sources: usize) -> usize {
+        let lists = if self.listed > 0 { self.listed * COST.synapse + sources * COST.list } else { 0 };
+        self.blocks.iter().map(PlannedBlock::cost).sum::<usize>() + lists
+    }
+}
+
+/// Divides the synapses of the sources of one kind, of one delay.
+#[derive(Debug)]
+pub(crate) struct Planner {
+    /// Synapses of the current source by chunk; zeros between sources.
+    counts: Vec<u32>,
+    /// Chunks with any.
+    touched: Vec<u32>,
+    synapses: usize,
+    sources: usize,
+    /// Everything in blocks, while that is not too large.
+    dense_only: Option<Candidate>,
+    /// Blocks where chunks are dense, lists elsewhere.
+    mixed: Candidate,
+}
+
+impl Planner {
+    /// A planner for a shard with so many lanes.
+    pub fn new(lanes: usize) -> Self {
+        Planner {
+            counts: vec![0; lanes.div_ceil(LANES)],
+            touched: Vec::new(),
+            synapses: 0,
+            sources: 0,
+            dense_only: Some(Candidate::new(1)),
+            mixed: Candidate::new(DENSE),
+        }
+    }
+
+    /// Takes the lanes that a source reaches, one a synapse; sources come in ascending order.
+    pub fn take(&mut self, source: u32, synapses: &[u32]) {
+        for &lane in synapses {
+            let chunk = lane / LANES as u32;
+            let count = &mut self.counts[chunk as usize];
+            if *count == 0 {
+                self.touched.push(chunk);
+            }
+            *count += 1;
+        }
+        self.synapses += synapses.len();
+        self.sources += usize::from(!synapses.is_empty());
+        self.mixed.take(source, &self.touched, &self.counts);
+        let most = self.most();
+        if let Some(candidate) = &mut self.dense_only {
+            candidate.take(source, &self.touched, &self.counts);
+            // It cannot become small enough any more.
+            if candidate.bytes() > 4 * most {
+                self.dense_only = None;
+            }
+        }
+        for chunk in self.touched.drain(..) {
+            self.counts[chunk as usize] = 0;
+        }
+    }
+
+    /// The most bytes that blocks alone may take: what fits the cache, or no more than lists.
+    fn most(&self) -> usize {
+        CACHED.max(LISTED * self.synapses)
+    }
+
+    /// The blocks of the cheapest candidate, ascending.
+    pub fn choose(mut self) -> Vec<PlannedBlock> {
+        self.mixed.join();
+        self.mixed.drop_losses();
+        let (most, cost) = (self.most(), self.mixed.cost(self.sources));
+        let dense_only = self.dense_only.take().filter(|candidate| candidate.bytes() <= most).map(|mut candidate| {
+            candidate.join();
+            candidate
+        });
+        let cheaper = |candidate: &Candidate| candidate.bytes() <= most && candidate.cost(self.sources) <= cost;
+        let chosen = dense_only.filter(cheaper).unwrap_or(self.mixed);
+        tracing::debug!(
+            "{} synapses: {} listed, {} dense blocks of {} bytes",
+            self.synapses,
+            chosen.listed,
+            chosen.blocks.len(),
+            chosen.bytes()
+        );
+        chosen.blocks
+    }
+}

@@ -1,0 +1,106 @@
+//! How the compartments of a shard are laid out, and where their synapses come from.
+//!
+//! A *core block* is consecutive compartments of one core. It starts at a multiple of sixteen lanes, unless it is updated as
+//! vectors together with the block before it, of another core. A *vector run* is core blocks that are updated together. A *skip
+//! block* is 64 lanes: it is updated only if something in it is not at rest. Lanes without a compartment are padding. Weights of
+//! dense blocks are padded with zeros to whole chunks, so what they add to padding or to a neighbour changes nothing.
+
+use crate::layout::fan_out::FanOut;
+use nsim_ir::base::id::{CompartmentId, CoreId};
+
+/// Lanes of a skip block.
+pub const SKIP_BLOCK: usize = 64;
+
+/// The parameters of a core block.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum BlockFields {
+    /// The same for all: an index into the image's `fields`.
+    Same(u32),
+    /// One index a lane, in `field_of` from this position on.
+    Each(u32),
+}
+
+/// Consecutive compartments of one core within a skip block.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CoreBlock {
+    /// The first lane.
+    pub start: u32,
+    /// Compartments.
+    pub length: u32,
+    /// The core.
+    pub core: CoreId,
+    /// The fields.
+    pub fields: BlockFields,
+    /// The earliest step from which one of its compartments is not held at zero.
+    pub starts: u32,
+}
+
+/// Adjacent core blocks of a skip block that are updated together.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct VectorRun {
+    /// The first block.
+    pub first: u32,
+    /// The first block after it.
+    pub end: u32,
+    /// Its first lane, a multiple of sixteen.
+    pub start: u32,
+    /// Its lanes, padding up to the next multiple of sixteen included.
+    pub lanes: u32,
+    /// The earliest step from which one of its compartments is not held at zero; all its blocks have the same fields.
+    pub starts: u32,
+    /// The parameters that all share, if they can be updated as vectors; otherwise the run is one block.
+    pub vector: Option<u32>,
+    /// Its lanes that are no padding, a bit each.
+    pub mask: u64,
+}
+
+/// The lanes that one thread updates, and the synapses that lead to them. Lanes are counted within the shard.
+#[derive(Debug)]
+pub(crate) struct Shard {
+    /// Number of lanes, padding included.
+    pub lanes: usize,
+    /// The compartment in each lane; arbitrary in padding.
+    pub names: Vec<CompartmentId>,
+    /// Core blocks in order.
+    pub blocks: Vec<CoreBlock>,
+    /// Vector runs in order.
+    pub vector_runs: Vec<VectorRun>,
+    /// First vector run of each skip block, and one more.
+    pub skip_blocks: Vec<u32>,
+    /// Skip blocks that never rest, a bit each.
+    pub driven: Vec<u64>,
+    /// Synapses of channels, by ascending delay.
+    pub from_channels: Vec<FanOut>,
+    /// Synapses of compartments, by ascending delay.
+    pub from_compartments: Vec<FanOut>,
+}
+
+impl Shard {
+    /// A shard without lanes.
+    pub fn empty() -> Self {
+        Shard {
+            lanes: 0,
+            names: Vec::new(),
+            blocks: Vec::new(),
+            vector_runs: Vec::new(),
+            skip_blocks: Vec::new(),
+            driven: Vec::new(),
+            from_channels: Vec::new(),
+            from_compartments: Vec::new(),
+        }
+    }
+
+    /// Synapses of all sources and delays.
+    pub fn fan_outs(&self) -> impl Iterator<Item = &FanOut> {
+        self.from_channels.iter().chain(&self.from_compartments)
+    }
+
+    /// Bytes of memory that it holds.
+    pub fn bytes(&self) -> usize {
+        size_of::<CoreBlock>() * self.blocks.len()
+            + size_of_val(self.vector_runs.as_slice())
+            + 4 * (self.skip_blocks.len() + self.names.len())
+            + 8 * self.driven.len()
+            + self.fan_outs().map(FanOut::bytes).sum::<usize>()
+    }
+}

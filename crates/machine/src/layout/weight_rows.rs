@@ -1,0 +1,502 @@
+//! Rows of weights: consecutive lanes that many sources reach with the same weights, each source from another lane on.
+//!
+//! Input: the input axons of a program's cores. Output: the distinct rows ([`WeightRows`]), which rows the axons consist of
+//! ([`ProgramRows`]), and for each source its rows and the lane at which they begin ([`RowTable`]). Axons that share no rows, or whose
+//! rows would cost more than their synapses, are left to dense blocks and lists. Nothing is taken from kernels but what the
+//! tables of the cores say.
+//!
+//! Why: a spike into a convolution adds a few rows of its kernel, the same ones at every position, so that their weights stay
+//! in the cache and are added as vectors. The lanes of a core have channels innermost (`lane_order`), so what a row of the kernel
+//! reaches are lanes side by side.
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::layout::delivery_cost::DELIVERY_COST as COST;
+use crate::layout::lane_order::LaneOrder;
+use crate::update::kernel::LANES;
+use nsim_ir::base::csr::Csr;
+use nsim_ir::base::id::{CoreId, Id};
+use nsim_ir::program::{CoreFormat, CoreImage, Program, Selected, Stored, Synapse};
+
+/// Lanes without a synapse that a row may bridge.
+const BRIDGED: u16 = LANES as u16;
+/// How often rows must be used on average: rows of one source each belong to dense blocks.
+const USES: usize = 3;
+/// Synapses of a program from which on rows that only other cores use too are shared: the weights of fewer fit a cache, where
+/// dense blocks are faster.
+const MANY: u64 = 1 << 26;
+
+/// A row: its first chunk in the high bits, its number of chunks in the others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) struct WeightRow(u32);
+
+/// Bits of the number of chunks.
+const CHUNK_BITS: u32 = 8;
+
+impl WeightRow {
+    /// The row of these chunks, if they fit.
+    fn new(chunks: Range<usize>) -> Option<Self> {
+        let first = u32::try_from(chunks.start).ok().filter(|first| first >> (u32::BITS - CHUNK_BITS) == 0)?;
+        let count = u32::try_from(chunks.len()).ok().filter(|count| count >> CHUNK_BITS == 0)?;
+        Some(WeightRow(first << CHUNK_BITS | count))
+    }
+
+    /// How many chunks.
+    #[inline(always)]
+    pub fn chunks(self) -> usize {
+        (self.0 & ((1 << CHUNK_BITS) - 1)) as usize
+    }
+
+    #[inline(always)]
+    fn first(self) -> usize {
+        (self.0 >> CHUNK_BITS) as usize
+    }
+}
+
+/// Distinct rows, in units of 64, padded with zeros to whole chunks.
+#[derive(Debug, Default)]
+pub(crate) struct WeightRows {
+    weights: Vec<[i16; LANES]>,
+}
+
+impl WeightRows {
+    /// The weights of a row.
+    #[inline(always)]
+    pub fn weights(&self, row: WeightRow) -> &[[i16; LANES]] {
+        &self.weights[row.first()..row.first() + row.chunks()]
+    }
+
+    /// Chunks of all rows.
+    pub fn chunks(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// Bytes of memory that they hold.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.weights.as_slice())
+    }
+
+    /// Appends a row; `None` if it does not fit.
+    fn push(&mut self, content: &Content) -> Option<WeightRow> {
+        let first = self.weights.len();
+        let row = WeightRow::new(first..first + content.weights.len().div_ceil(LANES))?;
+        for chunk in content.weights.chunks(LANES) {
+            let mut padded = [0; LANES];
+            padded[..chunk.len()].copy_from_slice(chunk);
+            self.weights.push(padded);
+        }
+        Some(row)
+    }
+}
+
+/// What a row is told from others by.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+struct Content {
+    weights: Vec<i16>,
+    synapses: u32,
+}
+
+/// A row of an input axon.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct AxonRow {
+    /// Where it begins: how many lanes of the core come before.
+    pub rank: u16,
+    /// Lanes that it spans.
+    pub span: u16,
+    /// Delay field of its synapses.
+    pub delay: u8,
+    /// Synapses in it.
+    pub synapses: u32,
+    /// The row.
+    pub row: WeightRow,
+}
+
+/// Which rows the input axons of each core consist of.
+#[derive(Debug)]
+pub(crate) struct ProgramRows {
+    /// By core, the place of its axons' rows; none where axons have none.
+    places: Vec<Option<u32>>,
+    axons: Vec<Csr<AxonRow>>,
+    /// The rows.
+    pub rows: Arc<WeightRows>,
+}
+
+impl ProgramRows {
+    /// The rows of a program.
+    pub fn new(program: &Program) -> Self {
+        // Cores that hold the same lists in the same order of lanes are looked at once.
+        let order = LaneOrder::new(program);
+        let ranks: Vec<Vec<u16>> =
+            program.cores().ids().collect::<Vec<_>>().par_iter().map(|&core| ranks(&order.slots(core))).collect();
+        let mut known: HashMap<(usize, &[CoreFormat], &[u16]), usize> = HashMap::new();
+        let mut firsts: Vec<(&CoreImage, &[u16], usize)> = Vec::new();
+        let same: Vec<usize> = program
+            .cores()
+            .iter()
+            .zip(&ranks)
+            .map(|(image, ranks)| {
+                let first = *known.entry((image.inputs.address(), &image.formats, ranks)).or_insert_with(|| {
+                    firsts.push((image, ranks, 0));
+                    firsts.len() - 1
+                });
+                firsts[first].2 += 1;
+                first
+            })
+            .collect();
+        let synapses: u64 = firsts.par_iter().map(|(image, _, cores)| image.inputs.count() * *cores as u64).sum();
+        let found: Vec<Option<CoreRows>> = firsts
+            .par_iter()
+            .map(|&(image, ranks, cores)| CoreRows::of_image(image, ranks, if synapses < MANY { 1 } else { cores }))
+            .collect();
+        let (mut rows, mut axons, mut place_of) = (WeightRows::default(), Vec::new(), Vec::new());
+        let mut known: HashMap<Content, WeightRow> = HashMap::new();
+        for found in found {
+            let stored = found.and_then(|CoreRows { contents, axons: of_core }| {
+                let mut places = Vec::with_capacity(contents.len());
+                for content in &contents {
+                    let place = known.get(content).copied().or_else(|| rows.push(content))?;
+                    known.insert(content.clone(), place);
+                    places.push(place);
+                }
+                let mut stored = Csr::with_capacity(of_core.len(), of_core.items().len());
+                for axon in of_core.iter() {
+                    stored.push(axon.iter().map(|&(rank, delay, number)| {
+                        let Content { weights, synapses } = &contents[number as usize];
+                        let span = weights.len() as u16;
+                        AxonRow { rank, span, delay, synapses: *synapses, row: places[number as usize] }
+                    }));
+                }
+                Some(stored)
+            });
+            place_of.push(stored.is_some().then_some(axons.len() as u32));
+            axons.extend(stored);
+        }
+        tracing::debug!("{} rows of weights in {} chunks", known.len(), rows.weights.len());
+        ProgramRows { places: same.into_iter().map(|first| place_of[first]).collect(), axons, rows: Arc::new(rows) }
+    }
+
+    /// The rows of an input axon; empty where it is not delivered by rows.
+    #[inline]
+    pub fn of_axon(&self, core: CoreId, axon: u16) -> &[AxonRow] {
+        self.places[core.index()].map_or(&[], |place| self.axons[place as usize].get(usize::from(axon)))
+    }
+}
+
+/// How many lanes of its core come before that of each slot, from the slots in the order of lanes.
+fn ranks(slots: &[u16]) -> Vec<u16> {
+    let mut ranks = vec![0; slots.len()];
+    for (rank, &slot) in (0..).zip(slots) {
+        ranks[usize::from(slot)] = rank;
+    }
+    ranks
+}
+
+/// The rows of a core's input axons.
+#[derive(Debug)]
+struct CoreRows {
+    /// Distinct rows.
+    contents: Vec<Content>,
+    /// By axon: rank of the first lane, delay, and place in `contents`.
+    axons: Csr<(u16, u8, u32)>,
+}
+
+impl CoreRows {
+    /// The rows of a core's input axons, if they are shared enough when so many cores share them.
+    fn of_image(image: &CoreImage, ranks: &[u16], cores: usize) -> Option<Self> {
+        let stored: &Stored = &image.inputs;
+        let (mut contents, mut numbers) = (Vec::new(), HashMap::new());
+        let mut axons = Csr::with_capacity(stored.len(), 0);
+        let mut scratch = Vec::new();
+        for axon in stored.iter() {
+            if let Some(rows) = rows_of(axon, ranks, &image.formats, &mut scratch) {
+                for (rank, delay, content) in rows {
+                    let row = *numbers.entry(content).or_insert_with_key(|content: &Content| {
+                        contents.push(content.clone());
+                        contents.len() as u32 - 1
+                    });
+                    axons.extend_last([(rank, delay, row)]);
+                }
+            }
+            axons.end();
+        }
+        (!contents.is_empty() && cores * axons.items().len() >= USES * contents.len())
+            .then_some(CoreRows { contents, axons })
+    }
+}
+
+/// The rows of an input axon: rank of the first lane, delay, weights. `None` where they would cost more than the synapses one by
+/// one, or do not fit.
+fn rows_of(
+    axon: Selected<'_>,
+    ranks: &[u16],
+    formats: &[CoreFormat],
+    scratch: &mut Vec<(u8, u16, i16)>,
+) -> Option<Vec<(u16, u8, Content)>> {
+    scratch.clear();
+    let rank = |s: &Synapse| ranks[usize::from(s.slot + axon.base)];
+    scratch.extend(axon.stored.iter().map(|s| (s.delay.get(), rank(s), s.units(formats) as i16)));
+    if !scratch.is_sorted_by_key(|&(delay, rank, _)| (delay, rank)) {
+        scratch.sort_unstable();
+    }
+    // The last chunk of a row may reach beyond its last lane, whose number has 16 bits.
+    let together =
+        |a: &(u8, u16, i16), b: &(u8, u16, i16)| a.0 == b.0 && b.1 - a.1 <= BRIDGED && b.1 < u16::MAX - LANES as u16;
+    let mut cost = 0;
+    for row in scratch.chunk_by(together) {
+        let span = usize::from(row[row.len() - 1].1 - row[0].1) + 1;
+        cost += COST.row + span.div_ceil(LANES) * COST.row_chunk;
+        if cost > axon.stored.len() * COST.synapse {
+            return None;
+        }
+    }
+    let content = |row: &[(u8, u16, i16)]| {
+        let (first, last) = (row[0].1, row[row.len() - 1].1);
+        let mut weights = vec![0i16; usize::from(last - first) + 1];
+        for &(_, rank, weight) in row {
+            // Several synapses to one lane add up, as long as 16 bits hold the sum.
+            let sum = &mut weights[usize::from(rank - first)];
+            *sum = sum.checked_add(weight)?;
+        }
+        Some((first, row[0].0, Content { weights, synapses: row.len() as u32 }))
+    };
+    scratch.chunk_by(together).map(content).collect()
+}
+
+/// A row, in the high bits, and the lane at which it begins, in the low ones; in a stencil, how many lanes after the first. One
+/// number, so that the rows of a stencil are moved to their lanes by one addition.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) struct RowPlace(u64);
+
+impl RowPlace {
+    /// A row at a lane.
+    #[inline(always)]
+    pub fn new(lane: u32, row: WeightRow) -> Self {
+        RowPlace(u64::from(row.0) << u32::BITS | u64::from(lane))
+    }
+
+    /// The lane.
+    #[inline(always)]
+    pub fn lane(self) -> usize {
+        self.0 as u32 as usize
+    }
+
+    /// The row.
+    #[inline(always)]
+    pub fn row(self) -> WeightRow {
+        WeightRow((self.0 >> u32::BITS) as u32)
+    }
+
+    /// The same row so many lanes later, which the shard has.
+    #[inline(always)]
+    pub fn after(self, lanes: u32) -> Self {
+        RowPlace(self.0.wrapping_add(lanes.into()))
+    }
+
+    /// The same row so many lanes earlier; its lane is not before them.
+    fn before(self, lanes: u32) -> Self {
+        RowPlace(self.0 - u64::from(lanes))
+    }
+}
+
+/// Rows of a stencil that are queued without looking at how many it has.
+pub(crate) const UNCHECKED: usize = 8;
+
+/// The rows that a source adds, which others add from another lane on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Stencil {
+    /// Its first row.
+    first: u32,
+    /// Rows.
+    rows: u32,
+    /// Synapses in all of them.
+    pub synapses: u32,
+}
+
+/// A source: its stencil, and the lane at which that begins.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Origin {
+    /// The first lane of its rows.
+    pub lane: u32,
+    /// The stencil.
+    pub stencil: u32,
+}
+
+/// The rows of each source, of one delay, into one shard. Sources of a convolution have few stencils, which the cache holds.
+#[derive(Debug)]
+pub(crate) struct RowTable {
+    /// By source.
+    pub origins: Vec<Origin>,
+    stencils: Vec<Stencil>,
+    /// The rows of all stencils, and [`UNCHECKED`] more.
+    places: Vec<RowPlace>,
+    /// The rows.
+    pub rows: Arc<WeightRows>,
+}
+
+impl RowTable {
+    /// A source's stencil, and its rows with as many more as may be read unchecked.
+    #[inline(always)]
+    pub fn stencil(&self, origin: Origin) -> (Stencil, &[RowPlace], usize) {
+        let stencil = self.stencils[origin.stencil as usize];
+        let (first, rows) = (stencil.first as usize, stencil.rows as usize);
+        (stencil, &self.places[first..first + rows.max(UNCHECKED)], rows)
+    }
+
+    /// Bytes of memory that it holds, the rows themselves not included.
+    pub fn bytes(&self) -> usize {
+        let stencils = size_of_val(self.stencils.as_slice()) + size_of_val(self.places.as_slice());
+        size_of_val(self.origins.as_slice()) + stencils
+    }
+}
+
+/// Collects the rows of sources, in their order.
+#[derive(Debug)]
+pub(crate) struct RowBuilder {
+    origins: Vec<Origin>,
+    /// The stencil without rows comes first.
+    stencils: Vec<Stencil>,
+    places: Vec<RowPlace>,
+    known: HashMap<Vec<RowPlace>, u32>,
+}
+
+impl RowBuilder {
+    /// Without a source.
+    pub fn new() -> Self {
+        let none = Stencil { first: 0, rows: 0, synapses: 0 };
+        RowBuilder { origins: Vec::new(), stencils: vec![none], places: Vec::new(), known: HashMap::new() }
+    }
+
+    /// Appends the next sources, of so many rows and synapses in rows each.
+    pub fn append(&mut self, counts: &[(u32, u32)], mut places: &[RowPlace]) {
+        let mut own = Vec::new();
+        for &(rows, synapses) in counts {
+            let of_source;
+            (of_source, places) = places.split_at(rows as usize);
+            let Some(lane) = of_source.iter().map(|place| place.lane() as u32).min() else {
+                self.origins.push(Origin { lane: 0, stencil: 0 });
+                continue;
+            };
+            own.clear();
+            own.extend(of_source.iter().map(|place| place.before(lane)));
+            let stencil = self.stencil(&own, synapses);
+            self.origins.push(Origin { lane, stencil });
+        }
+    }
+
+    /// The stencil of these rows.
+    fn stencil(&mut self, rows: &[RowPlace], synapses: u32) -> u32 {
+        // Neighbours mostly have the same one.
+        if let Some(&Origin { stencil, .. }) = self.origins.last() {
+            let Stencil { first, rows: count, .. } = self.stencils[stencil as usize];
+            if &self.places[first as usize..(first + count) as usize] == rows {
+                return stencil;
+            }
+        }
+        if let Some(&known) = self.known.get(rows) {
+            return known;
+        }
+        let number = self.stencils.len() as u32;
+        let first = self.places.len() as u32;
+        self.places.extend_from_slice(rows);
+        self.stencils.push(Stencil { first, rows: rows.len() as u32, synapses });
+        self.known.insert(rows.to_vec(), number);
+        number
+    }
+
+    /// Source, lane and weight of what is in rows, without zeros.
+    #[cfg(test)]
+    pub fn synapses(&self, rows: &WeightRows) -> Vec<(usize, u32, i16)> {
+        let mut synapses = Vec::new();
+        for (source, origin) in self.origins.iter().enumerate() {
+            let Stencil { first, rows: count, .. } = self.stencils[origin.stencil as usize];
+            for place in &self.places[first as usize..(first + count) as usize] {
+                let place = place.after(origin.lane);
+                let weights = rows.weights(place.row()).iter().flatten();
+                let of_row = (place.lane() as u32..).zip(weights).filter(|(_, weight)| **weight != 0);
+                synapses.extend(of_row.map(|(lane, &weight)| (source, lane, weight)));
+            }
+        }
+        synapses
+    }
+
+    /// The table; `None` when it is empty.
+    ///
+    /// # Errors
+    /// The number of rows, when positions do not fit.
+    pub fn finish(mut self, rows: &Arc<WeightRows>) -> Result<Option<RowTable>, usize> {
+        u32::try_from(self.places.len()).map_err(|_| self.places.len())?;
+        let Some(&last) = self.places.last() else { return Ok(None) };
+        self.places.extend([last; UNCHECKED]);
+        self.places.shrink_to_fit();
+        self.stencils.shrink_to_fit();
+        self.origins.shrink_to_fit();
+        let RowBuilder { origins, stencils, places, .. } = self;
+        Ok(Some(RowTable { origins, stencils, places, rows: Arc::clone(rows) }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
+    use nsim_ir::base::rng;
+    use nsim_ir::quantised::connectivity::SynapseFormat;
+
+    fn format(exponent: i64) -> CoreFormat {
+        let exponent = WeightExponent::new(exponent).unwrap();
+        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits: WeightBits::new(8).unwrap() };
+        CoreFormat { synapse, delay_bits: 6, index_bits: Some(4), skip_bits: None }
+    }
+
+    /// Rows hold exactly the synapses of their list, whatever its order, gaps, delays and repeats.
+    #[test]
+    fn rows_are_the_synapses_of_their_list() {
+        let formats = [format(0), format(2)];
+        let (mut rowed, mut scratch) = (0, Vec::new());
+        for seed in 0..2_000u64 {
+            let draw = |below, what, index| rng::below(below, seed, what, index);
+            let dense = draw(2, 9, 0) == 0;
+            let list: Vec<Synapse> = (0..draw(60, 0, 0))
+                .map(|k| Synapse {
+                    slot: if dense { k as u16 + 7 } else { draw(300, 1, k) as u16 },
+                    weight: draw(512, 2, k) as i16 - 256,
+                    format: draw(2, 3, k) as u8,
+                    delay: Delay::new([0, 9][draw(8, 4, k) as usize / 7]).unwrap(),
+                })
+                .collect();
+            let ranks: Vec<u16> = (0..400).map(|slot| (slot * 7 + seed as u16) % 400).collect();
+            let ranks = if seed % 3 == 0 { ranks } else { (0..400).collect() };
+            let base = draw(40, 5, 0) as u16;
+            let axon = Selected { base, stored: &list };
+            let Some(rows) = rows_of(axon, &ranks, &formats, &mut scratch) else { continue };
+            rowed += usize::from(!rows.is_empty());
+            let mut expected = std::collections::BTreeMap::new();
+            for synapse in &list {
+                let at = (synapse.delay.get(), ranks[usize::from(synapse.slot + base)]);
+                *expected.entry(at).or_insert(0) += synapse.units(&formats);
+            }
+            expected.retain(|_, weight| *weight != 0);
+            let mut held = std::collections::BTreeMap::new();
+            for (rank, delay, content) in &rows {
+                for (offset, &weight) in content.weights.iter().enumerate().filter(|(_, weight)| **weight != 0) {
+                    assert!(held.insert((*delay, rank + offset as u16), i32::from(weight)).is_none());
+                }
+            }
+            assert_eq!(held, expected, "seed {seed}");
+            assert_eq!(rows.iter().map(|row| row.2.synapses as usize).sum::<usize>(), list.len());
+        }
+        assert!(rowed > 500, "{rowed} lists have rows");
+    }
+
+    #[test]
+    fn scattered_synapses_are_no_rows() {
+        let at = |slot| Synapse { slot, weight: 2, format: 0, delay: Delay::new(0).unwrap() };
+        let list: Vec<Synapse> = (0..30).map(|k| at(k * 30)).collect();
+        let (axon, ranks) = (Selected { base: 0, stored: &list }, (0..900).collect::<Vec<_>>());
+        assert!(rows_of(axon, &ranks, &[format(0)], &mut Vec::new()).is_none());
+    }
+}

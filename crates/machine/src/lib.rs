@@ -1,0 +1,438 @@
+//! The machine: a `Program` run timestep by timestep in the chip's integers.
+//!
+//! Input: an [`Image`], which is a program laid out for the processor, and input spikes. Output: spikes, registers, and the counts
+//! of the mapped program. A [`Machine`] is the state of one run. Energy and time are computed from the counts (`cost`).
+//!
+//! - `layout/`: a program as an image: compartments in lanes, synapses in dense blocks and lists.
+//! - `deliver/`: spikes into the delay ring.
+//! - `update/`: compartments, sixteen at a time.
+//! - `count/`: what spikes cause on the chip.
+//! - `ranks/`: one program run by several processes, each of which holds a part and has a machine for it.
+
+mod bits;
+pub mod count;
+pub(crate) mod deliver;
+pub mod layout;
+pub mod ranks;
+pub mod update;
+
+use rayon::prelude::*;
+
+use crate::count::spike_counts::SpikeCounts;
+use crate::count::tally;
+use crate::deliver::exchange;
+pub use crate::layout::image::{Image, ImageError};
+use crate::ranks::exchange::Exchange;
+use crate::ranks::transport::Ranks;
+use crate::update::state::{Phase, ShardState, Step, StepInput};
+use crate::update::width;
+use nsim_dynamics as neuron;
+use nsim_ir::activity::{Activity, Overflow, StepActivity, Totals};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim_ir::source_counts::SourceCounts;
+use nsim_ir::spikes::Engine;
+
+/// How to run. No setting changes a result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Settings {
+    /// Leave out compartments at rest.
+    pub skip: bool,
+    /// Keep what each step did by core, for [`Machine::last_step`].
+    pub per_step: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings { skip: true, per_step: false }
+    }
+}
+
+/// From so many events a skip block on, a step visits every skip block: marking an arrival costs about as much as adding it, and
+/// visiting a skip block at rest as much as a few dozen additions.
+const VISIT_ALL_FROM: u64 = 8;
+
+/// The state of a run over an image.
+#[derive(Debug)]
+pub struct Machine<'i> {
+    image: &'i Image<'i>,
+    shards: Vec<ShardState>,
+    settings: Settings,
+    arch: pulp::Arch,
+    /// The next step, and the steps of the sample.
+    step: u32,
+    steps: u32,
+    /// Spikes of the last step, and what they carry; empty if all spikes are binary.
+    spikes: Vec<CompartmentId>,
+    payloads: Vec<i32>,
+    /// The other processes that run the program, and their spikes of the last step.
+    others: Option<Exchange>,
+    remote: Vec<CompartmentId>,
+    remote_payloads: Vec<i32>,
+    /// The spikes and those of others that are shown to every process.
+    shown: Vec<CompartmentId>,
+    /// Those of the step before, while they are delivered.
+    carried: Vec<CompartmentId>,
+    carried_payloads: Vec<i32>,
+    /// Scratch memory for sorting.
+    marks: Vec<u64>,
+    /// Synaptic events that the last step counted; the next will have about as many.
+    last_events: u64,
+    /// Of the sample, without events of undelivered spikes and without the residual.
+    totals: Totals,
+    last: StepActivity,
+    counts: SpikeCounts,
+}
+
+impl<'i> Machine<'i> {
+    /// A machine at rest.
+    #[must_use]
+    pub fn new(image: &'i Image<'i>, settings: Settings) -> Self {
+        let slots = image.longest_delay as usize + 1;
+        Machine {
+            image,
+            shards: image.shards.iter().map(|shard| ShardState::new(image, shard, slots)).collect(),
+            settings,
+            arch: width::vectors(),
+            step: 0,
+            steps: 0,
+            spikes: Vec::new(),
+            payloads: Vec::new(),
+            others: None,
+            remote: Vec::new(),
+            remote_payloads: Vec::new(),
+            shown: Vec::new(),
+            carried: Vec::new(),
+            carried_payloads: Vec::new(),
+            marks: Vec::new(),
+            last_events: 0,
+            totals: Totals::default(),
+            last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
+            counts: SpikeCounts::new(image),
+        }
+    }
+
+    /// A machine at rest, of the part of a program that this process holds; all ranks make theirs at the same time. The spikes of
+    /// these compartments, if any, are shown to every rank.
+    ///
+    /// # Panics
+    /// When the image is of no part, or the ranks hold parts of different mappings.
+    #[must_use]
+    pub fn of_part(
+        image: &'i Image<'i>,
+        settings: Settings,
+        ranks: &Ranks,
+        shown: Option<(CompartmentId, u32)>,
+    ) -> Self {
+        let at_once = settings.per_step || shown.is_some();
+        let others = Some(Exchange::new(image.program(), ranks, shown, at_once));
+        Machine { others, ..Machine::new(image, settings) }
+    }
+
+    /// What the last step did; empty unless `Settings::per_step` is on.
+    #[must_use]
+    pub fn last_step(&self) -> &StepActivity {
+        &self.last
+    }
+
+    /// What all steps did since this was last asked, over any number of samples.
+    pub fn take_activity(&mut self) -> Activity {
+        self.take_counts().0
+    }
+
+    /// The same, with the spikes of each source and what left its field by compartment.
+    pub fn take_counts(&mut self) -> (Activity, SourceCounts) {
+        self.counts.take(self.image, &mut self.shards, self.arch)
+    }
+
+    /// Compartment updates of the sample so far that were left out because the compartment was at rest.
+    #[must_use]
+    pub fn skipped_updates(&self) -> u64 {
+        let computed: u64 = self.shards.iter().map(|state| state.visited).sum();
+        self.totals.compartment_updates - computed
+    }
+
+    /// Whether nothing will happen until the next input spike.
+    #[must_use]
+    pub fn at_rest(&self) -> bool {
+        self.spikes.is_empty()
+            && self.remote.is_empty()
+            && self.shards.iter().zip(&self.image.shards).all(|(state, shard)| state.at_rest(shard))
+    }
+
+    /// Bytes of memory that the state holds; the image's are its own.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.shards.iter().map(ShardState::bytes).sum::<usize>() + self.counts.bytes()
+    }
+
+    fn lane(&self, compartment: CompartmentId) -> (&ShardState, usize) {
+        let (shard, lane) = self.image.lane(compartment);
+        (&self.shards[shard], lane)
+    }
+
+    /// Deliver and Update of every shard.
+    fn deliver_and_update(&mut self, channels: &[ChannelId], left: u32) {
+        std::mem::swap(&mut self.spikes, &mut self.carried);
+        std::mem::swap(&mut self.payloads, &mut self.carried_payloads);
+        match self.others {
+            None => self.each_shard(Phase::Whole, channels, left),
+            Some(_) => self.deliver_and_update_with_others(channels, left),
+        }
+    }
+
+    /// The same among other ranks, apart: a step of one process is to have nothing of it.
+    #[cold]
+    fn deliver_and_update_with_others(&mut self, channels: &[ChannelId], left: u32) {
+        // What is known is delivered while the rest is under way.
+        self.each_shard(Phase::Deliver, channels, left);
+        self.take_remote();
+        std::mem::swap(&mut self.remote, &mut self.carried);
+        std::mem::swap(&mut self.remote_payloads, &mut self.carried_payloads);
+        self.each_shard(Phase::Update, &[], left);
+        self.remote.clear();
+    }
+
+    /// Waits for the other ranks' spikes of the last step.
+    fn take_remote(&mut self) {
+        let image = self.image;
+        let Some(others) = &mut self.others else { return };
+        if !others.take(&mut self.remote) {
+            return;
+        }
+        if image.has_blocks {
+            self.remote.sort_unstable();
+        }
+        self.remote_payloads.clear();
+        if !image.payloads.is_empty() {
+            let carried = |spike: &CompartmentId| image.payloads[image.channels as usize + spike.index()];
+            self.remote_payloads.extend(self.remote.iter().map(carried));
+        }
+        self.remote.iter().for_each(|spike| self.counts.remote[spike.index()] += 1);
+        // They reach as many steps as are left, this one, which follows their own, included.
+        let left = self.steps.saturating_sub(self.step);
+        if left <= image.longest_delay {
+            self.counts.note_late(self.remote.iter().map(|spike| image.channels + spike.0), left);
+        }
+    }
+
+    /// A phase of every shard's step.
+    #[inline(always)]
+    fn each_shard(&mut self, phase: Phase, channels: &[ChannelId], left: u32) {
+        let image = self.image;
+        let input = &StepInput {
+            phase,
+            step: self.step,
+            left,
+            channels,
+            carried: &self.carried,
+            carried_payloads: &self.carried_payloads,
+            visit_all: self.last_events >= VISIT_ALL_FROM * image.skip_blocks as u64,
+            skip: self.settings.skip,
+            list_active: self.settings.per_step,
+        };
+        let arch = self.arch;
+        let channel_counts = if image.delivery_counts_channels { self.counts.channels.as_mut_slice() } else { &mut [] };
+        match (self.shards.as_mut_slice(), image.shards.as_slice()) {
+            ([state], [shard]) => Step { state, image, shard, input, channel_counts }.run(arch),
+            (states, shards) => states
+                .par_iter_mut()
+                .zip(shards)
+                .for_each(|(state, shard)| Step { state, image, shard, input, channel_counts: &mut [] }.run(arch)),
+        }
+    }
+
+    /// Exchange: the spikes of all shards in one list.
+    fn exchange(&mut self) {
+        let image = self.image;
+        self.spikes.clear();
+        self.payloads.clear();
+        for state in &mut self.shards {
+            match image.shards.len() {
+                1 => std::mem::swap(&mut self.spikes, &mut state.spikes),
+                _ => self.spikes.extend_from_slice(&state.spikes),
+            }
+            self.payloads.extend_from_slice(&state.payloads);
+        }
+        match (image.sorts_spikes, image.payloads.is_empty()) {
+            (true, true) => exchange::sort(&mut self.spikes, &mut self.marks, image.lanes.len()),
+            (true, false) => exchange::sort_graded(&mut self.spikes, &mut self.payloads),
+            (false, _) => {}
+        }
+        if let Some(others) = &mut self.others {
+            others.post(&self.spikes);
+        }
+    }
+
+    /// Counts of the step.
+    fn count(&mut self, channels: &[ChannelId], left: u32) {
+        let image = self.image;
+        if !image.delivery_counts_channels {
+            let counts = self.counts.channels.as_mut_slice();
+            for channel in channels {
+                counts[channel.0 as usize] += 1;
+            }
+        }
+        if left <= image.longest_delay {
+            self.counts.note_late(channels.iter().map(|channel| channel.0), left);
+        }
+        if left <= image.longest_delay + 1 {
+            let sources = self.spikes.iter().map(|spike| image.channels + spike.0);
+            self.counts.note_late(sources, left.saturating_sub(1));
+        }
+        self.last_events = 0;
+        for state in &self.shards {
+            self.totals.active_updates += state.active_now;
+            self.last_events += state.events_now;
+        }
+        self.totals.spikes_in += if image.counts_inputs { channels.len() as u64 } else { 0 };
+        self.totals.spikes += self.spikes.len() as u64;
+        self.totals.compartment_updates += image.held as u64;
+        self.totals.synaptic_events += self.last_events;
+        if self.settings.per_step {
+            self.last.clear();
+            image.tally.add_visits(1, &mut self.last);
+            for state in &self.shards {
+                tally::add_active(&state.active, &mut self.last);
+            }
+            image.tally.add_step((channels, &self.spikes), left, &mut self.last);
+        }
+        self.counts.steps += 1;
+    }
+
+    /// What is left of a step once the other ranks' spikes are asked for.
+    fn finish_step(&mut self, left: u32) {
+        let ends = left <= 1;
+        if !self.others.as_ref().is_some_and(|others| others.at_once || ends) {
+            return;
+        }
+        self.take_remote();
+        let Some(others) = &self.others else { return };
+        self.shown.clear();
+        if let Some((first, size)) = others.shown {
+            self.shown.extend_from_slice(&self.spikes);
+            self.shown.extend(self.remote.iter().filter(|spike| spike.0.wrapping_sub(first.0) < size));
+        }
+        if self.settings.per_step {
+            self.image.tally.add_remote(&self.remote, left, &mut self.last);
+            others.merge(&mut self.last);
+        }
+    }
+}
+
+impl Engine for Machine<'_> {
+    fn begin(&mut self, steps: u32) {
+        self.shards.iter_mut().for_each(ShardState::clear);
+        (self.step, self.steps) = (0, steps);
+        self.spikes.clear();
+        self.payloads.clear();
+        self.take_remote();
+        self.remote.clear();
+        self.last_events = 0;
+        self.counts.begin(self.image, &self.shards, self.arch);
+        self.totals = Totals::default();
+        self.last.clear();
+    }
+
+    // Phases of step t, on every shard:
+    //
+    // - Deliver(t) adds what the input spikes of step t and the compartment spikes of step t - 1 reach to the sums of the step in
+    //   which it arrives: step t + delay field for both.
+    // - Update(t) takes the sums of step t through the compartments and collects who spiked.
+    // - Exchange(t) puts the spikes of all shards into one list.
+    //
+    // Deliver(t) precedes Update(t) on the same shard; Update(t) on every shard precedes Exchange(t): that is the barrier;
+    // Exchange(t) precedes Deliver(t + 1). Sums are exact and narrowed once, so neither order nor number of shards and threads can
+    // change a result.
+    fn step(&mut self, channels: &[ChannelId]) {
+        let left = self.steps.saturating_sub(self.step);
+        self.deliver_and_update(channels, left);
+        self.exchange();
+        self.count(channels, left);
+        self.step += 1;
+        self.finish_step(left);
+    }
+
+    fn settle(&mut self) {
+        self.take_remote();
+    }
+
+    fn rest(&mut self, steps: u32) -> bool {
+        if !self.settings.skip {
+            return false;
+        }
+        self.take_remote();
+        let here = self.at_rest();
+        if !self.others.as_ref().map_or(here, |others| others.all(here)) {
+            return false;
+        }
+        self.shown.clear();
+        self.step += steps;
+        self.counts.steps += u64::from(steps);
+        self.totals.compartment_updates += u64::from(steps) * self.image.held as u64;
+        if self.settings.per_step {
+            self.last.clear();
+            self.image.tally.add_visits(1, &mut self.last);
+            if let Some(others) = &self.others {
+                others.merge(&mut self.last);
+            }
+        }
+        true
+    }
+
+    fn spikes(&self) -> &[CompartmentId] {
+        match &self.others {
+            Some(others) if others.shown.is_some() => &self.shown,
+            _ => &self.spikes,
+        }
+    }
+
+    fn payloads(&self) -> &[i32] {
+        &self.payloads
+    }
+
+    fn u(&self, compartment: CompartmentId) -> i32 {
+        if !self.image.holds(compartment) {
+            return 0;
+        }
+        let (state, lane) = self.lane(compartment);
+        state.registers(lane).u
+    }
+
+    fn v(&self, compartment: CompartmentId) -> i32 {
+        if !self.image.holds(compartment) {
+            return 0;
+        }
+        let (state, lane) = self.lane(compartment);
+        state.registers(lane).v
+    }
+
+    fn v_register(&self, compartment: CompartmentId) -> i32 {
+        if !self.image.holds(compartment) {
+            return 0;
+        }
+        let (state, lane) = self.lane(compartment);
+        let registers = state.registers(lane);
+        let neuron = self.image.neuron(compartment);
+        neuron::voltage_register(&neuron, self.image.semantics, &registers, state.has_spiked(lane))
+    }
+
+    fn totals(&self) -> Totals {
+        // Events belong to the step of their spike, and are counted when they are delivered, a step later.
+        let left = self.steps.saturating_sub(self.step);
+        let spikes = self.spikes.iter().chain(&self.remote);
+        let sources = spikes.map(|spike| self.image.channels + spike.0);
+        let pending = self.image.tally.events_within(sources.clone(), left);
+        let undelivered: i64 = sources.map(|source| self.image.residual.get(source)).sum();
+        let residual = self.counts.sample_residual(self.image, &self.shards, self.arch) - undelivered;
+        let synaptic_events = (self.totals.synaptic_events + pending).wrapping_add_signed(residual);
+        Totals { synaptic_events, ..self.totals }
+    }
+
+    fn overflow(&self) -> Overflow {
+        let mut sum = Overflow::default();
+        for state in &self.shards {
+            sum.merge(&state.overflow);
+        }
+        sum
+    }
+}

@@ -1,0 +1,195 @@
+//! The exchange of spikes between the ranks that run the parts of a program.
+//!
+//! Input: the part that this rank holds, and the spikes of its compartments, step by step. Output: the spikes of others of which this
+//! rank has axons. Before the first step each rank tells the others which of their compartments it has axons of; from then on a
+//! step sends each neighbour, in one message, the numbers of those of its own that spiked. A message is sent in every step, empty or
+//! not: its arrival is the barrier. What a spike carries is known by its source, so numbers are all that is sent.
+
+use crate::ranks::transport::Ranks;
+use nsim_ir::activity::{CoreCounts, HopCounts, StepActivity};
+use nsim_ir::base::id::{CompartmentId, CoreId};
+use nsim_ir::placement::Route;
+use nsim_ir::program::Program;
+
+/// Which of this rank's compartments another rank has axons of.
+#[derive(Debug)]
+enum Wanted {
+    /// None.
+    None,
+    /// All.
+    All,
+    /// A bit each.
+    Some(Vec<u64>),
+}
+
+/// The exchange, as one rank takes part in it.
+#[derive(Debug)]
+pub(crate) struct Exchange {
+    ranks: Ranks,
+    /// By rank.
+    wanted: Vec<Wanted>,
+    /// Words for each rank, reused.
+    posted: Vec<Vec<u32>>,
+    /// Words of others, reused.
+    taken: Vec<u32>,
+    /// Whether a round has begun that has not ended.
+    pending: bool,
+    /// The output population, where its spikes are shown to every rank.
+    pub shown: Option<(CompartmentId, u32)>,
+    /// Whether rounds end with the step in which they begin, because somebody asks for what the step did.
+    pub at_once: bool,
+}
+
+/// A number that tells mappings apart.
+fn checksum(program: &Program) -> u64 {
+    let mut sum = 0xcbf2_9ce4_8422_2325u64;
+    let mut add = |word: u64| sum = (sum ^ word).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(17);
+    for seat in program.seats() {
+        add(u64::from(seat.core.0) << 16 | u64::from(seat.slot));
+    }
+    for image in program.cores() {
+        add(u64::from(image.site.chip));
+        add(u64::from(image.site.x) << 40 | u64::from(image.site.y) << 8 | u64::from(image.site.core));
+    }
+    if let Some(dealt) = &program.parts().dealt {
+        dealt.owners.iter().for_each(|&owner| add(owner.into()));
+    }
+    sum
+}
+
+impl Exchange {
+    /// Tells the other ranks what this one wants of them, and hears what they want.
+    ///
+    /// # Panics
+    /// When the program is no part, or the ranks have made different mappings: faults of the caller and of the compiler.
+    pub fn new(program: &Program, ranks: &Ranks, shown: Option<(CompartmentId, u32)>, at_once: bool) -> Self {
+        let dealt = program.parts().dealt.as_ref().expect("a program of several ranks is dealt out");
+        assert_eq!((dealt.held, dealt.ranks), (Some(ranks.rank()), ranks.ranks()), "the part of another rank");
+        let count = ranks.ranks() as usize;
+        let sum = checksum(program);
+        let mut asked: Vec<Vec<u32>> = vec![vec![sum as u32, (sum >> 32) as u32]; count];
+        let mut own = 0;
+        for (id, seat) in program.seats().enumerate() {
+            let owner = dealt.owners[seat.core];
+            let is_shown = shown.is_some_and(|(first, size)| id.0.wrapping_sub(first.0) < size);
+            if owner == ranks.rank() {
+                own += 1;
+            } else if is_shown || !program.cores()[seat.core].axons_out.get(usize::from(seat.slot)).is_empty() {
+                asked[owner as usize].push(id.0);
+            }
+        }
+        let most: Vec<Option<usize>> =
+            asked.iter().map(|asked| Some(asked.len() - 2).filter(|&most| most > 0)).collect();
+        let mut transport = ranks.transport();
+        let heard = transport.swap(asked.clone());
+        let wanted = heard.into_iter().enumerate().map(|(rank, heard)| {
+            assert_eq!(heard.get(..2), Some(&asked[rank][..2]), "rank {rank} has made another mapping");
+            match heard.len() - 2 {
+                0 => Wanted::None,
+                all if all == own => Wanted::All,
+                _ => {
+                    let mut bits = vec![0; program.seats().len().div_ceil(64)];
+                    heard[2..].iter().for_each(|&id| bits[id as usize / 64] |= 1 << (id % 64));
+                    Wanted::Some(bits)
+                }
+            }
+        });
+        let wanted: Vec<Wanted> = wanted.collect();
+        let to: Vec<bool> = wanted.iter().map(|wanted| !matches!(wanted, Wanted::None)).collect();
+        transport.prepare(&to, &most);
+        drop(transport);
+        let posted = vec![Vec::new(); count];
+        Exchange { ranks: ranks.clone(), wanted, posted, taken: Vec::new(), pending: false, shown, at_once }
+    }
+
+    /// Sends this rank's spikes of a step.
+    pub fn post(&mut self, spikes: &[CompartmentId]) {
+        for (wanted, words) in self.wanted.iter().zip(&mut self.posted) {
+            words.clear();
+            match wanted {
+                Wanted::None => {}
+                Wanted::All => words.extend(spikes.iter().map(|spike| spike.0)),
+                Wanted::Some(bits) => {
+                    let is_wanted = |id: &u32| bits[*id as usize / 64] >> (id % 64) & 1 == 1;
+                    words.extend(spikes.iter().map(|spike| spike.0).filter(is_wanted));
+                }
+            }
+        }
+        self.ranks.transport().post(&mut self.posted);
+        self.pending = true;
+    }
+
+    /// The others' spikes of the step whose own were posted last; false where they have been taken already.
+    pub fn take(&mut self, spikes: &mut Vec<CompartmentId>) -> bool {
+        if !std::mem::take(&mut self.pending) {
+            return false;
+        }
+        self.taken.clear();
+        self.ranks.transport().take(&mut self.taken);
+        spikes.clear();
+        spikes.extend(self.taken.iter().map(|&id| CompartmentId(id)));
+        true
+    }
+
+    /// Whether it is so on every rank.
+    pub fn all(&self, here: bool) -> bool {
+        self.ranks.transport().all(here)
+    }
+
+    /// Adds what the step did on the other ranks, on rank 0.
+    pub fn merge(&self, step: &mut StepActivity) {
+        let words = if self.ranks.rank() == 0 { Vec::new() } else { step_words(step) };
+        for of_rank in self.ranks.transport().gather(words).iter().skip(1) {
+            add_step_words(of_rank, step);
+        }
+    }
+}
+
+/// A step as words: the cores that did anything, then the rest.
+fn step_words(step: &StepActivity) -> Vec<u64> {
+    let busy = |(_, counts): &(CoreId, &CoreCounts)| **counts != CoreCounts::default();
+    let HopCounts { local, east_west, north_south, chip } = step.hops;
+    let Route { east_west: longest_x, north_south: longest_y, chip: longest_chip } = step.longest;
+    let mut words = vec![local, east_west, north_south, chip];
+    words.extend([longest_x, longest_y, longest_chip].map(u64::from));
+    words.extend([step.spikes_in, step.messages_from_inputs, step.spikes_out, step.fired.len() as u64]);
+    words.extend(step.fired.iter().map(|id| u64::from(id.0)));
+    for (core, counts) in step.cores.enumerate().filter(busy) {
+        words.push(core.0.into());
+        words.extend(counts.to_words());
+    }
+    words
+}
+
+/// Adds a step that came as words.
+fn add_step_words(words: &[u64], step: &mut StepActivity) {
+    let [
+        local,
+        east_west,
+        north_south,
+        chip,
+        longest_x,
+        longest_y,
+        longest_chip,
+        spikes_in,
+        from_inputs,
+        out,
+        fired,
+        ref rest @ ..,
+    ] = *words
+    else {
+        return;
+    };
+    let (fired, cores) = rest.split_at(fired as usize);
+    step.hops += HopCounts { local, east_west, north_south, chip };
+    let longest = Route { east_west: longest_x as u32, north_south: longest_y as u32, chip: longest_chip as u32 };
+    step.longest = step.longest.max(longest);
+    step.spikes_in += spikes_in;
+    step.messages_from_inputs += from_inputs;
+    step.spikes_out += out;
+    step.fired.extend(fired.iter().map(|&id| CompartmentId(id as u32)));
+    for core in cores.chunks_exact(1 + CoreCounts::WORDS) {
+        let counts = &mut step.cores.as_mut_slice()[core[0] as usize];
+        *counts += CoreCounts::from_words(&core[1..]);
+    }
+}

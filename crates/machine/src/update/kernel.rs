@@ -1,0 +1,447 @@
+//! Sixteen compartments at a time, in the chip's semantics: the vector form of [`nsim_dynamics::update`].
+//!
+//! Comes in: registers and sums of a block whose compartments share their fields, padded to whole chunks of sixteen.
+//! Goes out: the new registers, who spiked, who was not at rest, and which lanes left their field. Written as plain loops
+//! over arrays of sixteen that the compiler turns into vector instructions; `pulp` picks the widest set that the processor
+//! has, and all of them compute the same integers; for AVX-512 they are named one by one (`vectors`). A test holds every
+//! result of either against the scalar update.
+//!
+//! A voltage and its refractory counter share a register, so that a step streams through less memory.
+//!
+//! All arithmetic fits 32 bits: |u|, |v| <= 2^23 and q is below 2^21, so sums stay below 2^25. The 36-bit product of a
+//! decay is split at bit 12: with x = 4096 h + l, (x k) >> 12 = h k + ((l k) >> 12) exactly.
+
+use std::array::from_mut;
+
+use nsim_dynamics::Fields;
+use nsim_ir::base::fixed::{DECAY_ONE, UV_BITS, WEIGHT_SHIFT};
+
+/// Compartments of a chunk.
+pub const LANES: usize = 16;
+
+/// Fields that a whole block shares.
+#[derive(Debug, Clone, Copy)]
+pub struct Shared {
+    /// Whether there is no bias.
+    pub(crate) plain: bool,
+    pub(crate) keep_u: i32,
+    pub(crate) keep_v: i32,
+    pub(crate) bias: i32,
+    pub(crate) fires_from: i32,
+    pub(crate) vmin: i32,
+    pub(crate) vmax: i32,
+    pub(crate) refractory: i32,
+    /// What is kept of u and v: a number of 4096ths, which a float holds exactly.
+    pub(crate) share_u: f32,
+    pub(crate) share_v: f32,
+    /// From `vmin` to `vmax`.
+    pub(crate) span: i32,
+}
+
+impl From<&Fields> for Shared {
+    fn from(f: &Fields) -> Self {
+        const ONE: i32 = DECAY_ONE as i32;
+        let (keep_u, keep_v) = (ONE - i32::from(f.neuron.du.get()), ONE - i32::from(f.neuron.dv.get()));
+        Shared {
+            plain: f.bias == 0,
+            keep_u,
+            keep_v,
+            bias: f.bias,
+            fires_from: f.fires_from,
+            vmin: f.vmin,
+            vmax: f.vmax,
+            refractory: i32::from(f.refractory),
+            share_u: keep_u as f32 / ONE as f32,
+            share_v: keep_v as f32 / ONE as f32,
+            span: f.vmax - f.vmin,
+        }
+    }
+}
+
+/// What a block's update did.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Effects {
+    /// A bit for each lane that spiked.
+    pub spiked: u64,
+    /// A bit for each lane that was not at rest.
+    pub moved: u64,
+    /// Whether any lane is not at rest afterwards.
+    pub busy: bool,
+    /// A bit for each chunk of sixteen lanes in which a value left its field.
+    pub overflowed: u32,
+}
+
+/// Registers of a block.
+#[derive(Debug)]
+pub struct Block<'a, S> {
+    /// Currents.
+    pub u: &'a mut [i32],
+    /// Voltages, as [`store`] writes them.
+    pub v: &'a mut [i32],
+    /// Sums of arrivals in units of 64; taken, and left at 0.
+    pub sums: &'a mut [S],
+}
+
+/// The voltage register while v is held: this and the steps until v is free again. It is above every voltage, |v| < 2^23.
+pub(crate) const HELD: i32 = 1 << 30;
+
+/// A voltage and the steps until it is free again, in one register. As on the chip, where the register of a held voltage
+/// counts: v is 0 meanwhile.
+#[inline(always)]
+#[must_use]
+pub fn store(v: i32, hold: u8) -> i32 {
+    if hold == 0 { v } else { HELD + i32::from(hold) }
+}
+
+/// The inverse of [`store`].
+#[inline(always)]
+#[must_use]
+pub fn load(stored: i32) -> (i32, u8) {
+    if stored < HELD { (stored, 0) } else { (0, (stored - HELD) as u8) }
+}
+
+/// A sum of arrivals in units of 64.
+pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'static {
+    /// Whether its values can leave the 16 bits that the accumulator has for them.
+    const WIDE: bool;
+    /// Adds a weight.
+    #[must_use]
+    fn plus(self, weight: i16) -> Self;
+    /// The sum.
+    fn value(self) -> i32;
+}
+
+impl Sum for i32 {
+    const WIDE: bool = true;
+    #[inline(always)]
+    fn plus(self, weight: i16) -> Self {
+        self + i32::from(weight)
+    }
+    #[inline(always)]
+    fn value(self) -> i32 {
+        self
+    }
+}
+
+/// For compartments whose synapses together cannot exceed it, so that it never wraps.
+impl Sum for i16 {
+    const WIDE: bool = false;
+    #[inline(always)]
+    fn plus(self, weight: i16) -> Self {
+        self.wrapping_add(weight)
+    }
+    #[inline(always)]
+    fn value(self) -> i32 {
+        i32::from(self)
+    }
+}
+
+/// Equation (3) in 32 bits. The masks change nothing, as |x| <= 2^23 and keep <= 4096: they show the compiler that both
+/// factors fit 16 bits, for which it has a multiplication of half the cost.
+#[inline(always)]
+fn kept(x: i32, keep: i32) -> i32 {
+    let sign = x >> 31;
+    let magnitude = (x ^ sign) - sign;
+    let (high, low, keep) = ((magnitude >> 12) & 0xfff, magnitude & 0xfff, keep & 0x1fff);
+    let kept = high * keep + ((low * keep) >> 12);
+    (kept ^ sign) - sign
+}
+
+/// Not 0 where a value does not fit 23 bits and a sign.
+#[inline(always)]
+fn outside(x: i32) -> i32 {
+    ((x + (1 << UV_BITS)) as u32 >> (UV_BITS + 1)) as i32
+}
+
+/// Some chunks of sixteen compartments, at most four.
+#[derive(Debug)]
+pub struct Chunks<'a, S, const N: usize> {
+    /// Currents.
+    pub u: &'a mut [[i32; LANES]; N],
+    /// Voltages, as [`store`] writes them.
+    pub v: &'a mut [[i32; LANES]; N],
+    /// Sums of arrivals; left at 0.
+    pub sums: &'a mut [[S; LANES]; N],
+}
+
+/// What the update of some chunks did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Effect {
+    /// A bit for each lane that spiked.
+    pub spiked: u64,
+    /// A bit for each lane that was not at rest.
+    pub moved: u64,
+    /// Whether any lane is not at rest afterwards.
+    pub busy: bool,
+}
+
+/// Instructions for chunks.
+pub trait Vectors: Copy {
+    /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing has changed. `PLAIN` only
+    /// for fields that are.
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
+
+    /// The same of some chunks at once, for whoever has the registers; `None` also if not.
+    #[inline(always)]
+    fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
+        self,
+        chunks: Chunks<'_, S, N>,
+        shared: &Shared,
+    ) -> Option<Effect> {
+        let _ = (chunks, shared);
+        None
+    }
+}
+
+/// Whatever vectors the compiler makes of loops.
+#[derive(Debug, Clone, Copy)]
+pub struct Portable;
+
+impl Vectors for Portable {
+    #[inline(always)]
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect> {
+        let Shared { keep_u, keep_v, fires_from, vmin, vmax, refractory, .. } = *shared;
+        let bias = if PLAIN { 0 } else { shared.bias };
+        let Chunks { u: [u], v: [v], sums: [sums] } = chunk;
+        let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
+        let [mut fired, mut moved] = [[false; LANES]; 2];
+        let (mut busy, mut overflowed) = (0, 0);
+        for lane in 0..LANES {
+            let (sum, old_u, stored) = (sums[lane].value(), u[lane], v[lane]);
+            let old_v = if stored < HELD { stored } else { 0 };
+            let is_free = stored < HELD + 2;
+            // The truncation to 16 bits of a sum in units of 64 is the wrap to 22.
+            let q = if S::WIDE { (sum << 16) >> 10 } else { sum << WEIGHT_SHIFT };
+            let next_u = kept(old_u, keep_u) + q;
+            let input = next_u + bias;
+            let free = kept(old_v, keep_v) + input;
+            let clipped = free.max(vmin).min(vmax);
+            let fires = is_free & (clipped >= fires_from);
+            let unheld = if fires { HELD + refractory } else { clipped };
+            new_v[lane] = if is_free { unheld } else { stored - 1 };
+            new_u[lane] = next_u;
+            busy |= next_u | new_v[lane];
+            fired[lane] = fires;
+            moved[lane] = ((old_u | old_v | sum | bias) != 0) | !is_free;
+            let wrapped = outside(next_u) | outside(input) | if S::WIDE { (q >> WEIGHT_SHIFT) ^ sum } else { 0 };
+            overflowed |= wrapped | if is_free { clipped ^ free } else { 0 };
+        }
+        if overflowed != 0 {
+            return None;
+        }
+        (*u, *v, *sums) = (new_u, new_v, [S::default(); LANES]);
+        Some(Effect { spiked: bits(fired).into(), moved: bits(moved).into(), busy: busy != 0 })
+    }
+}
+
+/// Updates a block of at most 64 lanes, a multiple of sixteen.
+///
+/// Chunks in which a value leaves its field are not updated but named in the result: they are rare, and what happened in
+/// them has to be told lane by lane.
+#[inline(always)]
+pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
+    match shared.plain {
+        true => chunks::<S, true>(block, shared, vectors),
+        false => chunks::<S, false>(block, shared, vectors),
+    }
+}
+
+#[inline(always)]
+fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
+    let mut effects = Effects::default();
+    let (u, _) = block.u.as_chunks_mut::<LANES>();
+    let (v, _) = block.v.as_chunks_mut::<LANES>();
+    let (sums, _) = block.sums.as_chunks_mut::<LANES>();
+    let at_once = match u.len() {
+        4 => some::<S, PLAIN, 4>(u, v, sums, shared, vectors),
+        3 => some::<S, PLAIN, 3>(u, v, sums, shared, vectors),
+        2 => some::<S, PLAIN, 2>(u, v, sums, shared, vectors),
+        _ => None,
+    };
+    if let Some(Effect { spiked, moved, busy }) = at_once {
+        return Effects { spiked, moved, busy, overflowed: 0 };
+    }
+    for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
+        let one = Chunks { u: from_mut(u), v: from_mut(v), sums: from_mut(sums) };
+        match vectors.update::<S, PLAIN>(one, shared) {
+            Some(effect) => {
+                effects.spiked |= effect.spiked << (index * LANES);
+                effects.moved |= effect.moved << (index * LANES);
+                effects.busy |= effect.busy;
+            }
+            None => effects.overflowed |= 1 << index,
+        }
+    }
+    effects
+}
+
+/// Updates so many chunks at once.
+#[inline(always)]
+fn some<S: Sum, const PLAIN: bool, const N: usize>(
+    u: &mut [[i32; LANES]],
+    v: &mut [[i32; LANES]],
+    sums: &mut [[S; LANES]],
+    shared: &Shared,
+    vectors: impl Vectors,
+) -> Option<Effect> {
+    let (u, v, sums) = (u.first_chunk_mut::<N>()?, v.first_chunk_mut::<N>()?, sums.first_chunk_mut::<N>()?);
+    vectors.update_some::<S, PLAIN, N>(Chunks { u, v, sums }, shared)
+}
+
+/// One bit a lane: the product gathers the lowest bits of eight bytes in its highest byte, as no two of its terms meet.
+#[inline(always)]
+fn bits(lanes: [bool; LANES]) -> u16 {
+    let bytes = bytes(lanes);
+    let gather = |bytes: u64| bytes.wrapping_mul(0x0102_0408_1020_4080) >> 56;
+    (gather(bytes as u64) | (gather((bytes >> 64) as u64) << 8)) as u16
+}
+
+/// One byte a lane, 1 or 0.
+#[inline(always)]
+fn bytes(lanes: [bool; LANES]) -> u128 {
+    // Not `lanes.map`, which the compiler does not always turn into one register.
+    let mut bytes = [0; LANES];
+    bytes.iter_mut().zip(lanes).for_each(|(byte, lane)| *byte = u8::from(lane));
+    u128::from_le_bytes(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_dynamics as neuron;
+    use nsim_dynamics::{Registers, update};
+    use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+    use nsim_ir::base::fixed::{
+        BiasExponent, BiasMantissa, Decay, Refractory, ThresholdMantissa, VmaxExponent, VminExponent,
+    };
+    use nsim_ir::base::rng;
+    use nsim_ir::neurons::NeuronKind;
+    use nsim_ir::quantised::Neuron;
+
+    /// A number whose magnitude has a random number of bits, so that edges come up as often as middles.
+    fn draw(seed: u64, index: u64, bits: u64) -> i64 {
+        let width = rng::below(bits + 1, seed, index, 0);
+        let magnitude = (rng::bits(seed, index, 1) & ((1 << width) - 1)) as i64;
+        let edge = [magnitude, 1 << width, (1 << width) - 1][rng::below(3, seed, index, 2) as usize];
+        if rng::bits(seed, index, 3) & 1 == 0 { edge } else { -edge }
+    }
+
+    fn fields(seed: u64) -> Fields {
+        let of = |index, low: i64, high: i64| low + rng::below((high - low + 1) as u64, seed, index, 9) as i64;
+        let decay = |index| [of(index, 0, 4096), 0, 1, 4095, 4096][of(index + 1, 0, 4) as usize];
+        let integrate_and_fire = of(17, 0, 3) == 0;
+        let neuron = Neuron {
+            kind: if integrate_and_fire { NeuronKind::If } else { NeuronKind::Loihi },
+            du: if integrate_and_fire { Decay::MAX } else { Decay::new(decay(0)).unwrap() },
+            dv: if integrate_and_fire { Decay::MIN } else { Decay::new(decay(2)).unwrap() },
+            vth: ThresholdMantissa::new([of(4, 0, 131_071), of(5, 0, 300)][of(6, 0, 1) as usize]).unwrap(),
+            bias_mant: BiasMantissa::new([0, of(7, -4096, 4095)][of(8, 0, 1) as usize]).unwrap(),
+            bias_exp: BiasExponent::new(of(9, 0, 7)).unwrap(),
+            refractory: Refractory::new([1, of(10, 0, 63)][of(11, 0, 1) as usize]).unwrap(),
+            vmin: VminExponent::new([23, of(12, 0, 23)][of(13, 0, 1) as usize]).unwrap(),
+            vmax: VmaxExponent::new([7, of(14, 0, 7)][of(15, 0, 1) as usize]).unwrap(),
+            shift: 0,
+        };
+        let test = [ThresholdTest::Strict, ThresholdTest::Inclusive][of(16, 0, 1) as usize];
+        neuron::fields(&neuron, 0, Semantics::Hardware, test)
+    }
+
+    /// The kernel as the machine runs it, with the processor's widest vectors.
+    struct Run<'a, S, V>(Block<'a, S>, &'a Shared, V);
+
+    impl<S: Sum, V: Vectors> pulp::NullaryFnOnce for Run<'_, S, V> {
+        type Output = Effects;
+        #[inline(always)]
+        fn call(self) -> Effects {
+            let mut block = self.0;
+            hardware(&mut block, self.1, self.2)
+        }
+    }
+
+    /// With the vectors that the machine takes; they do to the block what the compiler's do.
+    fn run<S: Sum>(arch: pulp::Arch, block: &mut Block<'_, S>, shared: &Shared) -> Effects {
+        let (mut u, mut v, mut sums) = (block.u.to_vec(), block.v.to_vec(), block.sums.to_vec());
+        let plain = arch.dispatch(Run(Block { u: &mut u, v: &mut v, sums: &mut sums }, shared, Portable));
+        let same = Block { u: &mut *block.u, v: &mut *block.v, sums: &mut *block.sums };
+        let effects = match arch {
+            #[cfg(target_arch = "x86_64")]
+            pulp::Arch::V4(simd) => simd.vectorize(Run(same, shared, simd)),
+            _ => arch.dispatch(Run(same, shared, Portable)),
+        };
+        assert_eq!(effects, plain);
+        assert_eq!((&*block.u, &*block.v, &*block.sums), (&u[..], &v[..], &sums[..]));
+        effects
+    }
+
+    /// What some compartments do, one by one and as vectors; returns how many spiked and how many chunks left a field.
+    fn compare<S: Sum, const COUNT: usize>(
+        arch: pulp::Arch,
+        seed: u64,
+        bits: u64,
+        narrow: impl Fn(i64) -> S,
+    ) -> (u32, u32) {
+        let f = fields(seed);
+        let at = |lane: usize, what: u64, bits| draw(seed, 1000 + lane as u64 * 8 + what, bits);
+        let registers: [Registers; COUNT] = std::array::from_fn(|lane| {
+            let hold = (at(lane, 2, 7).unsigned_abs() as u8).min(f.refractory);
+            let v = at(lane, 1, [12, 18, 20, 23][seed as usize / 4 % 4]).clamp(f.vmin.into(), f.vmax.into()) as i32;
+            // A held voltage is 0; that is what lets the counter share its register.
+            let v = if hold > 0 { 0 } else { v };
+            Registers {
+                u: at(lane, 0, [12, 18, 20, 23][seed as usize / 4 % 4]).clamp(-(1 << 23), (1 << 23) - 1) as i32,
+                v,
+                hold,
+            }
+        });
+        let arrived: [S; COUNT] = std::array::from_fn(|lane| narrow(at(lane, 3, bits)));
+        let mut u = registers.map(|r| r.u);
+        let mut v = registers.map(|r| store(r.v, r.hold));
+        let (before_u, before_v) = (u, v);
+        let mut sums = arrived;
+        let effects = run(arch, &mut Block { u: &mut u, v: &mut v, sums: &mut sums }, &Shared::from(&f));
+        let mut expected = Effects::default();
+        for chunk in 0..COUNT / LANES {
+            let lanes = chunk * LANES..(chunk + 1) * LANES;
+            let results: Vec<_> =
+                lanes.clone().map(|lane| update(registers[lane], arrived[lane].value(), &f)).collect();
+            if results.iter().any(|(_, effect)| effect.q_wrapped | effect.u_wrapped | effect.v_clipped) {
+                expected.overflowed |= 1 << chunk;
+                assert_eq!(
+                    (&u[lanes.clone()], &v[lanes.clone()]),
+                    (&before_u[lanes.clone()], &before_v[lanes.clone()])
+                );
+                assert_eq!(sums[lanes.clone()], arrived[lanes], "seed {seed} chunk {chunk}");
+                continue;
+            }
+            for (lane, (new, effect)) in lanes.clone().zip(results) {
+                assert_eq!((u[lane], load(v[lane])), (new.u, (new.v, new.hold)), "seed {seed} lane {lane}");
+                let at_rest = f.at_rest(&registers[lane], arrived[lane].value());
+                expected.spiked |= u64::from(effect.spiked) << lane;
+                expected.moved |= u64::from(!at_rest) << lane;
+                expected.busy |= new != Registers::default();
+            }
+            assert_eq!(sums[lanes], [S::default(); LANES], "seed {seed} chunk {chunk}");
+        }
+        assert_eq!(effects, expected, "seed {seed}");
+        (effects.spiked.count_ones(), effects.overflowed.count_ones())
+    }
+
+    /// A million lane-updates over random fields and registers, edges included, with sums of both widths.
+    #[test]
+    fn sixteen_lanes_are_sixteen_compartments() {
+        let (mut spikes, mut overflows) = (0, 0);
+        let narrower = crate::update::width::halved();
+        for seed in 0..20_000u64 {
+            let arch = if seed / 16 % 4 == 3 { narrower } else { pulp::Arch::new() };
+            // Arrivals beyond 16 bits make every chunk leave a field: most seeds draw smaller ones.
+            let wide = compare::<_, 48>(arch, seed, [6, 10, 14, 30][seed as usize % 4], |sum| sum as i32);
+            let four = compare::<_, 64>(arch, seed, [6, 10, 14, 30][seed as usize % 4], |sum| sum as i32);
+            let limit = i64::from(i16::MAX);
+            let narrow =
+                compare::<_, 64>(arch, seed, [6, 10, 14, 15][seed as usize % 4], |sum| sum.clamp(-limit, limit) as i16);
+            spikes += wide.0 + four.0 + narrow.0;
+            overflows += wide.1 + four.1 + narrow.1;
+        }
+        assert!(spikes > 60_000 && overflows > 10_000, "{spikes} spikes, {overflows} chunks with overflow: too tame");
+    }
+}

@@ -1,0 +1,546 @@
+//! The state of a shard, and a timestep of it.
+//!
+//! Input: a shard of an [`Image`], and the spikes to deliver. Output: the next spikes, what was not at rest, what left its field.
+//! A skip block is updated if something arrived at it, if it was not at rest after its last update, or if a bias drives it. For
+//! all others the result of the update is known.
+
+use std::ops::Range;
+
+use crate::bits::{UNCHECKED, ones, write_ones};
+use crate::deliver::accumulate::Accumulate;
+use crate::deliver::delay_ring::DelayRing;
+use crate::layout::image::{Image, SumWidth};
+use crate::layout::shard::{BlockFields, CoreBlock, Shard, VectorRun};
+use crate::layout::store::Aligned;
+use crate::update::kernel;
+use crate::update::kernel::{LANES, Portable, Sum, Vectors};
+use nsim_dynamics::{Effect, Registers, update};
+use nsim_ir::activity::Overflow;
+use nsim_ir::arithmetic::Semantics;
+use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
+use nsim_ir::source_counts::LeftField;
+use nsim_ir::spikes::{GradedSpike, Spike};
+
+/// What of a step is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Phase {
+    /// All of it.
+    Whole,
+    /// Delivery of these spikes; more follow.
+    Deliver,
+    /// Delivery of the last spikes, and the update.
+    Update,
+}
+
+/// Parameters of one step.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StepInput<'a> {
+    /// What of the step is done.
+    pub phase: Phase,
+    /// The step.
+    pub step: u32,
+    /// Steps of the sample that are left, this one included: later arrivals are no events.
+    pub left: u32,
+    /// Input channels that spike in it.
+    pub channels: &'a [ChannelId],
+    /// Compartments that spiked in the step before.
+    pub carried: &'a [CompartmentId],
+    /// What their spikes carry; empty if all spikes are binary.
+    pub carried_payloads: &'a [i32],
+    /// Update every skip block that any spike could reach, instead of marking arrivals.
+    pub visit_all: bool,
+    /// Leave out skip blocks at rest.
+    pub skip: bool,
+    /// List what was not at rest in this step.
+    pub list_active: bool,
+}
+
+/// A step of a shard, in the form in which `pulp` runs it with the processor's widest vectors: everything below is inlined into
+/// one function that is compiled for them. (A closure would not be.)
+pub(crate) struct Step<'a> {
+    /// The shard's state.
+    pub state: &'a mut ShardState,
+    /// The image.
+    pub image: &'a Image<'a>,
+    /// The shard.
+    pub shard: &'a Shard,
+    /// Parameters.
+    pub input: &'a StepInput<'a>,
+    /// Spikes of each channel, which delivery counts unless this is empty.
+    pub channel_counts: &'a mut [u32],
+}
+
+impl Step<'_> {
+    /// Runs it with the widest vectors of the processor.
+    pub fn run(self, arch: pulp::Arch) {
+        match arch {
+            #[cfg(target_arch = "x86_64")]
+            pulp::Arch::V4(vectors) => vectors.vectorize(With(self, vectors)),
+            _ => arch.dispatch(With(self, Portable)),
+        }
+    }
+}
+
+/// A step and its vectors.
+struct With<'a, V>(Step<'a>, V);
+
+impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let With(Step { state: ShardState { state, rings }, image, shard, input, channel_counts }, vectors) = self;
+        let spikes = (input.channels, channel_counts, input.carried);
+        match rings {
+            Rings::Bits16(ring) => state.step(ring, image, shard, *input, spikes, vectors),
+            Rings::Bits32(ring) => state.step(ring, image, shard, *input, spikes, vectors),
+            Rings::Bits64(ring) => {
+                let graded = |&id: &ChannelId| GradedSpike { id, payload: image.payloads[id.index()] };
+                let channels: Vec<_> = input.channels.iter().map(graded).collect();
+                let carried = input.carried.iter().zip(input.carried_payloads);
+                let carried: Vec<_> = carried.map(|(&id, &payload)| GradedSpike { id, payload }).collect();
+                state.step(ring, image, shard, *input, (&channels, spikes.1, &carried), vectors);
+                let emitted = state.spikes.iter().map(|id| image.payloads[image.channels as usize + id.index()]);
+                state.payloads.clear();
+                state.payloads.extend(emitted);
+            }
+        }
+    }
+}
+
+/// The state of a shard.
+#[derive(Debug)]
+pub(crate) struct ShardState {
+    state: CompartmentState,
+    rings: Rings,
+}
+
+/// The delay ring, with the narrowest sums that are exact.
+#[derive(Debug)]
+enum Rings {
+    Bits16(DelayRing<i16>),
+    Bits32(DelayRing<i32>),
+    Bits64(DelayRing<i64>),
+}
+
+/// Registers, and what was counted.
+#[derive(Debug)]
+pub(crate) struct CompartmentState {
+    u: Aligned<i32>,
+    /// As `kernel::store` writes them; plain where `hold` is not empty.
+    v: Aligned<i32>,
+    /// Steps until v is free again, in SLAYER's semantics, where a voltage may need its whole register.
+    hold: Vec<u8>,
+    /// Skip blocks that are not at rest, a bit each.
+    busy: Vec<u64>,
+    /// The lanes that spiked in the last step, ascending, and room for more.
+    spiked: Vec<u32>,
+    /// How many.
+    spiking: usize,
+    /// Compartments that spiked in the last step, in the order of lanes.
+    pub spikes: Vec<CompartmentId>,
+    /// What each of them carries; empty if all spikes are binary.
+    pub payloads: Vec<i32>,
+    /// Spikes of each lane since they were last taken.
+    pub fired: Vec<u32>,
+    /// Compartments of a core that were not at rest in the last step, by core block, if asked for.
+    pub active: Vec<(CoreId, u32)>,
+    /// How many were not at rest in the last step.
+    pub active_now: u64,
+    /// The same by core block since it was last taken, without the steps in which the whole vector run moved.
+    active_by_block: Vec<u64>,
+    /// Those steps, by vector run.
+    whole: Vec<u64>,
+    /// Synaptic events that the last step counted.
+    pub events_now: u64,
+    /// What left its field.
+    pub overflow: Overflow,
+    /// The same by lane since it was last taken; empty while nothing has.
+    pub left_fields: Vec<LeftField>,
+    /// Compartments visited.
+    pub visited: u64,
+}
+
+impl std::ops::Deref for ShardState {
+    type Target = CompartmentState;
+
+    fn deref(&self) -> &CompartmentState {
+        &self.state
+    }
+}
+
+impl std::ops::DerefMut for ShardState {
+    fn deref_mut(&mut self) -> &mut CompartmentState {
+        &mut self.state
+    }
+}
+
+impl ShardState {
+    /// A shard at rest, with so many slots in its delay ring.
+    pub fn new(image: &Image, shard: &Shard, slots: usize) -> Self {
+        let words = shard.driven.len();
+        let holds = if image.semantics == Semantics::Slayer { shard.lanes } else { 0 };
+        let state = CompartmentState {
+            u: Aligned::new(shard.lanes),
+            v: Aligned::new(shard.lanes),
+            hold: vec![0; holds],
+            busy: vec![0; words],
+            spiked: vec![0; shard.lanes + UNCHECKED],
+            spiking: 0,
+            spikes: Vec::new(),
+            payloads: Vec::new(),
+            fired: vec![0; shard.lanes],
+            active: Vec::new(),
+            active_now: 0,
+            active_by_block: vec![0; shard.blocks.len()],
+            whole: vec![0; shard.vector_runs.len()],
+            events_now: 0,
+            overflow: Overflow::default(),
+            left_fields: Vec::new(),
+            visited: 0,
+        };
+        let mut lists = shard.fan_outs().filter_map(|fan_out| fan_out.lists.as_ref());
+        let compact = lists.any(|lists| lists.synapses.is_compact());
+        let rings = match image.sum_width {
+            SumWidth::Bits16 => Rings::Bits16(DelayRing::new(shard.lanes, compact, words, slots)),
+            SumWidth::Bits32 => Rings::Bits32(DelayRing::new(shard.lanes, compact, words, slots)),
+            SumWidth::Bits64 => Rings::Bits64(DelayRing::new(shard.lanes, compact, words, slots)),
+        };
+        ShardState { state, rings }
+    }
+
+    /// Bytes of memory that it holds.
+    pub fn bytes(&self) -> usize {
+        let state = &self.state;
+        let words = state.u.len()
+            + state.v.len()
+            + state.fired.len()
+            + state.spiked.len()
+            + 2 * (state.busy.len() + state.active_by_block.len() + state.whole.len());
+        let ring = match &self.rings {
+            Rings::Bits16(ring) => ring.bytes(),
+            Rings::Bits32(ring) => ring.bytes(),
+            Rings::Bits64(ring) => ring.bytes(),
+        };
+        4 * words + state.hold.len() + ring
+    }
+
+    /// Resets to the state before the first step; what is counted over samples stays.
+    pub fn clear(&mut self) {
+        match &mut self.rings {
+            Rings::Bits16(ring) => ring.clear(),
+            Rings::Bits32(ring) => ring.clear(),
+            Rings::Bits64(ring) => ring.clear(),
+        }
+        let state = &mut self.state;
+        state.u.fill(0);
+        state.v.fill(0);
+        state.hold.fill(0);
+        state.busy.fill(0);
+        state.spikes.clear();
+        state.payloads.clear();
+        state.spiking = 0;
+        state.overflow = Overflow::default();
+        state.visited = 0;
+    }
+
+    /// Whether nothing is in flight, and every compartment is at rest and stays so without input.
+    pub fn at_rest(&self, shard: &Shard) -> bool {
+        let arrivals = match &self.rings {
+            Rings::Bits16(ring) => &ring.arrivals,
+            Rings::Bits32(ring) => &ring.arrivals,
+            Rings::Bits64(ring) => &ring.arrivals,
+        };
+        let clear = |words: &[u64]| words.iter().all(|&word| word == 0);
+        clear(&self.state.busy) && clear(&shard.driven) && arrivals.iter().all(|words| clear(words))
+    }
+}
+
+impl CompartmentState {
+    /// How many compartments of each core block were not at rest, summed over the steps since this was last asked.
+    pub fn take_active(&mut self, shard: &Shard) -> Vec<u64> {
+        for (run, steps) in shard.vector_runs.iter().zip(&mut self.whole) {
+            let steps = std::mem::take(steps);
+            let blocks = run.first as usize..run.end as usize;
+            for (block, sum) in shard.blocks[blocks.clone()].iter().zip(&mut self.active_by_block[blocks]) {
+                *sum += steps * u64::from(block.length);
+            }
+        }
+        let sums = vec![0; self.active_by_block.len()];
+        std::mem::replace(&mut self.active_by_block, sums)
+    }
+
+    /// Registers of a lane.
+    pub fn registers(&self, lane: usize) -> Registers {
+        match self.hold.get(lane) {
+            Some(&hold) => Registers { u: self.u[lane], v: self.v[lane], hold },
+            None => {
+                let (v, hold) = kernel::load(self.v[lane]);
+                Registers { u: self.u[lane], v, hold }
+            }
+        }
+    }
+
+    /// Whether a lane spiked in the last step.
+    pub fn has_spiked(&self, lane: usize) -> bool {
+        self.spiked[..self.spiking].binary_search(&(lane as u32)).is_ok()
+    }
+
+    fn set(&mut self, lane: usize, new: Registers) {
+        self.u[lane] = new.u;
+        match self.hold.get_mut(lane) {
+            Some(hold) => (self.v[lane], *hold) = (new.v, new.hold),
+            None => self.v[lane] = kernel::store(new.v, new.hold),
+        }
+    }
+
+    /// Deliver and Update.
+    #[inline(always)]
+    fn step<S, C: Spike, N: Spike>(
+        &mut self,
+        ring: &mut DelayRing<S>,
+        image: &Image,
+        shard: &Shard,
+        input: StepInput,
+        (channels, channel_counts, carried): (&[C], &mut [u32], &[N]),
+        vectors: impl Vectors,
+    ) where
+        S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
+    {
+        let (channels, carried) = ((channels, channel_counts), (carried, &mut [][..]));
+        let cursor = input.step as usize % ring.sums.len();
+        if input.phase != Phase::Update {
+            self.events_now = 0;
+        }
+        if input.visit_all {
+            // This step's spikes may arrive in any slot that a delay leads to.
+            if input.phase != Phase::Update {
+                ring.mark_all(shard.skip_blocks.len() - 1);
+            }
+            self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, cursor, input.left);
+            self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, cursor, input.left);
+        } else {
+            self.events_now += ring.deliver::<true, _>(&shard.from_channels, channels, cursor, input.left);
+            self.events_now += ring.deliver::<true, _>(&shard.from_compartments, carried, cursor, input.left);
+        }
+        if input.phase == Phase::Deliver {
+            return;
+        }
+        self.update((&mut ring.sums[cursor], &mut ring.arrivals[cursor]), image, shard, input, vectors);
+        self.record_spikes(shard);
+    }
+
+    #[inline(always)]
+    fn update<S: Sum>(
+        &mut self,
+        (sums, arrivals): (&mut [S], &mut [u64]),
+        image: &Image,
+        shard: &Shard,
+        input: StepInput,
+        vectors: impl Vectors,
+    ) {
+        self.spiking = 0;
+        self.active.clear();
+        self.active_now = 0;
+        let skip_blocks = shard.skip_blocks.len() - 1;
+        for (word, arrivals) in arrivals.iter_mut().take(self.busy.len()).enumerate() {
+            let mut set = match input.skip {
+                true => self.busy[word] | shard.driven[word] | *arrivals,
+                false => ones(skip_blocks - word * 64),
+            };
+            *arrivals = 0;
+            let mut busy = 0;
+            while set != 0 {
+                let bit = set.trailing_zeros();
+                set &= set - 1;
+                let skip_block = word * 64 + bit as usize;
+                for run in shard.skip_blocks[skip_block] as usize..shard.skip_blocks[skip_block + 1] as usize {
+                    if self.update_run(sums, image, shard, run, input, vectors) {
+                        busy |= 1 << bit;
+                    }
+                }
+            }
+            self.busy[word] = busy;
+        }
+    }
+
+    /// Updates a vector run; returns whether anything in it is not at rest.
+    #[inline(always)]
+    fn update_run<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        shard: &Shard,
+        index: usize,
+        input: StepInput,
+        vectors: impl Vectors,
+    ) -> bool {
+        let run = &shard.vector_runs[index];
+        let lanes = run.start as usize..(run.start + run.lanes) as usize;
+        if input.step < run.starts {
+            self.visited += u64::from(run.mask.count_ones());
+            sums[lanes].fill(S::default());
+            return false;
+        }
+        let Some(fields) = run.vector else {
+            let block = shard.blocks[run.first as usize];
+            let effects = self.scalar(sums, image, shard, block, 0..block.length as usize, input);
+            return self.count(shard, index, effects, input);
+        };
+        if let Some(reset) = image.reset
+            && reset.falls_on(input.step, image.fields[fields as usize].resets_from)
+        {
+            self.u[lanes.clone()].fill(0);
+            self.v[lanes.clone()].fill(0);
+        }
+        let shared = &image.shared[fields as usize];
+        let mut registers =
+            kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
+        let updated = kernel::hardware(&mut registers, shared, vectors);
+        let mut effects = RunEffects { spiked: updated.spiked, moved: updated.moved, busy: updated.busy };
+        if updated.overflowed != 0 {
+            effects.merge(self.redo(sums, image, shard, *run, updated.overflowed, input));
+        }
+        // With a bias padding is never at rest, without one always.
+        let moved = if shared.plain { effects.moved } else { run.mask };
+        self.count(shard, index, RunEffects { spiked: effects.spiked & run.mask, moved, ..effects }, input)
+    }
+
+    /// Updates lane by lane the chunks of a vector run in which a value leaves its field.
+    #[cold]
+    fn redo<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        shard: &Shard,
+        run: VectorRun,
+        overflowed: u32,
+        input: StepInput,
+    ) -> RunEffects {
+        let mut effects = RunEffects::default();
+        let blocks = &shard.blocks[run.first as usize..run.end as usize];
+        for block in blocks {
+            let at = (block.start - run.start) as usize;
+            let chunks = at / LANES..(at + block.length as usize).div_ceil(LANES);
+            for chunk in chunks.filter(|chunk| overflowed >> chunk & 1 == 1) {
+                let (from, to) = (chunk * LANES, (chunk + 1) * LANES);
+                let lanes = from.saturating_sub(at)..(to - at).min(block.length as usize);
+                effects.merge(self.scalar(sums, image, shard, *block, lanes, input).after(at));
+            }
+        }
+        effects
+    }
+
+    /// Counts what the update of a vector run did; returns whether it is busy.
+    #[inline(always)]
+    fn count(&mut self, shard: &Shard, index: usize, effects: RunEffects, input: StepInput) -> bool {
+        let run = &shard.vector_runs[index];
+        let start = run.start;
+        self.visited += u64::from(run.mask.count_ones());
+        self.active_now += u64::from(effects.moved.count_ones());
+        if effects.moved == run.mask && !input.list_active {
+            self.whole[index] += 1;
+        } else {
+            let blocks = &shard.blocks[run.first as usize..run.end as usize];
+            for (block, sum) in blocks.iter().zip(&mut self.active_by_block[run.first as usize..]) {
+                let active = (effects.moved >> (block.start - start) & ones(block.length as usize)).count_ones();
+                *sum += u64::from(active);
+                if input.list_active && active > 0 {
+                    self.active.push((block.core, active));
+                }
+            }
+        }
+        self.spiking = write_ones(&mut self.spiked, self.spiking, effects.spiked, |lane| start.wrapping_add(lane));
+        effects.busy
+    }
+
+    /// Records and counts the spikes. In a loop of its own, so that the cache misses on names and counts overlap.
+    #[inline(always)]
+    fn record_spikes(&mut self, shard: &Shard) {
+        let spiked = &self.spiked[..self.spiking];
+        self.spikes.clear();
+        self.spikes.extend(spiked.iter().map(|&lane| shard.names[lane as usize]));
+        for &lane in spiked {
+            self.fired[lane as usize] += 1;
+        }
+    }
+
+    /// Counts values that left their fields, which is rare.
+    #[cold]
+    fn note_overflow(&mut self, effect: Effect, v: i32, step: u32, lane: usize, shard: &Shard) {
+        let (q_wrapped, u_wrapped) = (u64::from(effect.q_wrapped), u64::from(effect.u_wrapped));
+        let clipped = u64::from(effect.v_clipped);
+        self.overflow.q_wrapped += q_wrapped;
+        self.overflow.u_wrapped += u_wrapped;
+        self.overflow.v_clipped += clipped;
+        self.overflow.note(step, shard.names[lane]);
+        if self.left_fields.is_empty() {
+            self.left_fields.resize(shard.lanes, LeftField::default());
+        }
+        let left = &mut self.left_fields[lane];
+        left.wrapped += q_wrapped + u_wrapped;
+        left.clipped += clipped;
+        left.cut += clipped * u64::from(v > 0);
+    }
+
+    /// Updates some lanes of a core block one by one.
+    fn scalar<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        shard: &Shard,
+        block: CoreBlock,
+        lanes: Range<usize>,
+        input: StepInput,
+    ) -> RunEffects {
+        let mut effects = RunEffects::default();
+        for offset in lanes {
+            let lane = block.start as usize + offset;
+            let fields = match block.fields {
+                BlockFields::Same(fields) => &image.fields[fields as usize],
+                BlockFields::Each(first) => &image.fields[image.field_of[first as usize + offset] as usize],
+            };
+            let arrived = std::mem::take(&mut sums[lane]).value();
+            if input.step < fields.start_step {
+                continue;
+            }
+            let mut old = self.registers(lane);
+            if image.reset.is_some_and(|reset| reset.falls_on(input.step, fields.resets_from)) {
+                old = Registers::default();
+            }
+            effects.moved |= u64::from(!fields.at_rest(&old, arrived)) << offset;
+            let (new, effect) = update(old, arrived, fields);
+            self.set(lane, new);
+            effects.busy |= new != Registers::default();
+            effects.spiked |= u64::from(effect.spiked) << offset;
+            if effect.q_wrapped | effect.u_wrapped | effect.v_clipped {
+                self.note_overflow(effect, new.v, input.step, lane, shard);
+            }
+        }
+        effects
+    }
+}
+
+/// What the update of a vector run did.
+#[derive(Debug, Clone, Copy, Default)]
+struct RunEffects {
+    /// A bit for each lane that spiked.
+    spiked: u64,
+    /// A bit for each lane that was not at rest.
+    moved: u64,
+    /// Whether any lane is not at rest afterwards.
+    busy: bool,
+}
+
+impl RunEffects {
+    fn merge(&mut self, other: RunEffects) {
+        self.spiked |= other.spiked;
+        self.moved |= other.moved;
+        self.busy |= other.busy;
+    }
+
+    /// The same, so many lanes later.
+    fn after(self, lanes: usize) -> RunEffects {
+        RunEffects { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
+    }
+}

@@ -1,0 +1,102 @@
+//! Several copies of a network that share nothing.
+//!
+//! Input: a network. Output: one with every population and projection as many times, copy after copy. Populations of
+//! copy k are named `name@k` from k = 1 on; input channels are copied too, so that each copy has its own input axons.
+//! Weights are shared in memory, which no chip sees.
+
+use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim_ir::graph::MOST_UNITS;
+use nsim_ir::quantised::{Inconsistent, Parts, Quantised, Units};
+
+/// The name of a population in copy k.
+#[must_use]
+pub fn copied_name(name: &str, k: u32) -> String {
+    if k == 0 { name.to_string() } else { format!("{name}@{k}") }
+}
+
+/// So many copies. The output population is that of copy 0.
+///
+/// # Errors
+/// [`Inconsistent`] when there are none, more units than a network may have, or a name that a copy would take again.
+pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
+    let units = u64::from(network.channels()).max(u64::from(network.compartments()));
+    if n == 0 || units * u64::from(n) > MOST_UNITS {
+        return Err(Inconsistent(format!(
+            "{n} copies of {units} channels or compartments are not between 1 and {MOST_UNITS}"
+        )));
+    }
+    if n == 1 {
+        return Ok(network.clone());
+    }
+    let one = network.parts();
+    if let Some(taken) = one.populations.iter().find(|p| is_copy_name(&p.name)) {
+        return Err(Inconsistent(format!(
+            "population {} has a name that a copy of another would have; rename it",
+            taken.name
+        )));
+    }
+    let per_copy = one.populations.len() as u32;
+    let mut parts = Parts {
+        populations: Default::default(),
+        projections: Default::default(),
+        name: one.name.clone(),
+        classes: one.classes.clone(),
+        notes: one.notes.clone(),
+        ..*one
+    };
+    for k in 0..n {
+        for population in &one.populations {
+            let mut copy = population.clone();
+            copy.name = copied_name(&population.name, k);
+            match &mut copy.units {
+                Units::Input(first) => *first = ChannelId(first.0 + k * network.channels()),
+                Units::Compartments { first, .. } => *first = CompartmentId(first.0 + k * network.compartments()),
+            }
+            parts.populations.push(copy);
+        }
+        for projection in &one.projections {
+            let mut copy = projection.clone();
+            copy.source = PopulationId(copy.source.0 + k * per_copy);
+            copy.target = PopulationId(copy.target.0 + k * per_copy);
+            parts.projections.push(copy);
+        }
+    }
+    Quantised::new(parts)?.with_record(network.pruned().cloned())
+}
+
+fn is_copy_name(name: &str) -> bool {
+    name.rsplit_once('@').is_some_and(|(_, k)| !k.is_empty() && k.bytes().all(|b| b.is_ascii_digit()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_testing::{Builder, random_network};
+
+    #[test]
+    fn copies_share_nothing_and_say_the_same() {
+        let one = random_network(7);
+        let three = copies(&one, 3).unwrap();
+        assert_eq!(three.channels(), 3 * one.channels());
+        assert_eq!((three.compartments(), three.synapses()), (3 * one.compartments(), 3 * one.synapses()));
+        let per_copy = one.populations().len() as u32;
+        for (id, projection) in three.projections().enumerate() {
+            let k = id.0 / one.projections().len() as u32;
+            assert_eq!((projection.source.0 / per_copy, projection.target.0 / per_copy), (k, k));
+        }
+        let names: Vec<&str> = three.populations().iter().map(|p| p.name.as_str()).collect();
+        assert!(names.contains(&"in0") && names.contains(&"in0@2"), "{names:?}");
+    }
+
+    #[test]
+    fn a_name_that_a_copy_would_take_is_refused() {
+        let mut builder = Builder::new();
+        let input = builder.input("a", 1);
+        let output = builder.loihi("b@1", 1);
+        builder.dense(input, output, |_, _| 2);
+        let network = builder.build();
+        assert!(copies(&network, 2).unwrap_err().0.contains("b@1"));
+        assert!(copies(&network, 0).is_err() && copies(&network, u32::MAX).is_err());
+        assert!(copies(&network, 1).is_ok());
+    }
+}

@@ -1,0 +1,336 @@
+//! The scale of each population with a real threshold, and an exponent for each projection into it.
+//!
+//! Input: a graph. Output: the same graph where every projection whose file leaves the exponent open has one, and the scale
+//! S (register units for a real unit) of its target is said; `quantise` rounds what is left. A weight w with exponent e has the
+//! mantissa `w S / 2^(6 + e)`.
+//!
+//! - *Scale.* S0 is the greatest scale at which every weight fits with exponent 0. S is S0 doubled as often as these bounds
+//!   allow: the sum of all weights of a compartment, or the greatest input that a calibration foresees, stays within the 21
+//!   bits of a step's input and, held for ever, the current within 23 bits; the bias fits its field; the threshold is at most 2^16 register units, which leaves 128 thresholds below
+//!   zero before the voltage clips. The largest weights are rounded as with S0, thresholds and biases more finely, and what
+//!   the decays round away counts less.
+//! - *Exponents.* Each projection takes the least exponent at which its own weights fit, and at least the one whose step is 64
+//!   register units: below, the chip drops the low six bits.
+//! - *Groups.* Where the largest weight is more than [`HEAVY`] times the root mean square of its projection, one step for all
+//!   would be large for most weights. Such a projection, and any small one, is split into up to four by size, each with its
+//!   own exponent; no synapse is added. A recurrent NIR network (38 neurons, largest weight 11 times the root mean square) coincides with its
+//!   real numbers in 0.77 of its hidden spikes with one exponent for all, 0.89 with one a projection, 0.97 with groups.
+//!
+//! Left alone: populations with an integer threshold, and those where a projection says its `weight_scale`.
+
+use petgraph::graph::{DiGraph, NodeIndex};
+
+use nsim_ir::base::diagnostic::Span;
+use nsim_ir::base::fixed::{
+    BiasExponent, BiasMantissa, DECAY_ONE, ThresholdMantissa, WEIGHT_SHIFT, WeightBits, WeightExponent,
+};
+use nsim_ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, Projection, ProjectionKind};
+
+/// The quotient of largest weight and root mean square above which a projection is split.
+pub const HEAVY: f64 = 4.0;
+/// Synapses up to which a projection is split in any case: a bias that a compartment delivers, a small layer.
+const SMALL: usize = 1 << 12;
+/// The most synapses of a projection that is split: they are listed one by one.
+const MOST_SPLIT: usize = 1 << 16;
+/// Projections that one is split into at most, and the powers of two that each but the last spans.
+const GROUPS: usize = 4;
+const SPAN: i64 = 2;
+/// Register units of the greatest threshold.
+const THRESHOLD: f64 = 65_536.0;
+
+/// How finely exponents are chosen.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Detail {
+    /// Exponent 0 wherever the file says none, at the scale S0.
+    Zero,
+    /// One for each projection.
+    Projections,
+    /// One for each group of weights of like size.
+    Groups,
+    /// The same, and what rounding a delayed copy leaves goes to the next ([`super::carry`]).
+    #[default]
+    Carried,
+}
+
+/// What is left open is chosen.
+#[must_use]
+pub fn assigned(graph: &Graph, detail: Detail) -> Graph {
+    if detail == Detail::Zero {
+        return graph.clone();
+    }
+    let scales: Vec<Option<f64>> = graph.populations().map(|(node, _)| scale(graph, node)).collect();
+    if scales.iter().all(Option::is_none) {
+        return graph.clone();
+    }
+    let mut nodes = DiGraph::new();
+    for (_, population) in graph.populations() {
+        nodes.add_node(population.clone());
+    }
+    for (_, source, target, projection) in graph.projections() {
+        let sources = graph.population(source).shape.len();
+        let chosen = match scales[target.index()] {
+            Some(scale) if is_open(projection) => groups(projection, sources, scale, detail),
+            _ => vec![projection.clone()],
+        };
+        for part in chosen {
+            nodes.add_edge(source, target, part);
+        }
+    }
+    Graph::new(graph.facts().clone(), nodes, graph.output())
+}
+
+/// Whether the file leaves its exponent to nsim.
+fn is_open(projection: &Projection) -> bool {
+    projection.weight_exp.span == Span::default()
+        && projection.weight_exp.value == 0
+        && projection.weight_scale.is_none()
+}
+
+fn factor(exponent: i64) -> f64 {
+    libm::exp2((exponent + i64::from(WEIGHT_SHIFT)) as f64)
+}
+
+/// Its weights, each with its source and target where no two synapses share one, else with its output channel.
+fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, Span)> {
+    match &projection.kind {
+        ProjectionKind::Dense { weights, rows } => {
+            let columns = weights.shape().get(1).copied().unwrap_or(1);
+            let targets = weights.shape().first().copied().unwrap_or(0);
+            let place = |target: usize| rows.get(target).copied().unwrap_or(projection.weights_span);
+            let first = projection.first_source as usize;
+            let all = (0..targets).flat_map(|target| (0..sources as usize).map(move |source| (source, target)));
+            let weight = |(source, target): (usize, usize)| weights.real(target * columns + first + source);
+            all.map(|at| (at.0 as u32, at.1 as u32, weight(at), place(at.1))).collect()
+        }
+        ProjectionKind::Sparse { synapses } => synapses.clone(),
+        ProjectionKind::Conv2d { weights, .. } => {
+            let per_channel = (weights.len() / weights.shape().first().copied().unwrap_or(1).max(1)).max(1);
+            let at = |i: usize| (0, (i / per_channel) as u32, weights.real(i), projection.weights_span);
+            (0..weights.len()).map(at).collect()
+        }
+        ProjectionKind::SumPool2d { weight, .. } => vec![(0, 0, weight.value, weight.span)],
+        ProjectionKind::Random { .. } => Vec::new(),
+    }
+}
+
+/// The greatest sum of excitatory, and of inhibitory weights that one spike of every source can bring to a compartment.
+fn greatest_sum(graph: &Graph, node: NodeIndex) -> f64 {
+    let units = graph.population(node).shape.len() as usize;
+    let (mut above, mut below) = (vec![0.0f64; units], vec![0.0f64; units]);
+    for (_, source, target, projection) in graph.projections() {
+        if target != node {
+            continue;
+        }
+        let population = graph.population(source);
+        let factor = population.spike_factor().abs();
+        let per_channel = |channels: u32| (units / (channels as usize).max(1)).max(1);
+        // A window reaches every compartment of a channel with at most its whole kernel.
+        let (shared, times) = match &projection.kind {
+            ProjectionKind::Conv2d { window, .. } => (per_channel(window.target.0), 1.0),
+            ProjectionKind::SumPool2d { window, .. } => (units, f64::from(window.kernel.0 * window.kernel.1)),
+            _ => (1, 1.0),
+        };
+        for (_, target, weight, _) in weights(projection, population.shape.len()) {
+            let sums = if weight > 0.0 { &mut above } else { &mut below };
+            let first = target as usize * shared;
+            sums.iter_mut().skip(first).take(shared).for_each(|sum| *sum += weight.abs() * factor * times);
+        }
+    }
+    above.into_iter().chain(below).fold(0.0, f64::max)
+}
+
+fn greatest(values: &PerCompartment<f64>) -> f64 {
+    match values {
+        PerCompartment::Same(value) => value.abs(),
+        PerCompartment::Each(values) => values.iter().fold(0.0, |most: f64, value| most.max(value.abs())),
+    }
+}
+
+/// The least share of the current that a step takes away.
+fn least_decay(parameters: &NeuronParameters, timestep_ms: f64) -> f64 {
+    let least = |values: &PerCompartment<f64>, share: &dyn Fn(f64) -> f64| match values {
+        PerCompartment::Same(value) => share(*value),
+        PerCompartment::Each(values) => values.iter().map(|&value| share(value)).fold(1.0, f64::min),
+    };
+    match (parameters.get("du"), parameters.get("tau_u_ms")) {
+        (Some(du), _) => least(&du.each, &|du| du / DECAY_ONE as f64),
+        (None, Some(tau)) => least(&tau.each, &|tau| -libm::expm1(-timestep_ms / tau)),
+        (None, None) => 1.0,
+    }
+}
+
+/// Register units for a real unit of a population whose scale is open.
+fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
+    let PopulationKind::Neurons(parameters) = &graph.population(node).kind else { return None };
+    let threshold = greatest(&parameters.get("vth")?.each);
+    let (mut fits, mut open) = (f64::from(ThresholdMantissa::MAX.get()) * 64.0 / threshold, false);
+    // How often the scale may be doubled before a weight with the greatest exponent no longer fits.
+    let mut most = f64::INFINITY;
+    for (_, source, target, projection) in graph.projections() {
+        if target != node {
+            continue;
+        }
+        let bits = WeightBits::new(projection.weight_bits.value).ok()?;
+        if projection.weight_scale.is_some() || matches!(projection.kind, ProjectionKind::Random { .. }) {
+            return None;
+        }
+        let (low, high) = projection.sign.range(bits);
+        for (_, _, weight, _) in weights(projection, graph.population(source).shape.len()) {
+            let limit = if weight < 0.0 { f64::from(low) } else { f64::from(high) };
+            if weight == 0.0 || limit == 0.0 || !weight.is_finite() {
+                continue;
+            }
+            fits = fits.min(limit / weight * factor(projection.weight_exp.value));
+            let exponent = match is_open(projection) {
+                true => i64::from(WeightExponent::MAX.get()),
+                false => projection.weight_exp.value,
+            };
+            most = most.min(limit / weight * factor(exponent));
+            open |= is_open(projection);
+        }
+    }
+    if !(open && fits > 0.0 && fits.is_finite()) {
+        return None;
+    }
+    let foreseen = parameters.greatest_input.unwrap_or(f64::INFINITY);
+    let sum = greatest_sum(graph, node).min(foreseen).max(f64::MIN_POSITIVE);
+    let decay = least_decay(parameters, graph.facts().timestep_ms).max(f64::MIN_POSITIVE);
+    let bias = parameters.get("bias").map_or(0.0, |bias| greatest(&bias.each)).max(f64::MIN_POSITIVE);
+    let bounds = [
+        most,
+        libm::exp2(21.0) / sum,
+        libm::exp2(23.0) * decay / sum,
+        f64::from(BiasMantissa::MAX.get()) * libm::exp2(f64::from(BiasExponent::MAX.get())) / bias,
+        THRESHOLD / threshold,
+    ];
+    let room = bounds.into_iter().fold(f64::INFINITY, f64::min) / fits;
+    Some(match parameters.greatest_input {
+        // Most weights have the least exponent, and steps that S alone makes finer.
+        Some(_) => fits * room.max(1.0),
+        None => fits * libm::exp2(libm::log2(room).floor().max(0.0)),
+    })
+}
+
+/// The projection with its exponent, or as several by the size of its weights.
+fn groups(projection: &Projection, sources: u32, scale: f64, detail: Detail) -> Vec<Projection> {
+    let Ok(bits) = WeightBits::new(projection.weight_bits.value) else { return vec![projection.clone()] };
+    let step = f64::from(projection.sign.step(bits));
+    let (low, high) = projection.sign.range(bits);
+    let least = -(libm::log2(step) as i64).min(i64::from(WEIGHT_SHIFT));
+    let fits = |weight: f64, exponent: i64| {
+        let mantissa = (weight * scale / factor(exponent) / step).round_ties_even() * step;
+        (f64::from(low)..=f64::from(high)).contains(&mantissa)
+    };
+    let with = |kind: ProjectionKind, exponent: i64| {
+        let mut part = Projection { kind, ..projection.clone() };
+        part.weight_exp.value = exponent;
+        part.weight_scale = Some((scale / factor(exponent)).into());
+        part
+    };
+    let all = weights(projection, sources);
+    let greatest = i64::from(WeightExponent::MAX.get());
+    let exponent_of = |weight: f64| (least..=greatest).find(|&e| fits(weight, e)).unwrap_or(greatest);
+    let top = all.iter().map(|synapse| exponent_of(synapse.2)).max().unwrap_or(0);
+    let used: Vec<&(u32, u32, f64, Span)> = all.iter().filter(|synapse| synapse.2 != 0.0).collect();
+    let squares: f64 = used.iter().map(|synapse| synapse.2 * synapse.2).sum();
+    let largest = used.iter().fold(0.0, |most: f64, synapse| most.max(synapse.2.abs()));
+    let heavy = all.len() <= SMALL || largest > HEAVY * (squares / used.len().max(1) as f64).sqrt();
+    if detail < Detail::Groups || !heavy || !projection.kind.has_own_weights() || all.len() > MOST_SPLIT || top == least
+    {
+        return vec![with(projection.kind.clone(), top)];
+    }
+    let mut parts: Vec<Vec<(u32, u32, f64, Span)>> = vec![Vec::new(); GROUPS];
+    for &synapse in used {
+        let below = (top - exponent_of(synapse.2)) / SPAN;
+        parts[(below as usize).min(GROUPS - 1)].push(synapse);
+    }
+    let part = |synapses: Vec<(u32, u32, f64, Span)>| {
+        let exponent = synapses.iter().map(|synapse| exponent_of(synapse.2)).max()?;
+        let mut part = with(ProjectionKind::Sparse { synapses }, exponent);
+        part.first_source = 0;
+        part.name = format!("{} (weights of 2^{exponent})", projection.name);
+        Some(part)
+    };
+    parts.into_iter().filter_map(part).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::quantise::quantise;
+    use nsim_files::lower::lower;
+    use nsim_files::network::{Network, NetworkFile};
+    use nsim_ir::base::diagnostic::SourceText;
+
+    fn graph(populations: &str, projections: &str) -> Graph {
+        let text = format!(
+            "Network(name: \"t\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [3]), {populations}], \
+             projections: [{projections}], output: \"o\")"
+        );
+        let source = SourceText::new("m.ron", text);
+        let file = NetworkFile::parse(&source).unwrap();
+        lower(&Network::new(file, source, BTreeMap::new()).unwrap()).unwrap()
+    }
+
+    fn exponents(graph: &Graph) -> Vec<i64> {
+        assigned(graph, Detail::Groups).projections().map(|(_, _, _, projection)| projection.weight_exp.value).collect()
+    }
+
+    #[test]
+    fn each_projection_has_the_least_exponent_that_holds_its_weights() {
+        let two = "Dense(from: [\"in\"], to: \"o\", weights: [[4.0, 3.0, 2.0]]), \
+                   Dense(from: [\"in\"], to: \"o\", weights: [[0.4, 0.3, 0.2]])";
+        let graph = graph("Loihi(name: \"o\", shape: [1], du: 4096, dv: 4096, vth: 1.0)", two);
+        // S0 = 254 * 64 / 4 = 4,064, doubled to 65,024 <= 2^16; 4.0 needs 2^4 more than exponent 0 gave.
+        assert_eq!(exponents(&graph), [4, 1], "all within two powers of two");
+        let quantised = quantise(&graph).unwrap();
+        let largest = quantised.projections().iter().map(|p| {
+            let mut most = 0;
+            (0..3).for_each(|s| p.connectivity.for_each_from(s, |_, w| most = most.max(w)));
+            most
+        });
+        assert_eq!(largest.collect::<Vec<_>>(), [254, 204], "0.4 * 65,024 / 2^7 = 203.2");
+    }
+
+    #[test]
+    fn what_the_file_says_stays() {
+        let population = "Loihi(name: \"o\", shape: [1], du: 4096, dv: 4096, vth: 1.0)";
+        let said = graph(
+            population,
+            "Dense(from: [\"in\"], to: \"o\", weights: [[4.0, 3.0, 2.0]], weight_exp: 1), \
+             Dense(from: [\"in\"], to: \"o\", weights: [[0.4, 0.3, 0.2]])",
+        );
+        assert_eq!(exponents(&said), [1, -1], "the scale is the one at which 4.0 fits exponent 1");
+        let scaled =
+            graph(population, "Dense(from: [\"in\"], to: \"o\", weights: [[4.0, 3.0, 2.0]], weight_scale: 2.0)");
+        assert_eq!(exponents(&scaled), [0]);
+    }
+
+    #[test]
+    fn the_input_of_a_step_cannot_wrap() {
+        let many = vec!["4.0"; 600].join(", ");
+        let graph = graph(
+            "Input(name: \"many\", shape: [600]), Loihi(name: \"o\", shape: [1], du: 4096, dv: 4096, vth: 1.0)",
+            &format!("Dense(from: [\"many\"], to: \"o\", weights: [[{many}]])"),
+        );
+        // 600 * 4 * S < 2^21 would hold up to 873, below S0: the scale stays what it was.
+        assert_eq!(exponents(&graph), [0]);
+    }
+
+    #[test]
+    fn heavy_tails_are_split_by_size_without_a_synapse_more() {
+        let mut row = vec!["0.01".to_string(); 60];
+        (row[7], row[9], row[11]) = ("8.0".to_string(), "0.0".to_string(), "-0.3".to_string());
+        let graph = graph(
+            "Input(name: \"many\", shape: [60]), Loihi(name: \"o\", shape: [1], du: 4096, dv: 4096, vth: 1.0)",
+            &format!("Dense(from: [\"many\"], to: \"o\", weights: [[{}]])", row.join(", ")),
+        );
+        let split = assigned(&graph, Detail::Groups);
+        let counts: Vec<usize> =
+            split.projections().map(|(_, _, _, projection)| weights(projection, 60).len()).collect();
+        assert_eq!(counts.iter().sum::<usize>(), 59);
+        assert_eq!(counts, [1, 1, 57], "0.3 is four powers of two below 8, 0.01 more than six");
+    }
+}

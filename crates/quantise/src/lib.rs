@@ -1,0 +1,24 @@
+//! From a model file to a network in range-checked integers.
+
+pub mod analytic;
+pub mod carry;
+pub mod copies;
+pub mod exponents;
+pub mod prune;
+pub mod quantise;
+pub mod relays;
+
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::graph::Graph;
+use nsim_ir::quantised::Quantised;
+
+/// A network in integers, spike response neurons by way of [`analytic`].
+///
+/// # Errors
+/// As [`quantise::quantise`].
+pub fn integers(graph: &Graph) -> Result<Quantised, Diagnostic> {
+    match graph.has_srm() {
+        true => quantise::quantise(&analytic::convert(graph)),
+        false => quantise::quantise(graph),
+    }
+}

@@ -1,0 +1,74 @@
+//! Which compartments can never spike, proved by a bound on v.
+//!
+//! Input: the channels that never fire. Output: the compartments that may fire. A synapse delivers at most one spike a
+//! step, whatever its delay, so what arrives in a step lies between the sum of a compartment's negative scaled weights and
+//! the sum of its positive ones, each times the payload of its source's spikes, over the sources that can fire.
+//!
+//! From that [`nsim_dynamics`] bounds the registers of each kind. A compartment is silent when the bound on v does not pass
+//! the threshold test (7). One that never spikes is never refractory.
+//!
+//! *Fixpoint.* Which compartments can fire is the least set F such that F holds every compartment whose bound, with the
+//! living channels and F as its sources, passes the threshold. The others are silent by induction over time: a first spike
+//! outside F in step t would have arrivals of living channels and of spikes before t only, which were all from F. So a loop
+//! that nothing starts is silent. F grows one source at a time and each synapse is visited once; a larger F only widens the
+//! bounds, so nothing needs to be taken back.
+
+use nsim_dynamics::{Arrivals, may_spike};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
+use nsim_ir::quantised::{Neuron, Quantised, Units};
+
+/// Which compartments can fire, when these channels do not.
+#[must_use]
+pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<CompartmentId, bool> {
+    let parts = network.parts();
+    let count = network.compartments() as usize;
+    let mut places: Vec<(PopulationId, u32)> = Vec::with_capacity(count);
+    let mut neurons: Vec<Neuron> = Vec::with_capacity(count);
+    for (id, population) in network.populations().enumerate() {
+        let Units::Compartments { neurons: of_population, .. } = &population.units else { continue };
+        for index in 0..population.shape.len() {
+            places.push((id, index));
+            neurons.push(of_population.get(index));
+        }
+    }
+    let mut arrivals = vec![Arrivals::default(); count];
+    let mut fires: IdVec<CompartmentId, bool> = vec![false; count].into();
+    // Lists what a new source reaches, because its bound has changed.
+    let connect = |population: PopulationId, index: u32, arrivals: &mut [Arrivals], reached: &mut Vec<usize>| {
+        let factor = i64::from(parts.populations[population].spike_factor());
+        for (_, projection, first) in network.targets_of(population) {
+            projection.connectivity.for_each_from(index, |target, weight| {
+                let added = i64::from(projection.format.scaled(weight)) * factor;
+                if added != 0 {
+                    arrivals[first.index() + target as usize].add(added);
+                    reached.push(first.index() + target as usize);
+                }
+            });
+        }
+    };
+    let mut reached = Vec::new();
+    for (id, population) in network.inputs() {
+        let Some(first) = population.first_channel() else { continue };
+        for index in (0..population.shape.len()).filter(|index| !dead[ChannelId(first.0 + index)]) {
+            connect(id, index, &mut arrivals, &mut reached);
+            reached.clear();
+        }
+    }
+    let mut new: Vec<usize> = Vec::new();
+    let mut look = |at: usize, arrivals: &[Arrivals], new: &mut Vec<usize>| {
+        let fires = &mut fires[CompartmentId::new(at)];
+        if !*fires && may_spike(&neurons[at], parts.semantics, parts.threshold, arrivals[at]) {
+            *fires = true;
+            new.push(at);
+        }
+    };
+    (0..count).for_each(|at| look(at, &arrivals, &mut new));
+    while let Some(at) = new.pop() {
+        let (population, index) = places[at];
+        connect(population, index, &mut arrivals, &mut reached);
+        for at in reached.drain(..) {
+            look(at, &arrivals, &mut new);
+        }
+    }
+    fires
+}

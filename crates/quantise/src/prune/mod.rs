@@ -1,0 +1,368 @@
+//! Leaves out of a network what cannot change its output.
+//!
+//! Input: a [`Quantised`] network and a [`Plan`]. Output: a smaller one with the record ([`Pruned`]) of what was left out
+//! and why. Every output spike of every sample is the same, and so is every spike of a compartment that is left, for every
+//! stimulus that fires no dead channel ([`check_stimulus`] refuses the others):
+//!
+//! 1. *Dead inputs* are channels that a given stimulus never fires. They stay in their population, so channels keep their
+//!    numbers, but have no synapses; a channel without synapses takes no axon.
+//! 2. *Zero synapses* add nothing (equation 1 turns small weights of negative exponents to 0 too).
+//! 3. *Silent compartments* never spike, as [`bound`] proves.
+//! 4. *Unreachable compartments* have no way to an output or a probed compartment over synapses that are left.
+//! 5. *Loose synapses* are those of the three that go.
+//!
+//! The output population and those that are to be probed stay whole. What can fire and reaches them stays too, so also u
+//! and v of every compartment that is left are the same at every step: all that it may receive is there.
+//!
+//! *Why a network of its own.* A mask beside the whole network would have to be obeyed by the partitioner, the router, the
+//! checker, the interpreter and the machine, and each could forget it. A smaller network needs none of them to know:
+//! `compile::check::equivalence` proves the program equal to it, synapse by synapse, and the interpreter runs it as any other. What
+//! people see keeps the model's names and numbers through the record: populations keep their order and names, channels and
+//! outputs their numbers, and mappings, probes and messages count compartments as the model does.
+//!
+//! Left out on purpose: what the order of spikes or refractory periods would prove; and packing. A list from which a zero
+//! was taken has a gap, so a core stores it with an index for each synapse, which can take more words than the zero did.
+
+pub mod bound;
+
+use std::sync::Arc;
+
+use nsim_ir::base::csr::Csr;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
+use nsim_ir::graph::Shape;
+use nsim_ir::pruned::{Kind, Row};
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Inconsistent, Parts, Population, Projection, Pruned, Quantised, SpikeSource, Units};
+use nsim_ir::spikes::{Sample, Stimulus};
+
+/// Channels that a stimulus never fires.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Scene {
+    /// Where the stimulus came from.
+    pub stimulus: Vec<String>,
+    /// The channels, ascending.
+    pub dead: Vec<ChannelId>,
+}
+
+/// What to prune for.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Plan {
+    /// The only stimulus that the network will be shown; `None` for any.
+    pub scene: Option<Scene>,
+    /// Populations that stay whole besides the output, because they are probed.
+    pub probed: Vec<PopulationId>,
+}
+
+impl Plan {
+    /// For every stimulus.
+    #[must_use]
+    pub fn fixed() -> Plan {
+        Plan::default()
+    }
+
+    /// For the channels that a stimulus fires in any of its samples.
+    #[must_use]
+    pub fn for_stimulus(network: &Quantised, stimulus: &Stimulus) -> Plan {
+        let mut fired: IdVec<ChannelId, bool> = vec![false; network.channels() as usize].into();
+        for sample in &stimulus.samples {
+            for step in 0..sample.steps() {
+                sample.at(step).iter().for_each(|&channel| fired[channel] = true);
+            }
+        }
+        let dead = fired.enumerate().filter(|(_, fired)| !**fired).map(|(channel, _)| channel).collect();
+        Plan { scene: Some(Scene { stimulus: stimulus.origin.clone(), dead }), probed: Vec::new() }
+    }
+
+    /// The same with these populations whole.
+    #[must_use]
+    pub fn probing(mut self, populations: impl IntoIterator<Item = PopulationId>) -> Plan {
+        self.probed.extend(populations);
+        self.probed.sort_unstable();
+        self.probed.dedup();
+        self
+    }
+}
+
+/// The network without what the plan makes superfluous.
+///
+/// # Errors
+/// [`Inconsistent`] when the plan is of another network, or the network has been pruned already.
+pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent> {
+    if network.pruned().is_some() {
+        return Err(Inconsistent("the network has been pruned already".to_string()));
+    }
+    let mut dead: IdVec<ChannelId, bool> = vec![false; network.channels() as usize].into();
+    for &channel in plan.scene.iter().flat_map(|scene| &scene.dead) {
+        match dead.as_mut_slice().get_mut(channel.index()) {
+            Some(dead) => *dead = true,
+            None => return Err(Inconsistent(format!("there is no channel {channel} to prune"))),
+        }
+    }
+    let mut whole: IdVec<PopulationId, bool> = vec![false; network.populations().len()].into();
+    for &id in plan.probed.iter().chain([&network.parts().output]) {
+        match whole.as_mut_slice().get_mut(id.index()) {
+            Some(whole) => *whole = true,
+            None => return Err(Inconsistent(format!("there is no population {id} to probe"))),
+        }
+    }
+    let fires = bound::may_fire(network, &dead);
+    let reaches = reaches(network, &fires, &whole);
+    let mut tally = Tally::new(plan.scene.as_ref());
+    let survey = Survey::new(network, dead, fires, &reaches, &whole, &mut tally);
+    let (parts, kept) = rebuilt(network, &survey, &mut tally);
+    let record = Pruned {
+        original: network.clone(),
+        kept,
+        probed: plan.probed.clone(),
+        stimulus: plan.scene.as_ref().map(|scene| scene.stimulus.clone()),
+        dead: plan.scene.as_ref().map_or_else(Vec::new, |scene| scene.dead.clone()),
+        rows: tally.rows,
+    };
+    Quantised::new(parts)?.with_record(Some(Arc::new(record)))
+}
+
+/// Refuses samples that fire a channel that was pruned; `first` is the number of the first sample.
+///
+/// # Errors
+/// `input.pruned` with population, channel, sample and step of the first such spike.
+pub fn check_stimulus(network: &Quantised, samples: &[&Sample], first: usize) -> Result<()> {
+    let Some(pruned) = network.pruned().filter(|pruned| !pruned.dead.is_empty()) else { return Ok(()) };
+    let mut dead: IdVec<ChannelId, bool> = vec![false; pruned.original.channels() as usize].into();
+    pruned.dead.iter().for_each(|&channel| dead[channel] = true);
+    for (number, sample) in samples.iter().enumerate() {
+        for step in 0..sample.steps() {
+            let Some(&channel) = sample.at(step).iter().find(|&&channel| dead[channel]) else { continue };
+            let inputs =
+                pruned.original.inputs().filter_map(|(_, p)| Some((p, channel.0.checked_sub(p.first_channel()?.0)?)));
+            let found = inputs.filter(|(population, index)| *index < population.shape.len()).last();
+            let (name, index) = found.map_or(("?", channel.0), |(population, index)| (population.name.as_str(), index));
+            let stimulus = pruned.stimulus.as_deref().unwrap_or_default().join(" ");
+            let message = format!(
+                "sample {} fires channel {index} of '{name}' in step {step}, but the network was pruned for {stimulus}, \
+                 which never fires that channel",
+                first + number
+            );
+            let help = "prune for this input (--prune INPUT), for every input (--prune static), or not at all";
+            return Err(Diagnostic::new("input.pruned", message).help(help));
+        }
+    }
+    Ok(())
+}
+
+/// Counts by kind and by name.
+struct Tally {
+    rows: Vec<Row>,
+}
+
+impl Tally {
+    fn new(scene: Option<&Scene>) -> Tally {
+        let kinds = Kind::ALL.into_iter().filter(|&kind| scene.is_some() || kind != Kind::DeadInput);
+        let reason = |kind| match kind {
+            Kind::DeadInput => {
+                format!("never fires in {}", scene.map_or_else(String::new, |scene| scene.stimulus.join(" ")))
+            }
+            Kind::ZeroSynapse => "its scaled weight is 0".to_string(),
+            Kind::SilentCompartment => "the bounds on its u and v keep it from ever spiking".to_string(),
+            Kind::UnreachableCompartment => "reaches no output and nothing probed".to_string(),
+            Kind::LooseSynapse => "leads from what never spikes, or to a pruned compartment".to_string(),
+        };
+        Tally { rows: kinds.map(|kind| Row { kind, count: 0, reason: reason(kind), of: Vec::new() }).collect() }
+    }
+
+    fn add(&mut self, kind: Kind, name: &str, count: u64) {
+        if let Some(row) = self.rows.iter_mut().find(|row| row.kind == kind && count > 0) {
+            row.count += count;
+            row.of.push((name.to_string(), count));
+        }
+    }
+}
+
+/// Which compartments reach one of a population that stays whole, over synapses of sources that can fire.
+fn reaches(
+    network: &Quantised,
+    fires: &IdVec<CompartmentId, bool>,
+    whole: &IdVec<PopulationId, bool>,
+) -> IdVec<CompartmentId, bool> {
+    let count = network.compartments() as usize;
+    // The synapses read backwards.
+    let sources = Csr::by_row(count, |put| {
+        for_each_living(network, fires, |source, target| put(target.index(), source.0));
+    });
+    let mut reaches: IdVec<CompartmentId, bool> = vec![false; count].into();
+    let mut new = Vec::new();
+    for (id, population) in network.populations().enumerate() {
+        let Some(begin) = population.first_compartment().filter(|_| whole[id]) else { continue };
+        new.extend((begin.0..begin.0 + population.shape.len()).map(CompartmentId));
+    }
+    new.iter().for_each(|&root| reaches[root] = true);
+    while let Some(target) = new.pop() {
+        for source in sources.get(target.index()).iter().copied().map(CompartmentId) {
+            if !std::mem::replace(&mut reaches[source], true) {
+                new.push(source);
+            }
+        }
+    }
+    reaches
+}
+
+/// Calls `f(source, target)` for every synapse between compartments that adds something when its source can fire.
+fn for_each_living(
+    network: &Quantised,
+    fires: &IdVec<CompartmentId, bool>,
+    mut f: impl FnMut(CompartmentId, CompartmentId),
+) {
+    for projection in network.projections() {
+        let source = &network.populations()[projection.source];
+        let target = network.populations()[projection.target].first_compartment();
+        let (Some(from), Some(to)) = (source.first_compartment(), target) else { continue };
+        for index in 0..source.shape.len() {
+            let source = CompartmentId(from.0 + index);
+            if fires[source] {
+                projection.connectivity.for_each_from(index, |target, weight| {
+                    if projection.format.scaled(weight) != 0 {
+                        f(source, CompartmentId(to.0 + target));
+                    }
+                });
+            }
+        }
+    }
+}
+
+/// What stays.
+struct Survey {
+    dead: IdVec<ChannelId, bool>,
+    fires: IdVec<CompartmentId, bool>,
+    /// The new index of each compartment in its population; `None` when it goes.
+    place: IdVec<CompartmentId, Option<u32>>,
+}
+
+impl Survey {
+    fn new(
+        network: &Quantised,
+        dead: IdVec<ChannelId, bool>,
+        fires: IdVec<CompartmentId, bool>,
+        reaches: &IdVec<CompartmentId, bool>,
+        whole: &IdVec<PopulationId, bool>,
+        tally: &mut Tally,
+    ) -> Survey {
+        let mut place = IdVec::new();
+        for (id, population) in network.populations().enumerate() {
+            match &population.units {
+                Units::Input(first) => {
+                    let dead = (0..population.shape.len()).filter(|index| dead[ChannelId(first.0 + index)]);
+                    tally.add(Kind::DeadInput, &population.name, dead.count() as u64);
+                }
+                Units::Compartments { first, .. } => {
+                    let (mut next, mut silent, mut unreachable) = (0, 0, 0);
+                    for compartment in (first.0..first.0 + population.shape.len()).map(CompartmentId) {
+                        let stays = whole[id] || (fires[compartment] && reaches[compartment]);
+                        place.push(stays.then_some(next));
+                        next += u32::from(stays);
+                        silent += u64::from(!stays && !fires[compartment]);
+                        unreachable += u64::from(!stays && fires[compartment]);
+                    }
+                    tally.add(Kind::SilentCompartment, &population.name, silent);
+                    tally.add(Kind::UnreachableCompartment, &population.name, unreachable);
+                }
+            }
+        }
+        Survey { dead, fires, place }
+    }
+
+    /// Whether the spikes of a source can change anything.
+    fn matters(&self, source: SpikeSource) -> bool {
+        match source {
+            SpikeSource::Channel(channel) => !self.dead[channel],
+            SpikeSource::Compartment(id) => self.fires[id] && self.place[id].is_some(),
+        }
+    }
+}
+
+/// What is left, and the old indices of populations that lost compartments.
+fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, IdVec<PopulationId, Option<Vec<u32>>>) {
+    let before = network.parts();
+    let mut compartments = 0;
+    let mut kept = IdVec::new();
+    let mut populations = IdVec::new();
+    for population in &before.populations {
+        let Units::Compartments { first, neurons, start_step } = &population.units else {
+            kept.push(None);
+            populations.push(population.clone());
+            continue;
+        };
+        let stays = |index: &u32| survey.place[CompartmentId(first.0 + index)].is_some();
+        let indices: Vec<u32> = (0..population.shape.len()).filter(stays).collect();
+        let all = indices.len() == population.shape.len() as usize;
+        let shape = if all { population.shape } else { Shape::Line(indices.len() as u32) };
+        let neurons = if all { neurons.clone() } else { neurons.pick(&indices) };
+        let units = Units::Compartments { first: CompartmentId(compartments), neurons, start_step: *start_step };
+        compartments += shape.len();
+        populations.push(Population { shape, units, ..population.clone() });
+        kept.push((!all).then_some(indices));
+    }
+    let projections = before.projections.iter().filter_map(|projection| {
+        let connectivity = thinned(network, projection, survey, tally)?;
+        Some(Projection { connectivity, ..projection.clone() })
+    });
+    let parts = Parts {
+        projections: projections.collect(),
+        populations,
+        name: before.name.clone(),
+        classes: before.classes.clone(),
+        notes: before.notes.clone(),
+        ..*before
+    };
+    (parts, kept)
+}
+
+/// The synapses of a projection that are left, `None` when there is none; as they were when none goes.
+fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally: &mut Tally) -> Option<Connectivity> {
+    let (source, target) = (&network.populations()[projection.source], &network.populations()[projection.target]);
+    let to = target.first_compartment()?;
+    let source_at = |index: u32| match &source.units {
+        Units::Input(first) => SpikeSource::Channel(ChannelId(first.0 + index)),
+        Units::Compartments { first, .. } => SpikeSource::Compartment(CompartmentId(first.0 + index)),
+    };
+    let place = |index: u32| survey.place[CompartmentId(to.0 + index)];
+    let (mut zero, mut loose, mut left) = (0, 0, 0u64);
+    for index in 0..source.shape.len() {
+        let matters = survey.matters(source_at(index));
+        projection.connectivity.for_each_from(index, |target, weight| match projection.format.scaled(weight) {
+            0 => zero += 1,
+            _ if matters && place(target).is_some() => left += 1,
+            _ => loose += 1,
+        });
+    }
+    tally.add(Kind::ZeroSynapse, &projection.name, zero);
+    tally.add(Kind::LooseSynapse, &projection.name, loose);
+    if left == 0 {
+        return None;
+    }
+    let stays = |index: u32| match source_at(index) {
+        SpikeSource::Channel(_) => true,
+        SpikeSource::Compartment(id) => survey.place[id].is_some(),
+    };
+    let complete = (0..source.shape.len()).all(stays) && (0..target.shape.len()).all(|index| place(index).is_some());
+    if zero + loose == 0 && complete {
+        return Some(projection.connectivity.clone());
+    }
+    let (mut first, mut targets, mut weights) =
+        (vec![0u64], Vec::with_capacity(left as usize), Vec::with_capacity(left as usize));
+    let mut row: Vec<(u32, i16)> = Vec::new();
+    for index in (0..source.shape.len()).filter(|&index| stays(index)) {
+        if survey.matters(source_at(index)) {
+            projection.connectivity.for_each_from(index, |target, weight| {
+                if let Some(target) = place(target).filter(|_| projection.format.scaled(weight) != 0) {
+                    row.push((target, weight));
+                }
+            });
+            // Random synapses come in no order.
+            row.sort_by_key(|&(target, _)| target);
+            targets.extend(row.iter().map(|&(target, _)| target));
+            weights.extend(row.drain(..).map(|(_, weight)| weight));
+        }
+        first.push(targets.len() as u64);
+    }
+    Some(Connectivity::Sparse { first: first.into(), targets: targets.into(), weights: weights.into() })
+}

@@ -1,0 +1,713 @@
+//! [`Graph`] -> [`Quantised`]: every number becomes an integer that fits its hardware field, or is refused by name.
+//!
+//! A population is in one of two domains. With `vth_mant` its threshold, bias and incoming weights are the hardware's own
+//! integers (a projection may still give real weights with a `weight_scale`). With a real `vth` everything that comes in
+//! is real, and one scale S, in register units for a real unit, turns it into integers: a weight of a format with
+//! exponent e has mantissa `w S / 2^(6 + e)`, the threshold mantissa is `vth S / 64`, the bias `b S`. S and the exponents are
+//! those of [`super::exponents`], unless a `weight_scale` pins S or a projection says its exponent.
+//!
+//! Time constants become `4096 (1 - exp(-dt / tau))`, the exact decay of an exponential over one timestep. Weights are
+//! rounded to their format's least step as `weight_rounding` says (`docs/semantics.md`, weights); whatever that changed is
+//! left as a note. What it does not do: find better integers by search.
+
+use std::fmt::Display;
+use std::sync::Arc;
+
+use petgraph::graph::NodeIndex;
+
+use crate::carry;
+use crate::exponents::{Detail, assigned};
+use nsim_dynamics as neuron;
+use nsim_ir::arithmetic::{Semantics, WeightRounding};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, Span, gathered};
+use nsim_ir::base::fixed::{
+    BiasExponent, BiasMantissa, DECAY_ONE, Field, SignMode, THRESHOLD_SHIFT, ThresholdMantissa, WEIGHT_SHIFT,
+    WeightBits, WeightExponent,
+};
+use nsim_ir::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
+use nsim_ir::graph;
+use nsim_ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
+use nsim_ir::neurons::{Conversion, ParameterField};
+use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim_ir::quantised::{Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, Units};
+use nsim_ir::tensor::Tensor;
+
+/// Turns real parameters into integers.
+///
+/// # Errors
+/// A diagnostic at the first number that fits no field, with its place in the model file.
+pub fn quantise(graph: &Graph) -> Result<Quantised> {
+    quantise_with(graph, Detail::default())
+}
+
+/// The same with exponents chosen this finely.
+///
+/// # Errors
+/// As [`quantise`].
+pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
+    let graph = &assigned(graph, detail);
+    let mut stage = Stage { graph, notes: Vec::new() };
+    let scales: Vec<Option<f64>> =
+        graph.populations().map(|(node, population)| stage.scale(node, population)).collect::<Result<_, _>>()?;
+    let (mut channels, mut compartments) = (0, 0);
+    let mut populations: IdVec<PopulationId, Population> = IdVec::new();
+    let mut problems = Vec::new();
+    for ((_, population), scale) in graph.populations().zip(&scales) {
+        let units = match &population.kind {
+            PopulationKind::Input => {
+                let first = ChannelId(channels);
+                channels += population.shape.len();
+                Units::Input(first)
+            }
+            PopulationKind::Neurons(parameters) => {
+                let first = CompartmentId(compartments);
+                compartments += population.shape.len();
+                let neurons = match stage.neurons(population, parameters, *scale) {
+                    Ok(neurons) => neurons,
+                    Err(problem) => {
+                        problems.push(Err(problem));
+                        continue;
+                    }
+                };
+                Units::Compartments { first, neurons, start_step: parameters.start_step }
+            }
+            PopulationKind::Srm(_) => return Err(stage.real_neurons(population)),
+        };
+        let (name, payload) = (population.name.clone(), population.payload);
+        populations.push(Population { name, shape: population.shape, units, payload });
+    }
+    let projections = graph
+        .projections()
+        .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]));
+    let mut projections: IdVec<ProjectionId, Projection> =
+        gathered(problems.into_iter().chain(projections))?.into_iter().collect();
+    if graph.facts().semantics == Semantics::Lava {
+        stage.shift_sums(&mut populations, &mut projections)?;
+    }
+    if detail >= Detail::Carried {
+        carry::carry(graph, &populations, &scales, &mut projections);
+    }
+    let facts = graph.facts();
+    let parts = Parts {
+        name: facts.name.clone(),
+        timestep_ms: facts.timestep_ms,
+        populations,
+        projections,
+        output: population_id(graph.output()),
+        decision: facts.decision,
+        drain: facts.drain,
+        classes: facts.classes.clone(),
+        semantics: facts.semantics,
+        threshold: facts.threshold,
+        reset: facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 }),
+        notes: stage.notes,
+        gathers: false,
+    };
+    // An error from here on is a fault of this stage, reported instead of trusted.
+    Quantised::new(parts).map_err(|e| Diagnostic::new("model.inconsistent", e.to_string()).in_file(facts.source.path()))
+}
+
+/// Register units for a real unit of each population, in the order of the file; none where the model gives integers.
+///
+/// # Errors
+/// As [`quantise`], for thresholds and scales.
+pub fn scales(graph: &Graph, detail: Detail) -> Result<Vec<Option<f64>>> {
+    let graph = &assigned(graph, detail);
+    let stage = Stage { graph, notes: Vec::new() };
+    graph.populations().map(|(node, population)| stage.scale(node, population)).collect()
+}
+
+/// Nodes are added in the order of the file, so they are numbered alike.
+fn population_id(node: NodeIndex) -> PopulationId {
+    PopulationId(node.index() as u32)
+}
+
+struct Stage<'a> {
+    graph: &'a Graph,
+    notes: Vec<Note>,
+}
+
+/// `x` as a multiple of `step`, by the named rounding.
+fn to_step(x: f64, step: i16, rounding: WeightRounding) -> f64 {
+    let steps = x / f64::from(step);
+    let whole = match rounding {
+        WeightRounding::Even => steps.round_ties_even(),
+        WeightRounding::Truncate => steps.trunc(),
+        WeightRounding::Floor => steps.floor(),
+    };
+    whole * f64::from(step)
+}
+
+impl Stage<'_> {
+    fn error(&self, code: &'static str, message: impl Into<String>, span: Span) -> Diagnostic {
+        let diagnostic = Diagnostic::new(code, message);
+        // A default was given nowhere.
+        if span == Span::default() { diagnostic } else { diagnostic.at(&self.graph.facts().source, span) }
+    }
+
+    fn note(&mut self, entity: &str, message: impl Into<String>) {
+        self.notes.push(Note { entity: entity.to_string(), message: message.into(), rounded: None });
+    }
+
+    fn real_neurons(&self, population: &graph::Population) -> Diagnostic {
+        let message = format!("population '{}' has spike response neurons, which have no integers", population.name);
+        self.error("model.srm-unconverted", message, population.span).help("run it with --engine reference")
+    }
+
+    fn format(&self, projection: &graph::Projection) -> Result<SynapseFormat> {
+        let wrong = |e: &dyn Display, span: Span| {
+            self.error("model.synapse-format", format!("projection {}: {e}", projection.name), span)
+        };
+        let (exponent, bits) = (&projection.weight_exp, &projection.weight_bits);
+        let exponent = WeightExponent::new(exponent.value).map_err(|e| wrong(&e, exponent.span))?;
+        let width = WeightBits::new(bits.value).map_err(|e| wrong(&e, bits.span))?;
+        if width.get() == 7 || (projection.sign == SignMode::Mixed && width.get() == 1) {
+            let message =
+                format!("projection {}: {width} {:?} weight bits cannot be stored", projection.name, projection.sign);
+            return Err(self
+                .error("model.synapse-format", message, bits.span)
+                .help("1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
+        }
+        Ok(SynapseFormat { exponent, sign: projection.sign, bits: width })
+    }
+
+    /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
+    /// weight. Where a weight would lose bits, what arrives at its targets is summed in finer
+    /// units, and shifted once (rule 11).
+    fn shift_sums(
+        &mut self,
+        populations: &mut IdVec<PopulationId, Population>,
+        projections: &mut IdVec<ProjectionId, Projection>,
+    ) -> Result<()> {
+        let lossy: Vec<(PopulationId, i8)> = (projections.iter())
+            .filter(|p| p.format.exponent.get() < 0 && !p.connectivity.all_multiples_of(1 << -p.format.exponent.get()))
+            .map(|p| (p.target, p.format.exponent.get()))
+            .collect();
+        for &(target, exponent) in &lossy {
+            let population = &mut populations[target];
+            let several = lossy.iter().filter(|other| other.0 == target).count() > 1;
+            let into = || projections.iter().filter(|p| p.target == target);
+            let most = into().map(|p| p.format.exponent.get()).max().unwrap_or(exponent) - exponent;
+            if several || i64::from(most) > i64::from(WeightExponent::MAX.get()) {
+                let message = format!(
+                    "population '{}': under semantics Lava, of the projections into it one at most may have a negative \
+                     weight_exp by which weights lose bits, and the others at most {} more",
+                    population.name,
+                    WeightExponent::MAX
+                );
+                let span = self.graph.populations().nth(target.0 as usize).map_or(Span::default(), |(_, p)| p.span);
+                return Err(self.error("model.semantics", message, span).help(
+                    "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use semantics Hardware",
+                ));
+            }
+            if let Units::Compartments { neurons, .. } = &mut population.units {
+                let shifted = |_, neuron| Ok::<_, Diagnostic>(Neuron { shift: exponent.unsigned_abs(), ..neuron });
+                *neurons = neurons.try_map(shifted)?;
+            }
+            let name = population.name.clone();
+            self.note(&name, format!("what arrives is shifted by {} bits in all, as lava does", -exponent));
+            for projection in projections.iter_mut().filter(|projection| projection.target == target) {
+                let raised = i64::from(projection.format.exponent.get() - exponent);
+                projection.format.exponent = WeightExponent::new(raised)
+                    .map_err(|e| self.error("model.synapse-format", e.to_string(), Span::default()))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Register units for a real unit of a population with a real threshold.
+    fn scale(&self, node: NodeIndex, population: &graph::Population) -> Result<Option<f64>> {
+        let PopulationKind::Neurons(parameters) = &population.kind else { return Ok(None) };
+        let Some(threshold) = parameters.get("vth") else { return Ok(None) };
+        let greatest = match &threshold.each {
+            PerCompartment::Same(value) => *value,
+            PerCompartment::Each(values) => values.iter().copied().fold(f64::MIN, f64::max),
+        };
+        if greatest <= 0.0 {
+            let message = format!("population '{}': a real threshold of {greatest} is not above 0", population.name);
+            return Err(self.error("model.threshold", message, threshold.span));
+        }
+        let register = |mantissa: f64, exponent: f64| mantissa * (exponent + f64::from(WEIGHT_SHIFT)).exp2();
+        let mut pinned: Option<f64> = None;
+        let mut largest = f64::from(ThresholdMantissa::MAX.get()) * 64.0 / greatest;
+        let mut driven = false;
+        for (_, _, target, projection) in self.graph.projections() {
+            if target != node {
+                continue;
+            }
+            let format = self.format(projection)?;
+            let exponent = f64::from(format.exponent.get());
+            if let Some(scale) = &projection.weight_scale {
+                let here = register(scale.value, exponent);
+                if pinned.is_some_and(|other| other != here) {
+                    let message = format!(
+                        "population '{}': its projections' weight_scale imply different scales",
+                        population.name
+                    );
+                    return Err(self
+                        .error("model.weight-scale", message, scale.span)
+                        .help("scales times 2^weight_exp must agree: all that comes in is measured by one threshold"));
+                }
+                pinned = Some(here);
+            }
+            let (low, high) = format.sign.range(format.bits);
+            visit_weights(projection, |weight, _| {
+                let limit = if weight < 0.0 { f64::from(low) } else { f64::from(high) };
+                // A weight of the wrong sign for its mode is refused where it is quantised.
+                if weight != 0.0 && limit != 0.0 {
+                    driven = true;
+                    largest = largest.min(register(limit / weight, exponent));
+                }
+                Ok::<(), Diagnostic>(())
+            })?;
+        }
+        // Without weights nothing limits the scale; a threshold of 1,024 mantissa units leaves room for a bias.
+        let free = if driven { largest } else { largest.min(1024.0 * 64.0 / greatest) };
+        Ok(Some(pinned.unwrap_or(free)))
+    }
+
+    /// Integers of a field, one for all or one each.
+    fn field(
+        &self,
+        (population, what): (&str, &str),
+        values: &Values,
+        field: Field,
+        to_integer: impl Fn(f64) -> f64,
+    ) -> Result<PerCompartment<i64>> {
+        values.each.try_map(|index, value| {
+            let of = index.map_or(String::new(), |i| format!(" of compartment {i}"));
+            let integer = to_integer(value);
+            if integer.fract() != 0.0 || integer.abs() > 9e15 {
+                let message =
+                    format!("population '{population}': {what}{of} {value} is not an integer of the hardware");
+                return Err(self.error("model.not-integer", message, values.span));
+            }
+            field.check(integer as i64).map_err(|e| {
+                let message = format!("population '{population}': {what}{of}: {e}");
+                self.error("model.range", message, values.span)
+            })
+        })
+    }
+
+    /// The integers of one parameter, whichever way it was given.
+    fn parameter(
+        &self,
+        name: &str,
+        p: &NeuronParameters,
+        parameter: &ParameterField,
+        scale: Option<f64>,
+    ) -> Result<PerCompartment<i64>> {
+        let what = (name, parameter.name);
+        if let Some(values) = p.get(parameter.name) {
+            return self.field(what, values, parameter.field, |x| x);
+        }
+        let scaled = |unit: f64| move |x: f64| (x * scale.unwrap_or(1.0) / unit).round_ties_even();
+        match parameter.real.and_then(|(real, conversion)| Some((real, conversion, p.get(real)?))) {
+            None => Ok(PerCompartment::Same(parameter.default.unwrap_or(0))),
+            Some((_, Conversion::TimeConstant, values)) => {
+                let positive = values.each.try_map(|_, tau| if tau > 0.0 { Ok(()) } else { Err(tau) });
+                if let Err(tau) = positive {
+                    let message = format!("population '{name}': a time constant of {tau} ms is not above 0");
+                    return Err(self
+                        .error("model.time-constant", message, values.span)
+                        .help("for no memory give an effective decay of 4096"));
+                }
+                let dt = self.graph.facts().timestep_ms;
+                let decay = |tau: f64| (DECAY_ONE as f64 * -(-dt / tau).exp_m1()).round_ties_even();
+                self.field(what, values, parameter.field, decay)
+            }
+            Some((real, Conversion::Threshold, values)) => {
+                self.field((name, real), values, parameter.field, scaled(f64::from(1 << THRESHOLD_SHIFT)))
+            }
+            Some((_, Conversion::BiasMantissa, values)) => {
+                self.real_bias(name, values, scaled(1.0))?.try_map(|_, (mantissa, _)| Ok(mantissa))
+            }
+            Some((_, Conversion::BiasExponent, values)) => {
+                self.real_bias(name, values, scaled(1.0))?.try_map(|_, (_, exponent)| Ok(exponent))
+            }
+        }
+    }
+
+    fn neurons(&mut self, population: &graph::Population, p: &NeuronParameters, scale: Option<f64>) -> Result<Neurons> {
+        let (name, semantics) = (&population.name, self.graph.facts().semantics);
+        let kind = neuron::kind(p.kind);
+        if !kind.semantics.contains(&semantics) {
+            let message = format!("population '{name}': {} has no form in semantics {semantics:?}", p.kind.name());
+            return Err(self.error("model.semantics", message, population.span));
+        }
+        let integers = p.kind.parameters().iter().map(|parameter| self.parameter(name, p, parameter, scale));
+        let integers = gathered(integers)?;
+        let neuron = |index: u32| {
+            let values: Vec<i64> = integers.iter().map(|values| values.get(index)).collect();
+            (kind.neuron)(&values)
+                .map_err(|e| self.error("model.range", format!("population '{name}': {e}"), population.span))
+        };
+        let same = integers.iter().all(|values| matches!(values, PerCompartment::Same(_)));
+        let neurons = match same {
+            true => PerCompartment::Same(neuron(0)?),
+            false => PerCompartment::Each((0..population.shape.len()).map(neuron).collect::<Result<_, _>>()?),
+        };
+        let biased = |neuron: &Neuron| neuron.bias_mant != BiasMantissa::ZERO;
+        if semantics == Semantics::Slayer && neurons.any(biased) {
+            self.note(name, "SLAYER's kernel has no bias: it is ignored under semantics Slayer");
+        }
+        if let Some(scale) = scale {
+            self.note(name, format!("a real unit counts {scale:.6} register units"));
+        }
+        Ok(neurons)
+    }
+
+    /// Mantissa and exponent nearest to a real bias: the least exponent that its magnitude fits.
+    fn real_bias(
+        &self,
+        name: &str,
+        values: &Values,
+        to_register: impl Fn(f64) -> f64,
+    ) -> Result<PerCompartment<(i64, i64)>> {
+        values.each.try_map(|index, value| {
+            let register = to_register(value);
+            let fitting = (0..=i64::from(BiasExponent::MAX.get())).find_map(|exponent| {
+                let mantissa = (register / (exponent as f64).exp2()).round_ties_even();
+                Some((BiasMantissa::FIELD.check(mantissa as i64).ok()?, exponent))
+            });
+            fitting.ok_or_else(|| {
+                let of = index.map_or(String::new(), |i| format!(" of compartment {i}"));
+                let message =
+                    format!("population '{name}': bias{of} {value} is {register} register units, beyond 4095 * 2^7");
+                self.error("model.range", message, values.span)
+            })
+        })
+    }
+
+    fn projection(
+        &mut self,
+        source: NodeIndex,
+        target: NodeIndex,
+        projection: &graph::Projection,
+        scale: Option<f64>,
+    ) -> Result<Projection> {
+        let format = self.format(projection)?;
+        if let Some(scale) = &projection.weight_scale
+            && !(scale.value.is_finite() && scale.value > 0.0)
+        {
+            let message = format!("projection {}: weight_scale {} is not above 0", projection.name, scale.value);
+            return Err(self.error("model.weight-scale", message, scale.span));
+        }
+        // Mantissa units for a unit of the weights as they are given; none when they are mantissas already.
+        let factor = match (scale, &projection.weight_scale) {
+            (Some(scale), _) => Some(scale / (f64::from(format.exponent.get()) + f64::from(WEIGHT_SHIFT)).exp2()),
+            (None, Some(scale)) => Some(scale.value),
+            (None, None) => None,
+        };
+        let mut rounding =
+            Rounding { stage: self, projection, format, factor, changed: 0, most: 0.0, greatest: 0.0, seen: 0 };
+        let sources = rounding.stage.graph.population(source).shape.len();
+        let targets = rounding.stage.graph.population(target).shape.len();
+        let connectivity = rounding.connectivity(sources, targets)?;
+        let Rounding { changed, most, greatest, seen, .. } = rounding;
+        if changed > 0 {
+            let step = format.sign.step(format.bits);
+            let message = format!("{changed} of {seen} weights rounded to multiples of {step}, by at most {most:.3}");
+            let rounded =
+                Some(Rounded { real: factor.is_some(), changed, weights: seen, worst_share: most / greatest });
+            self.notes.push(Note { entity: projection.name.clone(), message, rounded });
+        }
+        Ok(Projection {
+            name: projection.name.clone(),
+            source: population_id(source),
+            target: population_id(target),
+            format,
+            delay: projection.delay,
+            connectivity,
+        })
+    }
+}
+
+/// Weights as mantissas, with what rounding did to them.
+struct Rounding<'a, 'b> {
+    stage: &'a mut Stage<'b>,
+    projection: &'a graph::Projection,
+    format: SynapseFormat,
+    factor: Option<f64>,
+    changed: u64,
+    most: f64,
+    /// The greatest magnitude, in mantissas.
+    greatest: f64,
+    seen: u64,
+}
+
+impl Rounding<'_, '_> {
+    fn mantissa(&mut self, weight: f64, which: impl Display, span: Span) -> Result<i16> {
+        let name = &self.projection.name;
+        let exact = weight * self.factor.unwrap_or(1.0);
+        if !exact.is_finite() {
+            let message = format!("projection {name}: weight {which} is not a finite number");
+            return Err(self.stage.error("model.not-finite", message, span));
+        }
+        if self.factor.is_none() && exact.fract() != 0.0 {
+            let message = format!("projection {name}: weight {which} {weight} is not an integer");
+            return Err(self
+                .stage
+                .error("model.weight-not-integer", message, span)
+                .help("beside an integer vth_mant, real weights need a weight_scale; or give a real vth"));
+        }
+        let step = self.format.sign.step(self.format.bits);
+        let rounded = to_step(exact, step, self.stage.graph.facts().weight_rounding);
+        let (low, high) = self.format.sign.range(self.format.bits);
+        if !(f64::from(low)..=f64::from(high)).contains(&rounded) {
+            let (bits, sign) = (self.format.bits, self.format.sign);
+            let given = if rounded == weight { String::new() } else { format!(", rounded {rounded},") };
+            let message = format!(
+                "projection {name}: weight {which} {weight}{given} is outside {low}..={high} of {bits} {sign:?} bits"
+            );
+            return Err(self
+                .stage
+                .error("model.weight-range", message, span)
+                .help("raise weight_exp and halve the weights, choose another sign mode, or scale weights and threshold together"));
+        }
+        self.seen += 1;
+        self.greatest = self.greatest.max(exact.abs());
+        let change = (rounded - exact).abs();
+        if change > 0.0 {
+            self.changed += 1;
+            self.most = self.most.max(change);
+        }
+        Ok(rounded as i16)
+    }
+
+    fn connectivity(&mut self, sources: u32, targets: u32) -> Result<Connectivity> {
+        let projection = self.projection;
+        match &projection.kind {
+            ProjectionKind::Dense { weights, rows } => {
+                let mut by_source = vec![0i16; sources as usize * targets as usize];
+                let columns = columns(weights);
+                for target in 0..targets as usize {
+                    let span = rows.get(target).copied().unwrap_or(projection.weights_span);
+                    for source in 0..sources as usize {
+                        let column = projection.first_source as usize + source;
+                        let weight = weights.real(target * columns + column);
+                        by_source[source * targets as usize + target] =
+                            self.mantissa(weight, Entry(&[target, column]), span)?;
+                    }
+                }
+                Ok(Connectivity::Dense { targets, weights: by_source.into() })
+            }
+            ProjectionKind::Sparse { synapses } => {
+                let mut sorted: Vec<(u32, u32, i16)> = Vec::with_capacity(synapses.len());
+                for &(source, target, weight, span) in synapses {
+                    let which = Entry(&[source as usize, target as usize]);
+                    sorted.push((source, target, self.mantissa(weight, which, span)?));
+                }
+                sorted.sort_by_key(|&(source, target, _)| (source, target));
+                let mut first = vec![0u64; sources as usize + 1];
+                for &(source, _, _) in &sorted {
+                    first[source as usize + 1] += 1;
+                }
+                for s in 0..sources as usize {
+                    first[s + 1] += first[s];
+                }
+                Ok(Connectivity::Sparse {
+                    first: first.into(),
+                    targets: sorted.iter().map(|s| s.1).collect(),
+                    weights: sorted.iter().map(|s| s.2).collect(),
+                })
+            }
+            ProjectionKind::Conv2d { window, weights, rows } => {
+                let per_channel = weights.len() / window.target.0 as usize;
+                let kernel = (0..weights.len())
+                    .map(|i| {
+                        let channel = i / per_channel;
+                        let span = rows.get(channel).copied().unwrap_or(projection.weights_span);
+                        self.mantissa(weights.real(i), Entry(&[channel, i % per_channel]), span)
+                    })
+                    .collect::<Result<Arc<[i16]>, _>>()?;
+                Ok(Connectivity::Conv2d { window: *window, kernel })
+            }
+            ProjectionKind::SumPool2d { window, weight } => {
+                let weight = self.mantissa(weight.value, "of the pool", weight.span)?;
+                Ok(Connectivity::SumPool2d { window: *window, weight })
+            }
+            ProjectionKind::Random { fan_out, low, high, seed } => {
+                let step = self.format.sign.step(self.format.bits);
+                let mut bound = |bound: &nsim_ir::spanned::Spanned<i64>, what: &str| {
+                    if bound.value % i64::from(step) != 0 {
+                        let message = format!(
+                            "projection {}: {what} {} is not a multiple of {step}",
+                            projection.name, bound.value
+                        );
+                        return Err(self.stage.error("model.random", message, bound.span));
+                    }
+                    self.mantissa(bound.value as f64, what, bound.span)
+                };
+                let (least, greatest) = (bound(low, "low")?, bound(high, "high")?);
+                if self.factor.is_some() || least > greatest {
+                    let message = match self.factor {
+                        Some(_) => {
+                            format!("projection {}: random integer weights meet a real threshold", projection.name)
+                        }
+                        None => format!("projection {}: low {least} is above high {greatest}", projection.name),
+                    };
+                    return Err(self.stage.error("model.random", message, low.span));
+                }
+                let (fan_out, seed, first_source) = (*fan_out, *seed, projection.first_source);
+                Ok(Connectivity::Random { targets, fan_out, low: least, high: greatest, step, seed, first_source })
+            }
+        }
+    }
+}
+
+/// An index such as `[3, 17]`.
+struct Entry<'a>(&'a [usize]);
+
+impl Display for Entry<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:?}", self.0)
+    }
+}
+
+fn columns(weights: &Tensor) -> usize {
+    weights.shape().get(1).copied().unwrap_or(1)
+}
+
+/// Calls `f(weight, place)` for every weight that a projection was given.
+fn visit_weights<E>(projection: &graph::Projection, mut f: impl FnMut(f64, Span) -> Result<(), E>) -> Result<(), E> {
+    match &projection.kind {
+        ProjectionKind::Dense { weights, rows } | ProjectionKind::Conv2d { weights, rows, .. } => {
+            let per_row = weights.len() / weights.shape().first().copied().unwrap_or(1).max(1);
+            (0..weights.len()).try_for_each(|i| {
+                let span = rows.get(i / per_row.max(1)).copied().unwrap_or(projection.weights_span);
+                f(weights.real(i), span)
+            })
+        }
+        ProjectionKind::Sparse { synapses } => synapses.iter().try_for_each(|&(_, _, weight, span)| f(weight, span)),
+        ProjectionKind::SumPool2d { weight, .. } => f(weight.value, weight.span),
+        ProjectionKind::Random { low, high, .. } => {
+            f(low.value as f64, low.span)?;
+            f(high.value as f64, high.span)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use nsim_files::lower::lower;
+    use nsim_files::network::{Network, NetworkFile};
+    use nsim_ir::base::diagnostic::SourceText;
+
+    fn quantised(text: &str) -> Result<Quantised> {
+        let source = SourceText::new("m.ron", text);
+        let file = NetworkFile::parse(&source)?;
+        quantise(&lower(&Network::new(file, source, BTreeMap::new())?)?)
+    }
+
+    fn network(loihi: &str, projection: &str) -> String {
+        format!(
+            "Network(name: \"t\", timestep_ms: 1.0,\n populations: [Input(name: \"in\", shape: [2]),\n  \
+             Loihi(name: \"o\", shape: [2], {loihi})],\n projections: [{projection}],\n output: \"o\")"
+        )
+    }
+
+    fn dense(q: &Quantised) -> &[i16] {
+        match &q.projections().as_slice()[0].connectivity {
+            Connectivity::Dense { weights, .. } => weights,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn integer_weights_pass_and_are_stored_by_source() {
+        let text =
+            network("du: 1024, dv: 128, vth_mant: 80", "Dense(from: [\"in\"], to: \"o\", weights: [[2, 4], [-6, 8]])");
+        let q = quantised(&text).unwrap();
+        assert_eq!(dense(&q), [2, -6, 4, 8]);
+        assert!(q.parts().notes.is_empty());
+    }
+
+    #[test]
+    fn odd_weights_round_to_even_and_leave_a_note() {
+        let text =
+            network("du: 1024, dv: 128, vth_mant: 80", "Dense(from: [\"in\"], to: \"o\", weights: [[1, 3], [-1, -3]])");
+        let q = quantised(&text).unwrap();
+        assert_eq!(dense(&q), [0, 0, 4, -4], "halves go to the even multiple: 0.5 -> 0, 1.5 -> 2");
+        assert_eq!(q.parts().notes[0].message, "4 of 4 weights rounded to multiples of 2, by at most 1.000");
+    }
+
+    #[test]
+    fn a_real_threshold_scales_everything_that_comes_in() {
+        let text = network(
+            "tau_u_ms: 3.4760594967822066, dv: 128, vth: 0.5, bias: 0.25",
+            "Dense(from: [\"in\"], to: \"o\", weights: [[0.5, -0.25], [1.0, 0.125]])",
+        );
+        let q = quantised(&text).unwrap();
+        let mut scaled = [[0; 2]; 2];
+        for projection in q.projections() {
+            for source in 0..2 {
+                let at =
+                    |target: u32, weight| scaled[target as usize][source as usize] += projection.format.scaled(weight);
+                projection.connectivity.for_each_from(source, at);
+            }
+        }
+        // 1.0 takes the greatest weight, 254, with exponent 3; -0.25 and 0.125 have exponent 1.
+        assert_eq!(scaled, [[128 << 9, -(254 << 7)], [254 << 9, 128 << 7]]);
+        let Units::Compartments { neurons, .. } = &q.populations().as_slice()[1].units else { panic!() };
+        let neuron = neurons.get(1);
+        // S = 254 * 64 * 2^3 register units, the last doubling at which 0.5 S is within 2^16: the threshold 0.5 S / 64 = 1,016;
+        // du = 4096 (1 - exp(-1 / tau)) = 1024.
+        assert_eq!((neuron.vth.get(), neuron.du.get()), (1016, 1024));
+        assert_eq!((neuron.bias_mant.get(), neuron.bias_exp.get()), (4064, 3));
+    }
+
+    #[test]
+    fn a_weight_out_of_range_is_refused_where_it_stands() {
+        let text = network(
+            "du: 1024, dv: 128, vth_mant: 80",
+            "Dense(from: [\"in\"], to: \"o\",\n weights: [[2, 4],\n  [-6, 400]])",
+        );
+        let error = quantised(&text).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "m.ron:6:3: projection in -> o: weight [1, 1] 400 is outside -256..=254 of 8 Mixed bits"
+        );
+    }
+
+    #[test]
+    fn a_decay_out_of_range_is_refused_where_it_stands() {
+        let text = network(
+            "du: [0, 5000], dv: 128, vth_mant: 80",
+            "Dense(from: [\"in\"], to: \"o\", weights: [[2, 4], [6, 8]])",
+        );
+        let error = quantised(&text).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "m.ron:3:36: population 'o': du of compartment 1: decay 5000 is outside 0..=4096"
+        );
+    }
+
+    #[test]
+    fn windows_and_random_synapses_lower() {
+        let text = "Network(name: \"t\", timestep_ms: 1.0, populations: [
+            Input(name: \"in\", shape: [2, 5, 5]), Loihi(name: \"pool\", shape: [2, 3, 2], du: 4096, dv: 4096, vth_mant: 1),
+            Loihi(name: \"conv\", shape: [1, 2, 2], du: 4096, dv: 4096, vth_mant: 1),
+            Loihi(name: \"o\", shape: [3], du: 4096, dv: 4096, vth_mant: 1)],
+            projections: [SumPool2d(from: [\"in\"], to: \"pool\", kernel: (2, 2), padding: (1, 0), weight: 2),
+             Conv2d(from: [\"pool\"], to: \"conv\", weights: [[[[2, 4]], [[6, 8]]]], padding: (0, 1), stride: (2, 2)),
+             Random(from: [\"conv\"], to: \"o\", fan_out: 4, low: -6, high: 6, seed: 3, delay: 2)], output: \"o\")";
+        let q = quantised(text).unwrap();
+        let pool = &q.projections().as_slice()[0].connectivity;
+        let mut reached = Vec::new();
+        pool.for_each_from(25 + 4 * 5 + 3, |target, weight| reached.push((target, weight)));
+        assert_eq!(
+            reached,
+            [(6 + 2 * 2 + 1, 2)],
+            "row 4 + 1 of padding is in window row 2, column 3 in window column 1"
+        );
+        let conv = &q.projections().as_slice()[1].connectivity;
+        let mut reached = Vec::new();
+        conv.for_each_from(6 + 4, |target, weight| reached.push((target, weight)));
+        assert_eq!(reached, [(2, 8)], "channel 1, row 2, column 0 of the pool meets column 1 of the kernel");
+        assert_eq!(q.projections().as_slice()[2].connectivity.count_from(3), 4);
+    }
+}

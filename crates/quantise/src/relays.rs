@@ -1,0 +1,453 @@
+//! Relays: compartments that carry spikes on, for compartments that reach more targets than they have output axons.
+//!
+//! Input: a network and the most targets that one compartment may have. Output: the same network in which every compartment
+//! that had more sends to relays, which are populations of their own behind the others, so that all numbers of the
+//! original stay. What relays do not change is for [`check::relays`](nsim_check::relays) to prove, which shares
+//! nothing with this. Errors: delays that leave no time for relays; graded spikes, which a relay does not carry.
+//!
+//! A relay is a compartment without memory that spikes in the step in which its only synapse brings a spike, whatever was
+//! before. It so takes a spike one step later: over a relay a synapse of delay d keeps d - 1. A projection of delay 0 keeps
+//! its synapses at their compartment while there is room beside the relays; otherwise delays are *padded*: with L(p) the
+//! steps by which spikes of population p come later (0 for inputs), a projection from p to q has the delay
+//!
+//! ```text
+//! d' = d + L(q) - L(p),   with d' >= 1 where relays need it, and d' >= 0.
+//! ```
+//!
+//! All spikes of q then come L(q) steps later and are otherwise the same; where q starts, and when it is reset, moves along.
+//! The least L are longest paths; around a circle the sum of delays stays what it is, so a circle without enough of it is
+//! refused.
+//!
+//! A compartment of n targets and a limit of m keeps m - r of them beside r = (n - m) / (m - 1) relays, rounded up. Relays
+//! that still have too many are treated in the same way: trees grow level by level. Targets go to relays in the order of
+//! compartments, so that those of a relay are neighbours in the order of the file.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use nsim_ir::arithmetic::Semantics;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::fixed::{Delay, OutOfRange, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
+use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId, ProjectionId};
+use nsim_ir::graph::{PerCompartment, Shape};
+use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim_ir::quantised::{Neuron, Note, Parts, Population, Projection, Quantised, Units};
+
+/// Weight of the synapse of a relay: twice its threshold of 1 mantissa unit.
+const WEIGHT: i16 = 2;
+/// Compartments whose synapses one task divides.
+const PIECE: u32 = 1 << 10;
+/// Levels of a tree at most: each takes a step of delay, of which a synapse has 62.
+const MOST_LEVELS: usize = 62;
+
+/// A network with relays.
+#[derive(Debug, Clone)]
+pub struct Relayed {
+    /// The network: the populations of the original, then relays.
+    pub network: Quantised,
+    /// By population of the original, the steps by which its spikes come later.
+    pub later: IdVec<PopulationId, u32>,
+    /// How many relays there are.
+    pub relays: u32,
+    /// Levels of the deepest tree.
+    pub levels: u32,
+}
+
+/// The network with relays for every compartment of more than `most` synapses.
+///
+/// # Errors
+/// `map.relays`.
+pub fn relayed(network: &Quantised, most: u32) -> Result<Relayed, Diagnostic> {
+    let later = network.populations().iter().map(|_| 0).collect();
+    let mut found = Relayed { network: network.clone(), later, relays: 0, levels: 0 };
+    for _ in 0..MOST_LEVELS {
+        let Some(next) = level(&found.network, most)? else { return Ok(found) };
+        for (later, more) in found.later.iter_mut().zip(&next.later) {
+            *later += more;
+        }
+        let (relays, levels) = (found.relays + next.relays, found.levels + 1);
+        found = Relayed { network: next.network, later: found.later, relays, levels };
+    }
+    Err(refused(format!("a tree of {MOST_LEVELS} levels of relays with {most} output axons each is not enough")))
+}
+
+fn refused(message: String) -> Diagnostic {
+    Diagnostic::new("map.relays", message)
+}
+
+/// What the compartments of a population need.
+struct Need {
+    /// The population.
+    of: PopulationId,
+    /// Relays of each of its compartments.
+    relays: Vec<u32>,
+    /// Whether synapses of delay 0 have to go over relays too.
+    tight: bool,
+}
+
+/// Synapses of a compartment by projection, and those of delay 0.
+fn count(network: &Quantised, of: PopulationId, index: u32) -> (u64, u64) {
+    let (mut all, mut without_delay) = (0, 0);
+    for &id in network.outgoing(of) {
+        let projection = &network.projections()[id];
+        let synapses = projection.connectivity.count_from(index);
+        all += synapses;
+        without_delay += if projection.delay == Delay::MIN { synapses } else { 0 };
+    }
+    (all, without_delay)
+}
+
+/// The needs of all populations that have any.
+fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
+    let most = u64::from(most.max(2));
+    let mut needs = Vec::new();
+    for (of, population) in network.populations().enumerate().filter(|(_, p)| p.first_compartment().is_some()) {
+        let (mut relays, mut tight) = (vec![0; population.shape.len() as usize], false);
+        for (index, relays) in (0..).zip(&mut relays) {
+            let (all, without_delay) = count(network, of, index);
+            if all > most {
+                let wanted = (all - most).div_ceil(most - 1).min(most);
+                *relays = wanted as u32;
+                // At least two relays are a level of a tree; what cannot wait has to fit beside them.
+                tight |= without_delay > most - wanted.min(most);
+            }
+        }
+        if relays.iter().any(|&relays| relays > 0) {
+            if population.payload.is_some() {
+                let name = &population.name;
+                return Err(refused(format!("population {name} sends graded spikes, which a relay does not carry")));
+            }
+            needs.push(Need { of, relays, tight });
+        }
+    }
+    Ok(needs)
+}
+
+/// The steps by which each population comes later, so that relays have the time that they need.
+fn padded(network: &Quantised, needs: &[Need]) -> Result<IdVec<PopulationId, u32>, Diagnostic> {
+    let least = |projection: &Projection| {
+        let goes_over = |need: &Need| need.of == projection.source && (need.tight || projection.delay > Delay::MIN);
+        i64::from(needs.iter().any(goes_over))
+    };
+    let mut later: IdVec<PopulationId, i64> = network.populations().iter().map(|_| 0).collect();
+    for _ in 0..=network.populations().len() {
+        let mut settled = true;
+        for projection in network.projections() {
+            let wanted = later[projection.source] + least(projection) - i64::from(projection.delay.get());
+            if wanted > later[projection.target] {
+                (later[projection.target], settled) = (wanted, false);
+            }
+        }
+        if settled {
+            return Ok(later.iter().map(|&later| later as u32).collect());
+        }
+    }
+    // Those that would have to grow for ever lie on circles or behind them.
+    let short: Vec<String> = network
+        .projections()
+        .iter()
+        .filter(|p| i64::from(p.delay.get()) < least(p))
+        .map(|p| format!("{} (delay {}) needs a delay of {}", p.name, p.delay.get(), least(p)))
+        .collect();
+    let message =
+        format!("a relay takes a step, which the delays of a recurrent part do not leave: {}", short.join("; "));
+    Err(refused(message)
+        .help("give these projections that delay; padding all paths alike is possible in acyclic parts only"))
+}
+
+/// Lists of synapses that are written source by source.
+#[derive(Default)]
+struct Lists {
+    first: Vec<u64>,
+    targets: Vec<u32>,
+    weights: Vec<i16>,
+}
+
+impl Lists {
+    fn new() -> Self {
+        Lists { first: vec![0], ..Lists::default() }
+    }
+
+    fn end(&mut self) {
+        self.first.push(self.targets.len() as u64);
+    }
+
+    fn push(&mut self, target: u32, weight: i16) {
+        self.targets.push(target);
+        self.weights.push(weight);
+    }
+
+    /// One after the other.
+    fn together(all: Vec<Lists>) -> Self {
+        let sum = |of: fn(&Lists) -> usize| all.iter().map(of).sum::<usize>();
+        let (lists, synapses) = (sum(|lists| lists.first.len()), sum(|lists| lists.targets.len()));
+        let mut together = Lists::new();
+        together.first.reserve_exact(lists);
+        together.targets.reserve_exact(synapses);
+        together.weights.reserve_exact(synapses);
+        for Lists { first, targets, weights } in all {
+            let before = together.targets.len() as u64;
+            together.first.extend(first.iter().skip(1).map(|end| before + end));
+            together.targets.extend(targets);
+            together.weights.extend(weights);
+        }
+        together
+    }
+
+    fn into_connectivity(self) -> Connectivity {
+        let Lists { first, targets, weights } = self;
+        Connectivity::Sparse { first: first.into(), targets: targets.into(), weights: weights.into() }
+    }
+}
+
+/// A synapse of a compartment.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Synapse {
+    target: CompartmentId,
+    /// Which of the outgoing projections.
+    projection: usize,
+    index: u32,
+    weight: i16,
+}
+
+/// One level of relays; none where no compartment has too many targets.
+fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> {
+    let needs = needs(network, most)?;
+    if needs.is_empty() {
+        return Ok(None);
+    }
+    let semantics = network.parts().semantics;
+    if semantics != Semantics::Hardware {
+        return Err(refused(format!("relays are known in the chip's semantics only, not in {semantics:?}")));
+    }
+    let later = padded(network, &needs)?;
+    let mut parts = network.parts().clone();
+    let out_of_range = |error: OutOfRange| refused(format!("the delays are too long for relays: {error}"));
+    for (population, &later) in parts.populations.iter_mut().zip(&later) {
+        if let Units::Compartments { start_step, .. } = &mut population.units {
+            *start_step += later;
+        }
+    }
+    for projection in parts.projections.iter_mut() {
+        let (from, to) = (i64::from(later[projection.source]), i64::from(later[projection.target]));
+        projection.delay = Delay::new(i64::from(projection.delay.get()) + to - from).map_err(out_of_range)?;
+    }
+    let (mut next, mut relays) = (network.compartments(), 0);
+    for need in &needs {
+        let size: u32 = need.relays.iter().sum();
+        let name = relay_name(&parts, &network.populations()[need.of].name);
+        let id = parts.populations.push(relay_population(&name, next, size, later[need.of])?);
+        (next, relays) = (next + size, relays + size);
+        let over = split(network, &mut parts, need, most, id);
+        let format = relay_format()?;
+        let of = &network.populations()[need.of].name;
+        let delay = Delay::MIN;
+        let (source, target) = (need.of, id);
+        parts.projections.push(Projection {
+            name: format!("{of} -> {name}"),
+            source,
+            target,
+            format,
+            delay,
+            connectivity: over,
+        });
+        let message =
+            format!("{size} relays carry its spikes on, because a compartment has {most} output axons at most");
+        parts.notes.push(Note { entity: of.clone(), message, rounded: None });
+    }
+    for (population, &later) in network.populations().iter().zip(&later).filter(|(_, later)| **later > 0) {
+        let message = format!("its spikes come {later} steps later, because relays take time");
+        parts.notes.push(Note { entity: population.name.clone(), message, rounded: None });
+    }
+    let network = Quantised::new(parts)
+        .and_then(|made| made.with_record(None))
+        .map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))?;
+    Ok(Some(Relayed { network, later, relays, levels: 1 }))
+}
+
+/// A name that no population has.
+fn relay_name(parts: &Parts, of: &str) -> String {
+    let mut name = format!("{of}.relays");
+    while parts.populations.iter().any(|population| population.name == name) {
+        name.push_str(".relays");
+    }
+    name
+}
+
+/// A compartment without memory that spikes in the step in which its synapse brings a spike.
+///
+/// # Errors
+/// Never: its threshold is in range.
+pub fn relay() -> Result<Neuron, OutOfRange> {
+    Ok(Neuron { vth: ThresholdMantissa::new(1)?, ..Neuron::PLAIN })
+}
+
+/// One synapse from each unit to the unit of the same number, whose spike makes a relay spike.
+#[must_use]
+pub fn one_to_one(units: u32) -> Connectivity {
+    let first: Vec<u64> = (0..=u64::from(units)).collect();
+    let (targets, weights): (Vec<u32>, Vec<i16>) = ((0..units).collect(), vec![WEIGHT; units as usize]);
+    Connectivity::Sparse { first: first.into(), targets: targets.into(), weights: weights.into() }
+}
+
+/// The network with a compartment for each input channel, which carries its spikes on a step later.
+///
+/// # Errors
+/// `map.relays` where the network would contradict itself.
+pub fn with_input_relays(network: &Quantised) -> Result<Quantised, Diagnostic> {
+    let mut parts = network.parts().clone();
+    let mut next = network.compartments();
+    for (input, population) in network.inputs() {
+        let (name, size) = (relay_name(&parts, &population.name), population.shape.len());
+        let shaped = Population { shape: population.shape, ..relay_population(&name, next, size, 0)? };
+        let target = parts.populations.push(shaped);
+        next += size;
+        for projection in parts.projections.iter_mut().filter(|projection| projection.source == input) {
+            projection.source = target;
+        }
+        let (format, delay, connectivity) = (relay_format()?, Delay::MIN, one_to_one(size));
+        let name = format!("{} -> {name}", population.name);
+        parts.projections.push(Projection { name, source: input, target, format, delay, connectivity });
+    }
+    Quantised::new(parts).map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))
+}
+
+fn relay_population(name: &str, first: u32, size: u32, start_step: u32) -> Result<Population, Diagnostic> {
+    let neurons = PerCompartment::Same(relay().map_err(|error| refused(error.to_string()))?);
+    let units = Units::Compartments { first: CompartmentId(first), neurons, start_step };
+    Ok(Population { name: name.to_string(), shape: Shape::Line(size), units, payload: None })
+}
+
+fn relay_format() -> Result<SynapseFormat, Diagnostic> {
+    let format = || {
+        let (exponent, bits) = (WeightExponent::new(0)?, WeightBits::new(8)?);
+        Ok(SynapseFormat { exponent, sign: SignMode::Mixed, bits })
+    };
+    format().map_err(|error: OutOfRange| refused(error.to_string()))
+}
+
+/// The synapses of some consecutive compartments, divided among them and their relays.
+struct Divided {
+    /// By outgoing projection, those of the compartments and those of their relays.
+    direct: Vec<Lists>,
+    carried: Vec<Lists>,
+    /// Those from the compartments to their relays.
+    over: Lists,
+}
+
+impl Divided {
+    fn nothing(outgoing: usize) -> Self {
+        let lists = || (0..outgoing).map(|_| Lists::new()).collect();
+        Divided { direct: lists(), carried: lists(), over: Lists::new() }
+    }
+}
+
+/// What synapses are divided by.
+struct Division<'a> {
+    network: &'a Quantised,
+    outgoing: &'a [ProjectionId],
+    /// The first compartment of the target of each outgoing projection.
+    first: Vec<CompartmentId>,
+    /// Whether each outgoing projection has delay to spare.
+    can_wait: Vec<bool>,
+    need: &'a Need,
+    most: u32,
+}
+
+impl Division<'_> {
+    /// Of these compartments, whose relays are numbered from `relay`.
+    fn divided(&self, compartments: Range<u32>, mut relay: u32) -> Divided {
+        let Division { network, outgoing, .. } = self;
+        let mut divided = Divided::nothing(outgoing.len());
+        let (mut synapses, mut waiting): (Vec<Synapse>, Vec<Synapse>) = (Vec::new(), Vec::new());
+        for index in compartments {
+            let relays = self.need.relays[index as usize];
+            synapses.clear();
+            for (projection, &id) in outgoing.iter().enumerate() {
+                network.projections()[id].connectivity.for_each_from(index, |target, weight| {
+                    let target_id = CompartmentId(self.first[projection].0 + target);
+                    synapses.push(Synapse { target: target_id, projection, index: target, weight });
+                });
+            }
+            waiting.clear();
+            if relays > 0 {
+                // What has no delay to spare stays; then as many of the others as there are axons left.
+                let can_wait = |synapse: &Synapse| self.can_wait[synapse.projection];
+                synapses.sort_unstable_by_key(|synapse| (can_wait(synapse), *synapse));
+                let all = synapses.iter().filter(|synapse| can_wait(synapse)).count();
+                let room = (self.most.saturating_sub(relays) as usize).saturating_sub(synapses.len() - all);
+                let keep = synapses.len() - all + room.min(all);
+                waiting.extend(synapses.drain(keep..));
+            }
+            synapses.sort_unstable_by_key(|synapse| (synapse.projection, synapse.index));
+            for synapse in &synapses {
+                divided.direct[synapse.projection].push(synapse.index, synapse.weight);
+            }
+            divided.direct.iter_mut().for_each(Lists::end);
+            for part in 0..relays as usize {
+                let all = waiting.len();
+                let range = all * part / relays as usize..all * (part + 1) / relays as usize;
+                for synapse in &waiting[range] {
+                    divided.carried[synapse.projection].push(synapse.index, synapse.weight);
+                }
+                divided.carried.iter_mut().for_each(Lists::end);
+                divided.over.push(relay, WEIGHT);
+                relay += 1;
+            }
+            divided.over.end();
+        }
+        divided
+    }
+}
+
+/// Divides the synapses of a population among its compartments and their relays; returns the synapses of the relays.
+fn split(network: &Quantised, parts: &mut Parts, need: &Need, most: u32, relays: PopulationId) -> Connectivity {
+    let outgoing: Vec<ProjectionId> = network.outgoing(need.of).to_vec();
+    let division = Division {
+        network,
+        outgoing: &outgoing,
+        first: network.targets_of(need.of).map(|(_, _, first)| first).collect(),
+        can_wait: outgoing.iter().map(|&id| parts.projections[id].delay > Delay::MIN).collect(),
+        need,
+        most,
+    };
+    let size = need.relays.len() as u32;
+    let mut relay = 0;
+    let pieces: Vec<(Range<u32>, u32)> = (0..size)
+        .step_by(PIECE as usize)
+        .map(|from| {
+            let piece = from..(from + PIECE).min(size);
+            let of_piece: u32 = need.relays[piece.start as usize..piece.end as usize].iter().sum();
+            relay += of_piece;
+            (piece, relay - of_piece)
+        })
+        .collect();
+    let mut divided: Vec<Divided> =
+        pieces.into_par_iter().map(|(piece, relay)| division.divided(piece, relay)).collect();
+    let together = |of: &mut dyn FnMut(&mut Divided) -> Lists, divided: &mut [Divided]| {
+        Lists::together(divided.iter_mut().map(of).collect())
+    };
+    let over = together(&mut |of| std::mem::take(&mut of.over), &mut divided);
+    let name = parts.populations[relays].name.clone();
+    for (at, &id) in outgoing.iter().enumerate() {
+        let direct = together(&mut |of| std::mem::take(&mut of.direct[at]), &mut divided);
+        let carried = together(&mut |of| std::mem::take(&mut of.carried[at]), &mut divided);
+        let projection = &mut parts.projections[id];
+        projection.connectivity = direct.into_connectivity();
+        if carried.targets.is_empty() {
+            continue;
+        }
+        let target = &parts.populations[projection.target].name;
+        let delay = Delay::new(i64::from(projection.delay.get()) - 1).unwrap_or(Delay::MIN);
+        let carried = Projection {
+            name: format!("{name} -> {target}"),
+            source: relays,
+            delay,
+            connectivity: carried.into_connectivity(),
+            ..projection.clone()
+        };
+        parts.projections.push(carried);
+    }
+    over.into_connectivity()
+}

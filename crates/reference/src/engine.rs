@@ -1,0 +1,413 @@
+//! A network of real-valued neurons, step by step.
+//!
+//! [`Model`] is the network made ready, shared by all samples; [`Reference`] is the state of one run over it. Channels and
+//! compartments are numbered over the populations in the order of the file, as everywhere. Spikes travel as the machine's
+//! do (`docs/semantics.md`, 1 and 2): input spikes of step t arrive in the update of step t + d, compartments' in that of
+//! step t + 1 + d. Spike response neurons alone take one step more from an input, since SLAYER's kernels are 0 at t = 0: an
+//! input spike of step t counts from step t + 1 + d on, as another neuron's does.
+
+use petgraph::graph::NodeIndex;
+
+use super::cuba::Cuba;
+use super::kernel::Kernel;
+use super::real::Real;
+use super::srm::{self, Srm};
+use super::synapses::Synapses;
+use nsim_dynamics as neuron;
+use nsim_dynamics::RealForm;
+use nsim_ir::activity::{Overflow, Totals};
+use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+use nsim_ir::base::id::{ChannelId, CompartmentId};
+use nsim_ir::graph::{Graph, PopulationKind, SrmParameters};
+use nsim_ir::quantised::Reset;
+use nsim_ir::spikes::Engine;
+
+/// How to run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Options {
+    /// How spike response kernels are applied.
+    pub kernel: Kernel,
+}
+
+/// What a neuron is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum NeuronForm {
+    /// A spike response neuron.
+    Srm(srm::Parameters),
+    /// A current-based one.
+    Cuba(RealForm),
+}
+
+/// One synapse of a model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Synapse<F> {
+    /// The channel or, after all channels, the compartment that it comes from.
+    pub source: u32,
+    /// Where it goes.
+    pub target: CompartmentId,
+    /// Steps from the source's spike to the update that it enters.
+    pub way: u32,
+    /// What a spike adds.
+    pub weight: F,
+}
+
+/// What a population's neurons are.
+#[derive(Debug, Clone)]
+enum Kind {
+    Input,
+    Srm(srm::Parameters),
+    Cuba(Vec<RealForm>),
+}
+
+#[derive(Debug, Clone)]
+struct Population {
+    kind: Kind,
+    /// The first channel or compartment, and how many.
+    first: u32,
+    count: u32,
+    /// Held at zero before it.
+    start_step: u32,
+}
+
+#[derive(Debug)]
+struct Projection<F> {
+    target: usize,
+    /// Steps from a compartment's spike to its arrival, at least 1.
+    from_compartment: u32,
+    /// Steps from an input spike to its arrival.
+    from_input: u32,
+    synapses: Synapses<F>,
+}
+
+impl<F> Projection<F> {
+    /// Steps from a spike to its arrival.
+    fn way(&self, from_input: bool) -> u32 {
+        if from_input { self.from_input } else { self.from_compartment }
+    }
+}
+
+/// A network of real-valued neurons.
+#[derive(Debug)]
+pub struct Model<F> {
+    populations: Vec<Population>,
+    /// By source population.
+    projections: Vec<Vec<Projection<F>>>,
+    channels: u32,
+    compartments: u32,
+    options: Options,
+    test: ThresholdTest,
+    reset: Option<Reset>,
+    /// Arrival slots.
+    slots: usize,
+}
+
+impl<F: Real> Model<F> {
+    /// Makes a network ready.
+    #[must_use]
+    pub fn new(graph: &Graph, options: Options) -> Self {
+        let facts = graph.facts();
+        let (mut channels, mut compartments) = (0, 0);
+        let mut populations = Vec::new();
+        for (node, population) in graph.populations() {
+            let count = population.shape.len();
+            let counter =
+                if matches!(population.kind, PopulationKind::Input) { &mut channels } else { &mut compartments };
+            let (kind, start_step) = match &population.kind {
+                PopulationKind::Input => (Kind::Input, 0),
+                PopulationKind::Srm(srm) => (Kind::Srm(in_steps(srm, facts.timestep_ms)), 0),
+                PopulationKind::Neurons(p) => {
+                    let neurons = (0..count).map(|i| neuron::model(p, i, facts.timestep_ms)).collect();
+                    // SLAYER's loop starts at step 1.
+                    let start = if facts.semantics == Semantics::Slayer { 1 } else { 0 };
+                    (Kind::Cuba(neurons), p.start_step.max(start))
+                }
+            };
+            debug_assert_eq!(node.index(), populations.len());
+            populations.push(Population { kind, first: *counter, count, start_step });
+            *counter += count;
+        }
+        let mut projections: Vec<Vec<Projection<F>>> = populations.iter().map(|_| Vec::new()).collect();
+        let mut slots = 1;
+        for (_, source, target, projection) in graph.projections() {
+            let from_compartment = u32::from(projection.delay.get()) + 1;
+            let srm = matches!(populations[target.index()].kind, Kind::Srm(_));
+            slots = slots.max(from_compartment as usize + 1);
+            projections[source.index()].push(Projection {
+                target: target.index(),
+                from_compartment,
+                from_input: from_compartment - u32::from(!srm),
+                synapses: Synapses::new(
+                    projection,
+                    populations[source.index()].count,
+                    populations[target.index()].count,
+                    weight_unit(graph, target, projection) * graph.population(source).spike_factor(),
+                ),
+            });
+        }
+        let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
+        Model { populations, projections, channels, compartments, options, test: facts.threshold, reset, slots }
+    }
+
+    /// Input channels.
+    #[must_use]
+    pub fn channels(&self) -> u32 {
+        self.channels
+    }
+
+    /// How voltages are compared with thresholds.
+    #[must_use]
+    pub fn threshold_test(&self) -> ThresholdTest {
+        self.test
+    }
+
+    /// When all state returns to rest within a sample.
+    #[must_use]
+    pub fn reset(&self) -> Option<Reset> {
+        self.reset
+    }
+
+    /// Every neuron and its first step, in their order.
+    pub fn for_each_neuron(&self, mut each: impl FnMut(NeuronForm, u32)) {
+        for population in &self.populations {
+            for index in 0..population.count {
+                match &population.kind {
+                    Kind::Input => {}
+                    Kind::Srm(parameters) => each(NeuronForm::Srm(*parameters), population.start_step),
+                    Kind::Cuba(neurons) => each(NeuronForm::Cuba(neurons[index as usize]), population.start_step),
+                }
+            }
+        }
+    }
+
+    /// Every synapse: those of a source after those of all before it, in the order in which its spike is delivered.
+    pub fn for_each_synapse(&self, mut each: impl FnMut(Synapse<F>)) {
+        for inputs_first in [true, false] {
+            for (population, projections) in self.populations.iter().zip(&self.projections) {
+                let input = matches!(population.kind, Kind::Input);
+                if input != inputs_first {
+                    continue;
+                }
+                let first = population.first + if input { 0 } else { self.channels };
+                for index in 0..population.count {
+                    for projection in projections {
+                        let to = self.populations[projection.target].first;
+                        projection.synapses.for_each_from(index, |target, weight| {
+                            each(Synapse {
+                                source: first + index,
+                                target: CompartmentId(to + target),
+                                way: projection.way(input),
+                                weight,
+                            });
+                        });
+                    }
+                }
+            }
+        }
+    }
+
+    fn at(&self, compartment: CompartmentId) -> (usize, usize) {
+        let found = self.populations.iter().enumerate().find_map(|(index, population)| {
+            let within = compartment.0.checked_sub(population.first)?;
+            (!matches!(population.kind, Kind::Input) && within < population.count).then_some((index, within as usize))
+        });
+        found.expect("compartments are numbered over the populations")
+    }
+}
+
+/// The parameters of spike response neurons in timesteps of so many ms.
+#[must_use]
+pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
+    srm::Parameters {
+        tau_sr: srm.tau_sr_ms / timestep_ms,
+        tau_ref: srm.tau_ref_ms / timestep_ms,
+        scale_ref: srm.scale_ref,
+        theta: srm.theta,
+    }
+}
+
+/// What a weight of 1 adds to the current of its target: register units when the target's threshold is in them.
+fn weight_unit(graph: &Graph, target: NodeIndex, projection: &nsim_ir::graph::Projection) -> f64 {
+    let PopulationKind::Neurons(parameters) = &graph.population(target).kind else { return 1.0 };
+    match parameters.get("vth") {
+        Some(_) => 1.0,
+        None => {
+            let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
+            scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
+        }
+    }
+}
+
+#[derive(Debug)]
+enum Units<F> {
+    Input,
+    Srm(Srm<F>),
+    Cuba(Cuba<F>),
+}
+
+/// The state of a run over a [`Model`].
+#[derive(Debug)]
+pub struct Reference<'m, F> {
+    model: &'m Model<F>,
+    units: Vec<Units<F>>,
+    /// `[population][slot][neuron]`: sums of what arrives in the coming steps.
+    arrivals: Vec<Vec<Vec<F>>>,
+    spikes: Vec<CompartmentId>,
+    step: u32,
+    steps: u32,
+    totals: Totals,
+}
+
+impl<'m, F: Real> Reference<'m, F> {
+    /// At rest.
+    #[must_use]
+    pub fn new(model: &'m Model<F>) -> Self {
+        let units = model.populations.iter().map(|population| match &population.kind {
+            Kind::Input => Units::Input,
+            Kind::Srm(parameters) => Units::Srm(Srm::new(parameters, model.options.kernel, population.count as usize)),
+            Kind::Cuba(neurons) => Units::Cuba(Cuba::new(neurons, model.test)),
+        });
+        let arrivals = model.populations.iter().map(|population| {
+            let count = if matches!(population.kind, Kind::Input) { 0 } else { population.count as usize };
+            vec![vec![F::default(); count]; model.slots]
+        });
+        Reference {
+            model,
+            units: units.collect(),
+            arrivals: arrivals.collect(),
+            spikes: Vec::new(),
+            step: 0,
+            steps: 0,
+            totals: Totals::default(),
+        }
+    }
+
+    /// The membrane potential after the last step: u of a spike response neuron, v of a current-based one.
+    #[must_use]
+    pub fn potential(&self, compartment: CompartmentId) -> f64 {
+        let (population, index) = self.model.at(compartment);
+        match &self.units[population] {
+            Units::Input => 0.0,
+            Units::Srm(srm) => srm.potential()[index].into(),
+            Units::Cuba(cuba) => cuba.voltage()[index].into(),
+        }
+    }
+
+    /// The synaptic current after the last step; a spike response neuron has none but its potential u.
+    #[must_use]
+    pub fn current(&self, compartment: CompartmentId) -> f64 {
+        let (population, index) = self.model.at(compartment);
+        match &self.units[population] {
+            Units::Cuba(cuba) => cuba.current()[index].into(),
+            Units::Input | Units::Srm(_) => self.potential(compartment),
+        }
+    }
+
+    /// Sends a spike of this step over every projection that leaves its population.
+    fn send(&mut self, population: usize, index: u32) {
+        let input = matches!(self.model.populations[population].kind, Kind::Input);
+        for projection in &self.model.projections[population] {
+            let way = projection.way(input);
+            let slot = (self.step as usize + way as usize) % self.model.slots;
+            let events = projection.synapses.deliver(index, &mut self.arrivals[projection.target][slot]);
+            if u64::from(self.step) + u64::from(way) < u64::from(self.steps) {
+                self.totals.synaptic_events += events;
+            }
+        }
+    }
+}
+
+impl<F: Real> Engine for Reference<'_, F> {
+    fn begin(&mut self, steps: u32) {
+        for unit in &mut self.units {
+            match unit {
+                Units::Input => {}
+                Units::Srm(srm) => srm.clear(),
+                Units::Cuba(cuba) => cuba.clear(),
+            }
+        }
+        self.arrivals.iter_mut().flatten().for_each(|sums| sums.fill(F::default()));
+        self.spikes.clear();
+        (self.step, self.steps) = (0, steps);
+        self.totals = Totals::default();
+    }
+
+    fn step(&mut self, channels: &[ChannelId]) {
+        let model = self.model;
+        let inputs = model.populations.iter().enumerate().filter(|(_, p)| matches!(p.kind, Kind::Input));
+        for (population, of) in inputs {
+            let mine = channels.iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
+            mine.for_each(|index| self.send(population, index));
+        }
+        self.spikes.clear();
+        let slot = self.step as usize % model.slots;
+        for (index, population) in model.populations.iter().enumerate() {
+            let sums = &mut self.arrivals[index][slot];
+            let spikes = &mut self.spikes;
+            let spike = |neuron: u32| spikes.push(CompartmentId(population.first + neuron));
+            let held = self.step < population.start_step;
+            let reset = model.reset.is_some_and(|reset| reset.falls_on(self.step, population.start_step));
+            match &mut self.units[index] {
+                Units::Input => continue,
+                Units::Srm(srm) => {
+                    if reset {
+                        srm.clear();
+                    }
+                    srm.step(sums, spike);
+                }
+                Units::Cuba(cuba) => {
+                    if reset {
+                        cuba.clear();
+                    }
+                    if !held {
+                        cuba.step(sums, spike);
+                    }
+                }
+            }
+            sums.fill(F::default());
+        }
+        let spikes = std::mem::take(&mut self.spikes);
+        for &spike in &spikes {
+            let (population, index) = model.at(spike);
+            self.send(population, index as u32);
+        }
+        self.spikes = spikes;
+        self.totals.spikes_in += channels.len() as u64;
+        self.totals.spikes += self.spikes.len() as u64;
+        self.totals.compartment_updates += u64::from(model.compartments);
+        // Real numbers decay for ever: no update can be left out.
+        self.totals.active_updates += u64::from(model.compartments);
+        self.step += 1;
+    }
+
+    fn spikes(&self) -> &[CompartmentId] {
+        &self.spikes
+    }
+
+    /// Rounded; the number itself is [`Reference::current`].
+    fn u(&self, compartment: CompartmentId) -> i32 {
+        self.current(compartment).round() as i32
+    }
+
+    /// Rounded; the number itself is [`Reference::potential`].
+    fn v(&self, compartment: CompartmentId) -> i32 {
+        self.potential(compartment).round() as i32
+    }
+
+    fn potential(&self, compartment: CompartmentId) -> f64 {
+        Reference::potential(self, compartment)
+    }
+
+    /// There is no register: the same as `v`.
+    fn v_register(&self, compartment: CompartmentId) -> i32 {
+        self.v(compartment)
+    }
+
+    fn totals(&self) -> Totals {
+        self.totals
+    }
+
+    /// Nothing overflows.
+    fn overflow(&self) -> Overflow {
+        Overflow::default()
+    }
+}

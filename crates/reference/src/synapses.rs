@@ -1,0 +1,142 @@
+//! Real synapses, enumerated from their source.
+
+use nsim_ir::base::rng;
+use nsim_ir::graph::{Projection, ProjectionKind, Window};
+use nsim_ir::tensor::Tensor;
+
+use super::real::Real;
+
+/// How the sources of a projection reach its targets. Indices are within the populations.
+#[derive(Debug, Clone)]
+pub enum Synapses<F> {
+    /// All to all.
+    Dense {
+        /// Number of targets.
+        targets: u32,
+        /// `[source][target]`.
+        weights: Vec<F>,
+    },
+    /// Listed: those of source s are `first[s]..first[s + 1]`.
+    List {
+        /// One more than sources.
+        first: Vec<usize>,
+        /// (target, weight) each.
+        synapses: Vec<(u32, F)>,
+    },
+    /// Cross-correlation.
+    Conv {
+        /// Geometry.
+        window: Window,
+        /// `[C'][C / groups][kh][kw]`.
+        kernel: Vec<F>,
+    },
+    /// The same weight from each position of a window.
+    Pool {
+        /// Geometry.
+        window: Window,
+        /// The weight.
+        weight: F,
+    },
+}
+
+impl<F: Real> Synapses<F> {
+    /// Those of a projection, each weight times `factor`.
+    #[must_use]
+    pub fn new(projection: &Projection, sources: u32, targets: u32, factor: f64) -> Self {
+        match &projection.kind {
+            ProjectionKind::Dense { weights, .. } => {
+                let (columns, first) = (columns(weights), projection.first_source as usize);
+                let weight = |source: usize, target: usize| weights.real(target * columns + first + source) * factor;
+                let all = (0..sources as usize).flat_map(|s| (0..targets as usize).map(move |t| (s, t)));
+                Synapses::Dense { targets, weights: all.map(|(s, t)| F::from_f64(weight(s, t))).collect() }
+            }
+            ProjectionKind::Sparse { synapses } => {
+                let each = synapses.iter().map(|&(source, target, weight, _)| (source, target, weight * factor));
+                Self::list(sources, each.collect())
+            }
+            ProjectionKind::Conv2d { window, weights, .. } => {
+                let kernel = (0..weights.len()).map(|i| F::from_f64(weights.real(i) * factor)).collect();
+                Synapses::Conv { window: *window, kernel }
+            }
+            ProjectionKind::SumPool2d { window, weight } => {
+                Synapses::Pool { window: *window, weight: F::from_f64(weight.value * factor) }
+            }
+            ProjectionKind::Random { fan_out, low, high, seed } => {
+                // `docs/semantics.md`, projections; weights are multiples of the format's least step.
+                let bits = nsim_ir::base::fixed::WeightBits::new(projection.weight_bits.value);
+                let step = bits.map_or(1, |bits| i64::from(projection.sign.step(bits)));
+                let levels = ((high.value - low.value) / step + 1).max(1) as u64;
+                let draw = |source: u32, k: u64| {
+                    let entity = u64::from(projection.first_source) + u64::from(source);
+                    let target = rng::below(u64::from(targets), *seed, entity, 2 * k) as u32;
+                    let level = rng::below(levels, *seed, entity, 2 * k + 1) as i64;
+                    (source, target, (low.value + step * level) as f64 * factor)
+                };
+                let all = (0..sources).flat_map(|s| (0..u64::from(*fan_out)).map(move |k| (s, k)));
+                Self::list(sources, all.map(|(s, k)| draw(s, k)).collect())
+            }
+        }
+    }
+
+    /// Listed synapses from (source, target, weight), in any order.
+    #[must_use]
+    pub fn list(sources: u32, mut synapses: Vec<(u32, u32, f64)>) -> Self {
+        synapses.sort_by_key(|&(source, target, _)| (source, target));
+        let first = (0..=sources).map(|s| synapses.partition_point(|&(source, ..)| source < s)).collect();
+        Synapses::List { first, synapses: synapses.into_iter().map(|(_, t, w)| (t, F::from_f64(w))).collect() }
+    }
+
+    /// Adds a source's spike to the sums of its targets; returns the number of its synapses.
+    pub fn deliver(&self, source: u32, sums: &mut [F]) -> u64 {
+        if let Synapses::Dense { targets, weights } = self {
+            let row = source as usize * *targets as usize;
+            for (sum, &weight) in sums.iter_mut().zip(&weights[row..row + *targets as usize]) {
+                *sum += weight;
+            }
+            return u64::from(*targets);
+        }
+        let mut count = 0;
+        self.for_each_from(source, |target, weight| {
+            sums[target as usize] += weight;
+            count += 1;
+        });
+        count
+    }
+
+    /// Targets and weights of a source, in the order of delivery.
+    pub fn for_each_from(&self, source: u32, mut each: impl FnMut(u32, F)) {
+        match self {
+            Synapses::Dense { targets, weights } => {
+                let row = source as usize * *targets as usize;
+                (0..).zip(&weights[row..row + *targets as usize]).for_each(|(target, &weight)| each(target, weight));
+            }
+            Synapses::List { first, synapses } => {
+                let mine = &synapses[first[source as usize]..first[source as usize + 1]];
+                mine.iter().for_each(|&(target, weight)| each(target, weight));
+            }
+            Synapses::Conv { window, kernel } => {
+                let (kh, kw) = window.kernel;
+                let (per_in, per_out) = (window.source.0 / window.groups, window.target.0 / window.groups);
+                let channel = source / (window.source.1 * window.source.2);
+                let group = channel / per_in;
+                for out in group * per_out..(group + 1) * per_out {
+                    let base = (out * per_in + channel % per_in) * kh * kw;
+                    window.for_each_position(source, |y, x, ky, kx| {
+                        let target = (out * window.target.1 + y) * window.target.2 + x;
+                        each(target, kernel[(base + ky * kw + kx) as usize]);
+                    });
+                }
+            }
+            Synapses::Pool { window, weight } => {
+                let channel = source / (window.source.1 * window.source.2);
+                window.for_each_position(source, |y, x, _, _| {
+                    each((channel * window.target.1 + y) * window.target.2 + x, *weight);
+                });
+            }
+        }
+    }
+}
+
+fn columns(weights: &Tensor) -> usize {
+    weights.shape().get(1).copied().unwrap_or(1)
+}

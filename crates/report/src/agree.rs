@@ -1,0 +1,490 @@
+//! The result of `nsim agree` as text, JSON, CSV and SVG.
+
+use serde_json::{Value, json};
+
+use crate::charts::plot;
+use crate::charts::plot::{Axis, Series};
+use crate::charts::results;
+use nsim_agree::attribution::{Attribution, LayerLoss, Share};
+use nsim_agree::causes::Cause;
+use nsim_agree::classes::ClassTally;
+use nsim_agree::compare::{Agreement, LayerRow};
+use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, table_of, wrapped};
+use nsim_ir::graph::Graph;
+use nsim_quantise::analytic::Fit;
+use nsim_train::convert::next::Next;
+use nsim_train::convert::search::{ConversionScore, SearchResult};
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct AgreeReport<'a> {
+    /// The network's name.
+    pub model: &'a str,
+    /// What the deployed network was held against.
+    pub against: &'static str,
+    /// Where the samples came from.
+    pub input: &'a [String],
+    /// Their seed, when they had one.
+    pub seed: Option<u64>,
+    /// How many.
+    pub samples: usize,
+    /// The classes of the two; none when those of the first are not known.
+    pub classes: Option<ClassTally>,
+    /// Share of right classes of the two, when samples have labels.
+    pub accuracy: Option<(f64, f64)>,
+    /// Layer by layer.
+    pub layers: &'a [LayerRow],
+    /// The search, when there was one.
+    pub found: Option<&'a SearchResult>,
+    /// What stands for each spike response population.
+    pub fits: &'a [(String, Fit)],
+    /// Causes, when asked for.
+    pub attribution: Option<&'a Attribution>,
+    /// Samples that it is of.
+    pub attribution_samples: usize,
+    /// What to type next.
+    pub next: Option<&'a Next>,
+}
+
+impl<'a> AgreeReport<'a> {
+    /// Of two networks and nothing more: no search, no causes.
+    #[must_use]
+    pub fn of_two(
+        (model, against): (&'a str, &'static str),
+        (input, seed, samples): (&'a [String], Option<u64>, usize),
+        agreement: &'a Agreement,
+    ) -> Self {
+        AgreeReport {
+            model,
+            against,
+            input,
+            seed,
+            samples,
+            classes: agreement.classes,
+            accuracy: agreement.accuracy,
+            layers: &agreement.layers,
+            found: None,
+            fits: &[],
+            attribution: None,
+            attribution_samples: 0,
+            next: None,
+        }
+    }
+}
+
+/// What stands for each spike response population, by its name.
+#[must_use]
+pub fn named_fits(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
+    let each = graph.populations().zip(fits);
+    each.filter_map(|((_, population), fit)| Some((population.name.clone(), fit.clone()?))).collect()
+}
+
+/// `nsim.agree/1` of a network that could not be deployed.
+#[must_use]
+pub fn nothing() -> Value {
+    json!({
+        "schema": "nsim.agree/1", "model": null, "target": null, "fits": false, "reasons": [], "samples": 0,
+        "compared": 0, "class_agreement": null, "layers": [], "conversion": null, "attribution": [],
+    })
+}
+
+/// How often classes agree, and how many samples are not compared.
+pub(super) fn classes_text(classes: &ClassTally) -> String {
+    let undecided = classes.undecided();
+    let rest = if undecided.is_empty() { String::new() } else { format!("; not compared: {undecided}") };
+    match classes.agreement() {
+        Some(share) => format!("classes agree in {share:.4} of {}{rest}", count(classes.compared as u64, "sample")),
+        None => format!("no sample is decided by both, so that no class is compared{rest}"),
+    }
+}
+
+/// Digits that a figure is good for.
+fn rounded(x: f64) -> f64 {
+    // A zero without a sign.
+    format!("{x:.6}").parse().unwrap_or(x) + 0.0
+}
+
+/// Whether neither network spikes in a layer: equal trains of no spikes are nothing to compare.
+pub(super) fn silent(row: &LayerRow) -> bool {
+    row.comparison.tally.spikes_a + row.comparison.tally.spikes_b == 0
+}
+
+/// A layer as `layers` lists it.
+pub(super) fn layer_json(row: &LayerRow) -> Value {
+    let tally = &row.comparison.tally;
+    let divergence = row.comparison.first_divergence.map(|d| {
+        json!({
+            "sample": d.sample, "timestep": d.timestep, "neuron": d.neuron,
+            "a": u8::from(d.a), "b": u8::from(d.b),
+            "potential_a": d.potential_a.map(rounded), "potential_b": d.potential_b.map(rounded),
+        })
+    });
+    json!({
+        "name": row.name,
+        "shift": row.shift,
+        "spikes_a": tally.spikes_a,
+        "spikes_b": tally.spikes_b,
+        "coincidence": (!silent(row)).then(|| rounded(tally.coincidence())),
+        "van_rossum": rounded(tally.van_rossum()),
+        "victor_purpura": rounded(tally.victor_purpura()),
+        "potential_rmse": tally.potential_rmse().map(rounded),
+        "count_error": rounded(tally.count_error()),
+        "first_divergence": divergence,
+    })
+}
+
+fn score_json(score: &ConversionScore) -> Value {
+    json!({
+        "class_agreement": score.classes.agreement().map(rounded),
+        "coincidence": rounded(score.coincidence),
+        "count_error": rounded(score.count_error),
+    })
+}
+
+const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
+    ("layer", |row| row.name.clone()),
+    ("shift", |row| row.shift.to_string()),
+    ("spikes a", |row| row.comparison.tally.spikes_a.to_string()),
+    ("spikes b", |row| row.comparison.tally.spikes_b.to_string()),
+    ("coincidence", |row| if silent(row) { "silent".to_string() } else { four(row.comparison.tally.coincidence()) }),
+    ("van Rossum", |row| four(row.comparison.tally.van_rossum())),
+    ("Victor-Purpura", |row| four(row.comparison.tally.victor_purpura())),
+    ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(four))),
+];
+
+/// The last is left out where there is little room.
+const SHARE_COLUMNS: [Column<Share>; 8] = [
+    ("cause", |share| share.cause.name().to_string()),
+    ("share", |share| or_empty(share.share.map(|share| format!("{:.1} %", 100.0 * share)))),
+    ("forward", |share| four(share.forward)),
+    ("reversed", |share| four(share.reversed)),
+    ("without", |share| four(share.without.coincidence)),
+    ("classes agree", |share| or_empty(share.rung.class_agreement.map(four))),
+    ("coincidence", |share| four(share.rung.coincidence)),
+    ("potential rmse", |share| or_empty(share.rung.potential_rmse.map(four))),
+];
+
+impl AgreeReport<'_> {
+    /// Share of samples with the same class, of those that both decide.
+    #[must_use]
+    pub fn class_agreement(&self) -> Option<f64> {
+        self.classes.and_then(|classes| classes.agreement())
+    }
+
+    fn share_json(share: &Share) -> Value {
+        json!({
+            "cause": share.cause.name(),
+            "class_agreement": share.rung.class_agreement.map(rounded),
+            "coincidence": rounded(share.rung.coincidence),
+            "potential_rmse": share.rung.potential_rmse.map(rounded),
+            "share": share.share.map(rounded),
+            "forward": rounded(share.forward),
+            "reversed": rounded(share.reversed),
+            "interaction": rounded(share.interaction()),
+            "without": {
+                "class_agreement": share.without.class_agreement.map(rounded),
+                "coincidence": rounded(share.without.coincidence),
+            },
+        })
+    }
+
+    fn conversion_json(&self) -> Value {
+        if self.fits.is_empty() {
+            return Value::Null;
+        }
+        let populations = self.fits.iter().map(|(name, fit)| {
+            json!({
+                "name": name, "du": fit.du.get(), "dv": fit.dv.get(), "refractory": fit.refractory.get(),
+                "threshold": rounded(fit.threshold),
+                "delays": fit.copies.iter().map(|copy| copy.0).collect::<Vec<_>>(),
+                "factors": fit.copies.iter().map(|copy| rounded(copy.1)).collect::<Vec<_>>(),
+            })
+        });
+        let search = self.found.map(|found| {
+            json!({
+                "start": score_json(&found.start), "residual": score_json(&found.end),
+                "tried": found.tried, "samples": found.samples,
+            })
+        });
+        json!({ "populations": populations.collect::<Vec<_>>(), "search": search })
+    }
+
+    /// `nsim.agree/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        json!({
+            "schema": "nsim.agree/1",
+            "model": self.model,
+            "against": self.against,
+            "input": self.input,
+            "seed": self.seed,
+            "samples": self.samples,
+            "compared": self.classes.map(|classes| classes.compared),
+            "class_agreement": self.class_agreement().map(rounded),
+            "accuracy_a": self.accuracy.map(|(a, _)| rounded(a)),
+            "accuracy_b": self.accuracy.map(|(_, b)| rounded(b)),
+            "layers": self.layers.iter().map(layer_json).collect::<Vec<_>>(),
+            "conversion": self.conversion_json(),
+            "disagreement": self.attribution.map(|attribution| rounded(attribution.disagreement)),
+            "lost": self.attribution.map_or(&[][..], |a| &a.layers).iter().map(lost_json).collect::<Vec<_>>(),
+            "attribution_samples": self.attribution.map(|_| self.attribution_samples),
+            "attribution": self.attribution.map_or(&[][..], |a| &a.shares).iter().map(Self::share_json).collect::<Vec<_>>(),
+            "next": self.next.map(next_json),
+        })
+    }
+
+    /// A row a layer.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let columns: [Column<LayerRow>; 11] = [
+            ("layer", |row| row.name.clone()),
+            ("shift", |row| row.shift.to_string()),
+            ("spikes_a", |row| row.comparison.tally.spikes_a.to_string()),
+            ("spikes_b", |row| row.comparison.tally.spikes_b.to_string()),
+            ("coincidence", |row| rounded(row.comparison.tally.coincidence()).to_string()),
+            ("van_rossum", |row| rounded(row.comparison.tally.van_rossum()).to_string()),
+            ("victor_purpura", |row| rounded(row.comparison.tally.victor_purpura()).to_string()),
+            ("potential_rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(rounded))),
+            ("sample", |row| or_empty(row.comparison.first_divergence.map(|d| d.sample))),
+            ("timestep", |row| or_empty(row.comparison.first_divergence.map(|d| d.timestep))),
+            ("neuron", |row| or_empty(row.comparison.first_divergence.map(|d| d.neuron))),
+        ];
+        csv_of(self.layers, &columns)
+    }
+
+    fn conversion_text(&self) -> String {
+        let mut out = String::new();
+        for (name, fit) in self.fits {
+            out += &format!(
+                "'{name}' becomes du {}, dv {}, refractory {}, threshold {:.4}, {} of what comes in\n",
+                fit.du,
+                fit.dv,
+                fit.refractory,
+                fit.threshold,
+                count(fit.copies.len() as u64, "delayed copy"),
+            );
+        }
+        if let Some(found) = self.found {
+            let score = |score: &ConversionScore| {
+                format!(
+                    "class agreement {:.4}, coincidence {:.4}, output counts off by {:.2} %",
+                    score.classes.kept(),
+                    score.coincidence,
+                    100.0 * score.count_error
+                )
+            };
+            out += &format!(
+                "search on {}, {} candidates\n  analytic start: {}\n  what is left:   {}\n",
+                count(found.samples as u64, "calibration sample"),
+                found.tried,
+                score(&found.start),
+                score(&found.end)
+            );
+        }
+        out
+    }
+
+    fn attribution_text(&self) -> String {
+        let Some(attribution) = self.attribution else { return String::new() };
+        let table = table_of(&attribution.shares, &SHARE_COLUMNS, 1);
+        let intro = format!(
+            "why: disagreement {:.4} (1 - coincidence over all layers) over {}, from the trained network to the machine; each \
+             row is the network once its cause is switched on{}; without: the coincidence of the machine without this cause",
+            attribution.disagreement,
+            count(self.attribution_samples as u64, "sample"),
+            match attribution.shares.iter().all(|share| share.share.is_some()) {
+                true => ", its share the mean of climbing forward and reversed",
+                false => ". Causes give back what others take, so that none has a share",
+            }
+        );
+        format!("\n{}{table}\n\n{}", wrapped(&intro), blame(attribution, self.next))
+    }
+
+    /// A section of a document, with a chart under `picture`.
+    #[must_use]
+    pub fn markdown(&self, picture: &str) -> String {
+        let mut out = format!("{}, {} of {}", self.model, count(self.samples as u64, "sample"), self.input.join(" "));
+        out += &self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
+        out += &format!("; a: {}, b: on simulated cores.\n\n", self.against);
+        if let Some(classes) = &self.classes {
+            let said = classes_text(classes);
+            out += &format!("{}{}", said[..1].to_uppercase(), &said[1..]);
+            out += &self.accuracy.map_or(String::new(), |(a, b)| format!("; accuracy {a:.4} (a), {b:.4} (b)"));
+            out += ".\n\n";
+        }
+        if let Some(found) = self.found {
+            out += &format!(
+                "| on {} | classes agree | coincidence | output counts off by |\n| --- | --- | --- | --- |\n",
+                count(found.samples as u64, "calibration sample")
+            );
+            for (name, score) in [("analytic start", &found.start), ("search", &found.end)] {
+                out += &format!(
+                    "| {name} | {:.4} | {:.4} | {:.2} % |\n",
+                    score.classes.kept(),
+                    score.coincidence,
+                    100.0 * score.count_error
+                );
+            }
+            out.push('\n');
+        }
+        if !self.fits.is_empty() {
+            out += "| population | du | dv | refractory | threshold |\n| --- | --- | --- | --- | --- |\n";
+            for (name, fit) in self.fits {
+                out += &format!("| {name} | {} | {} | {} | {:.4} |\n", fit.du, fit.dv, fit.refractory, fit.threshold);
+            }
+            out.push('\n');
+        }
+        out += &markdown_of(self.layers, &LAYER_COLUMNS);
+        let Some(attribution) = self.attribution else { return out };
+        out += &format!(
+            "\nDisagreement {:.4} over {}:\n\n",
+            attribution.disagreement,
+            count(self.attribution_samples as u64, "sample")
+        );
+        out += &format!("![causes of {}]({picture})\n\n", self.model);
+        out + &markdown_of(&attribution.shares, &SHARE_COLUMNS[..7])
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out = format!("{} (a: {}) and as deployed on simulated cores (b)\n", self.model, self.against);
+        out += &format!("input: {}", self.input.join(" "));
+        if let Some(seed) = self.seed {
+            out += &format!("  (seed {seed})");
+        }
+        out += &format!("\n{}\n", count(self.samples as u64, "sample"));
+        out += &self.conversion_text();
+        out.push('\n');
+        let table = table_of(self.layers, &LAYER_COLUMNS, 1);
+        out += &format!("{table}\n\n");
+        for row in self.layers {
+            if silent(row) {
+                out += &format!("'{}': neither spikes: nothing to compare\n", row.name);
+                continue;
+            }
+            let Some(d) = row.comparison.first_divergence else {
+                out += &format!("'{}': every spike agrees\n", row.name);
+                continue;
+            };
+            let says = |spikes: bool, potential: Option<f64>| match (spikes, potential) {
+                // After a spike the potential is what the reset left.
+                (true, _) => "spikes".to_string(),
+                (false, Some(potential)) => format!("does not, its potential at {potential:.4} thresholds"),
+                (false, None) => "does not".to_string(),
+            };
+            out += &format!(
+                "'{}' first parts at sample {}, step {}, neuron {}: a {}, b {}\n",
+                row.name,
+                d.sample,
+                d.timestep,
+                d.neuron,
+                says(d.a, d.potential_a),
+                says(d.b, d.potential_b)
+            );
+        }
+        if self.layers.iter().any(|row| row.shift != 0) {
+            out += "shift: steps by which b answers later than a (negative: earlier); removed before comparing\n";
+        }
+        if let Some(classes) = &self.classes {
+            out += &format!("\n{}\n", classes_text(classes));
+        }
+        if let Some((a, b)) = self.accuracy {
+            out += &format!("accuracy {a:.4} (a), {b:.4} (b)\n");
+        }
+        out + &self.attribution_text()
+    }
+}
+
+/// What a layer loses, and to which cause.
+fn sentence(layer: &LayerLoss) -> String {
+    let LayerLoss { name, spikes, disagreement, .. } = layer;
+    if spikes.0 + spikes.1 == 0 {
+        return format!("'{name}' is silent in both: nothing to compare.");
+    }
+    if !layer.is_lossy() {
+        return format!("'{name}' loses next to nothing ({disagreement:.4} of its coincidence).");
+    }
+    let most = match layer.worst() {
+        Some((cause, back)) => format!("most to {}; without, it loses {back:.3} less", cause.words()),
+        None => "to causes together, none of which alone brings it back".to_string(),
+    };
+    format!("'{name}' loses {disagreement:.3} of its coincidence, {most}.")
+}
+
+/// What each layer and the classes lose, to which cause, and what to type next.
+pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
+    let mut out: String = attribution.layers.iter().map(|layer| wrapped(&sentence(layer))).collect();
+    if let (Some((cause, back)), Some(now)) = (attribution.worst_of_classes(), attribution.machine.class_agreement) {
+        let words = cause.words();
+        out += &wrapped(&format!("Classes agree in {now:.3}, in {:.3} without {words}.", now + back));
+    }
+    if let Some(Next { what, command, .. }) = next {
+        out += &format!("{}  {command}\n", wrapped(&format!("next: a command that {what}")));
+    }
+    out
+}
+
+pub(super) fn next_json(next: &Next) -> Value {
+    json!({ "cause": next.cause.map(Cause::name), "what": next.what, "command": next.command })
+}
+
+pub(super) fn lost_json(layer: &LayerLoss) -> Value {
+    let by_name = |each: &[(Cause, f64)]| {
+        let pairs = each.iter().map(|(cause, loss)| (cause.name().to_string(), json!(rounded(*loss))));
+        pairs.collect::<serde_json::Map<_, _>>()
+    };
+    json!({
+        "name": layer.name,
+        "disagreement": rounded(layer.disagreement),
+        "causes": by_name(&layer.causes),
+        "back": by_name(&layer.alone),
+        "cause": layer.worst().map(|(cause, _)| cause.name()),
+    })
+}
+
+/// Both potentials around the first spike in which two networks part; none when they part nowhere, or have no potentials.
+#[must_use]
+pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
+    let parted = layers.iter().filter_map(|row| {
+        let (divergence, around) = (row.comparison.first_divergence?, row.comparison.around.as_ref()?);
+        (!around.a.is_empty() && !around.b.is_empty()).then_some((row, divergence, around))
+    });
+    let (row, divergence, around) = parted.min_by_key(|(_, divergence, _)| (divergence.sample, divergence.timestep))?;
+    let line = |name: &str, numbers: &[f64]| Series::Line {
+        name: name.to_string(),
+        points: (around.from..).map(f64::from).zip(numbers.iter().copied()).collect(),
+        band: Vec::new(),
+    };
+    let end = f64::from(around.from) + around.a.len().max(around.b.len()) as f64 - 1.0;
+    let spikes = |name: &str, steps: &[u32], height: f64| Series::Points {
+        name: name.to_string(),
+        points: steps.iter().map(|&step| (f64::from(step), height, String::new())).collect(),
+        joined: false,
+    };
+    let series = [
+        line("a", &around.a),
+        line("b", &around.b),
+        spikes("spikes of a", &around.spikes_a, 1.15),
+        spikes("spikes of b", &around.spikes_b, 1.25),
+        Series::Line {
+            name: "threshold".to_string(),
+            points: vec![(around.from.into(), 1.0), (end, 1.0)],
+            band: Vec::new(),
+        },
+    ];
+    let title = format!(
+        "{model}: '{}' neuron {}, sample {}, parts in step {}",
+        row.name, divergence.neuron, divergence.sample, divergence.timestep
+    );
+    Some(plot::chart(&title, &Axis::linear("timestep of a"), &Axis::linear("potential in thresholds"), &series))
+}
+
+/// A bar chart of the causes, forward and reversed.
+#[must_use]
+pub fn bars(model: &str, attribution: &Attribution) -> String {
+    let shares: Vec<Value> = attribution.shares.iter().map(AgreeReport::share_json).collect();
+    results::agreement(&json!({ "model": model, "attribution": shares })).unwrap_or_default()
+}

@@ -1,0 +1,239 @@
+//! The result of `nsim bench map` as text, JSON and CSV.
+
+use serde_json::{Value, json};
+
+use super::step::{rounded, significant};
+use nsim_compile::{Objective, Strategy};
+use nsim_energy::environment::Environment;
+use nsim_files::table::{Column, or_empty, table_of};
+use nsim_study::mapping::{MeasuredMapping, Refusal};
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct MapReport<'a> {
+    /// Where it was measured.
+    pub environment: &'a Environment,
+    /// The rows, network by network.
+    pub rows: &'a [MeasuredMapping],
+    /// Networks that cannot fit.
+    pub refused: &'a [Refusal],
+}
+
+/// The least part that a network counts in a mean of ratios, so that one that fits a tile does not make it zero.
+const LEAST_RATIO: f64 = 0.05;
+
+/// How the placed mappings of a strategy compare with unplaced sequential ones.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgainstSequential {
+    /// Networks whose spikes cross a link at all when placed sequentially.
+    pub networks: usize,
+    /// Geometric mean of multicast hops over those of sequential.
+    pub hops_multicast: f64,
+    /// Networks in which hops, or cores, are more.
+    pub worse: usize,
+}
+
+/// A figure of a step; an expected one is marked.
+fn of_step(value: f64, simulated: bool) -> String {
+    format!("{}{}", if simulated { "" } else { "~" }, significant(value))
+}
+
+impl MapReport<'_> {
+    /// The placed mappings of a strategy and an objective against unplaced sequential ones.
+    #[must_use]
+    pub fn against_sequential(&self, strategy: Strategy, objective: Objective) -> AgainstSequential {
+        let (mut sum, mut networks, mut worse) = (0.0, 0, 0);
+        let plain = self.rows.iter().filter(|row| row.strategy == Strategy::Sequential && !row.placed);
+        for before in plain {
+            let of = |row: &&MeasuredMapping| {
+                row.network == before.network && row.strategy == strategy && row.objective == objective && row.placed
+            };
+            let Some(after) = self.rows.iter().find(of) else { continue };
+            let (a, b) = (after.traffic.hops_multicast_per_step, before.traffic.hops_multicast_per_step);
+            worse += usize::from(a > b || (objective == Objective::Cores && after.cores > before.cores));
+            if b > 0.0 {
+                sum += (a / b).max(LEAST_RATIO).ln();
+                networks += 1;
+            }
+        }
+        AgainstSequential { networks, hops_multicast: (sum / networks.max(1) as f64).exp(), worse }
+    }
+
+    /// `nsim.bench/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let row = |row: &MeasuredMapping| {
+            json!({
+                "network": row.network,
+                "strategy": row.strategy.name(),
+                "placed": row.placed,
+                "objective": row.objective.name(),
+                "cores": row.cores,
+                "chips": row.chips,
+                "cut_spikes": rounded(row.traffic.cut_spikes_per_step),
+                "hops": rounded(row.traffic.hops_per_step),
+                "hops_multicast": rounded(row.traffic.hops_multicast_per_step),
+                "mean_link_load": rounded(row.traffic.mean_link_load),
+                "max_link_load": rounded(row.traffic.max_link_load),
+                "simulated": row.simulated,
+                "energy_uj": rounded(row.energy_uj),
+                "step_us": rounded(row.step_us),
+                "seconds": rounded(row.seconds),
+                "peak_mib": row.peak_mib.map(rounded),
+            })
+        };
+        let refusal = |refusal: &Refusal| {
+            json!({
+                "network": refusal.network,
+                "target": refusal.target,
+                "reasons": refusal.reasons,
+                "seconds": rounded(refusal.seconds),
+                "peak_mib": refusal.peak_mib.map(rounded),
+            })
+        };
+        json!({
+            "schema": "nsim.bench/1",
+            "name": "map",
+            "environment": self.environment,
+            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+            "refused": self.refused.iter().map(refusal).collect::<Vec<_>>(),
+        })
+    }
+
+    /// A row each.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let mut out = csv::Writer::from_writer(Vec::new());
+        let Value::Array(rows) = self.json()["rows"].take() else { return Ok(String::new()) };
+        for (index, row) in rows.iter().enumerate() {
+            let Value::Object(fields) = row else { continue };
+            if index == 0 {
+                out.write_record(fields.keys())?;
+            }
+            out.write_record(fields.values().map(|value| match value {
+                Value::String(text) => text.clone(),
+                Value::Null => String::new(),
+                other => other.to_string(),
+            }))?;
+        }
+        nsim_files::table::csv_text(out)
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let columns: [Column<MeasuredMapping>; 14] = [
+            ("network", |row| row.network.to_string()),
+            ("strategy", |row| row.strategy.name().to_string()),
+            ("placed", |row| if row.placed { "yes" } else { "no" }.to_string()),
+            ("for", |row| row.objective.name().to_string()),
+            ("cores", |row| row.cores.to_string()),
+            ("chips", |row| row.chips.to_string()),
+            ("spikes cut", |row| significant(row.traffic.cut_spikes_per_step)),
+            ("hops", |row| significant(row.traffic.hops_per_step)),
+            ("multicast", |row| significant(row.traffic.hops_multicast_per_step)),
+            ("busiest link", |row| significant(row.traffic.max_link_load)),
+            ("uJ a step", |row| of_step(row.energy_uj, row.simulated)),
+            ("us a step", |row| of_step(row.step_us, row.simulated)),
+            ("s", |row| significant(row.seconds)),
+            ("MiB", |row| or_empty(row.peak_mib.map(|mib| format!("{mib:.0}")))),
+        ];
+        let table = table_of(self.rows, &columns, 4);
+        let mut text = format!("{}\n\n{table}\n\n", self.environment);
+        for Refusal { network, target, reasons, seconds, .. } in self.refused {
+            text += &format!("{network} does not fit {target}, known after {} s:\n", significant(*seconds));
+            reasons.iter().for_each(|reason| text += &format!("  {reason}\n"));
+        }
+        for strategy in [Strategy::Greedy, Strategy::Multilevel] {
+            let AgainstSequential { networks, hops_multicast, worse } =
+                self.against_sequential(strategy, Objective::Cores);
+            let name = strategy.name();
+            text += &format!(
+                "{name}, placed: {hops_multicast:.2} of the multicast hops of unplaced sequential (geometric mean of \
+                 {networks} networks); more hops or cores on {worse}\n"
+            );
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_compile::explore::traffic::Traffic;
+
+    fn row(network: &'static str, strategy: Strategy, placed: bool, cores: u32, hops: f64) -> MeasuredMapping {
+        let traffic = Traffic {
+            cut_spikes_per_step: 1.0,
+            hops_per_step: hops,
+            hops_multicast_per_step: hops,
+            mean_link_load: 0.0,
+            max_link_load: 0.0,
+            max_chip_link_load: 0.0,
+        };
+        MeasuredMapping {
+            network,
+            strategy,
+            placed,
+            objective: Objective::Cores,
+            cores,
+            chips: 1,
+            traffic,
+            simulated: true,
+            energy_uj: 1.0,
+            step_us: 2.0,
+            seconds: 0.5,
+            peak_mib: None,
+        }
+    }
+
+    #[test]
+    fn a_comparison_is_a_geometric_mean_over_networks_with_hops() {
+        let rows = [
+            row("a", Strategy::Sequential, false, 4, 8.0),
+            row("a", Strategy::Multilevel, true, 4, 2.0),
+            row("b", Strategy::Sequential, false, 1, 0.0),
+            row("b", Strategy::Multilevel, true, 1, 0.0),
+            row("c", Strategy::Sequential, false, 2, 5.0),
+            row("c", Strategy::Multilevel, true, 3, 5.0),
+        ];
+        let refusal = Refusal {
+            network: "d",
+            target: "board".to_string(),
+            reasons: vec!["too large".to_string()],
+            seconds: 0.25,
+            peak_mib: None,
+        };
+        let report = MapReport { environment: &Environment::here(), rows: &rows, refused: &[refusal] };
+        let found = report.against_sequential(Strategy::Multilevel, Objective::Cores);
+        assert_eq!((found.networks, found.worse), (2, 1));
+        assert!((found.hops_multicast - 0.5).abs() < 1e-12);
+        let json = report.json();
+        for key in [
+            "network",
+            "strategy",
+            "placed",
+            "objective",
+            "cores",
+            "chips",
+            "cut_spikes",
+            "hops",
+            "hops_multicast",
+            "mean_link_load",
+            "max_link_load",
+            "simulated",
+            "energy_uj",
+            "step_us",
+            "seconds",
+            "peak_mib",
+        ] {
+            assert!(json["rows"][0].get(key).is_some(), "{key}");
+        }
+        assert_eq!(json["refused"][0]["reasons"][0], "too large");
+        assert!(report.text().contains("s:\n  too large"));
+        assert_eq!(report.csv().unwrap().lines().count(), 7);
+        assert!(report.text().contains("0.50 of the multicast hops"));
+    }
+}

@@ -1,0 +1,155 @@
+//! The result of `nsim bench pareto` as text, JSON, CSV, Markdown and SVG.
+
+use serde_json::{Value, json};
+
+use crate::charts::results;
+use nsim_energy::environment::Environment;
+use nsim_files::table::{Column, csv_of, four, markdown_of, or_empty, table_of};
+use nsim_study::pareto::VariantRow;
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct ParetoReport<'a> {
+    /// The network's name.
+    pub model: &'a str,
+    /// Where the samples came from.
+    pub input: &'a [String],
+    /// Their seed, when they had one.
+    pub seed: Option<u64>,
+    /// How many.
+    pub samples: usize,
+    /// Where it was measured.
+    pub environment: &'a Environment,
+    /// The variants.
+    pub rows: &'a [VariantRow],
+}
+
+fn rounded(x: f64) -> f64 {
+    format!("{x:.6}").parse().unwrap_or(x)
+}
+
+const COLUMNS: [Column<VariantRow>; 9] = [
+    ("variant", |row| row.variant.name()),
+    ("us a step", |row| format!("{:.3}", row.us_per_timestep)),
+    ("quartiles apart", |row| format!("{:.3}", row.spread)),
+    ("classes agree", |row| or_empty(row.class_agreement.map(four))),
+    ("accuracy", |row| or_empty(row.accuracy.map(four))),
+    ("coincidence", |row| four(row.coincidence)),
+    ("potential rmse", |row| or_empty(row.potential_rmse.map(four))),
+    ("exact", |row| or_empty(row.exact.map(|exact| if exact { "yes" } else { "NO" }))),
+    ("front", |row| if row.on_front { "*" } else { "" }.to_string()),
+];
+
+impl ParetoReport<'_> {
+    /// `nsim.bench/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let row = |row: &VariantRow| {
+            json!({
+                "variant": row.variant.name(),
+                "us_per_timestep": rounded(row.us_per_timestep),
+                "spread": rounded(row.spread),
+                "class_agreement": row.class_agreement.map(rounded),
+                "coincidence": rounded(row.coincidence),
+                "potential_rmse": row.potential_rmse.map(rounded),
+                "on_front": row.on_front,
+                "accuracy": row.accuracy.map(rounded),
+                "exact": row.exact,
+                "repeats": row.repeats,
+            })
+        };
+        json!({
+            "schema": "nsim.bench/1",
+            "name": "pareto",
+            "model": self.model,
+            "input": self.input,
+            "seed": self.seed,
+            "samples": self.samples,
+            "environment": self.environment,
+            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+        })
+    }
+
+    /// A row a variant.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let mut columns = COLUMNS;
+        let keys = ["us_per_timestep", "spread", "class_agreement", "accuracy", "coincidence", "potential_rmse"];
+        columns[1..7].iter_mut().zip(keys).for_each(|(column, key)| column.0 = key);
+        columns[8] = ("on_front", |row| row.on_front.to_string());
+        csv_of(self.rows, &columns)
+    }
+
+    fn what(&self) -> String {
+        let seed = self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
+        format!("{}, {} samples of {}{seed}", self.model, self.samples, self.input.join(" "))
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let table = table_of(self.rows, &COLUMNS, 1);
+        format!(
+            "{}\n{}\nagainst the trained network in doubles; one thread\n\n{table}\n",
+            self.environment,
+            self.what()
+        )
+    }
+
+    /// A section of a document, with a chart under `picture`.
+    #[must_use]
+    pub fn markdown(&self, picture: &str) -> String {
+        let mut out = format!("{}; {}.\n\n", self.what(), self.environment);
+        out += &format!("![run time against error of {}]({picture})\n\n", self.model);
+        out + &markdown_of(self.rows, &COLUMNS)
+    }
+
+    /// Run time against error, with the front.
+    #[must_use]
+    pub fn svg(&self) -> String {
+        results::pareto(&self.json()).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_study::pareto::Variant;
+
+    #[test]
+    fn json_has_the_keys_of_the_contract() {
+        let row = VariantRow {
+            variant: Variant::Fast { skip: true },
+            us_per_timestep: 1.5,
+            spread: 0.1,
+            repeats: 5,
+            class_agreement: Some(1.0),
+            accuracy: Some(0.5),
+            coincidence: 0.9,
+            potential_rmse: None,
+            exact: Some(true),
+            on_front: true,
+        };
+        let rows = [row];
+        let report = ParetoReport {
+            model: "m",
+            input: &[],
+            seed: None,
+            samples: 3,
+            environment: &Environment::here(),
+            rows: &rows,
+        };
+        let json = report.json();
+        assert_eq!((&json["schema"], &json["name"]), (&json!("nsim.bench/1"), &json!("pareto")));
+        let row = &json["rows"][0];
+        for key in
+            ["variant", "us_per_timestep", "spread", "class_agreement", "coincidence", "potential_rmse", "on_front"]
+        {
+            assert!(row.get(key).is_some(), "{key}");
+        }
+        assert!(report.svg().contains("fast") && report.markdown("p.svg").contains("| fast |"));
+        assert!(report.csv().unwrap().contains("fast,1.500"));
+    }
+}

@@ -1,0 +1,185 @@
+//! The result of `nsim bench` as text, JSON and CSV.
+
+use serde_json::{Value, json};
+
+use nsim_energy::environment::Environment;
+use nsim_energy::measure::StepTiming;
+use nsim_files::table::{Column, csv_of, table_of};
+
+/// A row of `nsim bench step`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepRow {
+    /// The standard network.
+    pub network: &'static str,
+    /// Threads that its cores were shared out over.
+    pub threads: usize,
+    /// Whether what is at rest was left out.
+    pub skip: bool,
+    /// What was measured.
+    pub measured: StepTiming,
+    /// Bytes of the machine, state and flattened tables, divided by synapses; the program that was mapped is not counted.
+    pub bytes_per_synapse: f64,
+    /// Milliseconds that the sums by core (messages, hops) take, once a run: the machine notes who spiked and multiplies
+    /// at the end.
+    pub sums_ms: f64,
+    /// Processes that ran it together.
+    pub ranks: u32,
+}
+
+impl StepRow {
+    fn events(&self) -> f64 {
+        self.measured.per_step(self.measured.totals.synaptic_events)
+    }
+
+    fn spikes(&self) -> f64 {
+        self.measured.per_step(self.measured.totals.spikes)
+    }
+}
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct StepReport<'a> {
+    /// Where it was measured.
+    pub environment: &'a Environment,
+    /// The rows, in the order of measurement.
+    pub rows: &'a [StepRow],
+}
+
+/// Digits that a timing is good for.
+pub(super) fn rounded(x: f64) -> f64 {
+    format!("{x:.4e}").parse().unwrap_or(x)
+}
+
+impl StepReport<'_> {
+    /// `nsim.bench/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let row = |row: &StepRow| {
+            json!({
+                "network": row.network,
+                "threads": row.threads,
+                "ranks": row.ranks,
+                "skip": row.skip,
+                "us_per_timestep": rounded(row.measured.us_per_timestep),
+                "spread": rounded(row.measured.spread),
+                "synaptic_events_per_step": rounded(row.events()),
+                "bytes_per_synapse": rounded(row.bytes_per_synapse),
+                "sums_ms": rounded(row.sums_ms),
+                "fastest_us": rounded(row.measured.fastest),
+                "spikes_per_step": rounded(row.spikes()),
+                "repeats": row.measured.repeats,
+                "steps_per_repeat": row.measured.steps,
+            })
+        };
+        json!({
+            "schema": "nsim.bench/1",
+            "name": "step",
+            "environment": self.environment,
+            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+        })
+    }
+
+    /// A row each.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let columns: [Column<StepRow>; 7] = [
+            ("network", |row| row.network.to_string()),
+            ("threads", |row| row.threads.to_string()),
+            ("skip", |row| row.skip.to_string()),
+            ("us_per_timestep", |row| rounded(row.measured.us_per_timestep).to_string()),
+            ("spread", |row| rounded(row.measured.spread).to_string()),
+            ("synaptic_events_per_step", |row| rounded(row.events()).to_string()),
+            ("bytes_per_synapse", |row| rounded(row.bytes_per_synapse).to_string()),
+        ];
+        csv_of(self.rows, &columns)
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let ns_an_event = |row: &StepRow| match row.events() {
+            events if events > 0.0 => significant(row.measured.us_per_timestep * 1e3 / events),
+            _ => String::new(),
+        };
+        let columns: [Column<StepRow>; 11] = [
+            ("network", |row| row.network.to_string()),
+            ("threads", |row| match row.ranks {
+                1 => row.threads.to_string(),
+                ranks => format!("{ranks} x {}", row.threads),
+            }),
+            ("skip", |row| if row.skip { "on" } else { "off" }.to_string()),
+            ("us a step", |row| significant(row.measured.us_per_timestep)),
+            ("quartiles apart", |row| significant(row.measured.spread)),
+            ("fastest", |row| significant(row.measured.fastest)),
+            ("synaptic events", |row| format!("{:.0}", row.events())),
+            ("spikes", |row| format!("{:.1}", row.spikes())),
+            ("ns an event", ns_an_event),
+            ("bytes a synapse", |row| significant(row.bytes_per_synapse)),
+            ("ms for sums", |row| significant(row.sums_ms)),
+        ];
+        let table = table_of(self.rows, &columns, 1);
+        format!("{}\n\n{table}\n", self.environment)
+    }
+}
+
+/// Three significant digits, or a whole number.
+pub(super) fn significant(x: f64) -> String {
+    let decimals = if x > 0.0 { (2 - x.log10().floor() as i32).clamp(0, 6) } else { 0 };
+    format!("{x:.*}", decimals as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::activity::Totals;
+
+    fn report(check: impl Fn(StepReport)) {
+        let totals = Totals { synaptic_events: 4_000, spikes: 10, ..Totals::default() };
+        let measured = StepTiming { us_per_timestep: 1.25, fastest: 1.2, spread: 0.02, repeats: 5, steps: 2, totals };
+        let row = |skip| StepRow {
+            network: "vtsnn-1pct",
+            threads: 1,
+            skip,
+            measured,
+            bytes_per_synapse: 7.5,
+            sums_ms: 0.1,
+            ranks: 1,
+        };
+        check(StepReport { environment: &Environment::here(), rows: &[row(true), row(false)] });
+    }
+
+    #[test]
+    fn json_has_the_keys_of_the_contract() {
+        report(|report| {
+            let json = report.json();
+            assert_eq!((&json["schema"], &json["name"]), (&json!("nsim.bench/1"), &json!("step")));
+            for key in ["cpu", "cores", "os", "rustc", "nsim"] {
+                assert!(!json["environment"][key].is_null(), "{key}");
+            }
+            let row = &json["rows"][0];
+            assert_eq!(
+                (&row["network"], &row["threads"], &row["skip"]),
+                (&json!("vtsnn-1pct"), &json!(1), &json!(true))
+            );
+            assert_eq!((&row["us_per_timestep"], &row["spread"]), (&json!(1.25), &json!(0.02)));
+            assert_eq!((&row["synaptic_events_per_step"], &row["bytes_per_synapse"]), (&json!(400.0), &json!(7.5)));
+            assert_eq!(json["rows"][1]["skip"], false);
+        });
+    }
+
+    #[test]
+    fn text_and_csv_have_a_line_for_each_row() {
+        report(|report| {
+            assert_eq!(report.csv().unwrap().lines().nth(1), Some("vtsnn-1pct,1,true,1.25,0.02,400,7.5"));
+            assert_eq!(report.text().lines().filter(|line| line.contains("vtsnn-1pct")).count(), 2);
+        });
+    }
+
+    #[test]
+    fn three_digits_are_shown() {
+        let shown = [0.0, 0.000_123_4, 0.1999, 12.345, 1234.5].map(significant);
+        assert_eq!(shown, ["0", "0.000123", "0.200", "12.3", "1234"]);
+    }
+}

@@ -1,0 +1,232 @@
+//! The result of `nsim convert` as text, JSON and CSV.
+
+use serde_json::{Value, json};
+
+use super::agree::{blame, lost_json, next_json};
+use nsim_agree::attribution::Distance;
+use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, table_of};
+use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
+use nsim_train::convert::job::{Done, Job, sentence};
+use nsim_train::convert::next::Next;
+use nsim_train::convert::staged::{LayerRow, Left, Measured, StageRow};
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct ConvertReport<'a> {
+    /// What was converted.
+    pub job: &'a Job,
+    /// What came out.
+    pub done: &'a Done,
+    /// Where the samples came from.
+    pub input: &'a [String],
+    /// What fine-tuning made of it.
+    pub tuned: Option<&'a Tuned>,
+    /// The files that were written.
+    pub files: &'a [String],
+    /// What to type next.
+    pub next: Option<&'a Next>,
+}
+
+fn rounded(x: f64) -> f64 {
+    // A zero without a sign.
+    format!("{x:.6}").parse().unwrap_or(x) + 0.0
+}
+
+const STAGES: [Column<StageRow>; 7] = [
+    ("stage", |row| row.name.clone()),
+    ("kept", |row| if row.kept { "yes" } else { "no" }.to_string()),
+    ("classes agree", |row| or_empty(row.distance.class_agreement.map(four))),
+    ("coincidence", |row| four(row.distance.coincidence)),
+    ("gain", |row| or_empty(row.gain.map(four))),
+    ("left to gain", |row| or_empty(row.left.map(four))),
+    ("potential rmse", |row| or_empty(row.distance.potential_rmse.map(four))),
+];
+
+const LEFT: [Column<Left>; 4] = [
+    ("real numbers in place of", |left| left.cause.name().to_string()),
+    ("classes agree", |left| or_empty(left.without.class_agreement.map(four))),
+    ("coincidence", |left| four(left.without.coincidence)),
+    ("potential rmse", |left| or_empty(left.without.potential_rmse.map(four))),
+];
+
+const LAYERS: [Column<LayerRow>; 4] = [
+    ("layer", |layer| layer.name.clone()),
+    ("coincidence", |layer| layer.coincidence.map_or("nothing to compare".to_string(), four)),
+    ("clipped", |layer| layer.clipped.to_string()),
+    ("exponents", |layer| exponents(layer)),
+];
+
+const EPOCHS: [Column<FineTuneRow>; 3] = [
+    ("epoch", |row| row.epoch.to_string()),
+    ("accuracy", |row| four(row.score.accuracy)),
+    ("loss", |row| four(row.score.loss)),
+];
+
+fn exponents(layer: &LayerRow) -> String {
+    layer.weight_exp.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
+}
+
+fn distance(distance: &Distance) -> Value {
+    json!({
+        "class_agreement": distance.class_agreement.map(rounded),
+        "coincidence": rounded(distance.coincidence),
+        "potential_rmse": distance.potential_rmse.map(rounded),
+    })
+}
+
+fn measured(measured: &Measured) -> Value {
+    let layer = |(name, coincidence, _): &(String, Option<f64>, u64)| json!({ "name": name, "coincidence": coincidence.map(rounded) });
+    let mut object = distance(&measured.distance);
+    object["samples"] = measured.samples.into();
+    object["layers"] = measured.layers.iter().map(layer).collect();
+    object
+}
+
+fn score(score: &TaskScore) -> Value {
+    json!({ "accuracy": rounded(score.accuracy), "loss": rounded(score.loss) })
+}
+
+fn tuned_json(tuned: &Tuned) -> Value {
+    let FineTuned { kept, rows, samples, held_out, seed, fingerprint, .. } = &tuned.tuned;
+    let row = |row: &FineTuneRow| {
+        let mut object = score(&row.score);
+        object["epoch"] = row.epoch.into();
+        object
+    };
+    let unseen = held_out.map(|held| {
+        json!({
+            "samples": held.samples, "trained_accuracy": rounded(held.trained), "before": score(&held.before),
+            "after": score(&held.after),
+        })
+    });
+    let (before, after) = tuned.tuned.scores();
+    json!({
+        "epochs": tuned.epochs,
+        "kept": kept,
+        "seed": seed,
+        "input": tuned.samples,
+        "samples": samples,
+        "sha256": fingerprint,
+        "before": score(&before),
+        "after": score(&after),
+        "rows": rows.iter().map(row).collect::<Vec<_>>(),
+        "held_out": unseen,
+        "agreement": tuned.held_out.as_ref().map(measured),
+    })
+}
+
+fn tuned_text(tuned: &Tuned) -> String {
+    let mut out = format!("fine-tuning\n{}\n\n{}\n", table_of(&tuned.tuned.rows, &EPOCHS, 0), tuned.sentence());
+    if let Some(held) = &tuned.held_out {
+        out += &format!("on {} after it: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
+    }
+    out
+}
+
+fn tuned_markdown(tuned: &Tuned) -> String {
+    format!("\nFine-tuning:\n\n{}\nIt was {}.\n", markdown_of(&tuned.tuned.rows, &EPOCHS), tuned.sentence())
+}
+
+impl ConvertReport<'_> {
+    /// `nsim.convert/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let stage = |row: &StageRow| {
+            let mut object = distance(&row.distance);
+            object["name"] = row.name.as_str().into();
+            object["kept"] = row.kept.into();
+            object["gain"] = row.gain.map(rounded).into();
+            object["left"] = row.left.map(rounded).into();
+            object
+        };
+        let layer = |layer: &LayerRow| {
+            json!({
+                "name": layer.name, "coincidence": layer.coincidence.map(rounded), "weight_exp": layer.weight_exp,
+                "clipped": layer.clipped, "problem": layer.problem,
+            })
+        };
+        let left = |left: &Left| {
+            let mut object = distance(&left.without);
+            object["cause"] = left.cause.name().into();
+            object
+        };
+        json!({
+            "schema": "nsim.convert/1",
+            "model": self.job.graph.facts().name,
+            "model_sha256": self.job.hash,
+            "input": self.input,
+            "samples": self.done.converted.calibration.samples,
+            "stages": self.done.converted.stages.iter().map(stage).collect::<Vec<_>>(),
+            "layers": self.done.converted.layers.iter().map(layer).collect::<Vec<_>>(),
+            "lost": self.done.converted.attribution.layers.iter().map(lost_json).collect::<Vec<_>>(),
+            "left": self.done.converted.left.iter().map(left).collect::<Vec<_>>(),
+            "next": self.next.map(next_json),
+            "class_agreement": self.done.converted.calibration.distance.class_agreement.map(rounded),
+            "calibration": measured(&self.done.converted.calibration),
+            "held_out": self.done.held_out.as_ref().map(measured),
+            "fine_tune": self.tuned.map(tuned_json),
+            "output": self.files,
+            "seconds": rounded(self.done.seconds),
+        })
+    }
+
+    /// A row a stage.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        csv_of(&self.done.converted.stages, &STAGES)
+    }
+
+    /// A section of a document.
+    #[must_use]
+    pub fn markdown(&self) -> String {
+        let calibration = &self.done.converted.calibration;
+        let mut out = format!(
+            "{}, {}.\n\n",
+            self.job.graph.facts().name,
+            count(calibration.samples as u64, "calibration sample")
+        );
+        out += &markdown_of(&self.done.converted.stages, &STAGES);
+        out += &format!(
+            "\nThe most that is left to gain, with real numbers in the place of one kind of integer (with none, on the same samples, \
+             {}):\n\n",
+            four(self.done.converted.attribution.machine.coincidence)
+        );
+        out += &markdown_of(&self.done.converted.left, &LEFT);
+        if let Some(held) = self.done.held_out.as_ref() {
+            out += &format!("\nOn {}: {}.\n", count(held.samples as u64, "held-out sample"), sentence(held));
+        }
+        if let Some(tuned) = self.tuned {
+            out += &tuned_markdown(tuned);
+        }
+        out
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let calibration = &self.done.converted.calibration;
+        let mut out =
+            format!("{}, {}\n\n", self.job.graph.facts().name, count(calibration.samples as u64, "calibration sample"));
+        out += &format!("{}\n\n", table_of(&self.done.converted.stages, &STAGES, 2));
+        out += &format!("{}\n\n", table_of(&self.done.converted.layers, &LAYERS, 1));
+        for layer in &self.done.converted.layers {
+            if let Some(problem) = &layer.problem {
+                out += &format!("'{}': {problem}\n", layer.name);
+            }
+        }
+        out += &blame(&self.done.converted.attribution, self.next);
+        out += &format!("\nwhat is left to gain\n{}\n\n", table_of(&self.done.converted.left, &LEFT, 1));
+        if let Some(held) = self.done.held_out.as_ref() {
+            out += &format!("on {}: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
+        }
+        if let Some(tuned) = self.tuned {
+            out += &tuned_text(tuned);
+        }
+        if !self.files.is_empty() {
+            out += &format!("written: {}\n", self.files.join(", "));
+        }
+        out
+    }
+}

@@ -1,0 +1,19 @@
+//! Results as people and scripts read them: text, JSON, CSV.
+//!
+//! Input: finished results. Output: strings; writing them is the command line's. Nothing is computed here but the
+//! rounding of what is printed.
+
+pub mod agree;
+pub mod bench;
+pub mod charts;
+pub mod convert;
+pub mod energy_chart;
+pub mod inspect;
+pub mod map;
+pub mod page;
+pub mod run;
+pub mod scene;
+pub mod side_by_side;
+pub mod stress;
+pub mod sweep;
+pub mod train;

@@ -1,0 +1,62 @@
+//! A mapping as rows of numbers: where its cores lie, how full they are, what links carry. For a page.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use nsim_compile::Compiled;
+use nsim_compile::explore::traffic::Links;
+use nsim_ir::base::id::CoreId;
+use nsim_ir::hardware::Target;
+use nsim_ir::resource::Resource;
+
+/// Cores with their use of each resource, and loaded links.
+#[must_use]
+pub fn json(compiled: &Compiled, target: &Target, links: &Links) -> Value {
+    let mesh = compiled.placement.mesh();
+    let limits = target.limits();
+    let resources = [Resource::Compartments, Resource::AxonsIn, Resource::AxonsOut, Resource::SynapseWords];
+    let cores: Vec<Value> = compiled
+        .partition
+        .usage()
+        .enumerate()
+        .map(|(core, used)| {
+            let site = compiled.placement.site(core);
+            let (x, y) = mesh.tile(site);
+            let needs = resources.map(|resource| used[resource]);
+            let row = json!([core.0, site.chip, x, y, site.core, mostly(compiled, core)]);
+            let rest = needs.iter().map(|&need| json!(need)).chain([json!(used.synapses)]);
+            row.as_array().into_iter().flatten().cloned().chain(rest).collect()
+        })
+        .collect();
+    let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
+    let mut loaded = Vec::new();
+    for (x, y) in (0..rows).flat_map(|y| (0..columns).map(move |x| (x, y))) {
+        let ends = [(links.east_west(x, y), x + 1, y), (links.north_south(x, y), x, y + 1)];
+        loaded.extend(
+            ends.into_iter().filter(|end| end.0 > 0.0).map(|(load, to_x, to_y)| json!([x, y, to_x, to_y, load])),
+        );
+    }
+    json!({
+        "target": target.name(),
+        "columns": ["core", "chip", "x", "y", "core of tile", "population", "compartments", "axons_in", "axons_out",
+                    "synapse_words", "synapses"],
+        "cores": cores,
+        "limits": resources.map(|resource| limits[resource]),
+        "links": loaded,
+        "mesh": { "chips_x": mesh.chips_x, "chips_y": mesh.chips_y, "width": mesh.width, "height": mesh.height,
+                  "cores_per_tile": mesh.cores_per_tile },
+    })
+}
+
+/// The population of one copy that most compartments of a core belong to, by its place in the network.
+fn mostly(compiled: &Compiled, core: CoreId) -> u32 {
+    let per_copy = compiled.one.populations().len().max(1) as u32;
+    let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
+    for &id in &compiled.partition.members()[core] {
+        let (population, _) = compiled.quantised.population_of(id);
+        *counts.entry(population.0 % per_copy).or_default() += 1;
+    }
+    let most = counts.into_iter().max_by_key(|&(population, count)| (count, std::cmp::Reverse(population)));
+    most.map_or(0, |(population, _)| population)
+}

@@ -1,0 +1,123 @@
+//! What the page of a run shows (`nsim report`).
+//!
+//! Input: a priced run, the network as its file says. Output: [`Sections`], which `report::page` makes a page of. Of the first sample
+//! every step is shown; a network in real numbers is compared with itself as it was trained. Left out on purpose: files.
+
+use serde_json::Value;
+
+use crate::agree::AgreeReport;
+use crate::page::sample::Watched;
+use crate::page::{Sections, fit, network, sample};
+use nsim_agree::compare::{Side, compare_networks, machine_trace, output_layer, real_trace};
+use nsim_agree::ladder::layers;
+use nsim_compile::{Options, compile};
+use nsim_cost::Transport;
+use nsim_dynamics as neuron;
+use nsim_energy::evaluate::Evaluated;
+use nsim_energy::workload::Workload;
+use nsim_files::network::Network;
+use nsim_files::write::checksum;
+use nsim_ir::base::id::CompartmentId;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::graph::Graph;
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::source_counts::SourceCounts;
+use nsim_session::error::Error;
+use nsim_session::front::real_and_integers;
+use nsim_session::samples::Progress;
+use nsim_train::convert::staged::is_real;
+
+/// Samples of which the trained and the deployed network are compared.
+const COMPARED: usize = 40;
+/// Compartments of a population whose potentials are drawn.
+const WATCHED_OF_EACH: usize = 3;
+/// Compartments whose potentials are drawn.
+const WATCHED: usize = 12;
+/// A network with more synapses is not compared with its trained form.
+const MOST_COMPARED: u64 = 4_000_000;
+
+/// The sections of a page, but for the comparison with the network as it was trained.
+///
+/// # Errors
+/// Those of running the first sample again, step by step.
+pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Transport) -> Result<Sections, Error> {
+    let Evaluated { energy, run, deployment } = evaluated;
+    let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
+    let samples = workload.samples();
+    let rates = Rates::of_copy(&run.counts, network, run.activity.steps());
+    let mut sections = Sections {
+        results: vec![checksum::printed(energy.json())],
+        network: network::json(network),
+        fit: fit::json(compiled, target, &compiled.links_at(&rates)),
+        confusion: sample::confusion(network, &samples, &run.outcomes),
+        ..Sections::default()
+    };
+    if let (Some(first), Some(outcome)) = (samples.first(), run.outcomes.first()) {
+        let (ids, watched) = watched(network, &run.counts);
+        let tables = run.meter.tables()[..1].to_vec();
+        let settings = workload.metered(tables, deployment, transport);
+        let timeline = workload.timeline(settings, first, &ids)?;
+        sections.sample = sample::json(network, &timeline, &watched, first, outcome);
+    }
+    Ok(sections)
+}
+
+/// The network as it was trained, from its file, where it has real numbers and is small enough to be compared with its deployed form.
+///
+/// # Errors
+/// As [`real_and_integers`].
+pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<Graph>, Error> {
+    let (graph, _) = real_and_integers(file)?;
+    Ok(Some(graph).filter(|graph| is_real(graph) && workload.compiled.one.synapses() <= MOST_COMPARED))
+}
+
+/// Samples of which the trained and the deployed network are compared.
+#[must_use]
+pub fn compared(workload: &Workload<'_>) -> usize {
+    workload.samples().len().min(COMPARED)
+}
+
+/// How the deployed network agrees with the trained one, as [`Sections`] has it; `progress` is called after each sample.
+///
+/// # Errors
+/// As [`compare_networks`].
+pub fn agreement(workload: &Workload<'_>, trained: &Graph, progress: Progress<'_>) -> Result<Value, Error> {
+    let network = &workload.compiled.one;
+    let samples = workload.samples();
+    let some = &samples[..compared(workload)];
+    let one = compile(network.clone(), workload.target, &Options::default())?;
+    let (real, machine) = (real_trace(trained, network), machine_trace(network, &one.program)?);
+    let of_both = layers(network);
+    let sides = (Side { layers: &of_both, trace: &real }, Side { layers: &of_both, trace: &machine });
+    let agreement = compare_networks(sides, &output_layer(network), some, None, progress)?;
+    let shown = (workload.origin.as_slice(), workload.seed, some.len());
+    let report = AgreeReport::of_two((&network.parts().name, "the trained network"), shown, &agreement);
+    Ok(report.json())
+}
+
+/// The compartments whose potentials are drawn: of the output, then of each population, those that spike most.
+fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Watched>) {
+    let thresholds = neuron::thresholds(network);
+    let (mut ids, mut watched) = (Vec::new(), Vec::new());
+    let output = network.parts().output;
+    let others = network.populations().ids().filter(|&id| id != output);
+    for id in std::iter::once(output).chain(others) {
+        let population = &network.populations()[id];
+        let Units::Compartments { first, .. } = population.units else { continue };
+        let mut numbers: Vec<u32> = (first.0..first.0 + population.shape.len()).collect();
+        numbers.sort_by_key(|&number| std::cmp::Reverse(counts.compartments[CompartmentId(number)]));
+        let most =
+            if id == output { WATCHED_OF_EACH.max(network.parts().classes.len().min(6)) } else { WATCHED_OF_EACH };
+        numbers.truncate(most);
+        numbers.sort_unstable();
+        for number in numbers.into_iter().take(WATCHED.saturating_sub(ids.len())) {
+            ids.push(CompartmentId(number));
+            let index = network.index_shown(id, number - first.0);
+            watched.push(Watched {
+                name: format!("{}[{index}]", population.name),
+                threshold: thresholds[number as usize],
+            });
+        }
+    }
+    (ids, watched)
+}

@@ -1,0 +1,129 @@
+//! A run as one page that opens in any browser without a network: `nsim report`.
+//!
+//! Input: what a run did and cost, as JSON; its network, mapping and first sample. Output: HTML with everything in it: the data,
+//! the program that draws them (`page.js`), and Apache ECharts (`assets/echarts`, Apache License 2.0), unchanged. What is drawn
+//! is reduced where it would be too much to look at; the page says by how much.
+
+pub mod fit;
+pub mod job;
+pub mod network;
+pub mod sample;
+
+use std::io::Read;
+
+use serde_json::{Value, json};
+
+use nsim_ir::base::names::markup;
+
+const TEMPLATE: &str = include_str!("page.html");
+const STYLE: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
+/// Apache ECharts, as the build deflated it.
+const CHARTS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/echarts.min.js.deflate"));
+
+/// A file or source that a page was made from.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Origin {
+    /// What it is: model, target, input, mapping.
+    pub what: &'static str,
+    /// Its path or name.
+    pub name: String,
+    /// SHA-256 of its bytes, in hexadecimal digits.
+    pub sha256: String,
+}
+
+/// Where a page comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Provenance {
+    /// The command as it was typed.
+    pub command: String,
+    /// What it read.
+    pub origins: Vec<Origin>,
+}
+
+/// Sections of a page; what is null is left out.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Sections {
+    /// `nsim.energy/1` or `nsim.run/1`; two where two are compared.
+    pub results: Vec<Value>,
+    /// [`network::json`].
+    pub network: Value,
+    /// [`fit::json`].
+    pub fit: Value,
+    /// [`sample::json`].
+    pub sample: Value,
+    /// [`sample::confusion`].
+    pub confusion: Value,
+    /// `nsim.agree/1` against the trained network.
+    pub agreement: Value,
+}
+
+/// The page.
+#[must_use]
+pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String {
+    let Sections { results, network, fit, sample, confusion, agreement } = sections;
+    let data = json!({
+        "schema": "nsim.report/1",
+        "nsim": env!("CARGO_PKG_VERSION"),
+        "title": title,
+        "command": provenance.command,
+        "origins": provenance.origins,
+        "results": results,
+        "network": network,
+        "fit": fit,
+        "sample": sample,
+        "confusion": confusion,
+        "agreement": agreement,
+    });
+    // Within a script `</script` ends it, and `<!--<script` hides its end. `<` stands in strings
+    // only, which may escape it.
+    let data = data.to_string().replace('<', "\\u003c");
+    let parts = [("title", markup(title)), ("style", STYLE.to_string()), ("charts", charts())];
+    let parts = parts.into_iter().chain([("data", data), ("script", SCRIPT.to_string())]);
+    let mut rest = TEMPLATE;
+    let mut page = String::with_capacity(TEMPLATE.len() + (2 << 20));
+    for (name, text) in parts {
+        let mark = format!("{{{{{name}}}}}");
+        if let Some((before, after)) = rest.split_once(&mark) {
+            page += before;
+            page += &text;
+            rest = after;
+        }
+    }
+    page + rest
+}
+
+/// The program of the charts.
+fn charts() -> String {
+    let mut text = String::new();
+    // What the build deflated comes out whole; a test compares it with the file.
+    let _ = flate2::read::DeflateDecoder::new(CHARTS).read_to_string(&mut text);
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_charts_are_the_file() {
+        let file = include_str!("../../../../assets/echarts/echarts.min.js");
+        assert!(charts() == file && file.len() > 500_000);
+    }
+
+    #[test]
+    fn a_page_holds_its_data_once_and_nothing_of_it_ends_a_script() {
+        let name = "</script><b>& \u{2028} {{data}}";
+        let sections = Sections { results: vec![json!({ "model": name })], ..Sections::default() };
+        let origin = Origin { what: "model", name: name.to_string(), sha256: "00".to_string() };
+        let provenance = Provenance { command: format!("nsim report '{name}'"), origins: vec![origin] };
+        let page = html(name, &sections, &provenance);
+        assert!(!page.contains("{{style}}") && !page.contains("{{script}}") && page.contains("echarts"));
+        let (_, data) = page.split_once("<script type=\"application/json\" id=\"data\">").unwrap();
+        let (data, _) = data.split_once("</script>").unwrap();
+        let read: Value = serde_json::from_str(data).unwrap();
+        assert_eq!((&read["results"][0]["model"], &read["title"]), (&json!(name), &json!(name)));
+        assert_eq!(page.matches("<title>").count(), 1);
+        assert!(page.contains("<title>&lt;/script&gt;&lt;b&gt;&amp; "));
+    }
+}

@@ -1,0 +1,102 @@
+//! What a page shows of samples: one step by step, and all by class.
+
+use std::collections::HashSet;
+
+use serde_json::{Value, json};
+
+use super::network::drawn;
+use nsim_ir::base::id::{Id, PopulationId};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+use nsim_session::Outcome;
+use nsim_session::timeline::{Raster, Timeline};
+
+/// Points of a curve over steps; a longer one is reduced.
+const MOST_POINTS: usize = 1_500;
+
+/// A compartment whose potential is drawn.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Watched {
+    /// Population and index.
+    pub name: String,
+    /// Its threshold.
+    pub threshold: f64,
+}
+
+/// A sample over its steps: means of so many steps in a row of everything that is counted, the largest potential of each such
+/// group, every kept spike of the populations that are [`drawn`].
+#[must_use]
+pub fn json(
+    network: &Quantised,
+    timeline: &Timeline,
+    watched: &[Watched],
+    sample: &Sample,
+    outcome: &Outcome,
+) -> Value {
+    let (kept, all) = timeline.steps;
+    let group = (kept as usize).div_ceil(MOST_POINTS).max(1);
+    let columns = timeline.layout.columns();
+    let width = columns.len();
+    let mut curves: Vec<Vec<f64>> = vec![Vec::new(); width];
+    for rows in timeline.rows.chunks(group * width) {
+        let steps = (rows.len() / width).max(1) as f64;
+        for (index, (curve, column)) in curves.iter_mut().zip(columns).enumerate() {
+            let sum: u64 = rows.iter().skip(index).step_by(width).sum();
+            curve.push(sum as f64 / column.unit.divisor() as f64 / steps);
+        }
+    }
+    let drawn = drawn(network);
+    let names: HashSet<&str> = drawn.iter().map(|&id| network.populations()[id].name.as_str()).collect();
+    let is_drawn = |column: &str| column.strip_prefix("spikes.").is_none_or(|name| names.contains(name));
+    let shown = columns.iter().zip(curves).filter(|(column, _)| is_drawn(&column.name));
+    let curves: serde_json::Map<String, Value> =
+        shown.map(|(column, curve)| (column.name.clone(), json!(curve))).collect();
+    let potentials: Vec<Value> = watched
+        .iter()
+        .zip(&timeline.potentials)
+        .map(|(of, trace)| {
+            let largest: Vec<i32> = trace.chunks(group).filter_map(|part| part.iter().copied().max()).collect();
+            json!({ "name": of.name, "threshold": of.threshold, "largest": largest })
+        })
+        .collect();
+    let raster = |raster: &Raster| {
+        let Raster { population, units, every, spikes, cut } = raster;
+        let (steps, units_of_spikes): (Vec<u32>, Vec<u32>) = spikes.iter().copied().unzip();
+        json!({
+            "name": network.populations()[PopulationId(*population as u32)].name,
+            "units": units, "every": every, "cut": cut, "step": steps, "unit": units_of_spikes,
+        })
+    };
+    json!({
+        "steps": kept,
+        "steps_of_sample": all,
+        "steps_a_point": group,
+        "label": sample.label(),
+        "predicted": outcome.class(),
+        "decided_at": outcome.decided_at,
+        "curves": curves,
+        "potentials": potentials,
+        "rasters": drawn.into_iter().map(|id| raster(&timeline.rasters[id.index()])).collect::<Vec<_>>(),
+    })
+}
+
+/// Samples of each class (rows) by the class that the network gave (columns; the last is none); null without labels.
+#[must_use]
+pub fn confusion(network: &Quantised, samples: &[&Sample], outcomes: &[Outcome]) -> Value {
+    let outputs = network.populations()[network.parts().output].shape.len() as usize;
+    let labels = samples.iter().filter_map(|sample| sample.label());
+    let Some(most) = labels.max() else { return Value::Null };
+    let classes = outputs.max(most as usize + 1);
+    // A page that no one could read is not made.
+    if classes > 200 {
+        return Value::Null;
+    }
+    let mut counts = vec![vec![0u64; classes + 1]; classes];
+    for (sample, outcome) in samples.iter().zip(outcomes) {
+        if let Some(label) = sample.label() {
+            counts[label as usize][outcome.class().map_or(classes, |class| class as usize)] += 1;
+        }
+    }
+    let name = |class: usize| network.parts().classes.get(class).cloned().unwrap_or_else(|| class.to_string());
+    json!({ "classes": (0..classes).map(name).collect::<Vec<_>>(), "counts": counts })
+}

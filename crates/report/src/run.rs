@@ -1,0 +1,340 @@
+//! The result of `nsim run` as text, JSON and CSV.
+
+use serde_json::{Value, json};
+
+use crate::map::pruned_json;
+use nsim_files::table::count;
+use nsim_ir::activity::{Activity, Overflow, Totals};
+use nsim_ir::arithmetic::ReadOut;
+use nsim_ir::potentials::Potentials;
+use nsim_ir::quantised::Quantised;
+use nsim_session::decision::Rule;
+use nsim_session::detail::Detail;
+use nsim_session::neurobench::NeuroBench;
+use nsim_session::{Outcome, accuracy, digest};
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct RunReport<'a> {
+    /// The network that ran.
+    pub network: &'a Quantised,
+    /// The target it is mapped onto; none for the golden engine.
+    pub target: Option<&'a str>,
+    /// `fast` or `golden`.
+    pub engine: &'static str,
+    /// The arguments that say where the input came from.
+    pub input: &'a [String],
+    /// The seed of the input, when it had one.
+    pub seed: Option<u64>,
+    /// Samples, in run order.
+    pub outcomes: &'a [Outcome],
+    /// Their classes, when known.
+    pub labels: &'a [Option<u32>],
+    /// Counts of the mapped program; none for the golden engine.
+    pub activity: Option<&'a Activity>,
+    /// Compartment updates that were left out.
+    pub skipped_updates: u64,
+    /// The rule by which samples ended before their last step.
+    pub early_exit: Option<Rule>,
+    /// Seconds spent simulating.
+    pub wall_s: f64,
+    /// By population, input and core, and what to warn of.
+    pub detail: &'a Detail,
+    /// The metrics of NeuroBench's harness, where they were asked for.
+    pub neurobench: Option<&'a NeuroBench>,
+    /// Files that were written.
+    pub files: &'a [String],
+}
+
+/// The object of `nsim.run/1` for what did not run.
+#[must_use]
+pub fn nothing(engine: &str) -> Value {
+    json!({
+        "schema": "nsim.run/1", "model": null, "target": null, "engine": engine, "fits": false, "reasons": [],
+        "samples": 0, "timesteps": 0, "predicted": [], "decision": null, "undecided": 0, "labels": null, "accuracy": null, "output_counts": [],
+        "output_scores": null, "digest": null, "activity": null, "skipped": null, "overflow": null, "decided_at": [], "wall_s": null,
+        "us_per_timestep": null, "populations": [], "inputs": [], "cores": [], "warnings": [],
+    })
+}
+
+/// The object `neurobench`.
+#[must_use]
+pub fn neurobench_json(metrics: &NeuroBench) -> Value {
+    json!({
+        "footprint_bytes": metrics.footprint_bytes,
+        "connection_sparsity": metrics.connection_sparsity,
+        "activation_sparsity": metrics.activation_sparsity,
+        "synaptic_operations": {
+            "effective_macs": metrics.effective_macs, "effective_acs": metrics.effective_acs, "dense": metrics.dense,
+        },
+        "membrane_updates": metrics.membrane_updates,
+        "classification_accuracy": metrics.classification_accuracy,
+    })
+}
+
+fn neurobench_text(metrics: &NeuroBench) -> String {
+    let mut out = format!("\n{:<24} {:>14}\n", "NeuroBench", "a sample");
+    let mut row = |name: &str, value: String| out += &format!("{name:<24} {value:>14}\n");
+    row("synaptic operations", format!("{:.1}", metrics.dense));
+    row("  effective ACs", format!("{:.1}", metrics.effective_acs));
+    row("  effective MACs", format!("{:.1}", metrics.effective_macs));
+    row("membrane updates", format!("{:.1}", metrics.membrane_updates));
+    row("activation sparsity", format!("{:.4}", metrics.activation_sparsity));
+    row("connection sparsity", format!("{:.4}", metrics.connection_sparsity));
+    row("footprint, bytes", metrics.footprint_bytes.to_string());
+    if let Some(accuracy) = metrics.classification_accuracy {
+        row("classification accuracy", format!("{accuracy:.4}"));
+    }
+    out
+}
+
+/// A potential, or a sum of them: whole in integers.
+fn score_text(score: f64) -> String {
+    if score.fract() == 0.0 { format!("{score:.0}") } else { format!("{score:.4}") }
+}
+
+impl RunReport<'_> {
+    fn labels(&self) -> Option<Vec<u32>> {
+        self.labels.iter().copied().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty())
+    }
+
+    fn accuracy(&self) -> Option<f64> {
+        accuracy(self.outcomes, self.labels.iter().copied())
+    }
+
+    /// Samples without a class.
+    fn undecided(&self) -> usize {
+        self.outcomes.iter().filter(|outcome| outcome.class().is_none()).count()
+    }
+
+    fn timesteps(&self) -> u64 {
+        self.outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum()
+    }
+
+    fn steps_saved(&self) -> u64 {
+        self.outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum()
+    }
+
+    /// How many samples were decided early, and the least step by which half of those were.
+    fn decided(&self) -> (usize, Option<u32>) {
+        let mut steps: Vec<u32> = self.outcomes.iter().filter_map(|outcome| outcome.decided_at).collect();
+        steps.sort_unstable();
+        (steps.len(), steps.get(steps.len().saturating_sub(1) / 2).copied())
+    }
+
+    fn early_exit_json(&self) -> Value {
+        let Some(rule) = self.early_exit else { return Value::Null };
+        let (decided, median) = self.decided();
+        json!({
+            "rule": rule.to_string(), "decided": decided, "median_step": median, "steps_saved": self.steps_saved(),
+        })
+    }
+
+    fn early_exit_text(&self) -> String {
+        let Some(rule) = self.early_exit else { return String::new() };
+        let ((decided, median), saved) = (self.decided(), self.steps_saved());
+        let share = 100.0 * saved as f64 / (saved + self.timesteps()).max(1) as f64;
+        let median = median.map_or(String::new(), |step| format!(", in the median after step {step}"));
+        format!(
+            "\nearly exit {rule}: {decided} of {} samples decided before their end{median}; {saved} timesteps saved \
+             ({share:.1} %)\n",
+            self.outcomes.len()
+        )
+    }
+
+    fn totals(&self) -> Totals {
+        let mut sum = Totals::default();
+        for outcome in self.outcomes {
+            sum += outcome.totals;
+        }
+        sum
+    }
+
+    fn us_per_timestep(&self) -> f64 {
+        self.wall_s * 1e6 / self.timesteps().max(1) as f64
+    }
+
+    /// Overflow of all samples, with the first sample that has any.
+    fn overflow(&self) -> (Overflow, Option<usize>) {
+        let mut sum = Overflow::default();
+        let first = self.outcomes.iter().position(|outcome| outcome.overflow.any());
+        for outcome in self.outcomes {
+            sum.q_wrapped += outcome.overflow.q_wrapped;
+            sum.u_wrapped += outcome.overflow.u_wrapped;
+            sum.v_clipped += outcome.overflow.v_clipped;
+        }
+        sum.first = first.and_then(|sample| self.outcomes[sample].overflow.first);
+        (sum, first)
+    }
+
+    fn overflow_json(&self) -> Value {
+        let (overflow, sample) = self.overflow();
+        let first = overflow.first.map(|(step, compartment)| {
+            let (population, index) = self.network.population_of(compartment);
+            let index = self.network.index_shown(population, index);
+            json!({
+                "population": self.network.populations()[population].name,
+                "compartment": index, "sample": sample, "step": step,
+            })
+        });
+        json!({
+            "q_wrapped": overflow.q_wrapped, "u_wrapped": overflow.u_wrapped, "v_clipped": overflow.v_clipped,
+            "first": first,
+        })
+    }
+
+    /// `nsim.run/1`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let totals = self.totals();
+        let mut object = json!({
+            "schema": "nsim.run/1",
+            "model": self.network.parts().name,
+            "target": self.target,
+            "engine": self.engine,
+            "fits": self.target.map(|_| true),
+            "input": self.input,
+            "seed": self.seed,
+            "samples": self.outcomes.len(),
+            "timesteps": self.timesteps(),
+            "drain": self.network.parts().drain,
+            "predicted": self.outcomes.iter().map(Outcome::class).collect::<Vec<_>>(),
+            "decision": self.network.parts().decision.name(),
+            "undecided": self.undecided(),
+            "labels": self.labels(),
+            "accuracy": self.accuracy(),
+            "output_counts": self.outcomes.iter().map(|outcome| &outcome.counts).collect::<Vec<_>>(),
+            "output_scores": self.outcomes.iter()
+                .map(|outcome| outcome.potentials.as_ref().map(Potentials::scores)).collect::<Option<Vec<_>>>(),
+            "digest": digest(self.outcomes),
+            "activity": {
+                "spikes_in": totals.spikes_in,
+                "spikes": totals.spikes,
+                "synaptic_events": totals.synaptic_events,
+                "compartment_updates": totals.compartment_updates,
+                "active_updates": totals.active_updates,
+                "messages": self.activity.map(Activity::messages),
+                "hops": self.activity.map(|activity| activity.hops().links()),
+            },
+            "skipped": {
+                "timesteps": self.outcomes.iter().map(|outcome| outcome.skipped_steps).sum::<u64>(),
+                "compartment_updates": self.skipped_updates,
+            },
+            "overflow": self.overflow_json(),
+            "decided_at": self.outcomes.iter().map(|outcome| outcome.decided_at).collect::<Vec<_>>(),
+            "early_exit": self.early_exit_json(),
+            "wall_s": self.wall_s,
+            "us_per_timestep": self.us_per_timestep(),
+            "pruned": pruned_json(self.network.pruned().map_or(&[], |pruned| pruned.rows.as_slice())),
+            "notes": self.network.parts().notes.iter()
+                .map(|note| format!("{}: {}", note.entity, note.message)).collect::<Vec<_>>(),
+            "files": self.files,
+        });
+        self.detail.add_to(&mut object);
+        if let Some(metrics) = self.neurobench {
+            object["neurobench"] = neurobench_json(metrics);
+        }
+        object
+    }
+
+    /// One row a sample.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        let outputs = self.outcomes.first().map_or(0, |outcome| outcome.counts.len());
+        let mut out = csv::Writer::from_writer(Vec::new());
+        let mut head =
+            ["sample", "label", "predicted", "steps", "decided_at", "spikes_in", "spikes", "synaptic_events"]
+                .map(String::from)
+                .to_vec();
+        head.extend((0..outputs).map(|output| format!("output_{output}")));
+        out.write_record(&head)?;
+        let optional = |number: Option<u32>| number.map_or(String::new(), |number| number.to_string());
+        for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).enumerate() {
+            let mut row = vec![sample.to_string(), optional(label), optional(outcome.class())];
+            row.extend([outcome.steps.to_string(), optional(outcome.decided_at)]);
+            let totals = outcome.totals;
+            row.extend([totals.spikes_in, totals.spikes, totals.synaptic_events].map(|count| count.to_string()));
+            row.extend(outcome.counts.iter().map(ToString::to_string));
+            out.write_record(&row)?;
+        }
+        nsim_files::table::csv_text(out)
+    }
+
+    fn class_name(&self, class: Option<u32>) -> String {
+        let Some(class) = class else { return "none".to_string() };
+        self.network.parts().classes.get(class as usize).cloned().unwrap_or_else(|| class.to_string())
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let (parts, totals, steps) = (self.network.parts(), self.totals(), self.timesteps());
+        let per_step = |count: u64| format!("{count:>14} {:>14.2}", count as f64 / steps.max(1) as f64);
+        let mut out = match self.target {
+            Some(target) => format!("{} simulated on {target}, engine {}\n", parts.name, self.engine),
+            None => format!("{} interpreted without cores, engine {}\n", parts.name, self.engine),
+        };
+        if let Some(accuracy) = self.accuracy() {
+            out += &format!("accuracy {:.4} over {}\n", accuracy, count(self.outcomes.len() as u64, "sample"));
+        }
+        out += &format!("input: {}", self.input.join(" "));
+        if let Some(seed) = self.seed {
+            out += &format!("  (seed {seed})");
+        }
+        out += &format!("\n{}, {}", count(self.outcomes.len() as u64, "sample"), count(steps, "timestep"));
+        if parts.drain > 0 {
+            out += &format!(", of each sample {} after its last input step (drain)", parts.drain);
+        }
+        out += "\n\n";
+        const SHOWN: usize = 12;
+        let scores = match parts.decision {
+            ReadOut::Spikes => "spikes of outputs",
+            ReadOut::GreatestV => "greatest v of outputs",
+            ReadOut::SumOfV => "sum of v of outputs",
+            ReadOut::LastV => "last v of outputs",
+        };
+        out += &format!("{:>7} {:>12} {:>12}  {scores}\n", "sample", "label", "predicted");
+        for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).take(SHOWN).enumerate() {
+            let label = if label.is_some() { self.class_name(label) } else { "-".to_string() };
+            let counts: Vec<String> = match &outcome.potentials {
+                Some(potentials) => potentials.scores().iter().take(24).map(|score| score_text(*score)).collect(),
+                None => outcome.counts.iter().take(24).map(ToString::to_string).collect(),
+            };
+            let more = if outcome.counts.len() > 24 { " .." } else { "" };
+            out += &format!(
+                "{sample:>7} {label:>12} {:>12}  {}{more}\n",
+                self.class_name(outcome.class()),
+                counts.join(" ")
+            );
+        }
+        if self.outcomes.len() > SHOWN {
+            out +=
+                &format!("{:>7} {} more; all of them with --format csv or json\n", "..", self.outcomes.len() - SHOWN);
+        }
+        if self.undecided() > 0 {
+            out += &format!("\nundecided {} of {}\n", self.undecided(), count(self.outcomes.len() as u64, "sample"));
+        }
+        out += &self.early_exit_text();
+        out += &format!("\n{:<24} {:>14} {:>14}\n", "activity", "total", "a timestep");
+        out += &format!("{:<24} {}\n", "input spikes", per_step(totals.spikes_in));
+        out += &format!("{:<24} {}\n", "spikes", per_step(totals.spikes));
+        out += &format!("{:<24} {}\n", "synaptic events", per_step(totals.synaptic_events));
+        out += &format!("{:<24} {}\n", "compartment updates", per_step(totals.compartment_updates));
+        out += &format!("{:<24} {}\n", "  of them not at rest", per_step(totals.active_updates));
+        if let Some(activity) = self.activity {
+            out += &format!("{:<24} {}\n", "messages", per_step(activity.messages()));
+            out += &format!("{:<24} {}\n", "hops", per_step(activity.hops().links()));
+        }
+        out += &self.neurobench.map_or(String::new(), neurobench_text);
+        out += &format!("\n{}", self.detail.populations_text(steps));
+        out += &self.detail.ranks_text();
+        out += &format!("output spikes {}\n", digest(self.outcomes));
+        out += &format!("{:.3} s, {:.3} us a timestep\n", self.wall_s, self.us_per_timestep());
+        for file in self.files {
+            out += &format!("wrote {file}\n");
+        }
+        out
+    }
+}

@@ -1,0 +1,213 @@
+//! The result of `nsim scene` as text, JSON (`nsim.scene/1`) and CSV.
+
+use serde_json::{Value, json};
+
+use nsim_files::table::{Column, csv_of, or_empty, table_of};
+use nsim_scene::markers::Annotated;
+use nsim_scene::wire::Carried;
+
+/// What the samples of one class hold.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ClassSummary {
+    /// Its name.
+    pub name: String,
+    /// How many samples.
+    pub samples: usize,
+    /// Spikes of touch and of vision, of all samples together.
+    pub spikes: [u64; 2],
+    /// Spikes a channel and step of touch and of vision; NaN without samples.
+    pub density: [f64; 2],
+    /// First, median and last onset, in ms, when there are any.
+    pub onset_ms: Option<[f64; 3]>,
+    /// The same by the rule of the paper's authors, where markers are tracked.
+    pub annotated: Option<ByMarkers>,
+}
+
+/// Onsets by the rule of the paper's authors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ByMarkers {
+    /// Median over the samples in which the arm lifts by the rule, ms.
+    pub lift_ms: f64,
+    /// Samples in which the box turns by the rule.
+    pub turning: usize,
+    /// Median over these, ms; NaN without any.
+    pub turn_ms: f64,
+    /// Mean time from the lift until the box turns, ms; NaN without any.
+    pub between_ms: f64,
+}
+
+impl ByMarkers {
+    /// Of samples; none without a lift.
+    #[must_use]
+    pub fn new(samples: &[Annotated]) -> Option<Self> {
+        let median = |times: &mut Vec<f64>| {
+            times.sort_by(f64::total_cmp);
+            times.get(times.len() / 2).copied()
+        };
+        let lift_ms = median(&mut samples.iter().filter_map(|sample| sample.lift_ms).collect())?;
+        let mut turns: Vec<f64> = samples.iter().filter_map(|sample| sample.turn_ms).collect();
+        let between: Vec<f64> = samples.iter().filter_map(|sample| Some(sample.turn_ms? - sample.lift_ms?)).collect();
+        Some(ByMarkers {
+            lift_ms,
+            turning: turns.len(),
+            turn_ms: median(&mut turns).unwrap_or(f64::NAN),
+            between_ms: between.iter().sum::<f64>() / between.len() as f64,
+        })
+    }
+}
+
+/// What was made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneReport {
+    /// The scene with its parameters.
+    pub scene: String,
+    /// The seed.
+    pub seed: u64,
+    /// How many samples.
+    pub samples: usize,
+    /// Timesteps of a sample.
+    pub steps: u32,
+    /// Milliseconds of a timestep.
+    pub timestep_ms: f64,
+    /// By label.
+    pub classes: Vec<ClassSummary>,
+    /// What the taxels' common wire did to their events, when there is one.
+    pub wire: Option<Carried>,
+    /// Where the manifest is, when recordings were written.
+    pub manifest: Option<String>,
+}
+
+fn percent(share: f64) -> String {
+    if share.is_nan() { "-".to_string() } else { format!("{:.2}", 100.0 * share) }
+}
+
+impl SceneReport {
+    /// Density over all classes: spikes a channel and step.
+    fn density(&self, sense: usize) -> f64 {
+        // Each class has as many channels and steps a sample, so samples are the weights.
+        let weighted =
+            |class: &ClassSummary| if class.samples == 0 { 0.0 } else { class.density[sense] * class.samples as f64 };
+        self.classes.iter().map(weighted).sum::<f64>() / self.samples as f64
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let columns: [Column<ClassSummary>; 7] = [
+            ("class", |class| class.name.clone()),
+            ("samples", |class| class.samples.to_string()),
+            ("touch spikes", |class| class.spikes[0].to_string()),
+            ("touch %", |class| percent(class.density[0])),
+            ("vision spikes", |class| class.spikes[1].to_string()),
+            ("vision %", |class| percent(class.density[1])),
+            ("onset ms", |class| {
+                class.onset_ms.map_or("-".to_string(), |[a, b, c]| format!("{a:.0} .. {b:.0} .. {c:.0}"))
+            }),
+        ];
+        let table = table_of(&self.classes, &columns, 1);
+        let mut out = format!(
+            "{}: {} samples of {} steps of {} ms, seed {}\n\n{}\n\n",
+            self.scene,
+            self.samples,
+            self.steps,
+            self.timestep_ms,
+            self.seed,
+            table.trim_fmt()
+        );
+        out += &format!(
+            "density, spikes a channel and step: touch {} %, vision {} %; onsets: first, median, last\n",
+            percent(self.density(0)),
+            percent(self.density(1))
+        );
+        for class in &self.classes {
+            let Some(ByMarkers { lift_ms, turning, turn_ms, between_ms }) = class.annotated else { continue };
+            out += &format!("by markers, {}: the arm lifts at {lift_ms:.0} ms", class.name);
+            out += &match turning {
+                0 => ", no box turns\n".to_string(),
+                _ => {
+                    let samples = class.samples;
+                    format!(
+                        ", {turning} of {samples} boxes turn at {turn_ms:.0} ms, {between_ms:.0} ms after the lift\n"
+                    )
+                }
+            };
+        }
+        if let Some(wire) = &self.wire {
+            let share = |count: u64| 100.0 * count as f64 / wire.sent.max(1) as f64;
+            out += &format!(
+                "one wire for all taxels: {} events, {:.2} % missed, {:.2} % reported that were none\n",
+                wire.sent,
+                share(wire.missed),
+                share(wire.added)
+            );
+        }
+        if let Some(path) = &self.manifest {
+            out += &format!("written: {path}\n");
+        }
+        out
+    }
+
+    /// For scripts.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let density = |x: f64| if x.is_nan() { Value::Null } else { json!(x) };
+        let classes = self.classes.iter().map(|class| {
+            json!({
+                "name": class.name,
+                "samples": class.samples,
+                "touch_spikes": class.spikes[0],
+                "vision_spikes": class.spikes[1],
+                "touch_density": density(class.density[0]),
+                "vision_density": density(class.density[1]),
+                "by_markers": class.annotated.map(|found| json!({
+                    "lift_ms": density(found.lift_ms),
+                    "turning": found.turning,
+                    "turn_ms": density(found.turn_ms),
+                    "between_ms": density(found.between_ms),
+                })),
+                "onset_ms": class.onset_ms.map(|[first, median, last]| json!({"first": first, "median": median, "last": last})),
+            })
+        });
+        json!({
+            "schema": "nsim.scene/1",
+            "scene": self.scene,
+            "seed": self.seed,
+            "samples": self.samples,
+            "steps": self.steps,
+            "timestep_ms": self.timestep_ms,
+            "touch_density": self.density(0),
+            "vision_density": self.density(1),
+            "classes": classes.collect::<Vec<_>>(),
+            "aces": self.wire.map(|wire| json!({
+                "events": wire.sent,
+                "missed": wire.missed,
+                "added": wire.added,
+                "error_rate": (wire.missed + wire.added) as f64 / wire.sent.max(1) as f64,
+            })),
+            "manifest": self.manifest,
+        })
+    }
+
+    /// A row for each class.
+    ///
+    /// # Errors
+    /// When a row cannot be written.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        fn density(class: &ClassSummary, sense: usize) -> String {
+            or_empty(Some(class.density[sense]).filter(|density| !density.is_nan()))
+        }
+        let columns: [Column<(usize, &ClassSummary)>; 10] = [
+            ("label", |(label, _)| label.to_string()),
+            ("class", |(_, class)| class.name.clone()),
+            ("samples", |(_, class)| class.samples.to_string()),
+            ("touch_spikes", |(_, class)| class.spikes[0].to_string()),
+            ("touch_density", |(_, class)| density(class, 0)),
+            ("vision_spikes", |(_, class)| class.spikes[1].to_string()),
+            ("vision_density", |(_, class)| density(class, 1)),
+            ("onset_first_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[0]))),
+            ("onset_median_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[1]))),
+            ("onset_last_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[2]))),
+        ];
+        csv_of(&self.classes.iter().enumerate().collect::<Vec<_>>(), &columns)
+    }
+}

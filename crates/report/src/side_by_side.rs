@@ -1,0 +1,185 @@
+//! The result of `nsim agree` with several model files: one table, a row for each layer of each network.
+//!
+//! Input: comparisons of networks in integers with the same trained network. Output: text, JSON and CSV. A layer in which neither
+//! network spikes is nothing to compare.
+
+use serde_json::{Value, json};
+
+use super::agree::{layer_json, silent};
+use nsim_agree::compare::{Agreement, LayerRow};
+use nsim_files::table::{Column, count, csv_of, four, or_empty, table_of};
+
+/// A network and how far it agrees with the trained one.
+#[derive(Debug)]
+pub struct Compared {
+    /// Its file.
+    pub against: String,
+    /// Its name.
+    pub name: String,
+    /// Cores that it takes.
+    pub cores: usize,
+    /// The comparison.
+    pub agreement: Agreement,
+}
+
+impl Compared {
+    fn class_agreement(&self) -> Option<f64> {
+        self.agreement.classes.and_then(|classes| classes.agreement())
+    }
+
+    fn compared(&self) -> Option<usize> {
+        self.agreement.classes.map(|classes| classes.compared)
+    }
+}
+
+/// Everything that the report says.
+#[derive(Debug)]
+pub struct SideBySideReport<'a> {
+    /// The trained network's name.
+    pub model: &'a str,
+    /// Where the samples came from.
+    pub input: &'a [String],
+    /// Their seed, when they had one.
+    pub seed: Option<u64>,
+    /// How many.
+    pub samples: usize,
+    /// The others, in the order in which they were named.
+    pub networks: Vec<Compared>,
+}
+
+/// A layer of a network.
+struct Row {
+    against: String,
+    accuracy: Option<f64>,
+    compared_samples: Option<usize>,
+    class_agreement: Option<f64>,
+    layer: String,
+    spikes: u64,
+    compared: Option<LayerRow>,
+}
+
+impl Row {
+    fn figure(&self, of: fn(&LayerRow) -> f64) -> String {
+        match &self.compared {
+            None => String::new(),
+            Some(row) if silent(row) => "nothing to compare".to_string(),
+            Some(row) => four(of(row)),
+        }
+    }
+}
+
+const COLUMNS: [Column<Row>; 10] = [
+    ("network", |row| row.against.clone()),
+    ("accuracy", |row| or_empty(row.accuracy.map(four))),
+    ("classes agree", |row| or_empty(row.class_agreement.map(four))),
+    ("of samples", |row| or_empty(row.compared_samples)),
+    ("layer", |row| row.layer.clone()),
+    ("spikes", |row| row.spikes.to_string()),
+    ("coincidence", |row| row.figure(|row| row.comparison.tally.coincidence())),
+    ("van Rossum", |row| row.figure(|row| row.comparison.tally.van_rossum())),
+    ("Victor-Purpura", |row| row.figure(|row| row.comparison.tally.victor_purpura())),
+    ("potential rmse", |row| {
+        or_empty(row.compared.as_ref().and_then(|row| row.comparison.tally.potential_rmse()).map(four))
+    }),
+];
+
+impl SideBySideReport<'_> {
+    /// The least share of samples of the same class.
+    #[must_use]
+    pub fn class_agreement(&self) -> Option<f64> {
+        let each = self.networks.iter().map(Compared::class_agreement);
+        each.collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)
+    }
+
+    /// Whether every spike of every network is the trained one's, and there are some.
+    #[must_use]
+    pub fn exact(&self) -> bool {
+        self.networks.iter().all(|network| {
+            let layers = &network.agreement.layers;
+            layers.iter().any(|row| row.comparison.tally.spikes_a > 0)
+                && layers.iter().all(|row| row.comparison.first_divergence.is_none())
+        })
+    }
+
+    /// The trained network first, then each of the others.
+    fn rows(&self) -> Vec<Row> {
+        let trained = self.networks.first().into_iter().flat_map(|network| {
+            network.agreement.layers.iter().map(|row| Row {
+                against: "as trained".to_string(),
+                accuracy: network.agreement.accuracy.map(|(trained, _)| trained),
+                compared_samples: None,
+                class_agreement: None,
+                layer: row.name.clone(),
+                spikes: row.comparison.tally.spikes_a,
+                compared: None,
+            })
+        });
+        let others = self.networks.iter().flat_map(|network| {
+            network.agreement.layers.iter().map(|row| Row {
+                against: network.against.clone(),
+                accuracy: network.agreement.accuracy.map(|(_, deployed)| deployed),
+                compared_samples: network.compared(),
+                class_agreement: network.class_agreement(),
+                layer: row.name.clone(),
+                spikes: row.comparison.tally.spikes_b,
+                compared: Some(row.clone()),
+            })
+        });
+        trained.chain(others).collect()
+    }
+
+    /// `nsim.agree/1`; `layers` has the rows of all networks, each with the file that it is of.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let layers = self.networks.iter().flat_map(|network| {
+            network.agreement.layers.iter().map(|row| {
+                let mut object = layer_json(row);
+                object["against"] = network.against.as_str().into();
+                object
+            })
+        });
+        let networks = self.networks.iter().map(|network| {
+            json!({
+                "against": network.against,
+                "model": network.name,
+                "cores": network.cores,
+                "compared": network.compared(),
+                "class_agreement": network.class_agreement(),
+                "accuracy_a": network.agreement.accuracy.map(|(trained, _)| trained),
+                "accuracy_b": network.agreement.accuracy.map(|(_, deployed)| deployed),
+            })
+        });
+        json!({
+            "schema": "nsim.agree/1",
+            "model": self.model,
+            "against": self.networks.iter().map(|network| network.against.as_str()).collect::<Vec<_>>(),
+            "input": self.input,
+            "seed": self.seed,
+            "samples": self.samples,
+            "compared": self.networks.iter().map(Compared::compared).min().flatten(),
+            "class_agreement": self.class_agreement(),
+            "networks": networks.collect::<Vec<_>>(),
+            "layers": layers.collect::<Vec<_>>(),
+            "conversion": null,
+            "attribution": [],
+        })
+    }
+
+    /// A row for each layer of each network.
+    ///
+    /// # Errors
+    /// Never in practice: the rows are built in memory.
+    pub fn csv(&self) -> Result<String, csv::Error> {
+        csv_of(&self.rows(), &COLUMNS)
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out =
+            format!("{} as trained, and others on simulated cores\ninput: {}", self.model, self.input.join(" "));
+        out += &self.seed.map_or(String::new(), |seed| format!("  (seed {seed})"));
+        out += &format!("\n{}\n\n", count(self.samples as u64, "sample"));
+        out + &format!("{}\n", table_of(&self.rows(), &COLUMNS, 0))
+    }
+}

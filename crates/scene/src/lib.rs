@@ -1,0 +1,184 @@
+//! Synthetic stimuli: `scene:NAME?key=value&..`.
+//!
+//! Input: the network's input populations and a scene's parameters. Output: samples. Invariant: the same seed gives the
+//! same samples on every machine and at any number of threads. `docs/scenes.md` has the equations, the sources of the
+//! parameters and statistics of the recordings.
+
+pub mod camera;
+pub mod clock;
+pub mod container;
+pub mod draw;
+pub mod gripper;
+pub mod markers;
+pub mod noise;
+mod parameter;
+mod recording;
+pub mod slip;
+pub mod touch;
+pub mod wire;
+
+use rayon::prelude::*;
+
+pub use self::recording::{MOST_SAMPLES, Recording, TOUCH, VISION, VISION_PLANES};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::id::ChannelId;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::{Sample, Stimulus};
+use nsim_ir::stimulus::SceneArg;
+
+/// The scenes that ship, by name and what they are.
+pub const SCENES: [(&str, &str); 4] = [
+    (clock::NAME, "a channel for each part of a sample, for one population beside the sources of others (span)"),
+    (
+        "container",
+        "a gripper closes on one of four containers with one of five fills, and lifts it (samples, seed, and docs/scenes.md)",
+    ),
+    ("noise", "independent spikes at a fixed rate (samples, steps, seed, rate, POPULATION=rate)"),
+    ("slip", "a gripper lifts a box, which rotates or does not (samples, seed, and docs/scenes.md)"),
+];
+
+/// Makes a scene for a network.
+///
+/// # Errors
+/// A diagnostic for an unknown scene or parameter, or a value out of range.
+pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
+    match scene.name.as_str() {
+        "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?),
+        _ => recorded(network, &Recorded::parse(scene)?),
+    }
+}
+
+/// A scene that fingers and a camera record, with its parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Recorded {
+    /// A box that rotates or does not.
+    Slip(slip::Slip),
+    /// Containers and how full they are.
+    Container(container::Containers),
+}
+
+impl Recorded {
+    /// From `scene:NAME?..`.
+    ///
+    /// # Errors
+    /// `scene.unknown`, `scene.parameter`.
+    pub fn parse(scene: &SceneArg) -> Result<Self> {
+        match scene.name.as_str() {
+            "slip" => Ok(Recorded::Slip(slip::Slip::parse(scene)?)),
+            "container" => Ok(Recorded::Container(container::Containers::parse(scene)?)),
+            "noise" => Err(Diagnostic::new("scene.unknown", "scene noise is made for a model, not recorded")
+                .help("give it to a run: nsim run MODEL --input scene:noise")),
+            clock::NAME => {
+                Err(Diagnostic::new("scene.unknown", "a clock goes beside recordings, for a population of its own")
+                    .help("nsim run MODEL --input touch=recordings --input phase=scene:clock?span=13"))
+            }
+            other => {
+                let known: Vec<&str> = SCENES.iter().map(|(name, _)| *name).collect();
+                Err(Diagnostic::new("scene.unknown", format!("there is no scene '{other}'"))
+                    .help(format!("scenes are: {}", known.join(", "))))
+            }
+        }
+    }
+
+    /// The scene's name.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Recorded::Slip(_) => "slip",
+            Recorded::Container(_) => "container",
+        }
+    }
+
+    /// How many samples are asked for.
+    #[must_use]
+    pub fn samples(&self) -> u32 {
+        match self {
+            Recorded::Slip(slip) => slip.samples,
+            Recorded::Container(set) => set.samples,
+        }
+    }
+
+    /// The seed.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        match self {
+            Recorded::Slip(slip) => slip.seed,
+            Recorded::Container(set) => set.seed,
+        }
+    }
+
+    /// Timesteps of a sample.
+    #[must_use]
+    pub fn steps(&self) -> u32 {
+        match self {
+            Recorded::Slip(_) => slip::STEPS,
+            Recorded::Container(_) => container::STEPS,
+        }
+    }
+
+    /// Milliseconds of a timestep.
+    #[must_use]
+    pub fn timestep_ms(&self) -> f64 {
+        match self {
+            Recorded::Slip(_) => 1.0,
+            Recorded::Container(_) => f64::from(container::BIN_MS),
+        }
+    }
+
+    /// Names of the classes, by label.
+    #[must_use]
+    pub fn classes(&self) -> Vec<String> {
+        match self {
+            Recorded::Slip(_) => slip::CLASSES.map(String::from).to_vec(),
+            Recorded::Container(_) => container::classes(),
+        }
+    }
+
+    /// What is recorded of a sample: a function of the parameters, the seed and the sample's number alone.
+    #[must_use]
+    pub fn recording(&self, sample: u32) -> Recording {
+        match self {
+            Recorded::Slip(slip) => slip.recording(sample),
+            Recorded::Container(set) => set.recording(sample),
+        }
+    }
+}
+
+/// The recordings of a scene on the channels of a network's input populations.
+fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
+    let name = scene.name();
+    // First channel of touch and of vision, where the network has them.
+    let senses = [TOUCH, VISION, VISION_PLANES];
+    let mut first = [None; 3];
+    for (_, population) in network.inputs() {
+        let units = population.shape.len();
+        let Some(sense) = senses.iter().position(|sense| *sense == (population.name.as_str(), units)) else {
+            let message = format!(
+                "scene {name} has nothing for input population '{}' with its {units} channels",
+                population.name
+            );
+            let help = format!(
+                "it is recorded for '{}' ({}) and '{}' ({}, or {} with a plane for each polarity)",
+                TOUCH.0, TOUCH.1, VISION.0, VISION.1, VISION_PLANES.1
+            );
+            return Err(Diagnostic::new("scene.population", message).help(help));
+        };
+        first[sense] = population.first_channel().map(|channel| channel.0);
+    }
+    let samples = (0..scene.samples())
+        .into_par_iter()
+        .map(|sample| {
+            let recording = scene.recording(sample);
+            let mut events = Vec::with_capacity(recording.touch.len() + recording.vision.len());
+            let recorded = [&recording.touch, &recording.vision, &recording.vision_planes];
+            for (first, sense) in first.iter().zip(recorded) {
+                if let &Some(first) = first {
+                    events.extend(sense.iter().map(|&(step, channel)| (step, ChannelId(first + channel))));
+                }
+            }
+            Sample::new(recording.steps, &events, Some(recording.label))
+        })
+        .collect::<Result<_, _>>()
+        .map_err(|error| Diagnostic::new("scene.too-large", error.to_string()))?;
+    Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(scene.seed()) })
+}

@@ -1,0 +1,96 @@
+//! Onsets as the authors of the paper annotated them: from markers that cameras track.
+//!
+//! Input: a grasp's motion. Output: when the arm lifts and when the box turns, by the rule of Taunyazov et al. 2020 (appendix, "Ground-truth
+//! Slip detection"). Labels do not come from here: they are the outcome of the simulation.
+
+use super::draw::{Draws, Purpose};
+use super::gripper::Motion;
+
+/// Frames a second (OptiTrack; "for 1 second" and 120 frames, section VI and appendix).
+const FRAMES_PER_S: f64 = 120.0;
+/// Frames at rest, before the recording.
+const REST: u32 = 120;
+/// The part of them that a figure must exceed.
+const PART: f64 = 0.98;
+/// Standard deviation of a marker's height, mm; assumed: a tenth of a millimetre, which such trackers promise at a metre or two.
+const HEIGHT_MM: f64 = 0.1;
+/// Standard deviation of the orientation of markers, rad; assumed: the above over markers 5 cm apart.
+const ORIENTATION_RAD: f64 = 0.002;
+
+/// When things happen, in ms of the recording.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Annotated {
+    /// The arm lifts.
+    pub lift_ms: Option<f64>,
+    /// The box turns.
+    pub turn_ms: Option<f64>,
+}
+
+/// The first of `frames` from which on each exceeds more than 98 % of the frames at rest.
+fn onset(rest: &[f64], frames: &[f64]) -> Option<usize> {
+    let exceeds = |&figure: &f64| {
+        let below = rest.iter().filter(|&&at_rest| figure > at_rest).count();
+        below as f64 / rest.len() as f64 > PART
+    };
+    let first = frames.iter().rposition(|figure| !exceeds(figure)).map_or(0, |last| last + 1);
+    (first < frames.len()).then_some(first)
+}
+
+impl Annotated {
+    /// What the rule says of a motion, whose frames begin anywhere within the first 1/120 s.
+    #[must_use]
+    pub fn new(motion: &Motion, draws: Draws) -> Self {
+        let noise = |index: u32, frame: u32| draws.normal(Purpose::Marker, index, frame);
+        let states = motion.recorded();
+        let begin_ms = 1e3 / FRAMES_PER_S * draws.unit(Purpose::Marker, 2, 0);
+        let time_ms = |frame: usize| begin_ms + 1e3 / FRAMES_PER_S * frame as f64;
+        let at = |frame: usize| states.get(time_ms(frame) as usize);
+        let still = states.first().map_or(0.0, |state| state.angle_rad);
+        let height = |lift_m: f64, frame: u32| 1e3 * lift_m + HEIGHT_MM * noise(0, frame);
+        // The angle between two orientations has no sign.
+        let angle = |turned: f64, frame: u32| (turned - still + ORIENTATION_RAD * noise(1, frame)).abs();
+        let frames = || (0..).map_while(|frame| Some((REST + frame as u32, at(frame)?)));
+        let heights: Vec<f64> = frames().map(|(frame, state)| height(state.lift_m, frame)).collect();
+        let angles: Vec<f64> = frames().map(|(frame, state)| angle(state.angle_rad, frame)).collect();
+        let rest = |figure: &dyn Fn(u32) -> f64| (0..REST).map(figure).collect::<Vec<_>>();
+        Annotated {
+            lift_ms: onset(&rest(&|frame| height(0.0, frame)), &heights).map(time_ms),
+            turn_ms: onset(&rest(&|frame| angle(still, frame)), &angles).map(time_ms),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slip::Slip;
+
+    #[test]
+    fn an_onset_is_the_first_frame_above_nearly_all_that_were_at_rest_for_good() {
+        let rest: Vec<f64> = (0..100).map(f64::from).collect();
+        // 98 of 100 are not more than 98 %.
+        assert_eq!(onset(&rest, &[0.0, 98.0, 98.5, 200.0]), Some(2));
+        assert_eq!(onset(&rest, &[200.0, 0.0, 200.0]), Some(2));
+        assert_eq!(onset(&rest, &[200.0]), Some(0));
+        assert_eq!(onset(&rest, &[200.0, 3.0]), None);
+    }
+
+    #[test]
+    fn the_rule_finds_the_lift_and_the_turn_of_each_slip() {
+        let slip = Slip { samples: 60, ..Slip::default() };
+        let mut after = Vec::new();
+        for sample in 0..slip.samples {
+            let (grasp, motion) = slip.course(sample);
+            let found = Annotated::new(&motion, Draws::new(slip.seed, sample));
+            let lift_ms = found.lift_ms.unwrap();
+            // The arm needs some ms for what the markers resolve, and noise may be above 98 % in the frames before: two are 17 ms.
+            let since = lift_ms - 1e3 * grasp.lift_s;
+            assert!((-17.0..35.0).contains(&since), "sample {sample}: {since}");
+            if motion.onset_ms.is_some() {
+                after.push(found.turn_ms.unwrap() - lift_ms);
+            }
+        }
+        let mean = after.iter().sum::<f64>() / after.len() as f64;
+        assert!(after.len() == 30 && mean > 0.0 && mean < 60.0, "{mean}");
+    }
+}

@@ -1,0 +1,63 @@
+//! Values of scene parameters.
+//!
+//! Input: a key, its value as text and the range allowed. Output: a number, or a range of numbers. Errors:
+//! `scene.parameter`.
+
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// A parameter's value within a range.
+pub(super) fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
+    key: &str,
+    value: &str,
+    range: std::ops::RangeInclusive<T>,
+) -> Result<T> {
+    value.parse().ok().filter(|parsed| range.contains(parsed)).ok_or_else(|| {
+        Diagnostic::new(
+            "scene.parameter",
+            format!("scene parameter {key}={value} is not within {}..={}", range.start(), range.end()),
+        )
+    })
+}
+
+/// A parameter that is drawn for each sample: `low..high`, or one value for all; both within a range.
+pub(super) fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64>) -> Result<(f64, f64)> {
+    let (low, high) = value.split_once("..").unwrap_or((value, value));
+    let (low, high) = (parameter(key, low, range.clone())?, parameter(key, high, range)?);
+    if low > high {
+        return Err(Diagnostic::new("scene.parameter", format!("scene parameter {key}={value} runs downward"))
+            .help("write low..high"));
+    }
+    Ok((low, high))
+}
+
+/// That a scene has no such parameter.
+pub(super) fn unknown(scene: &str, key: &str, keys: &[&str]) -> Diagnostic {
+    Diagnostic::new("scene.parameter", format!("scene {scene} has no parameter '{key}'"))
+        .help(format!("parameters are: {}", keys.join(", ")))
+}
+
+/// Parses a scene's parameters: for each key how its value is read, its range, and the field that it sets.
+macro_rules! parameters {
+    ($name:literal, $scene:ident, $set:ident; $($key:ident = $read:ident($range:expr) => $field:expr,)*) => {
+        impl $scene {
+            /// The parameters that can be set.
+            pub const KEYS: &[&str] = &[$(stringify!($key)),*];
+
+            /// Reads `scene:NAME?key=value&..`; a parameter that is drawn for each sample is a value or `low..high`.
+            ///
+            /// # Errors
+            /// `scene.parameter` for an unknown key or a value out of range.
+            pub fn parse(scene: &SceneArg) -> Result<Self> {
+                let mut $set = Self::default();
+                for (key, value) in &scene.parameters {
+                    match key.as_str() {
+                        $(stringify!($key) => $field = $read(key, value, $range)?,)*
+                        _ => return Err(unknown($name, key, Self::KEYS)),
+                    }
+                }
+                Ok($set)
+            }
+        }
+    };
+}
+pub(super) use parameters;

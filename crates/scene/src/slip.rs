@@ -1,0 +1,642 @@
+//! The slip scene: a gripper lifts a box whose centre of mass may lie beside the grasp, and it rotates or does not.
+//!
+//! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event camera over
+//! 150 ms around the lift, its class (1 when the grasp slides, 0 when it holds) and when the sliding began. The task and
+//! its window are those of Taunyazov et al. 2020, section VI: objects that look and weigh the same, the grip strong enough
+//! to lift and too weak for an off-centre mass; 150 steps of 1 ms.
+//!
+//! The camera looks along the grasp axis and moves with the gripper, so what moves in the picture is the table's edge while
+//! lifting, the box by the softness of the fingers, and the box when it rotates. `docs/scenes.md` lists every parameter with
+//! its source.
+
+use std::f64::consts::TAU;
+
+use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
+use super::draw::{Draws, Purpose};
+use super::gripper::{Grasp, GraspState, Motion, follow};
+use super::markers::Annotated;
+use super::parameter::{parameter, parameters, spread, unknown};
+use super::recording::{MOST_SAMPLES, Recording, Seen};
+use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
+use super::wire::{self, Wire};
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::stimulus::SceneArg;
+
+/// Milliseconds, which are timesteps, of a sample.
+pub const STEPS: u32 = 150;
+/// Names of the classes, by label.
+pub const CLASSES: [&str; 2] = ["stable", "slip"];
+/// Milliseconds simulated before the recording, in which the fingers close.
+const BEFORE_MS: u32 = 250;
+/// A pixel's size at the box, mm.
+const PIXEL_MM: f64 = 0.6;
+/// Bricks of the box, across and down.
+const BRICKS: (usize, usize) = (2, 2);
+
+/// The scene's parameters. Each sample draws uniformly from the ranges.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Slip {
+    /// How many samples.
+    pub samples: u32,
+    /// The seed of everything that is drawn.
+    pub seed: u64,
+    /// Mass of the box, kg; both classes weigh the same.
+    pub mass_kg: (f64, f64),
+    /// Normal force of each finger, N.
+    pub grip_n: (f64, f64),
+    /// Coefficient of static friction.
+    pub friction: (f64, f64),
+    /// Torque of gravity over the torque that friction bears, for grasps that hold.
+    pub stable_ratio: (f64, f64),
+    /// The same for grasps that slide.
+    pub slip_ratio: (f64, f64),
+    /// When the lift begins, ms.
+    pub lift_ms: (f64, f64),
+    /// Acceleration of the lift, m/s^2.
+    pub lift_m_per_s2: (f64, f64),
+    /// Relative amplitude of the arm's vibration in the grip force while it lifts.
+    pub vibration: (f64, f64),
+    /// Relative standard deviation of the pressure that full sliding causes.
+    pub chatter: (f64, f64),
+    /// Relative relief of the surface in the pressure.
+    pub relief: (f64, f64),
+    /// Part of the skin's shear stress that a taxel senses beside the pressure; 0 leaves it at pressure.
+    pub shear: f64,
+    /// Width in which an edge goes from one brightness to the other in the picture: the blur of the lens, pixels.
+    pub edge_px: f64,
+    /// Amplitude of the flicker of the lamps at 100 Hz in the natural logarithm of brightness.
+    pub flicker: f64,
+    /// The taxels.
+    pub skin: Skin,
+    /// The camera's pixels.
+    pub pixels: Pixels,
+    /// The wire that all taxels share; none when each has its own.
+    pub wire: Option<Wire>,
+}
+
+impl Default for Slip {
+    fn default() -> Self {
+        Slip {
+            samples: 20,
+            seed: 1,
+            mass_kg: (0.11, 0.13),
+            grip_n: (1.2, 1.8),
+            friction: (0.7, 0.9),
+            stable_ratio: (0.0, 0.35),
+            slip_ratio: (1.25, 1.75),
+            lift_ms: (2.0, 8.0),
+            lift_m_per_s2: (1.5, 3.0),
+            vibration: (0.02, 0.09),
+            chatter: (0.01, 0.035),
+            relief: (0.05, 0.2),
+            shear: 0.0,
+            edge_px: 1.0,
+            flicker: 0.0,
+            skin: Skin::default(),
+            pixels: Pixels::default(),
+            wire: None,
+        }
+    }
+}
+
+parameters! {
+    "slip", Slip, slip;
+    samples = parameter(1..=MOST_SAMPLES) => slip.samples,
+    seed = parameter(0..=u64::MAX) => slip.seed,
+    mass_kg = spread(0.001..=10.0) => slip.mass_kg,
+    grip_n = spread(0.01..=100.0) => slip.grip_n,
+    friction = spread(0.01..=5.0) => slip.friction,
+    stable_ratio = spread(0.0..=10.0) => slip.stable_ratio,
+    slip_ratio = spread(0.0..=10.0) => slip.slip_ratio,
+    lift_ms = spread(0.0..=1000.0) => slip.lift_ms,
+    lift_m_per_s2 = spread(0.01..=100.0) => slip.lift_m_per_s2,
+    vibration = spread(0.0..=1.0) => slip.vibration,
+    chatter = spread(0.0..=1.0) => slip.chatter,
+    relief = spread(0.0..=1.0) => slip.relief,
+    shear = parameter(0.0..=1.0) => slip.shear,
+    edge_px = parameter(1.0..=20.0) => slip.edge_px,
+    flicker = parameter(0.0..=1.0) => slip.flicker,
+    threshold_kpa = parameter(0.001..=1000.0) => slip.skin.threshold_kpa,
+    touch_noise_kpa = parameter(0.0..=1000.0) => slip.skin.noise_kpa,
+    touch_refractory_ms = parameter(1..=1000) => slip.skin.refractory_ms,
+    contrast = parameter(0.01..=10.0) => slip.pixels.contrast,
+    pixel_refractory_ms = parameter(1..=1000) => slip.pixels.refractory_ms,
+    pixel_noise_hz = parameter(0.0..=100.0) => slip.pixels.noise_hz,
+    adaptation_ms = parameter(1.0..=1e6) => slip.skin.adaptation_ms,
+    aces_noise = parameter(0.0..=10.0) => slip.wire.get_or_insert_default().noise,
+    aces_jitter_us = parameter(0..=wire::MOST_JITTER) => slip.wire.get_or_insert_default().jitter_us,
+}
+
+impl Slip {
+    /// What is recorded of a sample.
+    #[must_use]
+    pub fn recording(&self, sample: u32) -> Recording {
+        let (grasp, motion) = self.course(sample);
+        let draws = Draws::new(self.seed, sample);
+        let vibration = Vibration::draw(self, draws);
+        let sensed = touch(self, &grasp, &motion, vibration, draws);
+        let (touch, wire) = Wire::between(self.wire, sensed, STEPS, draws);
+        let Seen { units, mut planes } = vision(self, &grasp, &motion, vibration, draws);
+        planes.sort_unstable();
+        Recording {
+            steps: STEPS,
+            label: u32::from(motion.onset_ms.is_some()),
+            onset_ms: motion.onset_ms,
+            annotated: Some(Annotated::new(&motion, draws)),
+            touch,
+            vision: units,
+            vision_planes: planes,
+            wire,
+        }
+    }
+
+    /// How a sample is grasped, and what the box does.
+    #[must_use]
+    pub fn course(&self, sample: u32) -> (Grasp, Motion) {
+        let grasp = grasp(self, self.seed, sample);
+        let motion = follow(&grasp, BEFORE_MS, STEPS);
+        (grasp, motion)
+    }
+}
+
+/// The intended class of a sample: of each two consecutive samples one holds and one slides, in random order. With
+/// parameters far from the defaults the outcome, which is what is recorded, may differ.
+#[must_use]
+pub fn label(seed: u64, sample: u32) -> u32 {
+    (Draws::new(seed, sample / 2).bits(Purpose::Label, 0, 0) as u32 & 1) ^ (sample & 1)
+}
+
+/// The grasp of a sample.
+fn grasp(slip: &Slip, seed: u64, sample: u32) -> Grasp {
+    let draws = Draws::new(seed, sample);
+    let draw = |index, range| draws.between(Purpose::Grasp, index, range);
+    let slides = label(seed, sample) == 1;
+    let mut grasp = Grasp {
+        mass_kg: draw(0, slip.mass_kg),
+        size_m: (0.096, 0.0576),
+        offset_m: 0.0,
+        grip_n: draw(1, slip.grip_n),
+        static_friction: draw(2, slip.friction),
+        kinetic_part: 0.85,
+        contact_m: 7e-3,
+        shear_n_per_m: 12_000.0,
+        touch_s: -1e-3 * draw(3, (130.0, 230.0)),
+        closing_s: 0.08,
+        lift_s: 1e-3 * draw(4, slip.lift_ms),
+        lift_m_per_s2: draw(5, slip.lift_m_per_s2),
+        lift_m_per_s: 0.133,
+    };
+    let ratio = draw(6, if slides { slip.slip_ratio } else { slip.stable_ratio });
+    let side = if draw(7, (-1.0, 1.0)) < 0.0 { -1.0 } else { 1.0 };
+    let weight = grasp.mass_kg * super::gripper::GRAVITY;
+    grasp.offset_m = side * ratio * grasp.torque_limit(grasp.static_friction, grasp.grip_n, weight) / weight;
+    grasp
+}
+
+/// The arm's vibration while it moves: two tones.
+#[derive(Debug, Clone, Copy)]
+struct Vibration {
+    amplitude: f64,
+    tones: [(f64, f64); 2],
+}
+
+impl Vibration {
+    fn draw(slip: &Slip, draws: Draws) -> Vibration {
+        let tone = |k: u32| {
+            let hz = draws.between(Purpose::Arm, 2 * k + 1, (20.0, 70.0));
+            (1e-3 * TAU * hz, draws.between(Purpose::Arm, 2 * k + 2, (0.0, TAU)))
+        };
+        Vibration { amplitude: draws.between(Purpose::Arm, 0, slip.vibration), tones: [tone(0), tone(1)] }
+    }
+
+    /// Relative to the full amplitude, `ms` after the lift began; it takes 10 ms to build up.
+    fn at(&self, ms: f64) -> f64 {
+        if ms <= 0.0 {
+            return 0.0;
+        }
+        let built = (ms / 10.0).min(1.0);
+        self.amplitude * built * self.tones.iter().map(|&(rate, phase)| 0.5 * libm::sin(rate * ms + phase)).sum::<f64>()
+    }
+}
+
+/// The surface that presses on a finger: three waves of a few millimetres.
+struct Relief {
+    depth: f64,
+    waves: [(f64, f64, f64); 3],
+}
+
+impl Relief {
+    fn draw(slip: &Slip, draws: Draws, finger: u32) -> Relief {
+        let wave = |k: u32| {
+            let at = |i| draws.unit(Purpose::Relief, finger * 16 + 4 * k + i, 0);
+            // Wavelengths of 3 to 8 mm in any direction.
+            let (rate, turn) = (TAU / (3.0 + 5.0 * at(0)), TAU * at(1));
+            (rate * libm::cos(turn), rate * libm::sin(turn), TAU * at(2))
+        };
+        let depth = draws.between(Purpose::Relief, finger * 16 + 15, slip.relief);
+        Relief { depth, waves: [wave(0), wave(1), wave(2)] }
+    }
+
+    fn at(&self, x: f64, y: f64) -> f64 {
+        self.depth / 3.0 * self.waves.iter().map(|&(kx, ky, phase)| libm::cos(kx * x + ky * y + phase)).sum::<f64>()
+    }
+}
+
+fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draws: Draws) -> Vec<(u32, u32)> {
+    let places = layout();
+    let fingers = Draws::new(0, 0);
+    let mut taxels = Taxels::new(&slip.skin, draws, fingers, 2 * TAXELS);
+    let reliefs = [Relief::draw(slip, draws, 0), Relief::draw(slip, draws, 1)];
+    let centre = |k| draws.between(Purpose::Grasp, k, (-1.0, 1.0));
+    let centres = [(centre(8), centre(9)), (centre(10), centre(11))];
+    let chatter = draws.between(Purpose::Grasp, 12, slip.chatter);
+    let nominal = 1.5;
+    let mut pressure = vec![0.0; 2 * TAXELS];
+    let mut surface = vec![0.0; 2 * TAXELS];
+    let mut posed: Option<(f64, f64)> = None;
+    let mut events = Vec::new();
+    for (ms, state) in motion.states.iter().enumerate() {
+        let t = ms as f64 - f64::from(motion.before_ms);
+        if posed.is_none_or(|(angle, sag)| (state.angle_rad - angle).abs() > 1e-4 || (state.sag_m - sag).abs() > 1e-6) {
+            posed = Some((state.angle_rad, state.sag_m));
+            for (k, height) in surface.iter_mut().enumerate() {
+                let (finger, (x, y)) = (k / TAXELS, places[k % TAXELS]);
+                // The second finger sees the box from behind.
+                let angle = if finger == 0 { state.angle_rad } else { -state.angle_rad };
+                let (sin, cos) = (libm::sin(angle), libm::cos(angle));
+                *height = reliefs[finger].at(cos * x + sin * y, -sin * x + cos * y + 1e3 * state.sag_m);
+            }
+        }
+        let grip = state.grip_n * (1.0 + vibration.at(t - 1e3 * grasp.lift_s));
+        let (radius, peak) = hertz(grip, grasp.contact_m, nominal);
+        // A load on skin of 1.5 mm moves the centre of pressure.
+        let shift = if grip > 0.0 { 1.5 * 0.5 * state.load_n / grip } else { 0.0 };
+        let traction = Traction::new(grasp, state);
+        for (k, pressure) in pressure.iter_mut().enumerate() {
+            let (finger, (x, y)) = (k / TAXELS, places[k % TAXELS]);
+            let (dx, dy) = (x - centres[finger].0, y - centres[finger].1 - shift);
+            let within = 1.0 - (dx * dx + dy * dy) / (radius * radius);
+            *pressure = if within > 0.0 {
+                let mut part = 1.0 + surface[k];
+                if state.sliding {
+                    // Stick and slip of the skin, the stronger the faster it slides, up to 20 mm/s.
+                    let speed = state.rate_rad_per_s.abs() * (dx * dx + dy * dy).sqrt();
+                    part += chatter * (speed / 20.0).min(1.0) * draws.normal(Purpose::Sliding, k as u32, ms as u32);
+                }
+                let pressed = peak * within.sqrt() * part;
+                pressed + slip.shear * traction.at(x, y, finger, pressed)
+            } else {
+                0.0
+            };
+        }
+        taxels.step(&pressure, |taxel, change| {
+            if ms as u32 >= motion.before_ms {
+                events.push((ms as u32 - motion.before_ms, 2 * taxel + change.index()));
+            }
+        });
+    }
+    events
+}
+
+/// The shear that load and twist put on the skin of a finger.
+///
+/// The skin is a layer that shears in proportion to how far its surface is moved: down by the load, around by the twist.
+/// Where that exceeds what friction bears under the pressure there, the surface has slipped, at the rim of the contact first.
+struct Traction {
+    /// Movement of the surface by the load, mm, and by the twist, rad.
+    sag_mm: f64,
+    twist_rad: f64,
+    /// Shear stress by movement, kPa/mm.
+    kpa_per_mm: f64,
+    friction: f64,
+}
+
+impl Traction {
+    fn new(grasp: &Grasp, state: &GraspState) -> Traction {
+        let area_mm2 = std::f64::consts::PI * (1e3 * grasp.contact_m) * (1e3 * grasp.contact_m);
+        let kinetic = if state.sliding { grasp.kinetic_part } else { 1.0 };
+        Traction {
+            sag_mm: 1e3 * state.sag_m,
+            twist_rad: state.friction_nm / grasp.twist_stiffness(),
+            // Both fingers share the stiffness; N/mm^3 is 1,000 kPa/mm.
+            kpa_per_mm: 0.5 * grasp.shear_n_per_m * 1e-3 / area_mm2 * 1e3,
+            friction: grasp.static_friction * kinetic,
+        }
+    }
+
+    /// The stress at a place of a finger, mm, under a pressure; kPa.
+    fn at(&self, x: f64, y: f64, finger: usize, pressed_kpa: f64) -> f64 {
+        // The second finger sees the box from behind.
+        let twist = if finger == 0 { self.twist_rad } else { -self.twist_rad };
+        let (across, down) = (-twist * y, twist * x + self.sag_mm);
+        let stress = self.kpa_per_mm * (across * across + down * down).sqrt();
+        stress.min(self.friction * pressed_kpa.max(0.0))
+    }
+}
+
+/// Where the box is in the picture, and the table behind it.
+#[derive(Debug, Clone, Copy)]
+struct Pose {
+    sin: f32,
+    cos: f32,
+    /// The grasp in the picture, which the box turns about, px.
+    x: f32,
+    y: f32,
+    /// Row of the table's edge.
+    table: f32,
+}
+
+/// What is in the picture: brightness as a natural logarithm.
+struct Look {
+    /// The box's left, top, and a brick's width and height, in px from the grasp.
+    left: f32,
+    top: f32,
+    brick: (f32, f32),
+    /// Bricks with a frame of the wall around.
+    cells: [[f32; BRICKS.0 + 2]; BRICKS.1 + 2],
+    wall: f32,
+    table: f32,
+    /// Pixels that an edge is wide.
+    edge: f32,
+}
+
+impl Look {
+    /// The brightness at the middle of a pixel.
+    #[inline]
+    fn at(&self, pose: &Pose, x: usize, y: usize) -> f32 {
+        let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
+        let (dx, dy) = (px - pose.x, py - pose.y);
+        let u = (pose.cos * dx + pose.sin * dy - self.left) / self.brick.0;
+        let v = (pose.cos * dy - pose.sin * dx - self.top) / self.brick.1;
+        let behind = self.wall + (self.table - self.wall) * ((py - pose.table) / self.edge + 0.5).clamp(0.0, 1.0);
+        let (column, across) = cell(u, self.brick.0 / self.edge, BRICKS.0);
+        let (row, down) = cell(v, self.brick.1 / self.edge, BRICKS.1);
+        let look = |r: usize, c: usize| {
+            let outside = r == 0 || c == 0 || r > BRICKS.1 || c > BRICKS.0;
+            if outside { behind } else { self.cells[r][c] }
+        };
+        let upper = look(row, column) + (look(row, column + 1) - look(row, column)) * across;
+        if down == 0.0 {
+            return upper;
+        }
+        let lower = look(row + 1, column) + (look(row + 1, column + 1) - look(row + 1, column)) * across;
+        upper + (lower - upper) * down
+    }
+}
+
+/// The cell before a place given in bricks, and how much of the next one the pixel sees.
+#[inline]
+fn cell(place: f32, pixels: f32, bricks: usize) -> (usize, f32) {
+    let nearest = (place.clamp(0.0, bricks as f32) + 0.5) as usize;
+    (nearest, ((place - nearest as f32) * pixels + 0.5).clamp(0.0, 1.0))
+}
+
+impl Look {
+    fn draw(draws: Draws, edge_px: f64) -> (Look, f32, f32) {
+        let cells = std::array::from_fn(|r| {
+            std::array::from_fn(|c| {
+                // The same box in every sample: its bricks are lighter or darker by turns.
+                if (r + c) % 2 == 0 { 0.4 } else { 0.65 }
+            })
+        });
+        let (width, height) = (0.096 * 1e3 / PIXEL_MM, 0.0576 * 1e3 / PIXEL_MM);
+        let jitter = |k| draws.between(Purpose::Look, k, (-4.0, 4.0));
+        let look = Look {
+            left: (-0.5 * width + jitter(0)) as f32,
+            top: (-0.5 * height + jitter(1)) as f32,
+            brick: ((width / BRICKS.0 as f64) as f32, (height / BRICKS.1 as f64) as f32),
+            cells,
+            wall: 0.0,
+            table: -0.5,
+            edge: edge_px as f32,
+        };
+        (look, 100.0, 110.0)
+    }
+
+    /// How far from an edge a pixel may see a part of it.
+    fn reach(&self) -> f32 {
+        1.2 + 0.5 * (self.edge - 1.0)
+    }
+
+    /// The pixels near edges of this pose.
+    fn near_edges(&self, pose: &Pose, table_moves: bool, near: &mut Vec<u32>) {
+        near.clear();
+        let reach = self.reach();
+        let (width, height) = (self.brick.0 * BRICKS.0 as f32, self.brick.1 * BRICKS.1 as f32);
+        let place = |u: f32, v: f32| (pose.x + pose.cos * u - pose.sin * v, pose.y + pose.sin * u + pose.cos * v);
+        for k in 0..=BRICKS.0 {
+            let u = self.left + self.brick.0 * k as f32;
+            line(place(u, self.top), place(u, self.top + height), reach, near);
+        }
+        for k in 0..=BRICKS.1 {
+            let v = self.top + self.brick.1 * k as f32;
+            line(place(self.left, v), place(self.left + width, v), reach, near);
+        }
+        if table_moves {
+            line((0.0, pose.table), (WIDTH as f32, pose.table), reach, near);
+        }
+    }
+}
+
+/// The pixels near a line, those within `reach` of where it crosses a row or a column.
+fn line(from: (f32, f32), to: (f32, f32), reach: f32, near: &mut Vec<u32>) {
+    let (dx, dy) = (to.0 - from.0, to.1 - from.1);
+    let steep = dy.abs() > dx.abs();
+    let (a, b, slope) = if steep { (from.1, to.1, dx / dy) } else { (from.0, to.0, dy / dx) };
+    let start = if steep { from.0 - slope * from.1 } else { from.1 - slope * from.0 };
+    let (most_along, most_across) = if steep { (HEIGHT, WIDTH) } else { (WIDTH, HEIGHT) };
+    let first = (a.min(b) - 1.0).max(0.0) as usize;
+    let last = ((a.max(b) + 1.0).max(0.0) as usize).min(most_along - 1);
+    for along in first..=last {
+        let across = start + slope * (along as f32 + 0.5);
+        if across < -reach - 0.3 || across >= most_across as f32 + reach + 0.3 {
+            continue;
+        }
+        for other in (across - reach).max(0.0) as usize..((across + reach + 1.0) as usize).min(most_across) {
+            let (x, y) = if steep { (other, along) } else { (along, other) };
+            near.push((y * WIDTH + x) as u32);
+        }
+    }
+}
+
+fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draws: Draws) -> Seen {
+    let (look, x, y) = Look::draw(draws, slip.edge_px);
+    let tilt = draws.between(Purpose::Look, 2, (-0.02, 0.02));
+    let bottom = y + look.top + look.brick.1 * BRICKS.1 as f32;
+    let pose = |state: &GraspState, t: f64| {
+        let angle = tilt + state.angle_rad;
+        // The arm shakes by 0.1 mm where the grip force shakes by a tenth.
+        let shake = vibration.at(t - 1e3 * grasp.lift_s) * 1.0 / PIXEL_MM;
+        Pose {
+            sin: libm::sin(angle) as f32,
+            cos: libm::cos(angle) as f32,
+            x,
+            y: y + (1e3 * state.sag_m / PIXEL_MM) as f32,
+            table: bottom + (1e3 * state.lift_m / PIXEL_MM + shake) as f32,
+        }
+    };
+    let states = motion.recorded();
+    let rest = pose(&states[0], -1.0);
+    let mut camera = Camera::new(&slip.pixels, draws, Draws::new(0, 0));
+    let lamps = draws.between(Purpose::Look, 3, (0.0, TAU));
+    let (mut near, mut shown) = (Vec::new(), rest);
+    let mut seen = Seen::default();
+    for (step, state) in states.iter().enumerate() {
+        let now = pose(state, step as f64);
+        let turned = (now.sin - shown.sin).abs() * 93.0 + (now.y - shown.y).abs();
+        let moved = (now.table - shown.table).abs();
+        near.clear();
+        if turned > 0.1 || moved > 0.1 {
+            // The box hides parts of the table's edge, so both are updated together.
+            if turned > 0.1 {
+                look.near_edges(&now, moved > 0.0, &mut near);
+            } else {
+                line((0.0, now.table), (WIDTH as f32, now.table), look.reach(), &mut near);
+            }
+            shown = now;
+        }
+        let flicker = match slip.flicker {
+            0.0 => 0.0,
+            // All pixels see the lamps.
+            depth => {
+                near.clear();
+                near.extend(0..(WIDTH * HEIGHT) as u32);
+                (depth * libm::sin(lamps + 0.1 * TAU * step as f64)) as f32
+            }
+        };
+        let view = shown;
+        camera.step(
+            &near,
+            |x, y| look.at(&rest, x, y),
+            |x, y| look.at(&view, x, y) + flicker,
+            |unit, polarities| seen.add(step as u32, unit, polarities),
+        );
+    }
+    seen
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    fn parse(text: &str) -> Result<Slip> {
+        Slip::parse(&SceneArg::parse(text).unwrap())
+    }
+
+    #[test]
+    fn classes_are_balanced_and_come_about_as_they_are_meant() {
+        for seed in [1, 2, 77] {
+            let slip = Slip { seed, ..Slip::default() };
+            let mut slides = 0;
+            for sample in 0..500 {
+                let (grasp, motion) = slip.course(sample);
+                assert_eq!(motion.onset_ms.is_some(), label(seed, sample) == 1, "{seed} {sample} {grasp:?}");
+                slides += label(seed, sample);
+                if let Some(onset) = motion.onset_ms {
+                    assert!((25.0..75.0).contains(&onset), "{onset}");
+                    // Visible well before 100 ms: the box's corner is 56 mm away, so a degree moves it by more than a pixel.
+                    assert!(motion.recorded()[100].angle_rad.abs() > 0.02);
+                } else {
+                    assert!(motion.states.iter().all(|state| state.angle_rad.abs() < 0.03));
+                }
+            }
+            assert_eq!(slides, 250);
+        }
+    }
+
+    #[test]
+    fn densities_lie_where_the_sensors_have_them() {
+        for seed in [1, 2, 3] {
+            let slip = Slip { seed, ..Slip::default() };
+            let (mut touch, mut vision) = (0, 0);
+            for sample in 0..40 {
+                let recording = slip.recording(sample);
+                assert!(recording.touch.iter().all(|&(step, channel)| step < STEPS && channel < 156));
+                assert!(recording.vision.windows(2).all(|pair| pair[0] < pair[1]));
+                assert!(recording.vision.iter().all(|&(step, channel)| step < STEPS && channel < 3150));
+                let planes = &recording.vision_planes;
+                assert!(planes.windows(2).all(|pair| pair[0] < pair[1]) && planes.len() > recording.vision.len());
+                let either: BTreeSet<(u32, u32)> =
+                    planes.iter().map(|&(step, channel)| (step, channel % 3150)).collect();
+                assert!(either.into_iter().eq(recording.vision.iter().copied()), "a unit spikes of either polarity");
+                touch += recording.touch.len();
+                vision += recording.vision.len();
+            }
+            let density = |spikes: usize, channels: u32| spikes as f64 / f64::from(40 * STEPS * channels);
+            let (touch, vision) = (density(touch, 156), density(vision, 3150));
+            assert!((0.005..0.05).contains(&touch), "touch {touch}");
+            assert!((0.002..0.03).contains(&vision), "vision {vision}");
+        }
+    }
+
+    #[test]
+    fn a_sample_is_a_function_of_its_seed_and_number() {
+        let slip = Slip::default();
+        let alone = slip.recording(7);
+        assert_eq!(alone, Slip::default().recording(7));
+        assert_ne!(alone.touch, slip.recording(6).touch);
+        assert_ne!(alone.touch, Slip { seed: 2, ..Slip::default() }.recording(7).touch);
+    }
+
+    #[test]
+    fn without_noise_motion_or_change_nothing_spikes() {
+        let still = parse("slip?touch_noise_kpa=0&pixel_noise_hz=0&lift_ms=1000&vibration=0&samples=4&adaptation_ms=1");
+        for sample in 0..4 {
+            let recording = still.as_ref().unwrap().recording(sample);
+            assert_eq!((recording.touch.len(), recording.vision.len()), (0, 0));
+            assert_eq!((recording.label, recording.onset_ms), (0, None));
+        }
+    }
+
+    #[test]
+    fn skin_that_senses_shear_answers_the_lift_first_and_a_blurred_edge_is_seen_later() {
+        // Events after the lift begins, as the time by which the tenth of them has come.
+        let tenth = |text: &str, touch: bool| {
+            let slip = parse(text).unwrap();
+            let of = |sample| {
+                let recording = slip.recording(sample);
+                let events = if touch { recording.touch } else { recording.vision };
+                f64::from(events.get(9).map_or(STEPS, |event| event.0))
+            };
+            (0..20).map(of).sum::<f64>() / 20.0
+        };
+        let quiet = "slip?touch_noise_kpa=0&pixel_noise_hz=0&vibration=0&lift_ms=5&adaptation_ms=5";
+        let (pressure, shear) = (tenth(quiet, true), tenth(&format!("{quiet}&shear=0.32"), true));
+        let (sharp, blurred) = (tenth(quiet, false), tenth(&format!("{quiet}&edge_px=3"), false));
+        assert!(shear < pressure && sharp < blurred, "{shear} {pressure}, {sharp} {blurred}");
+        assert!(shear < blurred, "{shear} {blurred}");
+    }
+
+    #[test]
+    fn lamps_that_flicker_beyond_the_contrast_are_seen_everywhere() {
+        let still = "slip?touch_noise_kpa=0&pixel_noise_hz=0&lift_ms=1000&vibration=0&samples=1";
+        let spikes = |flicker: &str| parse(&format!("{still}&flicker={flicker}")).unwrap().recording(0).vision.len();
+        assert_eq!(spikes("0.05"), 0);
+        assert!(spikes("0.5") > 3150 * 15);
+    }
+
+    #[test]
+    fn skin_bears_no_more_shear_than_friction() {
+        let (grasp, motion) = Slip::default().course(1);
+        let state = motion.states.last().unwrap();
+        let traction = Traction::new(&grasp, state);
+        for (x, y) in layout() {
+            assert!(traction.at(x, y, 0, 3.0) <= grasp.static_friction * 3.0);
+        }
+        assert_eq!(traction.at(3.0, 0.0, 1, 0.0), 0.0);
+    }
+
+    #[test]
+    fn parameters_are_checked() {
+        let slip = parse("slip?samples=3&seed=9&mass_kg=0.2&grip_n=1.5..2").unwrap();
+        assert_eq!((slip.samples, slip.seed, slip.mass_kg, slip.grip_n), (3, 9, (0.2, 0.2), (1.5, 2.0)));
+        for bad in ["samples=0", "weight=1", "mass_kg=2..1", "mass_kg=-1", "mass_kg=x..1", "contrast=nan"] {
+            assert_eq!(parse(&format!("slip?{bad}")).unwrap_err().code, "scene.parameter", "{bad}");
+        }
+        for key in Slip::KEYS {
+            assert!(parse(&format!("slip?{key}=1")).is_ok(), "{key}");
+        }
+    }
+}

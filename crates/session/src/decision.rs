@@ -1,0 +1,503 @@
+//! When a sample is decided before its end.
+//!
+//! Input: a [`Rule`], a bound on the spikes that each output can still make, and the output spikes of each step.
+//! Output: whether the sample is decided. It establishes, for [`Rule::Certain`], that the class after the deciding step
+//! is the class of the whole sample whatever follows, and that no earlier step would have allowed to say so from the
+//! output spikes and the refractory periods alone. [`Rule::Margin`] promises nothing of the kind.
+//!
+//! Left out on purpose: weights, potentials and the input to come. They could decide a sample earlier, but only by
+//! simulating it.
+
+use std::fmt;
+use std::num::NonZeroU32;
+use std::str::FromStr;
+
+use nsim_dynamics as neuron;
+use nsim_ir::quantised::{Quantised, Reset, Units};
+
+/// What decides a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rule {
+    /// The leading output has at least so many spikes more than every other; an only output, so many spikes.
+    Margin(NonZeroU32),
+    /// No spikes that the refractory periods still allow can change the class.
+    Certain,
+}
+
+impl FromStr for Rule {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "certain" => Ok(Rule::Certain),
+            margin => margin
+                .parse()
+                .map(Rule::Margin)
+                .map_err(|_| format!("'{text}' is neither a number of spikes from 1 on nor 'certain'")),
+        }
+    }
+}
+
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Rule::Margin(margin) => margin.fmt(f),
+            Rule::Certain => f.write_str("certain"),
+        }
+    }
+}
+
+/// What bounds the spikes of a population, from `docs/semantics.md` (7), (9), (10), (11).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pace {
+    /// For each compartment the least number of steps from a spike to the next; `None` when the first spike is the last.
+    pub gaps: Vec<Option<NonZeroU32>>,
+    /// The step before which all are held.
+    pub start: u32,
+    /// Periodic resets, which end refractory periods, and the step that they are counted from.
+    pub reset: Option<(Reset, u32)>,
+}
+
+impl Pace {
+    /// That of a network's output population.
+    #[must_use]
+    pub fn of_output(network: &Quantised) -> Pace {
+        let (parts, output) = (network.parts(), &network.populations()[network.parts().output]);
+        // An output is a population of compartments: `Quantised` is checked for it.
+        let Units::Compartments { neurons, start_step, .. } = &output.units else {
+            return Pace { gaps: Vec::new(), start: 0, reset: None };
+        };
+        let start =
+            |index| neuron::fields(&neurons.get(index), *start_step, parts.semantics, parts.threshold).start_step;
+        let gap = |index| neuron::shortest_interval(&neurons.get(index), parts.semantics);
+        Pace {
+            gaps: (0..output.shape.len()).map(gap).collect(),
+            start: (0..output.shape.len()).map(start).min().unwrap_or(*start_step),
+            reset: parts.reset.map(|reset| (reset, *start_step)),
+        }
+    }
+
+    /// The first reset from this step on.
+    fn next_reset(&self, step: u64) -> Option<u64> {
+        let (reset, counted_from) = self.reset?;
+        let first = u64::from(counted_from) + u64::from(reset.offset);
+        let interval = u64::from(reset.interval);
+        Some(first + step.saturating_sub(first).div_ceil(interval) * interval)
+    }
+
+    /// The first step after a spike in which the compartment is not refractory; `None` for never.
+    fn free_after(&self, output: usize, spike: u32) -> Option<u64> {
+        let ends = self.gaps[output].map(|gap| u64::from(spike) + u64::from(gap.get()));
+        match (ends, self.next_reset(u64::from(spike) + 1)) {
+            (Some(ends), Some(reset)) => Some(ends.min(reset)),
+            (ends, reset) => ends.or(reset),
+        }
+    }
+
+    /// The most spikes of a compartment in the steps `from..steps` when it is not refractory from `free` on. To spike as
+    /// soon as possible is best: it never delays a later spike.
+    fn most_spikes(&self, output: usize, free: Option<u64>, from: u64, steps: u64) -> u64 {
+        let Some(free) = free else { return 0 };
+        let from = from.max(u64::from(self.start)).max(free);
+        let between = |begin: u64, end: u64| match self.gaps[output] {
+            _ if begin >= end => 0,
+            Some(gap) => (end - begin).div_ceil(u64::from(gap.get())),
+            None => 1,
+        };
+        match (self.reset, self.next_reset(from + 1)) {
+            (Some((reset, _)), Some(first)) if first < steps => {
+                let interval = u64::from(reset.interval);
+                let (whole, rest) = ((steps - first) / interval, (steps - first) % interval);
+                between(from, first) + whole * between(0, interval) + between(0, rest)
+            }
+            _ => between(from, steps),
+        }
+    }
+}
+
+/// A rule for a network's outputs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EarlyExit {
+    /// What decides.
+    pub rule: Rule,
+    /// What bounds the outputs.
+    pub pace: Pace,
+    /// Whether a decided sample ends; if not, its decision is only noted.
+    pub ends: bool,
+}
+
+impl EarlyExit {
+    /// This rule for the output population of a network.
+    #[must_use]
+    pub fn new(rule: Rule, network: &Quantised) -> EarlyExit {
+        EarlyExit { rule, pace: Pace::of_output(network), ends: true }
+    }
+
+    /// The same, by which no sample ends.
+    #[must_use]
+    pub fn watched(rule: Rule, network: &Quantised) -> EarlyExit {
+        EarlyExit { ends: false, ..EarlyExit::new(rule, network) }
+    }
+}
+
+/// The state of a sample that is being decided.
+#[derive(Debug, Clone)]
+pub struct Decision<'e> {
+    exit: &'e EarlyExit,
+    steps: u64,
+    counts: Vec<u32>,
+    /// The first step in which each output is not refractory; `None` for never.
+    free: Vec<Option<u64>>,
+    /// The output with most spikes, the lowest on a tie.
+    leader: Option<usize>,
+    /// The first step after which the sample can be decided, whatever spikes until then.
+    open_until: u64,
+}
+
+impl<'e> Decision<'e> {
+    /// Of a sample of so many steps, before its first.
+    #[must_use]
+    pub fn new(exit: &'e EarlyExit, steps: u32) -> Self {
+        let outputs = exit.pace.gaps.len();
+        Decision {
+            exit,
+            steps: steps.into(),
+            counts: vec![0; outputs],
+            free: vec![Some(0); outputs],
+            leader: None,
+            open_until: 0,
+        }
+    }
+
+    /// An output spiked in this step.
+    pub fn spike(&mut self, step: u32, output: u32) {
+        let output = output as usize;
+        self.counts[output] += 1;
+        self.free[output] = self.exit.pace.free_after(output, step);
+        let count = self.counts[output];
+        if self.leader.is_none_or(|l| count > self.counts[l] || (count == self.counts[l] && output < l)) {
+            self.leader = Some(output);
+        }
+    }
+
+    /// The class by the spikes so far.
+    #[must_use]
+    pub fn class(&self) -> Option<u32> {
+        self.leader.map(|leader| leader as u32)
+    }
+
+    /// Whether the sample is decided after the update of `step`, all of whose spikes have been told. Steps are asked for in
+    /// ascending order.
+    #[must_use]
+    pub fn decided_after(&mut self, step: u32) -> bool {
+        if u64::from(step) < self.open_until {
+            return false;
+        }
+        let lacking = self.lacking(step);
+        self.open_until = u64::from(step) + lacking;
+        lacking == 0
+    }
+
+    /// How many steps after the update of `step` at least until the sample can be decided, whatever spikes: 0 when it is.
+    fn lacking(&self, step: u32) -> u64 {
+        match self.exit.rule {
+            Rule::Margin(margin) => {
+                // Every step brings the leader, or who leads then, one nearer at most.
+                let leads = self.leader.map_or(0, |leader| {
+                    let others = self.counts.iter().enumerate().filter(|&(other, _)| other != leader);
+                    self.counts[leader] - others.map(|(_, &count)| count).max().unwrap_or(0)
+                });
+                margin.get().saturating_sub(leads).into()
+            }
+            Rule::Certain => self.lacking_certainty(step),
+        }
+    }
+
+    /// Certain is the leader that stays ahead although it never spikes again and another spikes as often as it can. That is
+    /// all that can happen to it: the others do not help each other, and its own spikes only help the leader.
+    ///
+    /// All but one output must in the end have at most as many spikes to reach as the leader has. A step adds one to these at
+    /// most, and takes one at most from what an output can reach: who could have spiked in it and did not spikes once less.
+    fn lacking_certainty(&self, step: u32) -> u64 {
+        let from = u64::from(step) + 1;
+        let reach = |output: usize| {
+            let more = self.exit.pace.most_spikes(output, self.free[output], from, self.steps);
+            u64::from(self.counts[output]) + more
+        };
+        let ahead = self.leader.map_or(0, |leader| u64::from(self.counts[leader]));
+        let (mut open, mut highest, mut second) = (false, 0, 0);
+        for output in 0..self.counts.len() {
+            let reach = reach(output);
+            (highest, second) = (highest.max(reach), second.max(reach.min(highest)));
+            // A tie goes to the lower index.
+            open |= match self.leader {
+                Some(leader) if leader < output => reach > ahead,
+                Some(leader) if leader > output => reach >= ahead,
+                Some(_) => false,
+                None => reach > 0,
+            };
+        }
+        if open { second.saturating_sub(ahead).div_ceil(2).max(1) } else { 0 }
+    }
+
+    /// The first step of `begin..end` after which the sample is decided when no output spikes in any of them.
+    #[must_use]
+    pub fn decided_in_silence(&self, begin: u32, end: u32) -> Option<u32> {
+        // What may still come only shrinks, so that once decided is decided in every step that follows.
+        let (mut open, mut decided) = (begin.max(self.open_until.min(end.into()) as u32), end);
+        while open < decided {
+            let middle = open + (decided - open) / 2;
+            if self.lacking(middle) == 0 {
+                decided = middle;
+            } else {
+                open = middle + 1;
+            }
+        }
+        (decided < end).then_some(decided)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::base::rng;
+
+    fn margin(margin: u32) -> Rule {
+        Rule::Margin(NonZeroU32::new(margin).unwrap())
+    }
+
+    fn exit(rule: Rule, gaps: &[u32]) -> EarlyExit {
+        let gaps = gaps.iter().map(|&gap| NonZeroU32::new(gap)).collect();
+        EarlyExit { rule, pace: Pace { gaps, start: 0, reset: None }, ends: true }
+    }
+
+    /// Tells spikes `[step][..]` and returns the first step after which the sample is decided.
+    fn decided_at(exit: &EarlyExit, steps: u32, spikes: &[&[u32]]) -> Option<u32> {
+        let mut decision = Decision::new(exit, steps);
+        for (step, outputs) in spikes.iter().enumerate() {
+            outputs.iter().for_each(|&output| decision.spike(step as u32, output));
+            if decision.decided_after(step as u32) {
+                return Some(step as u32);
+            }
+        }
+        None
+    }
+
+    #[test]
+    fn rules_are_read_and_written() {
+        assert_eq!("certain".parse(), Ok(Rule::Certain));
+        assert_eq!("7".parse(), Ok(margin(7)));
+        assert_eq!((margin(7).to_string(), Rule::Certain.to_string()), ("7".to_string(), "certain".to_string()));
+        for wrong in ["", "0", "-1", "1.5", "Certain", "4294967296"] {
+            assert!(wrong.parse::<Rule>().unwrap_err().contains("certain"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_margin_is_a_lead_over_every_other_output() {
+        let spikes: &[&[u32]] = &[&[0, 1], &[1, 2], &[0, 1], &[1], &[1]];
+        // Leads of output 1 over the second: 0, 1, 1, 2, 3.
+        assert_eq!(decided_at(&exit(margin(1), &[1, 1, 1]), 9, spikes), Some(1));
+        assert_eq!(decided_at(&exit(margin(2), &[1, 1, 1]), 9, spikes), Some(3));
+        assert_eq!(decided_at(&exit(margin(3), &[1, 1, 1]), 9, spikes), Some(4));
+        assert_eq!(decided_at(&exit(margin(4), &[1, 1, 1]), 9, spikes), None);
+        // Silence and a tie are no lead; an only output counts against nothing.
+        assert_eq!(decided_at(&exit(margin(1), &[1, 1]), 9, &[&[], &[0, 1]]), None);
+        assert_eq!(decided_at(&exit(margin(2), &[1]), 9, &[&[0], &[], &[0]]), Some(2));
+    }
+
+    #[test]
+    fn a_margin_is_seen_in_the_step_in_which_it_is_reached() {
+        for seed in 0..2000 {
+            let outputs = 1 + rng::below(5, seed, 0, 0) as u32;
+            let exit = exit(margin(1 + rng::below(9, seed, 0, 1) as u32), &vec![1; outputs as usize]);
+            let mut decision = Decision::new(&exit, 200);
+            for step in 0..200 {
+                for output in 0..outputs {
+                    let rate = if output == 0 { 60 } else { 40 };
+                    if rng::below(100, seed, 2 + u64::from(output), step.into()) < rate {
+                        decision.spike(step, output);
+                    }
+                }
+                assert_eq!(decision.decided_after(step), decision.lacking(step) == 0, "seed {seed}, step {step}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_tie_goes_to_the_lower_index_and_so_does_certainty() {
+        // After step 2 two steps are left. Output 0 leads by two: output 1 can tie, which changes nothing.
+        assert_eq!(decided_at(&exit(Rule::Certain, &[1, 1]), 5, &[&[0], &[0], &[]]), Some(2));
+        // The other way round a tie would change the class.
+        assert_eq!(decided_at(&exit(Rule::Certain, &[1, 1]), 5, &[&[1], &[1], &[], &[]]), Some(3));
+    }
+
+    #[test]
+    fn a_refractory_period_bounds_what_may_still_come() {
+        // Output 1 spiked in step 0 and may do so again in steps 5 and 10: twice more only in a sample of 11 steps.
+        let spikes: &[&[u32]] = &[&[1], &[0], &[0]];
+        let one = |gap, steps| decided_at(&exit(Rule::Certain, &[1, gap]), steps, spikes);
+        assert_eq!((one(5, 10), one(5, 11)), (Some(2), None));
+        // Without a second spike ever, the tie of step 1 is enough.
+        assert_eq!(one(0, 1000), Some(1));
+    }
+
+    #[test]
+    fn outputs_that_cannot_spike_any_more_decide_for_no_class() {
+        let mut late = exit(Rule::Certain, &[1, 1]);
+        late.pace.start = 9;
+        assert_eq!(decided_at(&late, 10, &[&[]]), None);
+        assert_eq!(decided_at(&late, 9, &[&[]]), Some(0));
+    }
+
+    #[test]
+    fn a_reset_ends_refractory_periods() {
+        // Resets before steps 1, 5, 9: output 1 may spike in 5, 8, 9 after its spike in step 2.
+        let mut exit = exit(Rule::Certain, &[1, 3]);
+        exit.pace.reset = Some((Reset { interval: 4, offset: 1 }, 0));
+        let most = |free, from, steps| exit.pace.most_spikes(1, free, from, steps);
+        assert_eq!(exit.pace.free_after(1, 3), Some(5));
+        assert_eq!(exit.pace.free_after(1, 2), Some(5));
+        assert_eq!(exit.pace.free_after(1, 5), Some(8));
+        assert_eq!([8, 9, 10].map(|steps| most(Some(5), 3, steps)), [1, 2, 3]);
+        exit.pace.gaps[1] = None;
+        assert_eq!(exit.pace.free_after(1, 2), Some(5));
+        assert_eq!([5, 6, 9, 10].map(|steps| exit.pace.most_spikes(1, Some(5), 3, steps)), [0, 1, 1, 2]);
+    }
+
+    /// What a compartment may do, told by looking back at its own spikes instead of by formula.
+    fn may_spike(pace: &Pace, output: usize, train: &[u32], step: u32) -> bool {
+        let Some(&last) = train.last() else { return step >= pace.start };
+        let was_reset = pace.reset.is_some_and(|(reset, from)| (last + 1..=step).any(|s| reset.falls_on(s, from)));
+        let over = pace.gaps[output].is_some_and(|gap| step - last >= gap.get());
+        step >= pace.start && (was_reset || over)
+    }
+
+    fn class(trains: &[Vec<u32>]) -> Option<usize> {
+        let most = trains.iter().map(Vec::len).max().filter(|&most| most > 0)?;
+        trains.iter().position(|train| train.len() == most)
+    }
+
+    /// Whether every legal continuation from `step` on, all of them listed, ends with this class.
+    fn all_end_with(pace: &Pace, trains: &mut [Vec<u32>], step: u32, steps: u32, wanted: Option<usize>) -> bool {
+        if step == steps {
+            return class(trains) == wanted;
+        }
+        (0u32..1 << trains.len()).all(|spiking| {
+            let chosen = |output: usize| spiking >> output & 1 == 1;
+            if (0..trains.len()).any(|o| chosen(o) && !may_spike(pace, o, &trains[o], step)) {
+                return true;
+            }
+            (0..trains.len()).filter(|&o| chosen(o)).for_each(|o| trains[o].push(step));
+            let same = all_end_with(pace, trains, step + 1, steps, wanted);
+            (0..trains.len()).filter(|&o| chosen(o)).for_each(|o| _ = trains[o].pop());
+            same
+        })
+    }
+
+    fn random_pace(seed: u64, outputs: usize) -> Pace {
+        let draw = |what, below| rng::below(below, seed, 1, what) as u32;
+        let gap = |output: usize| match draw(output as u64, 6) {
+            0 => None,
+            gap => NonZeroU32::new(gap),
+        };
+        let (start, offset) = (draw(10, 4) * draw(11, 2), draw(12, 3));
+        // SLAYER holds a population until step 1 but counts its resets from 0.
+        let counted_from = if start == 1 { draw(13, 2) } else { start };
+        let reset = (draw(14, 3) == 0).then(|| (Reset { interval: 1 + draw(15, 5), offset }, counted_from));
+        Pace { gaps: (0..outputs).map(gap).collect(), start, reset }
+    }
+
+    #[test]
+    fn certain_is_exactly_when_no_legal_continuation_changes_the_class() {
+        let (mut decided, mut open, mut early) = (0u32, 0u32, 0u32);
+        for seed in 0..4000 {
+            let draw = |step: u32, output: usize| rng::below(100, seed, 2 + output as u64, u64::from(step));
+            let outputs = 1 + rng::below(3, seed, 0, 0) as usize;
+            let steps = 1 + rng::below(14, seed, 0, 1) as u32;
+            let busy = [5, 30, 60, 100][rng::below(4, seed, 0, 2) as usize];
+            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
+            let mut decision = Decision::new(&exit, steps);
+            let mut trains = vec![Vec::new(); outputs];
+            let mut first = None;
+            for step in 0..steps {
+                for (output, train) in trains.iter_mut().enumerate() {
+                    // One output is livelier than the others, so that not everything ends in a tie.
+                    let rate = if output as u64 == seed % outputs as u64 { busy } else { busy / 2 };
+                    if may_spike(&exit.pace, output, train, step) && draw(step, output) < rate {
+                        train.push(step);
+                        decision.spike(step, output as u32);
+                    }
+                }
+                let now = class(&trains);
+                assert_eq!(decision.class(), now.map(|class| class as u32));
+                let says = decision.decided_after(step);
+                // Listing grows with 2 to the power of outputs times steps.
+                if (steps - step - 1) as usize * outputs <= 12 {
+                    let holds = all_end_with(&exit.pace, &mut trains.clone(), step + 1, steps, now);
+                    assert_eq!(says, holds, "seed {seed}, step {step}: {exit:?} {trains:?}");
+                    *(if says { &mut decided } else { &mut open }) += 1;
+                }
+                if says && first.is_none() {
+                    first = Some((step, now));
+                    early += u32::from(step + 1 < steps);
+                }
+            }
+            assert_eq!(first.unwrap().1, class(&trains), "seed {seed}: {exit:?} {trains:?}");
+        }
+        assert!(decided > 5000 && open > 5000 && early > 2000, "{decided} decided, {open} open, {early} early");
+    }
+
+    #[test]
+    fn certain_never_changes_the_class_of_a_long_sample() {
+        let (mut early, mut saved) = (0, 0);
+        for seed in 0..5000 {
+            let outputs = 2 + rng::below(19, seed, 0, 0) as usize;
+            let steps = 20 + rng::below(300, seed, 0, 1) as u32;
+            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
+            let mut decision = Decision::new(&exit, steps);
+            let mut trains = vec![Vec::new(); outputs];
+            let mut first = None;
+            for step in 0..steps {
+                for (output, train) in trains.iter_mut().enumerate() {
+                    let rate = rng::below(100, seed, 1, output as u64) / 2 + if output == 0 { 50 } else { 0 };
+                    let lucky = rng::below(100, seed, 2 + output as u64, u64::from(step)) < rate;
+                    if lucky && may_spike(&exit.pace, output, train, step) {
+                        train.push(step);
+                        decision.spike(step, output as u32);
+                    }
+                }
+                let decided = decision.decided_after(step);
+                assert_eq!(decided, decision.lacking(step) == 0, "seed {seed}: not looked at in time");
+                assert!(decided || first.is_none(), "seed {seed}: a decision was taken back");
+                if decided && first.is_none() {
+                    first = Some((step, class(&trains)));
+                }
+            }
+            let (step, decided) = first.unwrap();
+            assert_eq!(decided, class(&trains), "seed {seed}: {exit:?}");
+            early += u32::from(step + 1 < steps);
+            saved += steps - step - 1;
+        }
+        assert!(early > 2000, "{early} of 5000 early, {saved} steps");
+    }
+
+    #[test]
+    fn a_silence_is_decided_in_the_step_that_it_would_be_step_by_step() {
+        for seed in 0..2000 {
+            let outputs = 1 + rng::below(4, seed, 0, 0) as usize;
+            let steps = 2 + rng::below(60, seed, 0, 1) as u32;
+            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
+            let mut decision = Decision::new(&exit, steps);
+            let begin = rng::below(u64::from(steps), seed, 0, 2) as u32;
+            for step in exit.pace.start.min(begin)..begin {
+                if rng::below(3, seed, 5, u64::from(step)) == 0 {
+                    decision.spike(step, rng::below(outputs as u64, seed, 6, u64::from(step)) as u32);
+                }
+                let _ = decision.decided_after(step);
+            }
+            let by_steps = (begin..steps).find(|&step| decision.lacking(step) == 0);
+            assert_eq!(decision.decided_in_silence(begin, steps), by_steps, "seed {seed}");
+            assert_eq!(decision.decided_in_silence(begin, begin), None);
+        }
+    }
+}

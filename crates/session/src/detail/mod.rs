@@ -1,0 +1,132 @@
+//! A run by population, input and core, and what its user is warned of, as text and JSON.
+
+use serde_json::{Value, json};
+
+use crate::cores::CoreRow;
+use crate::populations::{ByPopulation, PopulationCounts};
+use crate::ranks::RankRow;
+use crate::warnings::Warning;
+use nsim_files::table::table_of;
+
+/// What a run did in its parts.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Detail {
+    /// By population and input.
+    pub sums: ByPopulation,
+    /// By core; empty for engines without cores.
+    pub cores: Vec<CoreRow>,
+    /// What to look at.
+    pub warnings: Vec<Warning>,
+    /// The processes that ran it together; empty where it was one alone.
+    pub ranks: Vec<RankRow>,
+}
+
+impl Detail {
+    /// Adds the keys `populations`, `inputs`, `cores` and `warnings` to an object, and `ranks` where there are any.
+    pub fn add_to(&self, object: &mut Value) {
+        let populations = self.sums.populations.iter().map(|row| {
+            json!({
+                "name": row.name, "compartments": row.compartments, "spikes": row.spikes, "silent": row.silent,
+                "clipped": row.clipped, "wrapped": row.wrapped,
+            })
+        });
+        let inputs = self.sums.inputs.iter();
+        object["populations"] = populations.collect();
+        object["inputs"] =
+            inputs.map(|row| json!({ "name": row.name, "channels": row.channels, "spikes": row.spikes })).collect();
+        object["cores"] = self.cores.iter().map(core_json).collect();
+        object["warnings"] = json!(self.warnings);
+        if !self.ranks.is_empty() {
+            object["ranks"] = self.ranks.iter().map(rank_json).collect();
+        }
+    }
+
+    /// A table of the populations, for so many timesteps.
+    #[must_use]
+    pub fn populations_text(&self, timesteps: u64) -> String {
+        if self.sums.populations.is_empty() {
+            return String::new();
+        }
+        let columns = ["population", "compartments", "spikes", "each a step", "silent", "clipped", "wrapped"];
+        let mut table = nsim_files::table::table(columns);
+        for row in &self.sums.populations {
+            let PopulationCounts { name, compartments, spikes, silent, clipped, wrapped, .. } = row;
+            let rate = *spikes as f64 / (compartments * timesteps).max(1) as f64;
+            let quiet = if *compartments > 0 && *spikes == 0 { "all".to_string() } else { silent.to_string() };
+            let cells = [compartments.to_string(), spikes.to_string(), format!("{rate:.4}"), quiet];
+            table.add_row([name.clone()].into_iter().chain(cells).chain([clipped.to_string(), wrapped.to_string()]));
+        }
+        nsim_files::table::right_from(&mut table, 1);
+        format!("{}\n\n", table.trim_fmt())
+    }
+
+    /// A line for each process that ran a part.
+    #[must_use]
+    pub fn ranks_text(&self) -> String {
+        let line = |row: &RankRow| {
+            let RankRow { rank, chips, compartments, synapses, peak_mib } = row;
+            let peak = peak_mib.map_or(String::new(), |mib| format!(", {mib:.0} MiB at most"));
+            format!("rank {rank}: {chips} chips, {compartments} compartments, {synapses} synapses{peak}\n")
+        };
+        self.ranks.iter().map(line).collect()
+    }
+
+    /// A table of the cores that were the slowest in most steps, at most this many. Of cores that
+    /// take as long in every step the first is listed, with their number.
+    #[must_use]
+    pub fn slowest_text(&self, most: usize) -> String {
+        let spent = |row: &CoreRow| row.spent.map_or(0, |spent| spent.slowest_steps);
+        let mut rows: Vec<&CoreRow> = self.cores.iter().filter(|row| spent(row) > 0).collect();
+        rows.sort_by_key(|row| std::cmp::Reverse(spent(row)));
+        rows.truncate(most);
+        if rows.is_empty() {
+            return String::new();
+        }
+        let alike = |row: &CoreRow| self.cores.iter().filter(|other| other.counts == row.counts).count();
+        let rows: Vec<(&CoreRow, usize)> = rows.into_iter().map(|row| (row, alike(row))).collect();
+        let table = table_of(
+            &rows,
+            &[
+                ("core", |(row, _)| row.core.0.to_string()),
+                ("chip", |(row, _)| row.chip.to_string()),
+                ("like it", |(_, alike)| alike.to_string()),
+                ("slowest in steps", |(row, _)| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
+                ("busy us", |(row, _)| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
+                ("energy nJ", |(row, _)| {
+                    format!("{:.1}", row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))
+                }),
+                ("spikes", |(row, _)| row.counts.spikes.to_string()),
+                ("events", |(row, _)| row.counts.synaptic_events().to_string()),
+            ],
+            0,
+        );
+        let shown =
+            if self.cores.len() > most { format!(", {most} of {} cores", self.cores.len()) } else { String::new() };
+        format!("Cores by the steps in which they were the slowest{shown}:\n{}\n\n", table.trim_fmt())
+    }
+}
+
+fn rank_json(row: &RankRow) -> Value {
+    let RankRow { rank, chips, compartments, synapses, peak_mib } = row;
+    json!({
+        "rank": rank, "chips": chips, "compartments": compartments, "synapses": synapses,
+        "peak_mib": peak_mib.map(|mib| (mib * 10.0).round() / 10.0),
+    })
+}
+
+fn core_json(row: &CoreRow) -> Value {
+    let mut object = json!({
+        "core": row.core.0, "chip": row.chip, "spikes": row.counts.spikes,
+        "synaptic_events": row.counts.synaptic_events(), "messages_out": row.counts.messages_out,
+        "messages_in": row.counts.messages_in,
+    });
+    if let Some(spent) = row.spent {
+        let picojoules = |femtojoules: u128| femtojoules as f64 / 1e3;
+        let parts = spent.energy.parts().into_iter().filter(|(name, _)| *name != "hop");
+        object["energy_pj"] = json!(picojoules(spent.energy.total().0));
+        object["energy_parts_pj"] = parts.map(|(name, part)| (name.to_string(), json!(picojoules(part.0)))).collect();
+        object["busy_us"] = json!(spent.busy.0 as f64 / 1e6);
+        object["slowest_steps"] = json!(spent.slowest_steps);
+    }
+    object
+}

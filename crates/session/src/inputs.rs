@@ -1,0 +1,323 @@
+//! `--input` arguments -> the samples of a run.
+//!
+//! Each input population needs a source; a bare source serves the only input population, or all that it names. Sources of
+//! several populations are matched sample by sample: they must agree in number, steps and labels. A clock may serve one population
+//! beside the recordings of others.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use crate::error::Error;
+use nsim_files::budget::MOST_STEPS_TOGETHER;
+use nsim_import::kind::FileKind;
+use nsim_import::spikes::{EventOptions, Expected, Manifest, PopulationSpikes, labels, read_manifest, read_spikes};
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::ChannelId;
+use nsim_ir::base::names::did_you_mean;
+use nsim_ir::quantised::{Population, Quantised};
+use nsim_ir::spikes::{Sample, Stimulus};
+use nsim_ir::stimulus::{InputArg, InputSource, SceneArg};
+use nsim_scene as scene;
+use nsim_scene::clock;
+use nsim_scene::clock::Clock;
+
+/// Reads or makes the samples of a run; without arguments, those of the model's own scene. Each has
+/// the steps that the model drains.
+///
+/// # Errors
+/// [`Error`] when a source cannot be read or does not fit the network.
+pub fn stimulus(
+    network: &Quantised,
+    arguments: &[String],
+    default: Option<&str>,
+    seed: Option<u64>,
+) -> Result<Stimulus, Error> {
+    let mut stimulus = given(network, arguments, default, seed)?;
+    stimulus.samples = drained(network, stimulus.samples)?;
+    Ok(stimulus)
+}
+
+/// How often the samples of a run are repeated at most.
+pub const MOST_REPEATS: u32 = 1_000_000;
+/// The most samples of a run, each of which has results of its own.
+const MOST_RUNS: u64 = 1 << 22;
+
+/// The numbers of the samples that run, in order: those of a range, this many times.
+///
+/// # Errors
+/// `input.too-many` before any memory is taken for them.
+pub fn repeated(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnostic> {
+    let runs = range.len() as u64 * u64::from(repeat);
+    if runs > MOST_RUNS {
+        let message =
+            format!("{} samples, repeated {repeat} times, are {runs} runs, more than {MOST_RUNS}", range.len());
+        return Err(Diagnostic::new("input.too-many", message).help("repeat fewer times, or choose fewer samples"));
+    }
+    Ok((0..repeat).flat_map(|_| range.clone()).collect())
+}
+
+/// Samples with the steps that a network has after the last of its input.
+///
+/// # Errors
+/// `input.too-long`.
+pub fn drained(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sample>, Diagnostic> {
+    let drain = network.parts().drain;
+    let steps = samples.iter().map(|sample| u64::from(sample.steps()) + u64::from(drain)).sum::<u64>();
+    if steps > MOST_STEPS_TOGETHER {
+        let message = format!("the samples have {steps} timesteps together, more than {MOST_STEPS_TOGETHER}");
+        return Err(Diagnostic::new("input.too-long", message).help("run some of them at a time"));
+    }
+    Ok(match drain {
+        0 => samples,
+        _ => samples.into_iter().map(|sample| sample.followed_by(drain)).collect(),
+    })
+}
+
+/// The samples of arguments, or those of the model's own scene.
+fn given(
+    network: &Quantised,
+    arguments: &[String],
+    default: Option<&str>,
+    seed: Option<u64>,
+) -> Result<Stimulus, Error> {
+    let from_model = default.map(str::to_string);
+    let arguments: Vec<String> = match (arguments, from_model) {
+        ([], Some(scene)) => vec![scene],
+        ([], None) => vec!["scene:noise".to_string()],
+        (given, _) => given.to_vec(),
+    };
+    let parsed = arguments.iter().map(|text| argument(network, text)).collect::<Result<Vec<_>, _>>()?;
+    if let [InputArg { population: None, source: InputSource::Scene(scene) }] = parsed.as_slice() {
+        return Ok(scene_stimulus(network, scene, seed)?);
+    }
+    let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
+    let mut sources: Vec<Option<Vec<PopulationSpikes>>> = inputs.iter().map(|_| None).collect();
+    let mut clocks: Vec<(usize, Clock)> = Vec::new();
+    let position = |name: &str| inputs.iter().position(|p| p.name == name).ok_or_else(|| unknown(name, &inputs));
+    for argument in &parsed {
+        let (path, pairs) = match (&argument.source, &argument.population) {
+            (InputSource::Path(path), _) => (path, [].as_slice()),
+            (InputSource::Events(path, pairs), _) => (path, pairs.as_slice()),
+            (InputSource::Scene(scene), Some(name)) if scene.name == clock::NAME => {
+                clocks.push((position(name)?, Clock::parse(scene)?));
+                continue;
+            }
+            (InputSource::Scene(_), _) => {
+                let message = "a scene drives all input populations and stands alone, but for a clock of one population: \
+                    POPULATION=scene:clock?span=STEPS";
+                return Err(Error::Usage(message.to_string()));
+            }
+        };
+        let (pairs, labels) = without_labels(path, pairs)?;
+        let pairs = pairs.as_slice();
+        let is_manifest = FileKind::detect(path)? == FileKind::Ron;
+        let wanted: Vec<usize> = match &argument.population {
+            Some(name) => vec![position(name)?],
+            None if is_manifest => (0..inputs.len()).collect(),
+            None if inputs.len() == 1 => vec![0],
+            None => {
+                let names: Vec<&str> = inputs.iter().map(|p| p.name.as_str()).collect();
+                return Err(Error::Usage(format!(
+                    "--input {}: which population is it for? Write one of {}",
+                    path.display(),
+                    names.iter().map(|name| format!("{name}={}", path.display())).collect::<Vec<_>>().join(", ")
+                )));
+            }
+        };
+        let (manifest, options) = match is_manifest {
+            true => (Some(Part::new(read_manifest(path)?, pairs)?), EventOptions::default()),
+            false => (None, EventOptions::parse(pairs)?),
+        };
+        for index in wanted {
+            let population = inputs[index];
+            let dt_ms = network.parts().timestep_ms;
+            let expected = Expected { units: population.shape.len().into(), volume: population.shape.volume(), dt_ms };
+            let mut spikes = match &manifest {
+                Some(part) => part.read(&population.name, &expected)?,
+                None => read_spikes(path, &population.name, &expected, &options)?,
+            };
+            if let Some(file) = &labels {
+                labels::apply(file, &labels::read(file)?, &mut spikes)?;
+            }
+            if sources[index].replace(spikes).is_some() {
+                return Err(Error::Usage(format!("population '{}' has two inputs", population.name)));
+            }
+        }
+    }
+    for (index, clock) in clocks {
+        let Some(recorded) = sources.iter().flatten().next() else {
+            return Err(Error::Usage("a clock goes beside recordings, which say how long a sample is".to_string()));
+        };
+        let spikes = recorded.iter().map(|sample| beside(sample, clock, inputs[index])).collect();
+        if sources[index].replace(spikes).is_some() {
+            return Err(Error::Usage(format!("population '{}' has two inputs", inputs[index].name)));
+        }
+    }
+    let mut filled = Vec::new();
+    for (source, population) in sources.into_iter().zip(&inputs) {
+        filled.push(source.ok_or_else(|| {
+            Error::Usage(format!(
+                "input population '{}' has no source: add --input {}=FILE",
+                population.name, population.name
+            ))
+        })?);
+    }
+    Ok(Stimulus { samples: joined(&inputs, filled)?, origin: arguments, seed: None })
+}
+
+/// The clock of a sample.
+fn beside(sample: &PopulationSpikes, clock: Clock, population: &Population) -> PopulationSpikes {
+    let units = population.shape.len();
+    PopulationSpikes {
+        units: Some(units.into()),
+        steps: sample.steps,
+        label: None,
+        events: clock.spikes(sample.steps, units),
+        name: format!("the clock of '{}'", population.name),
+    }
+}
+
+/// The options of a source without `labels=FILE`, and that file.
+type Pairs = Vec<(String, String)>;
+
+fn without_labels(path: &Path, pairs: &[(String, String)]) -> Result<(Pairs, Option<PathBuf>), Error> {
+    let (labels, others): (Pairs, Pairs) = pairs.iter().cloned().partition(|(key, _)| key == "labels");
+    if labels.len() > 1 {
+        return Err(Error::Usage(format!("--input {}: labels are given twice", path.display())));
+    }
+    Ok((others, labels.into_iter().next().map(|(_, file)| file.into())))
+}
+
+/// A data set, or what a fold of it trains or tests on.
+struct Part {
+    manifest: Manifest,
+    /// Whether what it tests on is wanted, and the fold from 0; none for all samples.
+    fold: Option<(bool, usize)>,
+}
+
+impl Part {
+    /// With what stands after the `?`: nothing, `train=K` or `test=K` for fold K from 1.
+    fn new(manifest: Manifest, pairs: &[(String, String)]) -> Result<Part, Error> {
+        let (key, value) = match pairs {
+            [] => return Ok(Part { manifest, fold: None }),
+            [(key, value)] if key == "train" || key == "test" => (key, value),
+            _ => {
+                let message = "a data set takes train=K or test=K, the samples that fold K trains or tests on";
+                return Err(Diagnostic::new("input.option", message).in_file(manifest.source().path()).into());
+            }
+        };
+        let folds = manifest.folds();
+        let Some(fold) = value.parse().ok().filter(|fold| (1..=folds).contains(fold)) else {
+            let message = format!("{key}={value}: the data set has {folds} folds, counted from 1");
+            return Err(Diagnostic::new("input.option", message).in_file(manifest.source().path()).into());
+        };
+        Ok(Part { manifest, fold: Some((key == "test", fold - 1)) })
+    }
+
+    fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+        let all = self.manifest.read(population, expected)?;
+        let Some((test, fold)) = self.fold else { return Ok(all) };
+        let split = self.manifest.splits(all.len())?.swap_remove(fold);
+        let samples = if test { split.test } else { split.train };
+        let mut all: Vec<_> = all.into_iter().map(Some).collect();
+        Ok(samples.into_iter().filter_map(|sample| all.get_mut(sample as usize)?.take()).collect())
+    }
+}
+
+/// One `--input`. What stands before `=` is a population, unless there is none of this name and a file of the whole name.
+fn argument(network: &Quantised, text: &str) -> Result<InputArg, Diagnostic> {
+    let argument = InputArg::parse(text)?;
+    match &argument.population {
+        Some(name) if network.population_named(name).is_none() && Path::new(text).exists() => {
+            Ok(InputArg { population: None, source: InputSource::Path(text.into()) })
+        }
+        _ => Ok(argument),
+    }
+}
+
+fn scene_stimulus(network: &Quantised, scene: &SceneArg, seed: Option<u64>) -> Result<Stimulus, Diagnostic> {
+    let mut scene = scene.clone();
+    if let Some(seed) = seed {
+        scene.parameters.retain(|(key, _)| key != "seed");
+        scene.parameters.push(("seed".to_string(), seed.to_string()));
+    }
+    let mut stimulus = scene::stimulus(network, &scene)?;
+    stimulus.origin = vec![scene.spelled()];
+    Ok(stimulus)
+}
+
+fn unknown(name: &str, inputs: &[&Population]) -> Error {
+    let names: Vec<&str> = inputs.iter().map(|p| p.name.as_str()).collect();
+    let help = format!("{}input populations are: {}", did_you_mean(name, names.iter().copied()), names.join(", "));
+    Diagnostic::new("input.population", format!("--input names '{name}', which is no input population"))
+        .help(help)
+        .into()
+}
+
+/// What a network with some of the input populations of another sees of a sample of that one; `None` where the other has no input population
+/// of a name and size.
+#[must_use]
+pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Option<Sample> {
+    let mut moved = Vec::new();
+    for (_, population) in network.inputs() {
+        let (_, same) = other.inputs().find(|(_, same)| same.name == population.name)?;
+        let units = population.shape.len();
+        if same.shape.len() != units {
+            return None;
+        }
+        moved.push((same.first_channel()?.0, population.first_channel()?.0, units));
+    }
+    let mut events = Vec::new();
+    for step in 0..sample.steps() {
+        for channel in sample.at(step) {
+            let unit = |&(from, to, units): &(u32, u32, u32)| {
+                let unit = channel.0.checked_sub(from).filter(|&unit| unit < units)?;
+                Some((step, ChannelId(to + unit)))
+            };
+            events.extend(moved.iter().find_map(unit));
+        }
+    }
+    Sample::new(sample.steps(), &events, sample.label()).ok()
+}
+
+/// One sample of all input populations, in their order, from one of each.
+///
+/// # Errors
+/// `input.samples` and `input.disagree` where the populations do not match, `input.spikes` for a spike outside its sample.
+pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Result<Vec<Sample>, Error> {
+    let Some(count) = sources.first().map(Vec::len) else {
+        return Ok(Vec::new());
+    };
+    for (source, population) in sources.iter().zip(inputs) {
+        if source.len() != count {
+            let message =
+                format!("'{}' has {} samples, '{}' has {count}", population.name, source.len(), inputs[0].name);
+            return Err(Diagnostic::new("input.samples", message).help("sources are matched sample by sample").into());
+        }
+    }
+    let mut sources: Vec<_> = sources.into_iter().map(Vec::into_iter).collect();
+    let mut samples = Vec::with_capacity(count);
+    for index in 0..count {
+        let parts: Vec<PopulationSpikes> = sources.iter_mut().filter_map(Iterator::next).collect();
+        let (steps, label) = (parts[0].steps, parts.iter().find_map(|part| part.label));
+        let mut events = Vec::new();
+        for (part, population) in parts.into_iter().zip(inputs) {
+            let disagree = |what: &str, other: &str| {
+                Error::from(Diagnostic::new(
+                    "input.disagree",
+                    format!("sample {index}: {} of '{}' ({}) differ from {other}", what, population.name, part.name),
+                ))
+            };
+            if part.steps != steps {
+                return Err(disagree(&format!("{} steps", part.steps), &format!("{steps} of '{}'", inputs[0].name)));
+            }
+            if part.label.is_some() && part.label != label {
+                return Err(disagree("labels", "those of the other populations"));
+            }
+            let first = population.first_channel().map_or(0, |channel| channel.0);
+            events.extend(part.events.iter().map(|&(step, channel)| (step, ChannelId(first + channel))));
+        }
+        samples.push(Sample::new(steps, &events, label).map_err(|e| Diagnostic::new("input.spikes", e.to_string()))?);
+    }
+    Ok(samples)
+}

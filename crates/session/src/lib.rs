@@ -1,0 +1,281 @@
+//! Runs samples through an engine and keeps what was asked for.
+//!
+//! Input: an engine, samples, the output population, probes, perhaps a rule by which a sample ends
+//! before its last step. Output: an [`Outcome`] for each sample, in run order. Samples share
+//! nothing: each begins from rest, nothing drains at its end. A sample that is decided early did
+//! what the first steps of the whole sample do, count by count.
+
+pub mod cores;
+pub mod decision;
+pub mod detail;
+pub mod error;
+pub mod front;
+pub mod handed;
+pub mod inputs;
+pub mod neurobench;
+pub mod populations;
+pub mod priced;
+pub mod ranks;
+pub mod samples;
+pub mod shapes;
+pub mod steps;
+pub mod timeline;
+pub mod warnings;
+
+use decision::{Decision, EarlyExit, Rule};
+use sha2::{Digest, Sha256};
+
+use nsim_ir::activity::{Overflow, Totals};
+use nsim_ir::base::id::CompartmentId;
+use nsim_ir::potentials::Potentials;
+use nsim_ir::quantised::Output;
+use nsim_ir::spikes::{Copies, Engine, Sample};
+
+/// What a probe records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Quantity {
+    /// 0 or 1.
+    Spikes,
+    /// The current register.
+    U,
+    /// The membrane.
+    V,
+    /// What the chip's voltage register reads.
+    VRegister,
+}
+
+impl Quantity {
+    /// Every quantity with the name that arguments and files use.
+    pub const ALL: [(Quantity, &'static str); 4] =
+        [(Quantity::Spikes, "spikes"), (Quantity::U, "u"), (Quantity::V, "v"), (Quantity::VRegister, "v_register")];
+}
+
+/// A quantity of consecutive compartments.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Probe {
+    /// The first compartment.
+    pub first: CompartmentId,
+    /// How many.
+    pub count: u32,
+    /// What to record.
+    pub quantity: Quantity,
+}
+
+/// What to keep of each sample, and when it ends.
+#[derive(Debug, Clone)]
+pub struct Keep {
+    /// The compartments that decide.
+    pub output: Output,
+    /// Probes; the steps that an early exit leaves off stay zero in them.
+    pub probes: Vec<Probe>,
+    /// What decides a sample before its last step, and whether it ends then; its outputs are those of `output`.
+    pub early_exit: Option<EarlyExit>,
+}
+
+/// What one sample did.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Outcome {
+    /// Spikes of each output.
+    pub counts: Vec<u32>,
+    /// Scores of the outputs, where their potentials decide.
+    pub potentials: Option<Potentials>,
+    /// (step, output) of each output spike, ascending.
+    pub spikes: Vec<(u32, u32)>,
+    /// Timesteps that were run.
+    pub steps: u32,
+    /// The step after whose update the sample was decided; `None` when that was its last or never.
+    pub decided_at: Option<u32>,
+    /// Timesteps after that one: left off when a decision ends the sample.
+    pub steps_saved: u32,
+    /// Counts that any engine keeps.
+    pub totals: Totals,
+    /// What left its field.
+    pub overflow: Overflow,
+    /// For each probe `[compartments][steps]`.
+    pub probes: Vec<Vec<i32>>,
+    /// Timesteps that were not computed because nothing could happen in them.
+    pub skipped_steps: u64,
+}
+
+impl Outcome {
+    /// The output that potentials decide for, where they do; else the one with most spikes, the
+    /// lowest on a tie, none when all are silent.
+    #[must_use]
+    pub fn class(&self) -> Option<u32> {
+        if let Some(potentials) = &self.potentials {
+            return potentials.class();
+        }
+        let most = self.counts.iter().copied().max().filter(|&most| most > 0)?;
+        self.counts.iter().position(|&count| count == most).map(|class| class as u32)
+    }
+}
+
+/// Runs one sample; `after_step` sees the engine after each step, or after so many steps in which nothing happened.
+pub fn run_sample<E: Engine + ?Sized>(
+    engine: &mut E,
+    sample: &Sample,
+    keep: &Keep,
+    mut after_step: impl FnMut(&E, u32),
+) -> Outcome {
+    run_copies(engine, sample, Copies::ONE, keep, |engine, passed| after_step(engine, passed.steps))
+}
+
+/// Steps in a row that were alike.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Passed {
+    /// How many.
+    pub steps: u32,
+    /// Whether the sample was decided before the first of them.
+    pub decided: bool,
+}
+
+/// Runs one sample on so many copies of its network; `after_step` sees the engine after each step, or after so many steps
+/// in which nothing happened.
+pub fn run_copies<E: Engine + ?Sized>(
+    engine: &mut E,
+    sample: &Sample,
+    copies: Copies,
+    keep: &Keep,
+    mut after_step: impl FnMut(&E, Passed),
+) -> Outcome {
+    let mut shown = Vec::new();
+    let Output { first, count: size, decision: read_out, start_step } = keep.output;
+    let potentials = Potentials::new(read_out, size);
+    let mut outcome = Outcome { counts: vec![0; size as usize], potentials, ..Outcome::default() };
+    outcome.probes = keep.probes.iter().map(|probe| vec![0; probe.count as usize * sample.steps() as usize]).collect();
+    let exit = keep.early_exit.as_ref();
+    // Potentials that decide are certain after the last step only.
+    let by_spikes = exit.filter(|_| outcome.potentials.is_none());
+    let mut decision = by_spikes.map(|exit| Decision::new(exit, sample.steps()));
+    let margin = exit.and_then(|exit| match exit.rule {
+        Rule::Margin(margin) => Some(f64::from(margin.get())),
+        Rule::Certain => None,
+    });
+    engine.begin(sample.steps());
+    let mut step = 0;
+    // Certainty may come in the midst of silence.
+    let in_silence = |decision: &Option<Decision<'_>>, begin, end| decision.as_ref()?.decided_in_silence(begin, end);
+    let ends = exit.is_some_and(|exit| exit.ends);
+    while step < sample.steps() && !(ends && outcome.decided_at.is_some()) {
+        // A decision in silence takes its time, which is lost where the engine is not at rest.
+        let may_rest = match &outcome.potentials {
+            Some(_) => margin.is_none() || outcome.decided_at.is_some(),
+            None => decision.is_none() || engine.rest(0),
+        };
+        if sample.at(step).is_empty() && may_rest {
+            let next = sample.next_spike(step);
+            let decided = in_silence(&decision, step, next);
+            let passed = decided.map_or(next, |decided| decided + 1) - step;
+            if engine.rest(passed) {
+                outcome.skipped_steps += u64::from(passed);
+                if let Some(potentials) = &mut outcome.potentials {
+                    potentials.rest((step + passed).saturating_sub(start_step.max(step)));
+                }
+                after_step(engine, Passed { steps: passed, decided: outcome.decided_at.is_some() });
+                step += passed;
+                if decided.is_some() {
+                    (outcome.decided_at, decision) = (decided, None);
+                }
+                continue;
+            }
+        }
+        engine.step(sample.at_copies(step, copies, &mut shown));
+        let before = outcome.spikes.len();
+        for &compartment in engine.spikes() {
+            if let Some(output) = compartment.0.checked_sub(first.0).filter(|&output| output < size) {
+                outcome.counts[output as usize] += 1;
+                outcome.spikes.push((step, output));
+                if let Some(decision) = &mut decision {
+                    decision.spike(step, output);
+                }
+            }
+        }
+        outcome.spikes[before..].sort_unstable();
+        for (probe, kept) in keep.probes.iter().zip(&mut outcome.probes) {
+            record(engine, probe, step as usize, sample.steps() as usize, kept);
+        }
+        after_step(engine, Passed { steps: 1, decided: outcome.decided_at.is_some() });
+        if decision.as_mut().is_some_and(|decision| decision.decided_after(step)) {
+            (outcome.decided_at, decision) = (Some(step), None);
+        }
+        if let Some(potentials) = outcome.potentials.as_mut().filter(|_| step >= start_step) {
+            potentials.add(|output| engine.potential(CompartmentId(first.0 + output)));
+            if outcome.decided_at.is_none() && margin.is_some_and(|margin| potentials.lead() >= margin) {
+                outcome.decided_at = Some(step);
+            }
+        }
+        step += 1;
+    }
+    outcome.steps = step;
+    // What is decided by the last step is not early.
+    outcome.decided_at = outcome.decided_at.filter(|decided| decided + 1 < sample.steps());
+    outcome.steps_saved = outcome.decided_at.map_or(0, |decided| sample.steps() - decided - 1);
+    engine.settle();
+    outcome.totals = engine.totals();
+    outcome.overflow = engine.overflow();
+    outcome
+}
+
+fn record<E: Engine + ?Sized>(engine: &E, probe: &Probe, step: usize, steps: usize, kept: &mut [i32]) {
+    let compartment = |i: u32| CompartmentId(probe.first.0 + i);
+    let read: fn(&E, CompartmentId) -> i32 = match probe.quantity {
+        Quantity::Spikes => {
+            for spike in engine.spikes() {
+                if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
+                    kept[i as usize * steps + step] = 1;
+                }
+            }
+            return;
+        }
+        Quantity::U => E::u,
+        Quantity::V => E::v,
+        Quantity::VRegister => E::v_register,
+    };
+    for i in 0..probe.count {
+        kept[i as usize * steps + step] = read(engine, compartment(i));
+    }
+}
+
+/// The share of samples whose class is their label; `None` unless all have one.
+#[must_use]
+pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {
+    let labels = labels.into_iter().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty())?;
+    let right = outcomes.iter().zip(&labels).filter(|(outcome, label)| outcome.class() == Some(**label));
+    Some(right.count() as f64 / labels.len() as f64)
+}
+
+/// SHA-256 over little-endian u32 triples (sample in run order, step, output) of all output spikes, ascending.
+#[must_use]
+pub fn digest(outcomes: &[Outcome]) -> String {
+    let mut hash = Sha256::new();
+    for (sample, outcome) in outcomes.iter().enumerate() {
+        for &(step, output) in &outcome.spikes {
+            for word in [sample as u32, step, output] {
+                hash.update(word.to_le_bytes());
+            }
+        }
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_class_is_the_first_with_most_spikes() {
+        let class = |counts: &[u32]| Outcome { counts: counts.to_vec(), ..Outcome::default() }.class();
+        assert_eq!(class(&[1, 3, 3]), Some(1));
+        assert_eq!(class(&[0, 0]), None);
+    }
+
+    #[test]
+    fn the_digest_of_nothing_is_that_of_the_empty_string() {
+        assert_eq!(digest(&[]), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+        let one = Outcome { spikes: vec![(2, 1)], ..Outcome::default() };
+        assert_eq!(
+            digest(&[Outcome::default(), one]),
+            "d04468d46671f8bb09408f2dc16a4a4c0f9562beebf8835d408317adcf3a7528"
+        );
+    }
+}

@@ -1,0 +1,178 @@
+//! The metrics of NeuroBench's harness, of a network in integers.
+//!
+//! Input: a network, samples, an engine that runs them. Output: [`NeuroBench`], each number as the harness 2.3 computes it
+//! (`neurobench/metrics` of its source) from layers of this network: projections are its connection layers, populations of
+//! compartments its spiking layers. What that means here:
+//!
+//! - A projection is the matrix between its populations, or its kernel where it is a convolution or a pool; several synapses
+//!   of one pair are one entry, their sum.
+//! - An operation is counted where a spike meets an entry that is not zero, whether or not its delay lets it arrive before
+//!   the sample ends. So operations are not `synaptic_events`.
+//! - A membrane update is a compartment in the first timestep, and later one whose voltage a timestep leaves changed. So
+//!   updates are not `compartment_updates`.
+//! - The footprint is that of weights of 16 bits, and of a current and a voltage of 32 bits for each compartment.
+//!
+//! All samples count as one batch. Left out on purpose: layers of real numbers, and samples that end early.
+
+use std::ops::Range;
+
+use super::steps::groups;
+use super::{Keep, Outcome, Probe, Quantity};
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::id::Id;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Projection, Quantised, Units};
+use nsim_ir::source_counts::SourceCounts;
+use nsim_ir::spikes::Sample;
+
+/// What the harness says of a network and a data set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NeuroBench {
+    /// Bytes.
+    pub footprint_bytes: u64,
+    /// The share of entries that are zero, to four decimals; of a network without entries 0.
+    pub connection_sparsity: f64,
+    /// The share of compartments and timesteps without a spike.
+    pub activation_sparsity: f64,
+    /// Operations of a sample that a network without zeros would do.
+    pub dense: f64,
+    /// Operations of a sample over entries that are not zero, for spikes that carry a number.
+    pub effective_macs: f64,
+    /// The same for spikes that carry none.
+    pub effective_acs: f64,
+    /// Membrane updates of a sample.
+    pub membrane_updates: f64,
+    /// The share of samples whose class is their label, rounded to 32 bits; `None` unless all have one.
+    pub classification_accuracy: Option<f64>,
+}
+
+/// The entries of a projection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Entries {
+    /// All, zero or not.
+    all: u64,
+    /// Those that are not zero.
+    nonzero: u64,
+    /// Operations of a timestep in which every source spikes and no entry is zero.
+    dense: u64,
+}
+
+fn entries(network: &Quantised, projection: &Projection) -> Entries {
+    let size = |population| u64::from(network.populations()[population].shape.len());
+    match &projection.connectivity {
+        Connectivity::Conv2d { window, kernel } => Entries {
+            all: kernel.len() as u64,
+            nonzero: kernel.iter().filter(|&&weight| weight != 0).count() as u64,
+            dense: window.positions() * u64::from(window.source.0 / window.groups) * u64::from(window.target.0),
+        },
+        Connectivity::SumPool2d { window, weight } => {
+            let all = u64::from(window.source.0) * u64::from(window.kernel.0) * u64::from(window.kernel.1);
+            let dense = window.positions() * u64::from(window.source.0);
+            Entries { all, nonzero: if *weight == 0 { 0 } else { all }, dense }
+        }
+        _ => {
+            let all = size(projection.source) * size(projection.target);
+            let sources = 0..size(projection.source) as u32;
+            let mut row = Vec::new();
+            let nonzero = sources.map(|source| nonzero_of(&projection.connectivity, source, &mut row)).sum();
+            Entries { all, nonzero, dense: all }
+        }
+    }
+}
+
+/// The entries of a source that are not zero.
+fn nonzero_of(connectivity: &Connectivity, source: u32, row: &mut Vec<(u32, i64)>) -> u64 {
+    row.clear();
+    connectivity.for_each_from(source, |target, weight| row.push((target, weight.into())));
+    row.sort_unstable_by_key(|&(target, _)| target);
+    let pairs = row.chunk_by(|a, b| a.0 == b.0);
+    pairs.filter(|synapses| synapses.iter().map(|&(_, weight)| weight).sum::<i64>() != 0).count() as u64
+}
+
+/// Operations of spikes that carry no number, and of those that do.
+fn operations(network: &Quantised, counts: &SourceCounts) -> (u64, u64) {
+    let (mut plain, mut graded) = (0, 0);
+    let mut row = Vec::new();
+    for projection in network.projections() {
+        let source = &network.populations()[projection.source];
+        let spikes: &[u64] = match source.units {
+            Units::Input(first) => &counts.channels.as_slice()[range(first.index(), source.shape.len())],
+            Units::Compartments { first, .. } => {
+                &counts.compartments.as_slice()[range(first.index(), source.shape.len())]
+            }
+        };
+        let sum = if source.spike_factor().abs() == 1 { &mut plain } else { &mut graded };
+        for (index, spikes) in (0..).zip(spikes).filter(|(_, spikes)| **spikes > 0) {
+            *sum += spikes * nonzero_of(&projection.connectivity, index, &mut row);
+        }
+    }
+    (plain, graded)
+}
+
+fn range(first: usize, size: u32) -> Range<usize> {
+    first..first + size as usize
+}
+
+/// Compartments in the first timestep, and those whose voltage each later one changes.
+fn membrane_updates(outcome: &Outcome) -> u64 {
+    let steps = outcome.steps as usize;
+    let of_compartment = |voltages: &[i32]| 1 + voltages.windows(2).filter(|pair| pair[0] != pair[1]).count() as u64;
+    let traces = outcome.probes.iter().flat_map(|probe| probe.chunks(steps.max(1)));
+    traces.filter(|trace| !trace.is_empty()).map(of_compartment).sum()
+}
+
+impl NeuroBench {
+    /// Runs samples and measures. `run` gives what they did, in order, and the counts of their sources; of several copies
+    /// the first counts. Memory is bounded: samples are run in groups.
+    ///
+    /// # Errors
+    /// Those of `run`.
+    pub fn measure(
+        network: &Quantised,
+        samples: &[&Sample],
+        mut run: impl FnMut(&[&Sample], &Keep) -> Result<(Vec<Outcome>, SourceCounts)>,
+    ) -> Result<NeuroBench> {
+        let voltages = Probe { first: Id::new(0), count: network.compartments(), quantity: Quantity::V };
+        let keep = Keep { output: network.output(), probes: vec![voltages], early_exit: None };
+        let (mut plain, mut graded, mut updates, mut spikes, mut timesteps) = (0, 0, 0, 0, 0);
+        let mut right = Some(0u32);
+        for group in groups(samples, network.compartments() as usize) {
+            let (outcomes, counts) = run(group, &keep)?;
+            let (more_plain, more_graded) = operations(network, &counts);
+            plain += more_plain;
+            graded += more_graded;
+            spikes += counts.compartments.as_slice()[..network.compartments() as usize].iter().sum::<u64>();
+            for (sample, outcome) in group.iter().zip(&outcomes) {
+                updates += membrane_updates(outcome);
+                timesteps += u64::from(outcome.steps);
+                right = right.zip(sample.label()).map(|(sum, label)| sum + u32::from(outcome.class() == Some(label)));
+            }
+        }
+        let entries: Vec<Entries> = network.projections().iter().map(|one| entries(network, one)).collect();
+        let sum = |of: fn(&Entries) -> u64| entries.iter().map(of).sum::<u64>();
+        let (all, nonzero, dense) = (sum(|e| e.all), sum(|e| e.nonzero), sum(|e| e.dense));
+        let a_sample = |count: u64| if samples.is_empty() { 0.0 } else { count as f64 / samples.len() as f64 };
+        let places = timesteps * u64::from(network.compartments());
+        // As the harness weighs the shares of batches, which costs a last digit.
+        let of_batch = |share: f64| share * samples.len() as f64 / samples.len() as f64;
+        Ok(NeuroBench {
+            footprint_bytes: 2 * all + 8 * u64::from(network.compartments()),
+            // The harness divides in 32 bits.
+            connection_sparsity: if all == 0 { 0.0 } else { rounded((all - nonzero) as f32 / all as f32) },
+            activation_sparsity: if places == 0 { 0.0 } else { of_batch((places - spikes) as f64 / places as f64) },
+            dense: a_sample(dense * timesteps),
+            effective_macs: a_sample(graded),
+            effective_acs: a_sample(plain),
+            membrane_updates: a_sample(updates),
+            classification_accuracy: right
+                .filter(|_| !samples.is_empty())
+                .map(|right| of_batch(f64::from(right as f32 / samples.len() as f32))),
+        })
+    }
+}
+
+/// To four decimals, as Python rounds.
+fn rounded(share: f32) -> f64 {
+    let share = f64::from(share);
+    format!("{share:.4}").parse().unwrap_or(share)
+}

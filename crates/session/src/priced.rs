@@ -1,0 +1,247 @@
+//! Runs samples on a mapped network and estimates what that costs.
+//!
+//! Input: a compiled network, its target, samples of one copy. Output: outcomes, counts, power, latency and energy.
+
+use std::sync::Arc;
+
+use super::decision::EarlyExit;
+use super::samples::{Meter, Progress, Run, Running, fast};
+use super::{Keep, Outcome, Passed};
+use nsim_compile::Compiled;
+use nsim_cost::estimate::{Case, Estimate, estimate, step_price};
+use nsim_cost::job::Accounting;
+use nsim_cost::job::Mode;
+use nsim_cost::{CostTable, Deployment, HostWork, MessageRoutes, MeterSettings, StepMeter, Transport};
+use nsim_ir::activity::{Activity, CoreCounts, StepActivity};
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::id::{CoreId, Id};
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::groups::CoreGroups;
+use nsim_ir::hardware::Target;
+use nsim_ir::program::Program;
+use nsim_ir::spikes::{Copies, Sample};
+use nsim_machine::ranks::transport::Ranks;
+
+impl Meter for StepMeter {
+    fn see(&mut self, step: &StepActivity, passed: Passed) {
+        self.add(step, passed.steps, passed.decided);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        StepMeter::merge(self, other);
+    }
+}
+
+/// A meter that also keeps what each step of each sample did.
+#[derive(Debug)]
+pub struct Kept {
+    /// Energy and time.
+    pub meter: StepMeter,
+    /// Step by step, the names of input channels left out. A sample without steps is not there.
+    pub samples: Vec<Vec<StepActivity>>,
+    /// Those of the sample that runs.
+    running: Vec<StepActivity>,
+}
+
+impl Meter for Kept {
+    fn see(&mut self, step: &StepActivity, passed: Passed) {
+        self.meter.see(step, passed);
+        let step = StepActivity { channels: Vec::new(), ..step.clone() };
+        self.running.extend(std::iter::repeat_n(step, passed.steps as usize));
+    }
+
+    fn merge(&mut self, other: &Self) {
+        Meter::merge(&mut self.meter, &other.meter);
+        self.samples.extend(other.samples.iter().cloned());
+        if !other.running.is_empty() {
+            self.samples.push(other.running.clone());
+        }
+    }
+}
+
+/// How samples that all copies of a mapping see are run.
+#[derive(Clone)]
+pub struct SampleRun<'a> {
+    /// The samples.
+    pub samples: &'a [&'a Sample],
+    /// When they are decided.
+    pub early_exit: Option<EarlyExit>,
+    /// Whether work that cannot change anything is left out.
+    pub skip: bool,
+    /// Called after each sample.
+    pub progress: Progress<'a>,
+    /// The processes that run the program together, if there are several.
+    pub ranks: Option<&'a Ranks>,
+}
+
+/// A mapping as it is metered: the program that is run, and where its messages and those of cores that do the same go.
+#[derive(Debug)]
+pub struct Metered<'c> {
+    compiled: &'c Compiled,
+    /// One group of cores of each kind; `None` where all cores are run.
+    groups: Option<CoreGroups>,
+    /// The routes of all messages.
+    pub routes: Arc<MessageRoutes>,
+}
+
+impl<'c> Metered<'c> {
+    /// Of groups of cores that hold copies alike, one is run for all.
+    #[must_use]
+    pub fn new(compiled: &'c Compiled) -> Self {
+        let groups = compiled.core_groups();
+        let routes = match &groups {
+            Some(groups) => MessageRoutes::of_groups(groups),
+            None => MessageRoutes::of_program(&compiled.program),
+        };
+        Metered { compiled, groups, routes: Arc::new(routes) }
+    }
+
+    /// The same with every core run: the obvious way, which tests compare with.
+    #[must_use]
+    pub fn every_core(compiled: &'c Compiled) -> Self {
+        let one = compiled.one_copy();
+        let groups = CoreGroups::each(&compiled.program, one, &compiled.together()).ok();
+        let program = MessageRoutes::of_program(&compiled.program);
+        let routes = groups.as_ref().map_or(program, MessageRoutes::of_groups);
+        Metered { compiled, groups, routes: Arc::new(routes) }
+    }
+
+    /// What steps are metered under when they run as fast as the chip can, with the cores that the mapping uses and the target's
+    /// first constants; and that deployment.
+    ///
+    /// # Errors
+    /// A constant that no integer holds.
+    pub fn offline(&self, target: &Target) -> Result<(MeterSettings, Deployment)> {
+        let Compiled { placement, options, one, .. } = self.compiled;
+        let (name, work) = (options.placement.name(), HostWork::for_target(target));
+        let deployment = Deployment::from_placement(name, placement, target, options.copies, work);
+        let settings = MeterSettings {
+            tables: vec![CostTable::new(&target.constants()[0])?],
+            routes: self.routes.clone(),
+            timing: deployment.timing(Transport::default(), options.copies),
+            timestep: Picoseconds::from_milliseconds(one.parts().timestep_ms),
+            distribution: None,
+            by_step: None,
+        };
+        Ok((settings, deployment))
+    }
+
+    /// Copies that are run, which do what all do.
+    #[must_use]
+    pub fn copies_run(&self) -> u32 {
+        self.groups.as_ref().map_or(self.compiled.options.copies, CoreGroups::copies)
+    }
+
+    /// Copies that there are.
+    pub(super) fn copies(&self) -> u32 {
+        self.compiled.options.copies
+    }
+
+    /// The cores that are run.
+    fn program(&self) -> &Program {
+        self.groups.as_ref().map_or(&self.compiled.program, |groups| &groups.program)
+    }
+
+    /// Runs samples on these, all copies seeing them, with a meter for each sample.
+    pub(super) fn run_with<M: Meter>(
+        &self,
+        samples: &[&Sample],
+        running: Running<'_>,
+        new_meter: impl Fn() -> M + Sync,
+    ) -> Result<Run<M>> {
+        // Copies share no input channels: each sees the whole sample.
+        let copies = Copies { copies: self.copies_run(), channels: self.compiled.one.channels() };
+        fast(self.program(), samples, Running { copies, per_step: true, ..running }, new_meter)
+    }
+
+    /// Runs samples and meters each step. Counts and sums are those of all copies, outcomes those of the first; counts by source,
+    /// what was skipped, and an outcome's totals and what left its field, are those of the cores that were run.
+    ///
+    /// # Errors
+    /// As [`fast`].
+    pub fn run(&self, settings: MeterSettings, sweep: SampleRun<'_>) -> Result<Run<StepMeter>> {
+        let settings = Arc::new(settings);
+        let run = self.run_metered(sweep, || StepMeter::new(settings.clone()))?;
+        Ok(self.of_all_copies(run))
+    }
+
+    /// The same of one copy, keeping what each step did.
+    ///
+    /// # Errors
+    /// As [`fast`].
+    pub fn run_kept(&self, settings: &Arc<MeterSettings>, sweep: SampleRun<'_>) -> Result<Run<Kept>> {
+        let kept = || Kept { meter: StepMeter::new(settings.clone()), samples: Vec::new(), running: Vec::new() };
+        self.run_metered(sweep, kept)
+    }
+
+    fn run_metered<M: Meter>(&self, sweep: SampleRun<'_>, new_meter: impl Fn() -> M + Sync) -> Result<Run<M>> {
+        let SampleRun { samples, early_exit, skip, progress, ranks } = sweep;
+        let keep = Keep { output: self.program().output(), probes: Vec::new(), early_exit };
+        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks };
+        self.run_with(samples, running, new_meter)
+    }
+
+    /// What all cores did, from what those did that were run.
+    pub(super) fn of_all_copies(&self, run: Run<StepMeter>) -> Run<StepMeter> {
+        let Some(groups) = &self.groups else { return run };
+        // Every copy does the same.
+        let spikes_in = run.activity.spikes_in() / u64::from(groups.copies()) * u64::from(self.copies());
+        let mut cores = vec![CoreCounts::default(); self.compiled.program.cores().len()];
+        for group in &groups.groups {
+            let of_kind = groups.kinds[group.kind].cores.clone().map(CoreId);
+            group
+                .cores
+                .iter()
+                .zip(of_kind)
+                .for_each(|(core, run_core)| cores[core.index()] = run.activity.cores()[run_core]);
+        }
+        // Of groups that are alike the first stands for all, as of cores that take as long.
+        let mut slowest = vec![0; cores.len()];
+        for (kind, number) in groups.kinds.iter().zip(0..) {
+            let first = groups.groups.iter().find(|group| group.kind == number);
+            for (core, run_core) in first.iter().flat_map(|group| &group.cores).zip(kind.cores.clone()) {
+                slowest[core.index()] = run.meter.slowest_steps().get(run_core as usize).copied().unwrap_or(0);
+            }
+        }
+        let activity = run.activity.on_cores(cores.into(), run.meter.hops(), spikes_in);
+        Run { activity, meter: run.meter.with_slowest_steps(slowest), ..run }
+    }
+}
+
+/// Timesteps of each sample; `None` when samples differ.
+#[must_use]
+pub fn steps_per_sample(samples: &[&Sample]) -> Option<u32> {
+    let same = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
+    samples.first().filter(|_| same).map(|sample| sample.steps())
+}
+
+/// What samples did, and what they cost.
+#[derive(Debug)]
+pub struct Priced {
+    /// Spikes and class of each sample, in run order.
+    pub outcomes: Vec<Outcome>,
+    /// Counts of the whole run, all copies.
+    pub activity: Activity,
+    /// Power, latency and energy of one copy.
+    pub estimate: Estimate,
+}
+
+/// Runs samples as fast as the chip can and estimates power, latency and energy by the target's first constants, with the
+/// cores that the mapping uses.
+///
+/// # Errors
+/// A constant that no integer holds; as [`fast`].
+pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> Result<Priced> {
+    let copies = compiled.options.copies;
+    let timestep_ms = compiled.one.parts().timestep_ms;
+    let metered = Metered::new(compiled);
+    let (settings, deployment) = metered.offline(target)?;
+    let price = step_price(&settings.tables[0], &deployment, copies, (Mode::Offline, Accounting::Profiler));
+    let settings = MeterSettings { distribution: Some((0, price)), ..settings };
+    let samples: Vec<&Sample> = samples.iter().collect();
+    let run = metered
+        .run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None })?;
+    let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);
+    let estimate = estimate(&Case { steps_per_sample: steps_per_sample(&samples), ..case });
+    Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })
+}

@@ -1,0 +1,394 @@
+//! Runs many samples on an engine, in parallel where that pays.
+//!
+//! Input: a program or network, samples, what to keep of each. Output: outcomes in run order, whatever the number of
+//! threads. Errors: a program whose sums could leave their integers.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use super::decision::Rule;
+use super::ranks::{Found, RankRow, merge_words, part_of, peak_mib, to_words};
+use super::{Keep, Outcome, Passed, Probe, Quantity, run_copies, run_sample};
+use nsim_golden::Golden;
+use nsim_ir::activity::{Activity, StepActivity};
+use nsim_ir::arithmetic::ReadOut;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::{CompartmentId, Id};
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::program::Program;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::source_counts::{LeftField, SourceCounts};
+use nsim_ir::spikes::{Copies, Engine, Sample};
+use nsim_machine::ranks::transport::Ranks;
+use nsim_machine::{Image, Machine, Settings};
+use nsim_reference::{Model, Real, Reference};
+
+/// With more synapses than this, threads share the cores of one sample instead of the samples, so that one image serves all.
+const LARGE: u64 = 4_000_000;
+/// With fewer synapses than this, sharing the cores of a sample costs more than it gains.
+const SHARED: u64 = 100_000;
+
+/// Called after each sample, from any thread.
+pub type Progress<'a> = &'a (dyn Fn() + Sync);
+
+/// How the machine runs samples.
+#[derive(Clone, Copy)]
+pub struct Running<'a> {
+    /// What to keep of each sample.
+    pub keep: &'a Keep,
+    /// The copies of the program, all of which see the sample.
+    pub copies: Copies,
+    /// Whether work that cannot change anything is left out.
+    pub skip: bool,
+    /// Whether the counts of each step are kept, for a meter.
+    pub per_step: bool,
+    /// Called after each sample.
+    pub progress: Progress<'a>,
+    /// The processes that run the program together, each a part of it; `None` where this one runs it alone.
+    pub ranks: Option<&'a Ranks>,
+}
+
+/// What watches the steps of a run, a part of it in each thread.
+pub trait Meter: Send {
+    /// Sees steps in a row that were alike.
+    fn see(&mut self, step: &StepActivity, passed: Passed);
+
+    /// Adds what another one saw of later samples. What it says may not depend on the parts.
+    fn merge(&mut self, other: &Self);
+}
+
+impl Meter for () {
+    fn see(&mut self, _: &StepActivity, _: Passed) {}
+
+    fn merge(&mut self, (): &()) {}
+}
+
+/// What a run on the machine yields.
+#[derive(Debug)]
+pub struct Run<M> {
+    /// In run order.
+    pub outcomes: Vec<Outcome>,
+    /// Of all samples.
+    pub activity: Activity,
+    /// Of all samples, by source.
+    pub counts: SourceCounts,
+    /// What saw all samples.
+    pub meter: M,
+    /// Compartment updates that were left out because the compartment was at rest.
+    pub skipped_updates: u64,
+    /// Seconds spent.
+    pub wall_s: f64,
+    /// The processes that ran it, where it was not one alone.
+    pub ranks: Vec<RankRow>,
+}
+
+/// How a run is divided among threads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Division {
+    /// Parts of a network that threads run together.
+    pub shards: usize,
+    /// Whether samples follow each other, rather than run at the same time.
+    pub in_turn: bool,
+}
+
+impl Division {
+    /// For so many samples of a program.
+    #[must_use]
+    pub fn new(program: &Program, samples: usize) -> Self {
+        let synapses: u64 = program.cores().iter().map(|image| image.inputs.count()).sum();
+        let in_turn = synapses > LARGE || samples == 1;
+        let shards = if in_turn && synapses > SHARED { rayon::current_num_threads() } else { 1 };
+        Division { shards, in_turn }
+    }
+}
+
+/// A program laid out for runs that are divided in this way.
+///
+/// # Errors
+/// `run.too-large` when the program's sums could not be exact.
+pub fn laid_out(program: &Program, division: Division) -> Result<Image<'_>, Diagnostic> {
+    Image::new(program, division.shards).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))
+}
+
+/// Runs samples on the machine; a meter is made for each sample and sees its steps.
+///
+/// # Errors
+/// As [`laid_out`].
+pub fn fast<M: Meter>(
+    program: &Program,
+    samples: &[&Sample],
+    running: Running<'_>,
+    new_meter: impl Fn() -> M + Sync,
+) -> Result<Run<M>, Diagnostic> {
+    if let Some(ranks) = running.ranks {
+        return on_ranks(program, samples, running, ranks, new_meter);
+    }
+    let division = Division::new(program, samples.len());
+    Ok(fast_on(&laid_out(program, division)?, division, samples, running, new_meter))
+}
+
+/// Runs samples together with other processes; every rank makes this call with the same ones. They run one after the other; the threads of a
+/// rank share its cores. On rank 0 the result is that of one process alone.
+///
+/// # Errors
+/// As [`laid_out`], and `run.part`.
+fn on_ranks<M: Meter>(
+    program: &Program,
+    samples: &[&Sample],
+    running: Running<'_>,
+    ranks: &Ranks,
+    new_meter: impl Fn() -> M + Sync,
+) -> Result<Run<M>, Diagnostic> {
+    let Running { keep, copies, skip, per_step, progress, .. } = running;
+    let margin = keep.early_exit.as_ref().is_some_and(|exit| matches!(exit.rule, Rule::Margin(_)));
+    if margin && keep.output.decision != ReadOut::Spikes {
+        let message = "potentials decide this model, and no one of several processes has them all";
+        return Err(Diagnostic::new("run.early-exit", message).help("run it in one process, or without an early exit"));
+    }
+    let begin = Instant::now();
+    let part = part_of(program, ranks)?;
+    let here = RankRow::here(&part, ranks.rank());
+    let shards = if here.synapses > SHARED { rayon::current_num_threads() } else { 1 };
+    let image = laid_out(&part, Division { shards, in_turn: true })?;
+    // Whoever decides has to see all outputs.
+    let shown = keep.early_exit.as_ref().map(|_| (keep.output.first, keep.output.count));
+    let is_first = ranks.rank() == 0;
+    let run_all = || {
+        let mut machine = Machine::of_part(&image, Settings { skip, per_step }, ranks, shown);
+        let (mut outcomes, mut meter, mut skipped_updates) = (Vec::new(), new_meter(), 0);
+        for sample in samples {
+            let mut of_sample = new_meter();
+            let outcome = run_copies(&mut machine, sample, copies, keep, |machine: &Machine<'_>, passed| {
+                if is_first {
+                    of_sample.see(machine.last_step(), passed);
+                }
+            });
+            meter.merge(&of_sample);
+            skipped_updates += machine.skipped_updates();
+            progress();
+            outcomes.push(outcome);
+        }
+        let (activity, counts) = machine.take_counts();
+        Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks: Vec::new() }
+    };
+    // A step that is shared from outside the pool would wake a thread each time.
+    let mut run = if shards > 1 { rayon::scope(|_| run_all()) } else { run_all() };
+    let here = RankRow { peak_mib: peak_mib(), ..here };
+    let Run { outcomes, activity, counts, skipped_updates, .. } = &run;
+    let found = Found { outcomes: outcomes.as_slice(), activity, counts, skipped_updates: *skipped_updates };
+    let words = to_words(&found, here, shown.is_none());
+    let Run { outcomes, activity, counts, skipped_updates, .. } = &mut run;
+    let mut found = Found { outcomes: outcomes.as_mut_slice(), activity, counts, skipped_updates: *skipped_updates };
+    let gathered = ranks.transport().gather(words);
+    let others: Vec<RankRow> = gathered.iter().skip(1).map(|words| merge_words(&mut found, words)).collect();
+    *skipped_updates = found.skipped_updates;
+    run.ranks = [here].into_iter().chain(others).collect();
+    run.wall_s = begin.elapsed().as_secs_f64();
+    Ok(run)
+}
+
+/// The same on a program that is laid out already, for runs of the same division.
+#[must_use]
+pub fn fast_on<M: Meter>(
+    image: &Image<'_>,
+    division: Division,
+    samples: &[&Sample],
+    running: Running<'_>,
+    new_meter: impl Fn() -> M + Sync,
+) -> Run<M> {
+    let Running { keep, copies, skip, per_step, progress, .. } = running;
+    let begin = Instant::now();
+    let run = |part: &[&Sample]| {
+        let mut machine = Machine::new(image, Settings { skip, per_step });
+        let mut results = Vec::with_capacity(part.len());
+        let mut all = new_meter();
+        for sample in part {
+            let mut meter = new_meter();
+            let see = |machine: &Machine<'_>, passed| meter.see(machine.last_step(), passed);
+            let outcome = run_copies(&mut machine, sample, copies, keep, see);
+            all.merge(&meter);
+            progress();
+            results.push((outcome, machine.skipped_updates()));
+        }
+        (results, all, machine.take_counts())
+    };
+    let parts: Vec<_> = if division.shards > 1 {
+        // A step that is shared from outside the pool would wake a thread each time.
+        vec![rayon::scope(|_| run(samples))]
+    } else if division.in_turn {
+        vec![run(samples)]
+    } else {
+        samples.par_chunks(chunk(samples)).map(run).collect()
+    };
+    let program = image.program();
+    let mut result = Run {
+        outcomes: Vec::with_capacity(samples.len()),
+        activity: Activity::new(program.cores().len()),
+        counts: SourceCounts::new(program.channels() as usize, program.seats().len()),
+        meter: new_meter(),
+        skipped_updates: 0,
+        wall_s: 0.0,
+        ranks: Vec::new(),
+    };
+    for (results, meter, (activity, counts)) in parts {
+        result.activity.merge(&activity);
+        result.counts.merge(&counts);
+        result.meter.merge(&meter);
+        for (outcome, skipped) in results {
+            result.outcomes.push(outcome);
+            result.skipped_updates += skipped;
+        }
+    }
+    result.wall_s = begin.elapsed().as_secs_f64();
+    result
+}
+
+impl<M: Meter> Run<M> {
+    /// Adds the samples that ran after these.
+    pub fn append(&mut self, later: Run<M>) {
+        self.outcomes.extend(later.outcomes);
+        self.activity.merge(&later.activity);
+        self.counts.merge(&later.counts);
+        self.meter.merge(&later.meter);
+        self.skipped_updates += later.skipped_updates;
+        self.wall_s += later.wall_s;
+    }
+}
+
+/// Samples that a thread takes at once: four parts a thread balance samples of different lengths.
+fn chunk(samples: &[&Sample]) -> usize {
+    samples.len().div_ceil(rayon::current_num_threads() * 4).max(1)
+}
+
+/// What a run without cores yields.
+#[derive(Debug)]
+pub struct Interpreted {
+    /// In run order.
+    pub outcomes: Vec<Outcome>,
+    /// Of all samples, by source.
+    pub counts: SourceCounts,
+    /// Seconds spent.
+    pub wall_s: f64,
+}
+
+impl Interpreted {
+    fn from_parts(parts: Vec<(Vec<Outcome>, SourceCounts)>, empty: SourceCounts, begin: Instant) -> Self {
+        let mut all = Interpreted { outcomes: Vec::new(), counts: empty, wall_s: 0.0 };
+        for (outcomes, counts) in parts {
+            all.outcomes.extend(outcomes);
+            all.counts.merge(&counts);
+        }
+        all.wall_s = begin.elapsed().as_secs_f64();
+        all
+    }
+}
+
+/// Counts the spikes of a step.
+fn add_spikes(counts: &mut SourceCounts, spikes: &[CompartmentId]) {
+    spikes.iter().for_each(|spike| counts.compartments[*spike] += 1);
+}
+
+/// Counts the input spikes of the steps that were run.
+fn add_inputs(counts: &mut SourceCounts, sample: &Sample, steps: u32) {
+    let channels = (0..steps).flat_map(|step| sample.at(step));
+    channels.for_each(|channel| counts.channels[*channel] += 1);
+}
+
+/// Runs samples on the golden interpreter.
+#[must_use]
+pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Interpreted {
+    let begin = Instant::now();
+    let nothing = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
+    let part = |part: &[&Sample]| {
+        let (mut engine, mut counts) = (Golden::new(network), nothing.clone());
+        let run = |sample: &&Sample| {
+            let outcome = run_sample(&mut engine, sample, keep, |engine, _| add_spikes(&mut counts, engine.spikes()));
+            add_inputs(&mut counts, sample, outcome.steps);
+            progress();
+            outcome
+        };
+        let outcomes: Vec<Outcome> = part.iter().map(run).collect();
+        let left = engine.left_fields().enumerate().filter(|(_, left)| **left != LeftField::default());
+        left.for_each(|(compartment, left)| counts.add_left_field(compartment, *left));
+        (outcomes, counts)
+    };
+    let parts = samples.par_chunks(chunk(samples)).map(part).collect();
+    Interpreted::from_parts(parts, nothing, begin)
+}
+
+/// For each probe `[compartments][steps]`, in real numbers.
+pub type Traces = Vec<Vec<f64>>;
+
+/// Runs samples of a network with so many channels and compartments on the reference engine; the probes come as real numbers
+/// beside the outcomes. Nothing leaves a field of real numbers.
+#[must_use]
+pub fn reference<F: Real>(
+    model: &Model<F>,
+    (channels, compartments): (u32, u32),
+    samples: &[&Sample],
+    keep: &Keep,
+    progress: Progress<'_>,
+) -> (Interpreted, Vec<Traces>) {
+    let begin = Instant::now();
+    let plain = Keep { probes: Vec::new(), ..keep.clone() };
+    let nothing = SourceCounts::new(channels as usize, compartments as usize);
+    let run = |engine: &mut Reference<'_, F>, counts: &mut SourceCounts, sample: &Sample| {
+        let steps = sample.steps() as usize;
+        let mut traces: Traces = keep.probes.iter().map(|probe| vec![0.0; probe.count as usize * steps]).collect();
+        let mut step = 0;
+        let outcome = run_sample(engine, sample, &plain, |engine, _| {
+            for (probe, trace) in keep.probes.iter().zip(&mut traces) {
+                record(engine, probe, step, steps, trace);
+            }
+            add_spikes(counts, engine.spikes());
+            step += 1;
+        });
+        add_inputs(counts, sample, outcome.steps);
+        progress();
+        (outcome, traces)
+    };
+    let part = |part: &[&Sample]| {
+        let (mut engine, mut counts) = (Reference::new(model), nothing.clone());
+        let (outcomes, traces) = part.iter().map(|sample| run(&mut engine, &mut counts, sample)).unzip();
+        ((outcomes, counts), traces)
+    };
+    let (parts, traces): (Vec<_>, Vec<Vec<Traces>>) = samples.par_chunks(chunk(samples)).map(part).unzip();
+    (Interpreted::from_parts(parts, nothing, begin), traces.into_iter().flatten().collect())
+}
+
+fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps: usize, trace: &mut [f64]) {
+    let first = probe.first.0;
+    match probe.quantity {
+        Quantity::Spikes => {
+            let own = engine.spikes().iter().filter_map(|spike| spike.0.checked_sub(first));
+            own.filter(|&i| i < probe.count).for_each(|i| trace[i as usize * steps + step] = 1.0);
+        }
+        quantity => (0..probe.count).for_each(|i| {
+            let compartment = CompartmentId(first + i);
+            trace[i as usize * steps + step] = match quantity {
+                Quantity::U => engine.current(compartment),
+                _ => engine.potential(compartment),
+            };
+        }),
+    }
+}
+
+/// How often each channel and compartment fires over samples, on the golden interpreter: it needs no mapping.
+#[must_use]
+pub fn firing_rates<'s>(network: &Quantised, samples: impl IntoIterator<Item = &'s Sample>) -> Rates {
+    let mut channels = vec![0u64; network.channels() as usize];
+    let mut compartments = vec![0u64; network.compartments() as usize];
+    let mut engine = Golden::new(network);
+    let mut steps = 0;
+    for sample in samples {
+        engine.begin(sample.steps());
+        for step in 0..sample.steps() {
+            engine.step(sample.at(step));
+            sample.at(step).iter().for_each(|channel| channels[channel.index()] += 1);
+            engine.spikes().iter().for_each(|id| compartments[id.index()] += 1);
+        }
+        steps += u64::from(sample.steps());
+    }
+    Rates::profile(&channels, &compartments, steps)
+}

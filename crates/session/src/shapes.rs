@@ -1,0 +1,75 @@
+//! What a network needs by its shapes alone: refuses what no mapping fits, before anything is drawn or expanded.
+//!
+//! Input: a model as it is written, a target. Output: the reasons for which it cannot fit, if any. Every source that reaches
+//! every compartment, or draws its targets, takes at least the bits of its weights in the synapse memory of the cores that
+//! it reaches; the mean over a population's compartments is a bound that some compartment is not below. What the shapes
+//! do not decide, or the model says wrongly, is left to the stages behind.
+
+use std::collections::HashMap;
+
+use nsim_compile::error::{CompileError, Result};
+use nsim_compile::reason::Reason;
+use nsim_files::network::{Network, ProjectionDesc};
+use nsim_ir::graph::MOST_UNITS;
+use nsim_ir::hardware::Target;
+use nsim_ir::resource::Resource;
+
+/// Bits of a synapse word.
+const WORD: u128 = 64;
+/// Networks of fewer synapses are mapped in a second or so, which tells every reason and not only this one.
+const SMALL: u128 = 1 << 24;
+
+/// Refuses a large network some compartment of which needs more synapse memory than a core has, or that needs more cores
+/// than there are for its synapses.
+///
+/// # Errors
+/// [`CompileError::DoesNotFit`].
+pub fn check(network: &Network, target: &Target, copies: u32) -> Result<()> {
+    let file = network.file();
+    let limit = u64::from(target.limits()[Resource::SynapseWords]);
+    let units = |shape: &[u64]| shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
+    let sizes: HashMap<&str, u64> = file
+        .populations
+        .iter()
+        .filter_map(|population| Some((population.value.name().as_str(), units(&population.value.shape().value)?)))
+        .collect();
+    // A population that is too large for any network is refused where it is lowered.
+    if sizes.len() < file.populations.len() || sizes.values().any(|&size| size > MOST_UNITS) {
+        return Ok(());
+    }
+    let mut bits: HashMap<&str, u128> = HashMap::new();
+    let mut all = 0u128;
+    for projection in &file.projections {
+        let synapse = projection.value.synapse();
+        let sources: u128 =
+            synapse.from.iter().filter_map(|name| sizes.get(name.as_str())).map(|&n| u128::from(n)).sum();
+        let Some(&targets) = sizes.get(synapse.to.as_str()) else { continue };
+        let synapses = match &projection.value {
+            ProjectionDesc::Dense(_) => sources.saturating_mul(targets.into()),
+            ProjectionDesc::Random(random) => sources.saturating_mul(random.fan_out.value.into()),
+            _ => 0,
+        };
+        let width = synapse.weight_bits.map_or(8, |bits| u128::try_from(bits.value).unwrap_or(1).clamp(1, 8));
+        all = all.saturating_add(synapses);
+        let sum = bits.entry(synapse.to.as_str()).or_default();
+        *sum = sum.saturating_add(synapses.saturating_mul(width));
+    }
+    if all < SMALL {
+        return Ok(());
+    }
+    let mut reasons = Vec::new();
+    let words = bits.values().fold(0u128, |sum, &bits| sum.saturating_add(bits)) / WORD * u128::from(copies);
+    let cores = u64::try_from(words.div_ceil(u128::from(limit.max(1)))).unwrap_or(u64::MAX);
+    if cores > u64::from(target.cores()) {
+        reasons.push(Reason::of_cores(target, copies, cores));
+    }
+    for population in &file.populations {
+        let name = population.value.name().as_str();
+        let (Some(&bits), Some(&size)) = (bits.get(name), sizes.get(name).filter(|&&size| size > 0)) else { continue };
+        let need = u64::try_from((bits / u128::from(size)).div_ceil(WORD)).unwrap_or(u64::MAX);
+        if need > limit {
+            reasons.push(Reason::of_named(name, Resource::SynapseWords, need, limit));
+        }
+    }
+    if reasons.is_empty() { Ok(()) } else { Err(CompileError::DoesNotFit(reasons)) }
+}

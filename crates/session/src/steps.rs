@@ -1,0 +1,230 @@
+//! A run with a row for each timestep: spikes by population, events, messages, hops, time and energy by part.
+//!
+//! Input: a mapping, samples, what steps are metered under. Output: the run, and its rows in the order of the samples in a
+//! [`StepWriter`]. Sums over rows are the totals of the run, exactly: the columns count spikes, ps and fJ.
+//!
+//! Memory is bounded: samples run in parallel in groups of at most [`CELLS`] numbers together; a longer sample runs alone, and
+//! its rows are written as they come.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::Passed;
+use super::priced::Metered;
+use super::samples::{Meter, Run, Running};
+use nsim_cost::model::{Breakdown, StepTime, energy_of_counts};
+use nsim_cost::{MeterSettings, StepMeter};
+use nsim_files::recorded::steps::{Column, StepWriter, Unit};
+use nsim_ir::activity::StepActivity;
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::id::Id;
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::spikes::Sample;
+
+/// Numbers of a group of samples, 8 bytes each.
+pub const CELLS: usize = 1 << 22;
+/// Rows of a long sample that are written together.
+const ROWS_TOGETHER: usize = 1 << 10;
+
+/// The columns of a row, and where its numbers come from.
+#[derive(Debug, Clone)]
+pub struct StepLayout {
+    columns: Vec<Column>,
+    /// For each channel of one copy the population that it is in; then the same for compartments.
+    channels: Vec<u32>,
+    compartments: Vec<u32>,
+    populations: usize,
+}
+
+impl StepLayout {
+    /// The columns for a network, whose copies count together.
+    #[must_use]
+    pub fn new(network: &Quantised) -> Self {
+        let (mut channels, mut compartments, mut columns) = (Vec::new(), Vec::new(), Vec::new());
+        let mut add = |name: String, unit| columns.push(Column { name, unit });
+        for (number, population) in (0..).zip(network.populations()) {
+            let units = match population.units {
+                Units::Input(_) => &mut channels,
+                Units::Compartments { .. } => &mut compartments,
+            };
+            units.extend((0..population.shape.len()).map(|_| number));
+            add(format!("spikes.{}", population.name), Unit::Count);
+        }
+        for name in ["synaptic_events", "messages", "hops"] {
+            add(name.to_string(), Unit::Count);
+        }
+        for (name, _) in StepTime::default().parts() {
+            add(format!("time_us.{}", name.replace(' ', "_")), Unit::Microseconds);
+        }
+        for (name, _) in Breakdown::default().parts() {
+            add(format!("energy_pj.{name}"), Unit::Picojoules);
+        }
+        StepLayout { columns, channels, compartments, populations: network.populations().len() }
+    }
+
+    /// The columns.
+    #[must_use]
+    pub fn columns(&self) -> &[Column] {
+        &self.columns
+    }
+}
+
+/// A meter that keeps the rows of its sample, or writes them.
+pub(super) struct Recorder<'r, 'w> {
+    meter: StepMeter,
+    layout: &'r StepLayout,
+    /// Copies that are run, and copies that there are.
+    copies: (u64, u64),
+    /// Rows that are not written yet.
+    cells: Vec<u64>,
+    /// Where rows are written as they come.
+    direct: Option<&'r Mutex<StepWriter<'w>>>,
+}
+
+impl<'r> Recorder<'r, '_> {
+    /// One that keeps the rows of what all copies of a mapping do.
+    pub(super) fn kept(metered: &Metered<'_>, settings: Arc<MeterSettings>, layout: &'r StepLayout) -> Self {
+        let copies = (metered.copies_run().into(), metered.copies().into());
+        Recorder { meter: StepMeter::new(settings), layout, copies, cells: Vec::new(), direct: None }
+    }
+
+    /// The rows, one after the other.
+    pub(super) fn into_rows(self) -> Vec<u64> {
+        self.cells
+    }
+
+    fn add_row(&mut self, step: &StepActivity) {
+        let layout = self.layout;
+        let start = self.cells.len();
+        self.cells.resize(start + layout.populations, 0);
+        let row = &mut self.cells[start..];
+        for channel in &step.channels {
+            row[layout.channels[channel.index() % layout.channels.len()] as usize] += 1;
+        }
+        for compartment in &step.fired {
+            row[layout.compartments[compartment.index() % layout.compartments.len()] as usize] += 1;
+        }
+        let (run, all) = self.copies;
+        row.iter_mut().for_each(|spikes| *spikes = *spikes / run.max(1) * all);
+        let routes = &self.meter.settings().routes;
+        let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
+        self.cells.extend([sum.synaptic_events(), sum.messages_in, hops.links()]);
+        self.cells.extend(self.meter.last_time().parts().map(|(_, part)| part.0));
+        // The meter of a recorder has a preset.
+        let energy = self.meter.tables().first().map(|table| energy_of_counts(sum, hops, table));
+        let parts = energy.unwrap_or_default().parts();
+        self.cells.extend(parts.map(|(_, part)| u64::try_from(part.0).unwrap_or(u64::MAX)));
+    }
+
+    fn flush(&mut self) {
+        if let Some(direct) = self.direct {
+            let mut out = direct.lock().unwrap_or_else(PoisonError::into_inner);
+            self.cells.chunks(self.layout.columns.len()).for_each(|row| out.row(row));
+            self.cells.clear();
+        }
+    }
+}
+
+impl Meter for Recorder<'_, '_> {
+    fn see(&mut self, step: &StepActivity, passed: Passed) {
+        self.meter.see(step, passed);
+        let start = self.cells.len();
+        self.add_row(step);
+        let width = self.layout.columns.len();
+        for _ in 1..passed.steps {
+            if self.direct.is_some() && self.cells.len() > ROWS_TOGETHER * width {
+                let row = self.cells[self.cells.len() - width..].to_vec();
+                self.cells.truncate(self.cells.len() - width);
+                self.flush();
+                self.cells.extend(row);
+            }
+            let from = self.cells.len() - width;
+            self.cells.extend_from_within(from..);
+        }
+        debug_assert!(self.direct.is_some() || self.cells.len() == start + passed.steps as usize * width);
+        if self.cells.len() >= ROWS_TOGETHER * width {
+            self.flush();
+        }
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.meter.merge(&other.meter);
+        // Samples are merged in run order.
+        self.cells.extend_from_slice(&other.cells);
+    }
+}
+
+/// Runs samples on a mapping, meters each step and writes a row for it.
+///
+/// # Errors
+/// As [`Metered::run`]. That rows cannot be written is for the second result to say; samples after that are not run.
+pub fn run_recorded(
+    metered: &Metered<'_>,
+    settings: MeterSettings,
+    (samples, running): (&[&Sample], Running<'_>),
+    layout: &StepLayout,
+    out: StepWriter<'_>,
+) -> Result<(Run<StepMeter>, std::io::Result<()>)> {
+    let (settings, out) = (Arc::new(settings), Mutex::new(out));
+    let copies = (metered.copies_run().into(), metered.copies().into());
+    let mut whole: Option<Run<StepMeter>> = None;
+    for group in groups(samples, layout.columns.len()) {
+        let steps: usize = group.iter().map(|sample| sample.steps() as usize).sum();
+        let direct = (steps * layout.columns.len() > CELLS).then_some(&out);
+        let meter = || Recorder { meter: StepMeter::new(settings.clone()), layout, copies, cells: Vec::new(), direct };
+        let run = metered.run_with(group, running, meter)?;
+        let Run { outcomes, activity, counts, meter: mut rows, skipped_updates, wall_s, ranks } = run;
+        rows.flush();
+        let mut writer = out.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut cells = rows.cells.chunks(layout.columns.len());
+        for outcome in &outcomes {
+            cells.by_ref().take(outcome.steps as usize).for_each(|row| writer.row(row));
+            writer.end_sample();
+        }
+        let run = Run { outcomes, activity, counts, meter: rows.meter, skipped_updates, wall_s, ranks };
+        match &mut whole {
+            None => whole = Some(run),
+            Some(whole) => whole.append(run),
+        }
+        if !writer.is_sound() {
+            break;
+        }
+    }
+    let whole = match whole {
+        Some(whole) => whole,
+        None => metered.run_with(&[], running, || StepMeter::new(settings.clone()))?,
+    };
+    let written = out.into_inner().unwrap_or_else(PoisonError::into_inner).finish();
+    Ok((metered.of_all_copies(whole), written))
+}
+
+/// Samples that follow each other and together have at most [`CELLS`] numbers, or one that has more.
+pub(super) fn groups<'g, 's>(samples: &'g [&'s Sample], columns: usize) -> Vec<&'g [&'s Sample]> {
+    let (mut groups, mut start, mut cells) = (Vec::new(), 0, 0);
+    for (index, sample) in samples.iter().enumerate() {
+        let more = sample.steps() as usize * columns;
+        if index > start && cells + more > CELLS {
+            groups.push(&samples[start..index]);
+            (start, cells) = (index, 0);
+        }
+        cells += more;
+    }
+    if start < samples.len() {
+        groups.push(&samples[start..]);
+    }
+    groups
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_hold_all_samples_in_order_and_few_numbers() {
+        let sample = |steps: usize| Sample::new(steps as u32, &[], None).unwrap();
+        let (short, long) = (sample(CELLS / 8), sample(CELLS));
+        let samples = [&short, &short, &long, &short, &short, &short, &short, &short];
+        let sizes: Vec<usize> = groups(&samples, 2).iter().map(|group| group.len()).collect();
+        assert_eq!(sizes, [2, 1, 4, 1]);
+        assert!(groups(&[], 2).is_empty());
+    }
+}

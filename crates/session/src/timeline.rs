@@ -1,0 +1,223 @@
+//! One sample, step by step: rows of all copies as [`StepLayout`] has them, spikes and potentials of the first copy.
+//!
+//! Input: a mapping, a sample, what steps are metered under, the compartments whose potentials are wanted. Output: a
+//! [`Timeline`]. Memory is bounded whatever the sample's length and the network's size: the first [`MOST_STEPS`] steps, of each
+//! population at most [`MOST_UNITS`] units in equal distances and [`MOST_SPIKES`] spikes; what was left out is said.
+
+use std::sync::Arc;
+
+use super::priced::Metered;
+use super::samples::{Meter, Running};
+use super::steps::{Recorder, StepLayout};
+use super::{Keep, Passed, Probe, Quantity};
+use nsim_cost::MeterSettings;
+use nsim_ir::activity::StepActivity;
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::id::{CompartmentId, Id};
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::spikes::{Copies, Sample};
+
+/// Steps that are kept.
+pub const MOST_STEPS: u32 = 1 << 15;
+/// Units of a population whose spikes are kept.
+pub const MOST_UNITS: u32 = 400;
+/// Spikes of a population that are kept.
+pub const MOST_SPIKES: usize = 40_000;
+
+/// Spikes of some units of a population.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Raster {
+    /// The population, by its place in the network.
+    pub population: usize,
+    /// Units of the population.
+    pub units: u32,
+    /// One unit in so many is kept.
+    pub every: u32,
+    /// (step, unit), ascending by step.
+    pub spikes: Vec<(u32, u32)>,
+    /// Whether there were more spikes than are kept.
+    pub cut: bool,
+}
+
+/// What happened in the steps of a sample.
+#[derive(Debug, Clone)]
+pub struct Timeline {
+    /// Steps that are kept, and steps of the sample.
+    pub steps: (u32, u32),
+    /// Columns of a row.
+    pub layout: StepLayout,
+    /// A row for each kept step, in the integers of its columns' units.
+    pub rows: Vec<u64>,
+    /// By population, in the network's order.
+    pub rasters: Vec<Raster>,
+    /// Potentials of the compartments that were asked for, `[compartments][steps]`.
+    pub potentials: Vec<Vec<i32>>,
+}
+
+/// Where the spikes of one copy go: population and first unit of each range of sources.
+struct Ranges {
+    /// First source, units, index of the population; channels and compartments apart, ascending.
+    channels: Vec<(u32, u32, usize)>,
+    compartments: Vec<(u32, u32, usize)>,
+}
+
+impl Ranges {
+    fn new(network: &Quantised) -> Self {
+        let (mut channels, mut compartments) = (Vec::new(), Vec::new());
+        for (index, population) in network.populations().iter().enumerate() {
+            let (list, first) = match population.units {
+                Units::Input(first) => (&mut channels, first.0),
+                Units::Compartments { first, .. } => (&mut compartments, first.0),
+            };
+            list.push((first, population.shape.len(), index));
+        }
+        Ranges { channels, compartments }
+    }
+
+    /// The population and the unit of a source; none of other copies' sources.
+    fn find(ranges: &[(u32, u32, usize)], source: usize) -> Option<(usize, u32)> {
+        let source = u32::try_from(source).ok()?;
+        let range = ranges.partition_point(|&(first, ..)| first <= source).checked_sub(1)?;
+        let (first, units, population) = ranges[range];
+        (source - first < units).then_some((population, source - first))
+    }
+}
+
+/// Keeps rows and spikes of a sample.
+struct Watch<'w> {
+    recorder: Recorder<'w, 'w>,
+    ranges: &'w Ranges,
+    rasters: Vec<Raster>,
+    steps: u32,
+}
+
+impl Meter for Watch<'_> {
+    fn see(&mut self, step: &StepActivity, passed: Passed) {
+        self.recorder.see(step, passed);
+        let now = self.steps;
+        let mut add = |found: Option<(usize, u32)>| {
+            let Some((population, unit)) = found else { return };
+            let raster = &mut self.rasters[population];
+            if unit % raster.every == 0 {
+                match raster.spikes.len() < MOST_SPIKES {
+                    true => raster.spikes.push((now, unit)),
+                    false => raster.cut = true,
+                }
+            }
+        };
+        step.channels.iter().for_each(|id| add(Ranges::find(&self.ranges.channels, id.index())));
+        step.fired.iter().for_each(|id| add(Ranges::find(&self.ranges.compartments, id.index())));
+        self.steps += passed.steps;
+    }
+
+    /// There is one sample: what is merged into is a meter that saw nothing.
+    fn merge(&mut self, other: &Self) {
+        self.recorder.merge(&other.recorder);
+        self.rasters.clone_from(&other.rasters);
+        self.steps = other.steps;
+    }
+}
+
+impl Timeline {
+    /// Runs a sample on a mapping.
+    ///
+    /// # Errors
+    /// As [`Metered::run`].
+    pub fn new(
+        metered: &Metered<'_>,
+        network: &Quantised,
+        settings: MeterSettings,
+        sample: &Sample,
+        potentials: &[CompartmentId],
+    ) -> Result<Self> {
+        let (all, sample) = (sample.steps(), &sample.beginning(MOST_STEPS));
+        let layout = StepLayout::new(network);
+        let (settings, ranges) = (Arc::new(settings), Ranges::new(network));
+        let rasters = network.populations().iter().enumerate();
+        let rasters: Vec<Raster> = rasters
+            .map(|(population, of)| {
+                let units = of.shape.len();
+                Raster { population, units, every: units.div_ceil(MOST_UNITS).max(1), spikes: Vec::new(), cut: false }
+            })
+            .collect();
+        let probe = |&first: &CompartmentId| Probe { first, count: 1, quantity: Quantity::V };
+        let keep = Keep { output: network.output(), probes: potentials.iter().map(probe).collect(), early_exit: None };
+        let running =
+            Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| (), ranks: None };
+        let meter = || Watch {
+            recorder: Recorder::kept(metered, settings.clone(), &layout),
+            ranges: &ranges,
+            rasters: rasters.clone(),
+            steps: 0,
+        };
+        let run = metered.run_with(&[sample], running, meter)?;
+        let Watch { recorder, rasters, .. } = run.meter;
+        let rows = recorder.into_rows();
+        let outcome = run.outcomes.into_iter().next().unwrap_or_default();
+        let potentials = outcome.probes;
+        Ok(Timeline { steps: (sample.steps(), all), layout, rows, rasters, potentials })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_compile::{Options, compile};
+    use nsim_golden::Golden;
+    use nsim_ir::base::id::ChannelId;
+    use nsim_ir::base::rng;
+    use nsim_ir::spikes::Engine;
+    use nsim_testing::{limits, random_network, target};
+
+    #[test]
+    fn spikes_potentials_and_rows_are_those_of_the_interpreter() {
+        for (seed, copies) in (0..12).zip([1, 1, 3].into_iter().cycle()) {
+            let board = target(2, 2, limits());
+            let compiled = compile(random_network(seed), &board, &Options { copies, ..Options::default() }).unwrap();
+            let network = &compiled.one;
+            let events: Vec<(u32, ChannelId)> = (0..40)
+                .flat_map(|step| (0..network.channels()).map(move |channel| (step, ChannelId(channel))))
+                .filter(|&(step, channel)| rng::below(4, seed, u64::from(step), channel.0.into()) == 0)
+                .collect();
+            let sample = Sample::new(60, &events, None).unwrap();
+            let metered = Metered::new(&compiled);
+            let (settings, _) = metered.offline(&board).unwrap();
+            let watched: Vec<CompartmentId> = (0..network.compartments().min(5)).map(CompartmentId).collect();
+            let found = Timeline::new(&metered, network, settings, &sample, &watched).unwrap();
+            let mut golden = Golden::new(network);
+            golden.begin(60);
+            let width = found.layout.columns().len();
+            let mut meant: Vec<Vec<(u32, u32)>> = vec![Vec::new(); network.populations().len()];
+            for step in 0..60 {
+                golden.step(sample.at(step));
+                for (&id, trace) in watched.iter().zip(&found.potentials) {
+                    assert_eq!(trace[step as usize], golden.v(id), "seed {seed}, step {step}, {id}");
+                }
+                let mut counts = vec![0u64; meant.len()];
+                let mut spiked = |population: usize, unit: u32| {
+                    meant[population].push((step, unit));
+                    counts[population] += u64::from(copies);
+                };
+                let ranges = Ranges::new(network);
+                for channel in sample.at(step) {
+                    let (population, unit) = Ranges::find(&ranges.channels, channel.index()).unwrap();
+                    spiked(population, unit);
+                }
+                let mut fired = golden.spikes().to_vec();
+                fired.sort_unstable();
+                for id in fired {
+                    let (population, unit) = Ranges::find(&ranges.compartments, id.index()).unwrap();
+                    spiked(population, unit);
+                }
+                assert_eq!(found.rows[step as usize * width..][..counts.len()], counts, "seed {seed}, step {step}");
+            }
+            for (raster, mut meant) in found.rasters.iter().zip(meant) {
+                let mut spikes = raster.spikes.clone();
+                spikes.sort_unstable();
+                meant.sort_unstable();
+                assert_eq!((spikes, raster.cut, raster.every), (meant, false, 1), "seed {seed}");
+            }
+            assert_eq!(found.rows.len(), 60 * width);
+        }
+    }
+}

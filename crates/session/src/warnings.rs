@@ -1,0 +1,364 @@
+//! What a user should be warned of after a run, each with the one change that would help most.
+//!
+//! Input: a network, what its populations did, the samples that it was shown. Output: warnings in the order of the
+//! populations. A silent population is shown the samples with most spikes once more, to measure how near it came to firing: the
+//! share of the threshold that it reached is the change to make.
+
+use std::collections::HashSet;
+
+use crate::populations::{ByPopulation, PopulationCounts};
+use crate::samples::{Running, fast};
+use crate::{Keep, Outcome};
+use nsim_dynamics as neuron;
+use nsim_golden::Golden;
+use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::fixed::{ThresholdMantissa, VmaxExponent};
+use nsim_ir::base::id::{CompartmentId, PopulationId};
+use nsim_ir::program::Program;
+use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
+use nsim_ir::spikes::{Copies, Engine, Sample};
+use nsim_machine::{Image, Machine, Settings};
+
+/// Something about a run that its user should look at.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Warning {
+    /// What kind: `silent-population`, `silent-output`, `clipped`, `wrapped` or `weights-rounded`.
+    pub code: &'static str,
+    /// The population that it is about.
+    pub population: Option<String>,
+    /// What was seen, and what to change.
+    pub message: String,
+}
+
+/// The engine that ran.
+#[derive(Debug, Clone, Copy)]
+pub enum Ran<'a> {
+    /// The machine.
+    Program(&'a Program),
+    /// The golden interpreter.
+    Integers,
+    /// The reference engine, in real numbers.
+    Reals,
+}
+
+/// A finished run.
+#[derive(Debug, Clone, Copy)]
+pub struct Finished<'a> {
+    /// The network; of several copies, one.
+    pub network: &'a Quantised,
+    /// On what it ran.
+    pub ran: Ran<'a>,
+    /// What it did.
+    pub sums: &'a ByPopulation,
+    /// What it was shown.
+    pub samples: &'a [&'a Sample],
+    /// What came out of each.
+    pub outcomes: &'a [Outcome],
+}
+
+/// With more synapses, or more potentials to read, no sample is run again.
+const MOST_AGAIN: u64 = 4_000_000;
+/// Rounding of real weights by a greater share of the greatest weight is worth a warning: half a step of 5 bits and a sign.
+const COARSE: f64 = 1.0 / 64.0;
+/// So many samples are run again.
+const SAMPLES_AGAIN: usize = 20;
+/// Names that a warning lists at most.
+const LISTED: usize = 5;
+
+/// The compartment of a silent population that came nearest to its threshold.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Nearest {
+    index: u32,
+    potential: i32,
+    /// The least potential at which it would have fired.
+    fires_from: i32,
+    neuron: Neuron,
+}
+
+impl Nearest {
+    fn share(&self) -> f64 {
+        f64::from(self.potential) / f64::from(self.fires_from.max(1))
+    }
+}
+
+/// What to warn of.
+#[must_use]
+pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
+    let mut found = Vec::new();
+    let network = run.network;
+    let compartments = network.populations().enumerate().filter(|(_, p)| p.first_compartment().is_some());
+    let rows: Vec<(PopulationId, &PopulationCounts)> =
+        compartments.map(|(id, _)| id).zip(&run.sums.populations).collect();
+    let is_silent = |row: &PopulationCounts| row.compartments > 0 && row.spikes == 0;
+    let silent: Vec<PopulationId> = rows.iter().filter(|(_, row)| is_silent(row)).map(|(id, _)| *id).collect();
+    let inputs = run.sums.inputs.iter().map(|row| (&row.name, row.spikes));
+    let counted_spikes = run.sums.populations.iter().map(|row| (&row.name, row.spikes)).chain(inputs);
+    let spiking: HashSet<&str> =
+        counted_spikes.filter(|&(_, spikes)| spikes > 0).map(|(name, _)| name.as_str()).collect();
+    let (nearest, first) = (nearest(run, &silent), first_overflow(run));
+    for &(id, row) in &rows {
+        let is_output = id == network.parts().output;
+        let by_potential = is_output && network.parts().decision != ReadOut::Spikes;
+        let mut add = |code, message| found.push(Warning { code, population: Some(row.name.clone()), message });
+        if by_potential {
+            // That such an output never spikes is as it should be.
+            if let Some(message) = still(run, &spiking, id) {
+                add("silent-output", message);
+            }
+        } else if let Ok(place) = silent.binary_search(&id) {
+            let change = wake(run, &spiking, id, nearest.get(place).copied().flatten());
+            let what = if is_output { "the output never spikes, so that no sample is decided" } else { "never spikes" };
+            add(if is_output { "silent-output" } else { "silent-population" }, format!("{what}: {change}"));
+        } else if is_output && let Some(message) = silent_classes(run) {
+            add("silent-output", message);
+        }
+        // A negative voltage that is clipped, or one that a spike sets to zero, is not missed.
+        if row.cut > 0 {
+            let mine = |(population, _): &&(PopulationId, String)| *population == id && row.cut == row.clipped;
+            let place = first.as_ref().filter(mine).map_or("", |(_, place)| place);
+            add("clipped", format!("{} clipped{place}: {}", counted(row.cut, "voltage"), widen(network, id)));
+        }
+        if row.wrapped > 0 {
+            let place = first.as_ref().filter(|(population, _)| *population == id).map_or("", |(_, place)| place);
+            add("wrapped", format!("{} wrapped{place}: {HALVE}", counted(row.wrapped, "current or accumulator value")));
+        }
+        if !matches!(run.ran, Ran::Reals)
+            && let Some(message) = rounded(network, id)
+        {
+            add("weights-rounded", message);
+        }
+    }
+    found
+}
+
+/// What to warn of when a mapped network is shown samples, where nobody has counted yet.
+///
+/// # Errors
+/// As [`fast`].
+pub fn warnings_of(network: &Quantised, program: &Program, samples: &[&Sample]) -> Result<Vec<Warning>> {
+    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+    let running =
+        Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None };
+    let run = fast(program, samples, running, || ())?;
+    let sums = ByPopulation::new(network, &run.counts);
+    Ok(warnings(Finished { network, ran: Ran::Program(program), sums: &sums, samples, outcomes: &run.outcomes }))
+}
+
+fn counted(number: u64, thing: &str) -> String {
+    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+}
+
+/// Why the potentials of the output that they should decide by never leave zero.
+fn still(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
+    let decided = run.outcomes.iter().any(|outcome| outcome.class().is_some());
+    let why = || {
+        unreached(run, spiking, id)
+            .unwrap_or_else(|| "the weights that lead to it round to zero; raise them".to_string())
+    };
+    let what = "the potentials of the output never leave 0, so that no sample is decided";
+    (!decided && !run.outcomes.is_empty()).then(|| format!("{what}: {}", why()))
+}
+
+/// Why nothing reaches a population; `None` where something does. Populations and inputs with
+/// spikes are given by name.
+fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
+    let network = run.network;
+    let populations = network.populations();
+    let mut sources: Vec<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
+    sources.sort_unstable();
+    sources.dedup();
+    let fired = |source: &PopulationId| spiking.contains(populations[*source].name.as_str());
+    let biased = match &populations[id].units {
+        Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.bias_mant.get() != 0),
+        Units::Input(_) => false,
+    };
+    if sources.is_empty() && !biased {
+        return Some("no projection leads to it; add one, or a bias".to_string());
+    }
+    if !sources.is_empty() && !sources.iter().any(fired) && !biased {
+        let names: Vec<String> = sources.iter().take(LISTED).map(|&s| format!("'{}'", populations[s].name)).collect();
+        let are = if names.len() == 1 { "is" } else { "are" };
+        return Some(format!("nothing reaches it while {} {are} silent; look there first", names.join(" and ")));
+    }
+    None
+}
+
+/// What makes a silent population fire.
+fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: Option<Nearest>) -> String {
+    let network = run.network;
+    if let Some(why) = unreached(run, spiking, id) {
+        return why;
+    }
+    let integrates = |units: &Units| match units {
+        Units::Compartments { neurons, .. } => !neurons.any(|neuron| neuron.vth != ThresholdMantissa::MAX),
+        Units::Input(_) => false,
+    };
+    if integrates(&network.populations()[id].units) {
+        let advice = match id == network.parts().output {
+            true => {
+                "as those of a layer that is read out by its potential: write `decision: GreatestV` (or SumOfV, LastV) into \
+                 the model, or try it with --set decision=GreatestV"
+            }
+            false => "at which nothing spikes: lower them (vth_mant), or remove the population, which sends nothing on",
+        };
+        return format!("its thresholds are the greatest, {advice}");
+    }
+    match (nearest, run.ran) {
+        (Some(nearest), _) if nearest.potential <= 0 => {
+            "what reaches it never lifts it above zero; give it positive weights or a bias".to_string()
+        }
+        (Some(nearest), _) => lower(network.parts().threshold, &nearest),
+        (None, Ran::Reals) => "lower its threshold, or scale up the weights that lead to it".to_string(),
+        (None, _) => "lower its threshold (vth_mant), or raise the weight_exp of what leads to it".to_string(),
+    }
+}
+
+/// The threshold at which the nearest compartment would have fired.
+fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
+    let vth = nearest.neuron.vth.get();
+    let below = if test == ThresholdTest::Strict { nearest.potential - 1 } else { nearest.potential };
+    let percent = 100.0 * nearest.share();
+    let percent = if percent < 1.0 { format!("{percent:.2}") } else { format!("{percent:.0}") };
+    let seen = format!("compartment {} came nearest, to {percent} % of its threshold", nearest.index);
+    match below / 64 {
+        0 => {
+            let steps = (1.0 / nearest.share()).log2().ceil();
+            format!("{seen}; raise the weight_exp of what leads to it by {steps}")
+        }
+        lower => format!("{seen}; lower vth_mant from {vth} to {lower}, or vth by as much"),
+    }
+}
+
+/// The nearest compartment of each of these populations in the samples with most spikes; none where that would take long to find.
+fn nearest(run: Finished<'_>, silent: &[PopulationId]) -> Vec<Option<Nearest>> {
+    let network = run.network;
+    let size = |&id: &PopulationId| u64::from(network.populations()[id].shape.len());
+    let compartments = silent.iter().map(size).sum::<u64>();
+    let mut samples = run.samples.to_vec();
+    samples.sort_by_key(|sample| std::cmp::Reverse(sample.spikes()));
+    let mut reads = 0;
+    let affordable = samples.iter().take_while(|sample| {
+        reads += compartments * u64::from(sample.steps());
+        reads <= MOST_AGAIN
+    });
+    let some = affordable.count().min(SAMPLES_AGAIN);
+    if silent.is_empty() || some == 0 || network.synapses() > MOST_AGAIN {
+        return Vec::new();
+    }
+    let samples = &samples[..some];
+    match run.ran {
+        Ran::Program(program) => match Image::new(program, 1) {
+            Ok(image) => watched(&mut Machine::new(&image, Settings::default()), run, silent, samples),
+            Err(_) => Vec::new(),
+        },
+        Ran::Integers => watched(&mut Golden::new(network), run, silent, samples),
+        Ran::Reals => Vec::new(),
+    }
+}
+
+/// Runs samples and reads the potentials of silent populations.
+fn watched(
+    engine: &mut dyn Engine,
+    run: Finished<'_>,
+    silent: &[PopulationId],
+    samples: &[&Sample],
+) -> Vec<Option<Nearest>> {
+    let parts = run.network.parts();
+    let mut best: Vec<Option<Nearest>> = vec![None; silent.len()];
+    let steps = samples.iter().flat_map(|sample| (0..sample.steps()).map(move |step| (sample, step)));
+    for (sample, step) in steps {
+        if step == 0 {
+            engine.begin(sample.steps());
+        }
+        engine.step(sample.at(step));
+        for (id, best) in silent.iter().zip(&mut best) {
+            let population = &parts.populations[*id];
+            let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
+            for index in 0..population.shape.len() {
+                let potential = engine.v(CompartmentId(first.0 + index));
+                if best.is_some_and(|best| potential <= best.potential && best.neuron == neurons.get(index)) {
+                    continue;
+                }
+                let neuron = neurons.get(index);
+                let fires_from = neuron::fields(&neuron, *start_step, parts.semantics, parts.threshold).fires_from;
+                let index = run.network.index_shown(*id, index);
+                let here = Nearest { index, potential, fires_from, neuron };
+                if best.is_none_or(|best| here.share() > best.share()) {
+                    *best = Some(here);
+                }
+            }
+        }
+    }
+    best
+}
+
+/// The population of the first value that left its field, and where that was.
+fn first_overflow(run: Finished<'_>) -> Option<(PopulationId, String)> {
+    let firsts = run.outcomes.iter().enumerate();
+    let (sample, (step, compartment)) = firsts.filter_map(|(i, outcome)| Some((i, outcome.overflow.first?))).next()?;
+    let (population, index) = run.network.population_of(compartment);
+    let index = run.network.index_shown(population, index);
+    Some((population, format!(", first at compartment {index}, sample {sample}, step {step}")))
+}
+
+/// Outputs that never spike though samples of their class were shown.
+fn silent_classes(run: Finished<'_>) -> Option<String> {
+    let mut silent: Vec<u32> = run.samples.iter().filter_map(|sample| sample.label()).collect();
+    silent.sort_unstable();
+    silent.dedup();
+    let fired =
+        |class: u32| run.outcomes.iter().any(|outcome| outcome.counts.get(class as usize).is_none_or(|&n| n > 0));
+    silent.retain(|&class| !fired(class));
+    let classes = &run.network.parts().classes;
+    let name = |class: &u32| classes.get(*class as usize).cloned().unwrap_or_else(|| class.to_string());
+    let mut names: Vec<String> = silent.iter().take(LISTED).map(name).collect();
+    if silent.len() > LISTED {
+        names.push(format!("{} more", silent.len() - LISTED));
+    }
+    let (whose, spike, its) = match silent.len() {
+        1 => ("the output of class", "spikes", "its threshold"),
+        _ => ("the outputs of classes", "spike", "their thresholds"),
+    };
+    (!silent.is_empty())
+        .then(|| format!("{whose} {} never {spike}, though such samples were shown: lower {its}", names.join(", ")))
+}
+
+/// What leaves room to values that wrap or clip, and no spike otherwise.
+const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vth_mant and bias_mant: the same spikes at half the values";
+
+/// What leaves room to voltages above.
+#[must_use]
+pub fn widen(network: &Quantised, id: PopulationId) -> String {
+    let narrow = match &network.populations()[id].units {
+        Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.vmax < VmaxExponent::MAX),
+        Units::Input(_) => false,
+    };
+    if narrow { "raise vmax_exp".to_string() } else { HALVE.to_string() }
+}
+
+/// Projections into a population all of whose weights were rounded.
+fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
+    // Real numbers are hardly ever multiples of a step: what counts is how coarse the steps are.
+    let whole = |note: &&Note| {
+        note.rounded.is_some_and(|rounded| {
+            rounded.changed == rounded.weights && (!rounded.real || rounded.worst_share > COARSE)
+        })
+    };
+    let leads_here = |note: &&Note| network.incoming(id).any(|(_, projection)| projection.name == note.entity);
+    let notes: Vec<&Note> = network.parts().notes.iter().filter(whole).filter(leads_here).collect();
+    let all = notes.iter().filter_map(|note| note.rounded);
+    let worst = notes.iter().copied().zip(all.clone()).max_by(|a, b| a.1.worst_share.total_cmp(&b.1.worst_share))?;
+    let change = match worst.1.real {
+        true => {
+            "`nsim agree` shows what that costs; a projection of its own for the largest weights makes the steps finer"
+        }
+        false => "double them and lower weight_exp by 1, which keeps odd weights",
+    };
+    Some(format!(
+        "all {} were rounded, in {} by up to {:.2} % of the greatest: {change}",
+        counted(all.map(|rounded| rounded.weights).sum(), "weight"),
+        worst.0.entity,
+        100.0 * worst.1.worst_share,
+    ))
+}

@@ -1,0 +1,25 @@
+//! Lists the stored results of the paper's tables, so that the program carries each file that lies in their folder.
+
+use std::path::Path;
+
+const RESULTS: &str = "../../results/paper";
+
+fn main() -> std::io::Result<()> {
+    println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-changed={RESULTS}");
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(RESULTS)? {
+        let path = entry?.path();
+        if path.extension().is_some_and(|extension| extension == "json") {
+            paths.push(std::fs::canonicalize(path)?);
+        }
+    }
+    paths.sort();
+    let mut list = String::from("&[\n");
+    for path in &paths {
+        let name = path.file_name().unwrap_or_default();
+        list += &format!("    ({name:?}, include_str!({path:?})),\n");
+    }
+    let out = std::env::var_os("OUT_DIR").unwrap_or_default();
+    std::fs::write(Path::new(&out).join("paper_results.rs"), list + "]\n")
+}

@@ -1,0 +1,280 @@
+//! Mappings of the suite's networks, measured.
+//!
+//! Input: a network and how to map it. Output: a [`MeasuredMapping`] for each way: what it uses, how far spikes go at an
+//! assumed rate, and what a simulated step of it costs in energy and time. Every mapping has passed the checker, and its
+//! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row. A
+//! network that is mapped by its kernels is not run, and its energy and time are the expected ones. A network that cannot
+//! fit gives a [`Refusal`]: every reason, and how soon it was given.
+
+use std::time::Instant;
+
+use crate::networks::BenchNetwork;
+use crate::suite::{STEPS, SuiteCase, Ways};
+use nsim_compile::explore::traffic::Traffic;
+use nsim_compile::{
+    CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy, explore,
+};
+use nsim_cost::constants::CostTable;
+use nsim_cost::deployment::{Deployment, HostWork};
+use nsim_cost::meter::{MeterSettings, StepMeter};
+use nsim_cost::transport::Transport;
+use nsim_golden::Golden;
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::firing_rates::Rates;
+use nsim_ir::hardware::Target;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::{Engine, Sample};
+use nsim_machine::{Image, Machine, Settings};
+use nsim_session::ranks::peak_mib;
+
+/// A mapping and what it is worth.
+#[derive(Debug, Clone)]
+pub struct MeasuredMapping {
+    /// The network.
+    pub network: &'static str,
+    /// How compartments were gathered.
+    pub strategy: Strategy,
+    /// Whether cores were placed by traffic.
+    pub placed: bool,
+    /// What for.
+    pub objective: Objective,
+    /// Cores in use.
+    pub cores: u32,
+    /// Chips in use.
+    pub chips: u32,
+    /// Expected traffic at [`DEFAULT_RATE`].
+    pub traffic: Traffic,
+    /// Whether energy and time are of simulated steps; of a network that is too large to run they are the expected ones.
+    pub simulated: bool,
+    /// Mean energy of a step: events and static power of powered cores, in microjoules.
+    pub energy_uj: f64,
+    /// Mean time of a step in microseconds.
+    pub step_us: f64,
+    /// Seconds of all stages, the network itself not included.
+    pub seconds: f64,
+    /// The process's peak memory while it was mapped, where the system tells it.
+    pub peak_mib: Option<f64>,
+}
+
+/// A network that cannot fit, refused.
+#[derive(Debug, Clone)]
+pub struct Refusal {
+    /// The network.
+    pub network: &'static str,
+    /// The board.
+    pub target: String,
+    /// Every reason.
+    pub reasons: Vec<String>,
+    /// Seconds until it was refused, the network itself not included.
+    pub seconds: f64,
+    /// The process's peak memory, where the system tells it.
+    pub peak_mib: Option<f64>,
+}
+
+/// Why there is no row.
+#[derive(Debug, thiserror::Error)]
+pub enum MappingFailure {
+    /// The network could not be mapped.
+    #[error("{0} {1}: {2}")]
+    Compile(&'static str, &'static str, #[source] Box<CompileError>),
+    /// The network was mapped, which cannot be.
+    #[error("{0} fits, though it is known not to")]
+    Fits(&'static str),
+    /// It could not be run or priced.
+    #[error("{0}: {1}")]
+    Run(&'static str, String),
+    /// Its spikes are not the golden interpreter's.
+    #[error("{0} {1}: step {2} has other spikes than golden")]
+    Spikes(&'static str, &'static str, u32),
+}
+
+/// Spikes of each step, by the golden interpreter.
+fn golden(network: &Quantised, sample: &Sample) -> Vec<Vec<u32>> {
+    let mut engine = Golden::new(network);
+    engine.begin(STEPS);
+    let step = |t| {
+        engine.step(sample.at(t));
+        engine.ascending_spikes().iter().map(|id| id.0).collect()
+    };
+    (0..STEPS).map(step).collect()
+}
+
+/// The ways in which every network is mapped.
+pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
+    (Strategy::Sequential, Objective::Cores, &[false, true]),
+    (Strategy::Greedy, Objective::Cores, &[false, true]),
+    (Strategy::Multilevel, Objective::Cores, &[false, true]),
+    (Strategy::Multilevel, Objective::Latency, &[true]),
+];
+
+/// As `nsim map` does unless it is told otherwise.
+const DEFAULT: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[true])];
+
+/// The ways in which a network is mapped whose synapses are not written out.
+const BY_KERNELS: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
+
+/// Every way of mapping a case; `row` gets each as soon as it is there.
+///
+/// # Errors
+/// [`MappingFailure`], which no network of the suite gives.
+pub fn map_all(
+    case: &SuiteCase,
+    bench: &BenchNetwork,
+    target: &Target,
+    effort_s: u32,
+    mut row: impl FnMut(MeasuredMapping),
+) -> Result<(), MappingFailure> {
+    let form = Form::for_network(&bench.network, case.copies);
+    let ways = match (case.ways, form) {
+        (Ways::All, Form::Written) => &WAYS[..],
+        (Ways::All, Form::Symbolic) => &BY_KERNELS[..],
+        (Ways::Default, _) => &DEFAULT[..],
+        (Ways::Refused, _) => &[],
+    };
+    let rates = &Rates::assumed(DEFAULT_RATE);
+    let front = || {
+        let front = Front::from(bench.network.clone());
+        if case.relays { front.relay(target) } else { Ok(front) }
+    };
+    let expected = (form == Form::Written)
+        .then(|| (golden(&bench.network, &bench.period), bench.period.copies(case.copies, bench.network.channels())));
+    for &(strategy, objective, places) in ways {
+        let failed = |error| MappingFailure::Compile(case.name, strategy.name(), Box::new(error));
+        let options = Options {
+            copies: case.copies,
+            placement: CopyPlacement::Packed,
+            strategy,
+            objective,
+            effort: Effort::Work(effort_s),
+            ..Options::default()
+        };
+        reset_peak();
+        let begin = Instant::now();
+        // One partition serves both ways of placing it, where a second copy of it is no matter of gigabytes.
+        let partitioned = match (form, objective) {
+            (Form::Written, Objective::Cores) => {
+                match front().and_then(|front| front.partition(target, &options, rates, form)) {
+                    // Layers that only fit in tiles have no row in the order of the file.
+                    Err(CompileError::DoesNotFit(_)) if strategy == Strategy::Sequential => continue,
+                    partitioned => Some(partitioned.map_err(failed)?),
+                }
+            }
+            _ => None,
+        };
+        let gathered = begin.elapsed().as_secs_f64();
+        for &place in places {
+            if form == Form::Symbolic {
+                reset_peak();
+            }
+            let (begin, options) = (Instant::now(), Options { place, ..options });
+            let mapping = match &partitioned {
+                Some(partitioned) => {
+                    let unchecked = partitioned.clone().place(target, &options).and_then(|p| p.emit(target, &options));
+                    unchecked.and_then(|unchecked| unchecked.check(target))
+                }
+                None => front().and_then(|front| explore::map(front, target, &options, rates, form)),
+            };
+            let mapping = mapping.map_err(failed)?;
+            let seconds = gathered + begin.elapsed().as_secs_f64();
+            let peak_mib = peak_mib();
+            let (cores, chips) = (mapping.partition.cores() as u32, mapping.placement.chips_used());
+            let traffic = mapping.traffic();
+            let (energy_uj, step_us) = match &expected {
+                Some((meant, sample)) => {
+                    let compiled = mapping.into_compiled().map_err(failed)?;
+                    simulated(case, (&compiled, bench.network.compartments()), target, sample, meant)?
+                }
+                None => {
+                    let score = mapping.score(&traffic, target);
+                    let score = score.map_err(|error| MappingFailure::Run(case.name, error.to_string()))?;
+                    (score.energy_uj, score.step_us)
+                }
+            };
+            row(MeasuredMapping {
+                network: case.name,
+                strategy,
+                placed: place,
+                objective,
+                cores,
+                chips,
+                traffic,
+                simulated: expected.is_some(),
+                energy_uj,
+                step_us,
+                seconds,
+                peak_mib,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Why a network that cannot fit does not, by the default mapping.
+///
+/// # Errors
+/// [`MappingFailure`] where it is not refused.
+pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result<Refusal, MappingFailure> {
+    let placement = CopyPlacement::Packed;
+    let options = Options { copies: case.copies, placement, ..Options::default() };
+    let form = Form::for_network(&bench.network, case.copies);
+    reset_peak();
+    let begin = Instant::now();
+    let front = Front::from(bench.network.clone());
+    match explore::map(front, target, &options, &Rates::assumed(DEFAULT_RATE), form) {
+        Ok(_) => Err(MappingFailure::Fits(case.name)),
+        Err(CompileError::DoesNotFit(reasons)) => Ok(Refusal {
+            network: case.name,
+            target: target.name().to_string(),
+            reasons: reasons.iter().map(ToString::to_string).collect(),
+            seconds: begin.elapsed().as_secs_f64(),
+            peak_mib: peak_mib(),
+        }),
+        Err(other) => Err(MappingFailure::Compile(case.name, options.strategy.name(), Box::new(other))),
+    }
+}
+
+/// Mean energy and time of a step, once the spikes of the network's own compartments have been compared.
+fn simulated(
+    case: &SuiteCase,
+    (compiled, own): (&Compiled, u32),
+    target: &Target,
+    sample: &Sample,
+    meant: &[Vec<u32>],
+) -> Result<(f64, f64), MappingFailure> {
+    let failed = |error: &dyn std::fmt::Display| MappingFailure::Run(case.name, error.to_string());
+    let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
+    let table = CostTable::new(constants).map_err(|e| failed(&e))?;
+    let deployment =
+        Deployment::from_placement("mapped", &compiled.placement, target, case.copies, HostWork::for_target(target));
+    let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
+    let timing = deployment.timing(Transport::default(), case.copies);
+    let metered = MeterSettings::new(vec![table.clone()], timing, &compiled.program, timestep);
+    let mut meter = StepMeter::new(metered);
+    let image = Image::new(&compiled.program, 1).map_err(|e| failed(&e))?;
+    let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
+    machine.begin(STEPS);
+    let of_copy = compiled.one.compartments();
+    for step in 0..STEPS {
+        machine.step(sample.at(step));
+        let copies = (0..case.copies).flat_map(|k| meant[step as usize].iter().map(move |id| id + k * of_copy));
+        // Those of relays are not the network's.
+        let spikes = machine.ascending_spikes();
+        if !spikes.iter().map(|id| id.0).filter(|id| id % of_copy < own).eq(copies) {
+            return Err(MappingFailure::Spikes(case.name, compiled.options.strategy.name(), step));
+        }
+        meter.add(machine.last_step(), 1, false);
+    }
+    let sums = meter.lanes()[0].whole;
+    let steps = f64::from(STEPS);
+    let time: f64 = sums.time as f64 / 1e6 / steps;
+    let dynamic: f64 = sums.energy.microjoules() / steps;
+    // Milliwatts times microseconds are nanojoules.
+    let cores = table.core_static_power.milliwatts() * deployment.cores_used as f64 * time * 1e-3;
+    Ok((dynamic + cores, time))
+}
+
+/// Lets the peak of memory begin anew, where Linux allows it.
+fn reset_peak() {
+    // Where it is not allowed the peak of everything before counts too, and is at worst too large.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+}

@@ -1,0 +1,86 @@
+//! Networks of layers, as the benches need them.
+//!
+//! Input: the size of an input, then layer after layer. Output: a [`Builder`] with a population for each. Weights are drawn
+//! (`base::rng`); more of them are positive than negative, so that every layer goes on firing.
+
+use crate::networks::builder::Builder;
+use nsim_ir::base::fixed::{OutOfRange, SignMode};
+use nsim_ir::base::id::PopulationId;
+use nsim_ir::base::rng;
+use nsim_ir::graph::Window;
+use nsim_ir::quantised::connectivity::Connectivity;
+
+/// Layers that grow one by one.
+pub(crate) struct Layers {
+    /// The network so far.
+    pub net: Builder,
+    last: PopulationId,
+    size: (u32, u32, u32),
+    seed: u64,
+    /// Threshold mantissa of the layers to come.
+    pub threshold: i64,
+}
+
+impl Layers {
+    /// An input of so many channels, rows and columns.
+    pub fn new(name: &str, size: (u32, u32, u32)) -> Self {
+        let mut net = Builder::new(name);
+        let last = net.input("input", size.0 * size.1 * size.2);
+        net.over_space(size.0, size.1, size.2);
+        Layers { net, last, size, seed: 10, threshold: 60 }
+    }
+
+    fn next(&mut self, size: (u32, u32, u32)) -> Result<PopulationId, OutOfRange> {
+        self.seed += 1;
+        let name = format!("layer{}", self.seed - 10);
+        let id = self.net.loihi(&name, size.0 * size.1 * size.2, self.threshold, 1)?;
+        if size.1 * size.2 > 1 {
+            self.net.over_space(size.0, size.1, size.2);
+        }
+        Ok(id)
+    }
+
+    fn window(&self, to: u32, kernel: u32, stride: u32, padding: u32, groups: u32) -> Window {
+        let reach = |source: u32| (source + 2 * padding - kernel) / stride + 1;
+        let (_, h, w) = self.size;
+        Window {
+            source: self.size,
+            target: (to, reach(h), reach(w)),
+            kernel: (kernel, kernel),
+            stride: (stride, stride),
+            padding: (padding, padding),
+            dilation: (1, 1),
+            groups,
+        }
+    }
+
+    /// A convolution with random weights, to so many channels.
+    pub fn convolve(&mut self, channels: u32, kernel: u32, stride: u32, padding: u32) -> Result<(), OutOfRange> {
+        let window = self.window(channels, kernel, stride, padding, 1);
+        let to = self.next(window.target)?;
+        let weights = u64::from(channels * self.size.0 * kernel * kernel);
+        // Half as many positive as negative steps more: layers keep firing.
+        let weight = |index| -24 + 2 * rng::below(33, self.seed, index, 0) as i16;
+        let kernel = (0..weights).map(weight).collect();
+        self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::Conv2d { window, kernel })?;
+        (self.last, self.size) = (to, window.target);
+        Ok(())
+    }
+
+    /// Sums of windows without overlap.
+    pub fn pool(&mut self, side: u32) -> Result<(), OutOfRange> {
+        let window = self.window(self.size.0, side, side, 0, self.size.0);
+        let to = self.next(window.target)?;
+        self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::SumPool2d { window, weight: 80 })?;
+        (self.last, self.size) = (to, window.target);
+        Ok(())
+    }
+
+    /// All to all.
+    pub fn dense(&mut self, units: u32) -> Result<(), OutOfRange> {
+        let to = self.next((units, 1, 1))?;
+        self.net.dense((self.last, to), (-24, 40), self.seed)?;
+        (self.last, self.size) = (to, (units, 1, 1));
+        Ok(())
+    }
+}

@@ -1,0 +1,559 @@
+//! Run time against error: one network in many forms, on the same samples.
+//!
+//! Input: a network as it was trained, what stands for its spike response populations, samples. Output: a [`VariantRow`] for
+//! each [`Variant`]: microseconds a timestep on one thread, and how far its spikes and potentials are from the trained
+//! network in doubles. Variants that claim to be exact are held against the golden interpreter besides; for them
+//! [`VariantRow::exact`] must be true.
+//!
+//! A timestep is one of the samples' own, also where a variant merges or leaves off steps. Only runs are timed, not what
+//! makes a variant ready.
+
+use std::hint::black_box;
+use std::num::NonZeroU32;
+use std::time::{Duration, Instant};
+
+use nsim_agree::classes::ClassTally;
+use nsim_agree::ladder::layers;
+use nsim_agree::metrics::TrainSums;
+use nsim_agree::trace::{Comparison, Layer, Trace};
+use nsim_compile::{CompileError, Options, compile};
+use nsim_cost::constants::CostTable;
+use nsim_cost::meter::{MeterSettings, StepMeter};
+use nsim_cost::transport::Transport;
+use nsim_cost::{Deployment, HostWork};
+use nsim_dynamics as neuron;
+use nsim_dynamics::model_thresholds;
+use nsim_golden::Golden;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::fixed::{Decay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits};
+use nsim_ir::base::id::{ChannelId, CompartmentId};
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind};
+use nsim_ir::hardware::Target;
+use nsim_ir::quantised::{Neuron, Parts, Quantised, Units};
+use nsim_ir::spikes::{Engine, Sample};
+use nsim_machine::{Image, Machine, Settings};
+use nsim_quantise::analytic;
+use nsim_quantise::analytic::Fit;
+use nsim_quantise::quantise::quantise;
+use nsim_reference as reference;
+use nsim_reference::{Kernel, Model, Real, Reference};
+use nsim_session::decision::{EarlyExit, Rule};
+use nsim_session::error::Error;
+use nsim_session::{Keep, run_sample};
+
+/// A form of the network, and a way to run it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Variant {
+    /// In real numbers.
+    Reference {
+        /// `f32` instead of `f64`.
+        single: bool,
+        /// Truncated kernels by convolution instead of exact ones by recursion.
+        convolution: bool,
+    },
+    /// The slow interpreter.
+    Golden,
+    /// The machine.
+    Fast {
+        /// What is at rest is left out.
+        skip: bool,
+    },
+    /// The machine with every step metered, energy and time under this model of the mesh.
+    Metered(Transport),
+    /// The machine with weights of so many bits; 1 is two values of one size.
+    WeightBits(u8),
+    /// The machine with decays of so many bits.
+    DecayBits(u8),
+    /// The machine with so many steps merged into one.
+    Merged(u32),
+    /// The machine, each sample ended by a rule.
+    Early(Rule),
+}
+
+impl Variant {
+    /// Every variant that a network has; those by convolution only with spike response neurons.
+    #[must_use]
+    pub fn all(srm: bool) -> Vec<Variant> {
+        let mut all = Vec::new();
+        for single in [false, true] {
+            all.push(Variant::Reference { single, convolution: false });
+            if srm {
+                all.push(Variant::Reference { single, convolution: true });
+            }
+        }
+        all.push(Variant::Golden);
+        all.extend([true, false].map(|skip| Variant::Fast { skip }));
+        all.extend(Transport::ALL.map(Variant::Metered));
+        all.extend([6, 5, 4, 3, 2, 1].map(Variant::WeightBits));
+        all.extend([10, 8, 6, 5, 4, 3].map(Variant::DecayBits));
+        all.extend([2, 4, 8].map(Variant::Merged));
+        all.extend([2, 4, 8, 16].into_iter().filter_map(NonZeroU32::new).map(|m| Variant::Early(Rule::Margin(m))));
+        all.push(Variant::Early(Rule::Certain));
+        all
+    }
+
+    /// Its name in results.
+    #[must_use]
+    pub fn name(self) -> String {
+        match self {
+            Variant::Reference { single, convolution } => {
+                let (width, way) =
+                    (if single { "f32" } else { "f64" }, if convolution { "convolution" } else { "recursion" });
+                format!("reference-{width}-{way}")
+            }
+            Variant::Golden => "golden".to_string(),
+            Variant::Fast { skip: true } => "fast".to_string(),
+            Variant::Fast { skip: false } => "fast-no-skip".to_string(),
+            Variant::Metered(transport) => format!("metered-{}", transport.name()),
+            Variant::WeightBits(bits) => format!("weights-{bits}-bit"),
+            Variant::DecayBits(bits) => format!("decays-{bits}-bit"),
+            Variant::Merged(steps) => format!("merged-{steps}-steps"),
+            Variant::Early(rule) => format!("early-exit-{rule}"),
+        }
+    }
+
+    /// Whether it must be the golden interpreter's answer, spike by spike.
+    #[must_use]
+    pub fn claims_exact(self) -> bool {
+        matches!(self, Variant::Golden | Variant::Fast { .. } | Variant::Metered(_))
+    }
+}
+
+/// What was measured of a variant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VariantRow {
+    /// The variant.
+    pub variant: Variant,
+    /// Median of the repeats.
+    pub us_per_timestep: f64,
+    /// Distance of the quartiles.
+    pub spread: f64,
+    /// Repeats.
+    pub repeats: usize,
+    /// Share of samples with the class of the trained network, of those that both decide.
+    pub class_agreement: Option<f64>,
+    /// Share of right classes, when samples have labels.
+    pub accuracy: Option<f64>,
+    /// Coincidence factor over all layers.
+    pub coincidence: f64,
+    /// Potentials over all layers in thresholds; none where steps do not correspond.
+    pub potential_rmse: Option<f64>,
+    /// For variants that claim it: whether every spike is the golden interpreter's.
+    pub exact: Option<bool>,
+    /// Whether no other variant is faster and nearer.
+    pub on_front: bool,
+}
+
+/// Why a variant could not be made or run.
+#[derive(Debug, thiserror::Error)]
+pub enum ParetoError {
+    /// The network cannot be used.
+    #[error("{0}")]
+    Input(#[from] Diagnostic),
+    /// It does not fit the target, or the compiler is at fault.
+    #[error("{0}")]
+    Compile(#[from] CompileError),
+    /// The variant contradicts itself.
+    #[error("{0}")]
+    Variant(String),
+}
+
+impl From<ParetoError> for Error {
+    fn from(error: ParetoError) -> Self {
+        match error {
+            ParetoError::Input(diagnostic) => diagnostic.into(),
+            ParetoError::Compile(error) => error.into(),
+            ParetoError::Variant(message) => Diagnostic::new("pareto.variant", message).into(),
+        }
+    }
+}
+
+/// A network with everything that its variants share.
+pub struct Subject<'a> {
+    graph: &'a Graph,
+    deployed: Quantised,
+    /// The graph whose integers are deployed.
+    converted: Graph,
+    target: &'a Target,
+    samples: Vec<&'a Sample>,
+    layers: Vec<Layer>,
+    output: Layer,
+    trained: Vec<Trace>,
+    golden: Vec<Trace>,
+    budget: Duration,
+}
+
+impl<'a> Subject<'a> {
+    /// Makes a network ready: runs it as trained and on the golden interpreter.
+    ///
+    /// # Errors
+    /// As `compile::frontend::quantise`.
+    pub fn new(
+        graph: &'a Graph,
+        fits: &[Option<Fit>],
+        target: &'a Target,
+        samples: Vec<&'a Sample>,
+        budget: Duration,
+    ) -> Result<Self, ParetoError> {
+        let converted = analytic::with_fits(graph, fits);
+        let deployed = quantise(&converted)?;
+        let layers = layers(&deployed);
+        let name = &deployed.populations()[deployed.parts().output].name;
+        let output = layers.iter().find(|layer| &layer.name == name).cloned();
+        let output = output.ok_or_else(|| ParetoError::Variant("the output has no compartments".to_string()))?;
+        let mut subject = Subject {
+            graph,
+            converted,
+            target,
+            samples,
+            layers,
+            output,
+            trained: Vec::new(),
+            golden: Vec::new(),
+            budget,
+            deployed,
+        };
+        let model = Model::<f64>::new(graph, reference::Options { kernel: Kernel::Exact });
+        subject.trained = subject.real_traces(&model);
+        subject.golden = subject.traces(&mut Golden::new(&subject.deployed), &subject.deployed, 1);
+        Ok(subject)
+    }
+
+    fn steps(&self) -> u64 {
+        self.samples.iter().map(|sample| u64::from(sample.steps())).sum::<u64>().max(1)
+    }
+
+    fn real_traces<F: Real>(&self, model: &Model<F>) -> Vec<Trace> {
+        let thresholds = model_thresholds(self.graph);
+        let mut engine = Reference::new(model);
+        let potential = |e: &Reference<'_, F>, c: CompartmentId| e.potential(c) / thresholds[c.0 as usize];
+        let recorded = (thresholds.len() as u32, self.deployed.output());
+        self.samples.iter().map(|s| Trace::record(&mut engine, s, recorded, potential)).collect()
+    }
+
+    /// Traces of an integer engine; with merged steps, spikes at the last step of each group.
+    fn traces<E: Engine>(&self, engine: &mut E, network: &Quantised, merged: u32) -> Vec<Trace> {
+        let thresholds = neuron::thresholds(network);
+        let potential = |e: &E, c: CompartmentId| f64::from(e.v(c)) / thresholds[c.0 as usize];
+        let recorded = (network.compartments(), network.output());
+        let one = |sample: &&Sample| {
+            if merged == 1 {
+                return Trace::record(engine, sample, recorded, potential);
+            }
+            let mut trace = Trace::record(engine, &merge(sample, merged), recorded, potential);
+            trace.potentials.clear();
+            let merged_steps = |step| std::iter::repeat_n(step, merged as usize);
+            trace.deciding = trace.deciding.into_iter().flat_map(merged_steps).take(sample.steps() as usize).collect();
+            trace.steps = sample.steps();
+            let late = |t: &mut u32| *t = (*t * merged + merged - 1).min(sample.steps() - 1);
+            trace.trains.iter_mut().flatten().for_each(late);
+            trace
+        };
+        self.samples.iter().map(one).collect()
+    }
+
+    /// Compares traces with the trained network's.
+    fn row(&self, variant: Variant, traces: &[Trace], times: &[f64]) -> VariantRow {
+        let integers = !matches!(variant, Variant::Reference { .. });
+        let shift = if integers && self.graph.has_srm() { -1 } else { 0 };
+        let (mut tally, mut classes, mut right) = (TrainSums::default(), ClassTally::default(), 0usize);
+        for ((trained, trace), sample) in self.trained.iter().zip(traces).zip(&self.samples) {
+            for layer in &self.layers {
+                let mut comparison = Comparison::default();
+                comparison.add(0, layer, trained, trace, shift);
+                tally.merge(&comparison.tally);
+            }
+            let class = trace.class(&self.output);
+            classes.add(trained.class(&self.output), class);
+            right += usize::from(class.is_some() && class == sample.label());
+        }
+        let share = |count: usize| count as f64 / self.samples.len().max(1) as f64;
+        let labelled = self.samples.iter().all(|sample| sample.label().is_some());
+        let trains = |traces: &[Trace]| traces.iter().map(|trace| trace.trains.clone()).collect::<Vec<_>>();
+        let (median, spread) = quartiles(times);
+        VariantRow {
+            variant,
+            us_per_timestep: median,
+            spread,
+            repeats: times.len(),
+            class_agreement: classes.agreement(),
+            accuracy: labelled.then(|| share(right)),
+            coincidence: tally.coincidence(),
+            potential_rmse: tally.potential_rmse(),
+            exact: variant.claims_exact().then(|| trains(traces) == trains(&self.golden)),
+            on_front: false,
+        }
+    }
+
+    /// Repeats a run of all samples until the budget is spent; microseconds a timestep of each repeat.
+    fn timed(&self, mut run: impl FnMut()) -> Vec<f64> {
+        let steps = self.steps() as f64;
+        run();
+        let begin = Instant::now();
+        let mut times = Vec::new();
+        while times.len() < 5 || (begin.elapsed() < self.budget && times.len() < 101) {
+            let one = Instant::now();
+            run();
+            times.push(one.elapsed().as_secs_f64() * 1e6 / steps);
+        }
+        times
+    }
+
+    fn real<F: Real>(&self, variant: Variant, kernel: Kernel) -> VariantRow {
+        let model = Model::<F>::new(self.graph, reference::Options { kernel });
+        let mut engine = Reference::new(&model);
+        let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
+        self.row(variant, &self.real_traces(&model), &times)
+    }
+
+    /// A network on the machine; `samples` are what it is given.
+    fn machine(
+        &self,
+        variant: Variant,
+        network: &Quantised,
+        skip: bool,
+        merged: u32,
+    ) -> Result<VariantRow, ParetoError> {
+        let compiled = compile(network.clone(), self.target, &Options::default())?;
+        let image = Image::new(&compiled.program, 1).map_err(|e| ParetoError::Variant(e.to_string()))?;
+        let mut machine = Machine::new(&image, Settings { skip, per_step: false });
+        let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
+        let Variant::Early(rule) = variant else {
+            let times = self.timed(|| given.iter().for_each(|sample| drive(&mut machine, sample)));
+            return Ok(self.row(variant, &self.traces(&mut machine, network, merged), &times));
+        };
+        let keep =
+            Keep { output: network.output(), probes: Vec::new(), early_exit: Some(EarlyExit::new(rule, network)) };
+        let times = self.timed(|| {
+            given.iter().for_each(|sample| _ = black_box(run_sample(&mut machine, sample, &keep, |_, _| ())));
+        });
+        let whole = self.traces(&mut machine, network, 1);
+        let ended = whole.into_iter().zip(&given).map(|(trace, sample)| {
+            let steps = trace.steps;
+            let until = run_sample(&mut machine, sample, &keep, |_, _| ()).steps;
+            // The steps that were left off have no spikes; potentials are not there to compare.
+            let cut = trace.until(until);
+            Trace { steps, potentials: Vec::new(), ..cut }
+        });
+        Ok(self.row(variant, &ended.collect::<Vec<_>>(), &times))
+    }
+
+    /// The machine with a meter that sees every step.
+    fn metered(&self, variant: Variant, transport: Transport) -> Result<VariantRow, ParetoError> {
+        let compiled = compile(self.deployed.clone(), self.target, &Options::default())?;
+        let program = &compiled.program;
+        let wrong = |e: &dyn std::fmt::Display| ParetoError::Variant(e.to_string());
+        let image = Image::new(program, 1).map_err(|e| wrong(&e))?;
+        let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
+        let tables = tables.map_err(|e| wrong(&e))?;
+        let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
+        let work = HostWork::for_target(self.target);
+        let timing =
+            Deployment::from_placement("mapped", &compiled.placement, self.target, 1, work).timing(transport, 1);
+        let meter = StepMeter::new(MeterSettings::new(tables, timing, program, timestep));
+        let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
+        let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+        let times = self.timed(|| {
+            for sample in &self.samples {
+                let mut seen = meter.fresh();
+                let add = |machine: &Machine<'_>, times| seen.add(machine.last_step(), times, false);
+                black_box(run_sample(&mut machine, sample, &keep, add));
+                black_box(&seen);
+            }
+        });
+        Ok(self.row(variant, &self.traces(&mut machine, &self.deployed, 1), &times))
+    }
+
+    /// Measures one variant.
+    ///
+    /// # Errors
+    /// [`ParetoError`].
+    pub fn measure(&self, variant: Variant) -> Result<VariantRow, ParetoError> {
+        let kernel = |convolution| if convolution { Kernel::Truncated } else { Kernel::Exact };
+        match variant {
+            Variant::Reference { single: true, convolution } => Ok(self.real::<f32>(variant, kernel(convolution))),
+            Variant::Reference { single: false, convolution } => Ok(self.real::<f64>(variant, kernel(convolution))),
+            Variant::Golden => {
+                let mut engine = Golden::new(&self.deployed);
+                let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
+                Ok(self.row(variant, &self.golden, &times))
+            }
+            Variant::Fast { skip } => self.machine(variant, &self.deployed, skip, 1),
+            Variant::Metered(transport) => self.metered(variant, transport),
+            Variant::WeightBits(bits) => {
+                let network = quantise(&with_weight_bits(&self.converted, bits)?)?;
+                self.machine(variant, &network, true, 1)
+            }
+            Variant::DecayBits(bits) => {
+                let step = f64::from(1 << (12 - u32::from(bits.min(12))));
+                // A decay of 0 would never forget.
+                let coarse =
+                    |d: Decay| Decay::new((f64::from(d.get()) / step).round_ties_even().max(1.0) as i64 * step as i64);
+                self.machine(variant, &with_decays(&self.deployed, coarse)?, true, 1)
+            }
+            Variant::Merged(steps) => self.machine(variant, &slower(&self.deployed, steps)?, true, steps),
+            Variant::Early(_) => self.machine(variant, &self.deployed, true, 1),
+        }
+    }
+}
+
+/// Marks the rows that no other is faster and nearer than; distance is 1 minus the coincidence.
+pub fn mark_front(rows: &mut [VariantRow]) {
+    let points: Vec<(f64, f64)> = rows.iter().map(|row| (row.us_per_timestep, 1.0 - row.coincidence)).collect();
+    for (row, own) in rows.iter_mut().zip(&points) {
+        let beats = |other: &(f64, f64)| other.0 <= own.0 && other.1 <= own.1 && other != own;
+        row.on_front = !points.iter().any(beats);
+    }
+}
+
+fn drive<E: Engine>(engine: &mut E, sample: &Sample) {
+    engine.begin(sample.steps());
+    for step in 0..sample.steps() {
+        engine.step(sample.at(step));
+        black_box(engine.spikes());
+    }
+}
+
+fn quartiles(times: &[f64]) -> (f64, f64) {
+    let mut sorted = times.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let at =
+        |q: f64| sorted.get((q * (sorted.len().saturating_sub(1)) as f64).round() as usize).copied().unwrap_or(0.0);
+    (at(0.5), at(0.75) - at(0.25))
+}
+
+/// The sample with so many steps in one: a channel that spikes in any of them spikes.
+fn merge(sample: &Sample, steps: u32) -> Sample {
+    if steps == 1 {
+        return sample.clone();
+    }
+    let events: Vec<(u32, ChannelId)> =
+        (0..sample.steps()).flat_map(|t| sample.at(t).iter().map(move |&channel| (t / steps, channel))).collect();
+    Sample::new(sample.steps().div_ceil(steps), &events, sample.label()).unwrap_or_else(|_| sample.clone())
+}
+
+fn with_weight_bits(graph: &Graph, bits: u8) -> Result<Graph, ParetoError> {
+    let width = |error: OutOfRange| ParetoError::Variant(error.to_string());
+    let format = WeightBits::new(i64::from(bits)).map_err(width)?;
+    Ok(graph.with_projections(|target, projection| {
+        let mut projection = projection.clone();
+        let integers = matches!(
+            &graph.population(target).kind,
+            PopulationKind::Neurons(p) if p.get("vth").is_none()
+        ) && projection.weight_scale.is_none();
+        let all = weights(&projection.kind);
+        let mean = all.iter().map(|w| w.abs()).sum::<f64>() / all.len().max(1) as f64;
+        let (low, high) = projection.sign.range(format);
+        let step = f64::from(projection.sign.step(format));
+        let coarse = |w: f64| {
+            if bits == 1 {
+                // One bit holds a sign alone; the size is one number for the projection.
+                let size = if integers { (mean / 2.0).round_ties_even() * 2.0 } else { mean };
+                if w < 0.0 { -size } else { size }
+            } else if integers {
+                ((w / step).round_ties_even() * step).clamp(low.into(), high.into())
+            } else {
+                w
+            }
+        };
+        projection.kind = projection.kind.map_weights(|_, weight| coarse(weight));
+        if bits > 1 || projection.sign != SignMode::Mixed {
+            projection.weight_bits.value = if bits == 1 { 8 } else { bits.into() };
+        }
+        projection
+    }))
+}
+
+fn weights(kind: &ProjectionKind) -> Vec<f64> {
+    match kind {
+        ProjectionKind::Dense { weights, .. } | ProjectionKind::Conv2d { weights, .. } => {
+            (0..weights.len()).map(|i| weights.real(i)).collect()
+        }
+        ProjectionKind::Sparse { synapses } => synapses.iter().map(|synapse| synapse.2).collect(),
+        ProjectionKind::SumPool2d { weight, .. } => vec![weight.value],
+        ProjectionKind::Random { .. } => Vec::new(),
+    }
+}
+
+/// The network with other neurons.
+fn with_neurons(
+    network: &Quantised,
+    f: impl Fn(Neuron) -> Result<Neuron, OutOfRange>,
+) -> Result<Quantised, ParetoError> {
+    let wrong = |error: &dyn std::fmt::Display| ParetoError::Variant(error.to_string());
+    let mut parts: Parts = network.parts().clone();
+    for population in parts.populations.iter_mut() {
+        if let Units::Compartments { neurons, .. } = &mut population.units {
+            *neurons = neurons.try_map(|_, neuron| f(neuron)).map_err(|e| wrong(&e))?;
+        }
+    }
+    Quantised::new(parts).map_err(|e| wrong(&e))
+}
+
+fn with_decays(network: &Quantised, f: impl Fn(Decay) -> Result<Decay, OutOfRange>) -> Result<Quantised, ParetoError> {
+    with_neurons(network, |neuron| Ok(Neuron { du: f(neuron.du)?, dv: f(neuron.dv)?, ..neuron }))
+}
+
+/// The network for steps that are so many times as long: what is kept is kept so many times over, and the voltage, which a
+/// current is added to once instead of so often, has a threshold as much lower.
+fn slower(network: &Quantised, steps: u32) -> Result<Quantised, ParetoError> {
+    let decay = |d: Decay| {
+        let keep = libm::pow(1.0 - f64::from(d.get()) / 4096.0, f64::from(steps));
+        Decay::new(libm::rint(4096.0 * (1.0 - keep)) as i64)
+    };
+    let threshold = |vth: ThresholdMantissa| ThresholdMantissa::new((i64::from(vth.get()) / i64::from(steps)).max(1));
+    let refractory = |r: Refractory| Refractory::new(i64::from(u32::from(r.get()).div_ceil(steps)));
+    with_neurons(network, |neuron| {
+        Ok(Neuron {
+            du: decay(neuron.du)?,
+            dv: decay(neuron.dv)?,
+            vth: threshold(neuron.vth)?,
+            refractory: refractory(neuron.refractory)?,
+            ..neuron
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(us: f64, coincidence: f64) -> VariantRow {
+        VariantRow {
+            variant: Variant::Golden,
+            us_per_timestep: us,
+            spread: 0.0,
+            repeats: 1,
+            class_agreement: Some(1.0),
+            accuracy: None,
+            coincidence,
+            potential_rmse: None,
+            exact: None,
+            on_front: false,
+        }
+    }
+
+    #[test]
+    fn the_front_is_what_nothing_beats_in_both() {
+        let mut rows = [row(3.0, 1.0), row(1.0, 0.9), row(2.0, 0.8), row(0.5, 0.2), row(1.0, 0.9)];
+        mark_front(&mut rows);
+        assert_eq!(rows.map(|row| row.on_front), [true, true, false, true, true]);
+    }
+
+    #[test]
+    fn merged_steps_hold_every_channel_that_spiked_in_any() {
+        let sample = Sample::new(5, &[(0, ChannelId(1)), (1, ChannelId(1)), (4, ChannelId(0))], None).unwrap();
+        let merged = merge(&sample, 2);
+        assert_eq!(
+            (merged.steps(), merged.at(0), merged.at(1), merged.at(2)),
+            (3, &[ChannelId(1)][..], &[][..], &[ChannelId(0)][..])
+        );
+    }
+
+    #[test]
+    fn names_are_all_different() {
+        let names: Vec<String> = Variant::all(true).into_iter().map(Variant::name).collect();
+        assert!(names.len() >= 20 && names.iter().enumerate().all(|(i, name)| !names[..i].contains(name)), "{names:?}");
+    }
+}

@@ -1,0 +1,198 @@
+//! Published measurements beside what nsim predicts for them.
+//!
+//! Input: workload files and constants with the findings of each group of authors. Output: a row
+//! for each printed figure: predicted by all findings, and without those of the work's own group.
+//! Left out on purpose: sums and products of figures of a table (total power, energy-delay
+//! product), which would count twice.
+
+pub mod cells;
+pub mod network;
+pub mod paper;
+pub mod predict;
+
+use std::collections::BTreeMap;
+
+use self::network::Rates;
+use self::predict::{PredictError, predict};
+use nsim_cost::CostTable;
+use nsim_cost::job::Accounting;
+use nsim_energy::published::workload::{FigureKind, Quantity, WorkloadFile};
+use nsim_ir::hardware::Target;
+use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status};
+
+/// A printed figure and its prediction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PublishedRow {
+    /// The work.
+    pub work: String,
+    /// The workload.
+    pub workload: String,
+    /// What was measured.
+    pub quantity: Quantity,
+    /// The printed value, in the quantity's unit.
+    pub published: f64,
+    /// What nsim says.
+    pub predicted: f64,
+    /// The interval by the class of the figure, widened by rates that are assumed; `None` where no
+    /// class bounds it.
+    pub interval: Option<(f64, f64)>,
+    /// Whether the findings of the work's own authors were left out.
+    pub left_out: bool,
+    /// Whether the figure was read where it was first printed.
+    pub first_hand: bool,
+    /// Whether firing rates are published.
+    pub activity: Status,
+    /// What had to be assumed of the workload.
+    pub assumed: Vec<String>,
+    /// Where it is printed.
+    pub source: String,
+    /// Why the prediction is far off, where that is known.
+    pub cause: Option<String>,
+}
+
+impl PublishedRow {
+    /// How far the prediction is off, as a factor of at least 1.
+    #[must_use]
+    pub fn factor(&self) -> f64 {
+        (self.predicted / self.published).max(self.published / self.predicted)
+    }
+
+    /// Which sum the figure is of.
+    #[must_use]
+    pub fn accounting(&self) -> Accounting {
+        self.quantity.accounting()
+    }
+}
+
+/// Constants without what a group of authors found.
+fn without(constants: &Constants, group: &str) -> Constants {
+    let mut others = constants.clone();
+    for (name, constant) in constants.list() {
+        if let (Some(own), Some(value)) = (others.get_mut(name), constant.without(group)) {
+            own.value = value.into();
+        }
+    }
+    others
+}
+
+/// The rows of these workloads, in their order: each figure by all findings, then without those of
+/// its authors, by which the model is judged. Figures that are known second-hand judge nothing, so
+/// that they have no such row.
+///
+/// # Errors
+/// [`PredictError`] where a workload cannot be compiled or run.
+pub fn rows(
+    workloads: &[WorkloadFile],
+    constants: &Constants,
+    target: impl Fn(&str) -> Result<Target, PredictError>,
+    progress: impl Fn(),
+) -> Result<Vec<PublishedRow>, PredictError> {
+    let mut rows = Vec::new();
+    for file in workloads {
+        let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
+        let target = target(&file.target.value)?;
+        let values = predict(file, &target, Rates::Value, &tables)?;
+        // A published rate has no range.
+        let ends = match file.activity {
+            Status::Published => None,
+            _ => Some([Rates::Low, Rates::High].map(|end| predict(file, &target, end, &tables))),
+        };
+        let ends = ends.map(|[low, high]| Ok::<_, PredictError>([low?, high?])).transpose()?;
+        let ways = if file.first_hand { 2 } else { 1 };
+        for (which, left_out) in [false, true].into_iter().take(ways).enumerate() {
+            for (number, figure) in file.figures.iter().enumerate() {
+                let predicted = values[which][number];
+                let at = |end: usize| ends.as_ref().map_or(predicted, |ends| ends[end][which][number]);
+                let class = figure.quantity.class();
+                let error = class.and_then(|class| constants.errors.iter().find(|error| error.class == class));
+                // A rate and the model are wrong independently: their factors add up in squares.
+                let interval = error.map(|error| {
+                    let model = error.within_80.ln();
+                    let reach = |end: f64| model.hypot((end / predicted).ln()).exp();
+                    (
+                        predicted / reach(at(0).min(at(1)).min(predicted)),
+                        predicted * reach(at(0).max(at(1)).max(predicted)),
+                    )
+                });
+                rows.push(PublishedRow {
+                    work: file.work.clone(),
+                    workload: file.name.clone(),
+                    quantity: figure.quantity,
+                    published: figure.published.value,
+                    predicted,
+                    interval,
+                    left_out,
+                    first_hand: file.first_hand,
+                    activity: file.activity,
+                    assumed: file.assumed.clone(),
+                    source: figure.source.clone(),
+                    cause: figure.cause.clone(),
+                });
+            }
+        }
+        progress();
+    }
+    Ok(rows)
+}
+
+/// The median factor of each work's figures of some kinds, its authors' findings left out.
+#[must_use]
+pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64> {
+    let mut by_work: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    let counted = |row: &&PublishedRow| row.left_out;
+    for row in rows.iter().filter(counted).filter(|row| (row.quantity.kind() == FigureKind::Time) == time) {
+        by_work.entry(&row.work).or_default().push(row.factor());
+    }
+    by_work.into_iter().filter_map(|(work, factors)| Some((work, middle(factors)?))).collect()
+}
+
+/// The geometric mean.
+#[must_use]
+pub fn geometric_mean(factors: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
+    let count = factors.len();
+    (count > 0).then(|| (factors.map(f64::ln).sum::<f64>() / count as f64).exp())
+}
+
+fn middle(factors: Vec<f64>) -> Option<f64> {
+    nsim_ir::hardware::constants::median(factors)
+}
+
+/// How far predictions of each class were off: at the finite-sample rank of the works' largest
+/// errors, as split conformal prediction with works as groups has it (Vovk, Gammerman and Shafer
+/// 2005, chapter 4).
+#[must_use]
+pub fn class_errors(rows: &[PublishedRow]) -> Vec<ClassError> {
+    let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out).collect();
+    let step = |row: &PublishedRow| {
+        let same = |other: &&&PublishedRow| other.workload == row.workload && other.quantity == Quantity::StepTime;
+        counted.iter().find(same).map(|step| step.predicted / step.published)
+    };
+    let of_class = |class: FigureClass| {
+        let mut worst: BTreeMap<&str, f64> = BTreeMap::new();
+        for row in &counted {
+            let ratio = row.predicted / row.published;
+            let ratio = match class {
+                // The energy of a step is the power of the cores times its time.
+                FigureClass::CoreEnergy if row.quantity == Quantity::CoreDynamicPower => {
+                    step(row).map(|time| ratio * time)
+                }
+                _ => (row.quantity.class() == Some(class)).then_some(ratio),
+            };
+            if let Some(ratio) = ratio {
+                let most = worst.entry(&row.work).or_insert(1.0);
+                *most = most.max(ratio).max(1.0 / ratio);
+            }
+        }
+        let mut sorted: Vec<f64> = worst.into_values().collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |level: f64| sorted.get(((sorted.len() + 1) as f64 * level).ceil() as usize - 1).copied();
+        let rounded = |factor: f64| (factor * 100.0).ceil() / 100.0;
+        Some(ClassError {
+            class,
+            works: sorted.len() as u32,
+            within_80: rounded(at(0.8)?),
+            within_90: at(0.9).map(rounded),
+        })
+    };
+    FigureClass::ALL.into_iter().filter_map(of_class).collect()
+}

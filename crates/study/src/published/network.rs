@@ -1,0 +1,221 @@
+//! A published workload as a network that fires at its rates.
+//!
+//! Input: a workload file, and which end of each rate's range. Output: a network in integers and its input. What a compartment
+//! receives does not make it fire: a bias of its own does, drawn between half of what its rate needs and one and a half, so that
+//! compartments do not fire together; weights of +2 and -2 are too small to change when. Synapses, axons and messages are those
+//! of the workload, so that counts are too.
+
+use crate::networks::BuildError;
+use nsim_energy::published::workload::{Between, WorkloadFile, WorkloadPopulation, WorkloadProjection};
+use nsim_ir::base::fixed::{
+    BiasExponent, BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
+};
+use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim_ir::base::rng;
+use nsim_ir::graph::{PerCompartment, Shape, Window};
+use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim_ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Units};
+use nsim_ir::spikes::Sample;
+use nsim_quantise::relays::{one_to_one, relay};
+
+/// Steps that are counted.
+pub const COUNTED: u32 = 128;
+/// Steps before anything is counted at most.
+const MOST_WARM_UP: u32 = 4_096;
+
+/// Which end of the range of each rate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rates {
+    /// The rates themselves.
+    Value,
+    /// The least.
+    Low,
+    /// The greatest.
+    High,
+}
+
+impl Rates {
+    /// The value of a range at this end.
+    #[must_use]
+    pub fn of_range(self, rate: Between) -> f64 {
+        match self {
+            Rates::Value => rate.value,
+            Rates::Low => rate.low,
+            Rates::High => rate.high,
+        }
+    }
+}
+
+/// Steps before anything is counted: twice as many as the slowest compartment waits for its first
+/// spike.
+#[must_use]
+pub fn warm_up(file: &WorkloadFile, rates: Rates) -> u32 {
+    let layers = file.populations.iter().filter(|population| matches!(population, WorkloadPopulation::Layer { .. }));
+    let rates = layers.filter_map(|layer| Some(rates.of_range(layer.parts().2?))).filter(|&rate| rate > 0.0);
+    rates.map(|rate| (2.0 / rate).ceil() as u32).max().unwrap_or(0).clamp(COUNTED, MOST_WARM_UP)
+}
+
+/// Threshold mantissa of every compartment: a threshold of 1,280,000, far above what weights of 2 sum up to.
+const THRESHOLD: i64 = 20_000;
+
+/// A bias that makes a compartment fire once in `1 / rate` steps, in mantissa and exponent.
+fn bias(rate: f64) -> Result<(BiasMantissa, BiasExponent), BuildError> {
+    let wanted = rate * (THRESHOLD << 6) as f64;
+    let exponent = (0..7).find(|exponent| wanted / f64::from(1u32 << exponent) <= 4_095.0).unwrap_or(7);
+    let mantissa = (wanted / f64::from(1u32 << exponent)).round().min(4_095.0);
+    Ok((BiasMantissa::new(mantissa as i64)?, BiasExponent::new(exponent)?))
+}
+
+fn neurons(units: u32, rate: f64, seed: u64) -> Result<PerCompartment<Neuron>, BuildError> {
+    let neuron = |unit: u32| {
+        let (bias_mant, bias_exp) = bias(rate * (0.5 + rng::unit(11, seed, u64::from(unit))))?;
+        let (dv, vth) = (Decay::new(0)?, ThresholdMantissa::new(THRESHOLD)?);
+        Ok(Neuron { dv, vth, bias_mant, bias_exp, ..Neuron::PLAIN })
+    };
+    Ok(PerCompartment::Each((0..units).map(neuron).collect::<Result<Vec<_>, BuildError>>()?))
+}
+
+/// Weights of 2 and -2, drawn: the least that a format of both signs has.
+fn signs(count: u64, seed: u64) -> impl Iterator<Item = i16> {
+    (0..count).map(move |index| if rng::below(2, 12, seed, index) == 0 { 2 } else { -2 })
+}
+
+/// Synapses spread evenly over `reach` targets around the place of their source.
+fn local(sources: u32, targets: u32, fan_out: u32, reach: u32, seed: u64) -> Connectivity {
+    let reach = reach.min(targets);
+    let fan_out = fan_out.min(reach);
+    let mut first = vec![0u64];
+    let mut all: Vec<u32> = Vec::with_capacity((sources * fan_out) as usize);
+    for source in 0..u64::from(sources) {
+        let place = source * u64::from(targets) / u64::from(sources);
+        let begin = place.saturating_sub(u64::from(reach / 2)).min(u64::from(targets - reach)) as u32;
+        all.extend((0..fan_out).map(|k| begin + (u64::from(k) * u64::from(reach) / u64::from(fan_out)) as u32));
+        first.push(all.len() as u64);
+    }
+    let weights = signs(all.len() as u64, seed).collect();
+    Connectivity::Sparse { first: first.into(), targets: all.into(), weights }
+}
+
+/// The network of a workload and its input.
+///
+/// # Errors
+/// [`BuildError`] where the shapes of a convolution do not fit each other.
+pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), BuildError> {
+    let mut parts = Parts::empty(&file.name);
+    let all_steps = warm_up(file, end) + COUNTED;
+    let (mut channels, mut compartments, mut input) = (0u32, 0u32, Vec::new());
+    for (index, population) in file.populations.iter().enumerate() {
+        let (name, sides, rate) = population.parts();
+        let (units, own_rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, |rate| end.of_range(rate)));
+        let shape = match *sides {
+            [c, h, w] => Shape::Volume(c, h, w),
+            _ => Shape::Line(units),
+        };
+        let own = match population {
+            WorkloadPopulation::Input { .. } => {
+                let first = channels;
+                channels += units;
+                let spikes = |channel: u32, step: u32| rng::unit(13, u64::from(channel), u64::from(step)) < own_rate;
+                for channel in first..channels {
+                    let steps = (0..all_steps).filter(|&step| spikes(channel, step));
+                    input.extend(steps.map(|step| (step, ChannelId(channel))));
+                }
+                Units::Input(ChannelId(first))
+            }
+            WorkloadPopulation::Layer { .. } | WorkloadPopulation::Relay { .. } => {
+                let first = CompartmentId(compartments);
+                compartments += units;
+                // A relay has no rate: its input makes it spike.
+                let neurons = if rate.is_some() {
+                    neurons(units, own_rate, index as u64)?
+                } else {
+                    PerCompartment::Same(relay()?)
+                };
+                Units::Compartments { first, neurons, start_step: 0 }
+            }
+        };
+        parts.output = parts.populations.push(Population { name: name.to_string(), shape, units: own, payload: None });
+    }
+    let place = |name: &str| {
+        let found = file.populations.iter().position(|population| population.parts().0 == name);
+        PopulationId(found.unwrap_or_default() as u32)
+    };
+    let format = SynapseFormat { exponent: WeightExponent::new(0)?, sign: SignMode::Mixed, bits: WeightBits::new(8)? };
+    for (index, projection) in file.projections.iter().enumerate() {
+        let [source, target] = projection.ends().map(place);
+        let size = |id| parts.populations[id].shape.len();
+        let (sources, targets, seed) = (size(source), size(target), index as u64);
+        let connectivity = match *projection {
+            WorkloadProjection::Dense { .. } => {
+                let weights = signs(u64::from(sources) * u64::from(targets), seed).collect();
+                Connectivity::Dense { targets, weights }
+            }
+            WorkloadProjection::Conv { kernel, stride, .. } => {
+                let volume = |id| match parts.populations[id].shape {
+                    Shape::Volume(c, h, w) => (c, h, w),
+                    ref other => (other.len(), 1, 1),
+                };
+                let window = Window {
+                    source: volume(source),
+                    target: volume(target),
+                    kernel: (kernel, kernel),
+                    stride: (stride, stride),
+                    padding: (0, 0),
+                    dilation: (1, 1),
+                    groups: 1,
+                };
+                let weights = u64::from(window.source.0 * window.target.0 * kernel * kernel);
+                Connectivity::Conv2d { window, kernel: signs(weights, seed).collect() }
+            }
+            WorkloadProjection::Local { fan_out, reach, .. } => local(sources, targets, fan_out, reach, seed),
+            WorkloadProjection::Random { fan_out, .. } => {
+                Connectivity::Random { targets, fan_out, low: 2, high: 2, step: 2, seed, first_source: 0 }
+            }
+        };
+        let name = projection.ends().join(" -> ");
+        parts.projections.push(Projection { name, source, target, format, delay: Delay::new(0)?, connectivity });
+    }
+    for population in &file.populations {
+        if let WorkloadPopulation::Relay { name, of, shape } = population {
+            let units: u32 = shape.iter().product();
+            let connectivity = one_to_one(units);
+            let (source, target, name) = (place(of), place(name), format!("{of} -> {name}"));
+            parts.projections.push(Projection { name, source, target, format, delay: Delay::new(0)?, connectivity });
+        }
+    }
+    let network = Quantised::new(parts)?;
+    let sample = Sample::new(all_steps, &input, None)?;
+    Ok((network, sample))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_energy::published::files::workload;
+    use nsim_golden::Golden;
+    use nsim_ir::spikes::Engine;
+
+    #[test]
+    fn populations_fire_at_their_rates() {
+        for file in
+            workload::shipped().unwrap().iter().filter(|file| ["braille", "nxtf-mnist"].contains(&file.name.as_str()))
+        {
+            let (network, sample) = build(file, Rates::Value).unwrap();
+            let mut engine = Golden::new(&network);
+            let before_steps = warm_up(file, Rates::Value);
+            engine.begin(before_steps + COUNTED);
+            let mut run = |from: u32, to: u32| {
+                (from..to).for_each(|step| engine.step(sample.at(step)));
+                engine.totals().spikes
+            };
+            let before = run(0, before_steps);
+            let spikes = (run(before_steps, before_steps + COUNTED) - before) as f64;
+            let layers = file.populations.iter().filter(|p| matches!(p, WorkloadPopulation::Layer { .. }));
+            let expected: f64 = layers
+                .map(|p| f64::from(p.parts().1.iter().product::<u32>()) * p.parts().2.unwrap().value)
+                .sum::<f64>()
+                * f64::from(COUNTED);
+            assert!((spikes / expected - 1.0).abs() < 0.1, "{}: {spikes} spikes, {expected} expected", file.name);
+        }
+    }
+}

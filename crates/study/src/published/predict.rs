@@ -1,0 +1,204 @@
+//! The figures of a published workload, by simulation and constants.
+//!
+//! Input: a workload, its target, tables of constants. Output: each figure of the workload under
+//! each table. The workload is a network on the cores that its source gave each layer, with the
+//! source's numbers of copies, chips and x86 cores; it is run, metered and priced by the functions
+//! that price a user's network.
+
+use super::network::{COUNTED, Rates, build, warm_up};
+use crate::networks::BuildError;
+use nsim_compile::{CompileError, Compiled, Front, Options, with_program};
+use nsim_cost::estimate::{Case, JobPower};
+use nsim_cost::job::DeployedCores;
+use nsim_cost::job::Mode;
+use nsim_cost::meter::Lane;
+use nsim_cost::transport::Words;
+use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
+use nsim_energy::published::workload::{Per, PublishedFigure, Quantity, WorkloadFile};
+use nsim_ir::activity::Activity;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
+use nsim_ir::base::units::Picoseconds;
+use nsim_ir::firing_rates;
+use nsim_ir::hardware::Target;
+use nsim_ir::partition::seats;
+use nsim_ir::placement::{Mesh, Site};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::resource::Resource;
+use nsim_ir::spikes::Engine;
+use nsim_machine::{Image, Machine, Settings};
+use nsim_session::error::Error;
+
+/// Why a workload could not be predicted.
+#[derive(Debug, thiserror::Error)]
+pub enum PredictError {
+    /// A file or a constant cannot be used.
+    #[error(transparent)]
+    Input(#[from] Diagnostic),
+    /// The network could not be built.
+    #[error("{0}: {1}")]
+    Build(String, BuildError),
+    /// It does not fit the cores of its layout.
+    #[error("{0} does not compile: {1}")]
+    Compile(String, Box<CompileError>),
+    /// Its sums could not be exact.
+    #[error("{0}: {1}")]
+    Image(String, String),
+}
+
+impl From<PredictError> for Error {
+    fn from(error: PredictError) -> Self {
+        match error {
+            PredictError::Input(diagnostic) => diagnostic.into(),
+            other => Error::Fault(other.to_string()),
+        }
+    }
+}
+
+/// The compartments of each core of one copy: each part of the layout fills its cores evenly.
+fn members(file: &WorkloadFile, network: &Quantised) -> IdVec<CoreId, Vec<CompartmentId>> {
+    let mut cores = Vec::new();
+    for part in &file.layout {
+        let of_layer = |name: &str| {
+            let population = network.populations().iter().find(|population| population.name == name);
+            let first =
+                population.and_then(nsim_ir::quantised::Population::first_compartment).map_or(0, |first| first.0);
+            (first..first + population.map_or(0, |population| population.shape.len())).map(CompartmentId)
+        };
+        let all: Vec<CompartmentId> = part.layers.iter().flat_map(|name| of_layer(&name.value)).collect();
+        let (units, count) = (all.len() as u64, u64::from(part.cores).min(all.len() as u64));
+        let cut = |core: u64| (core * units / count.max(1)) as usize;
+        cores.extend((0..count).map(|core| all[cut(core)..cut(core + 1)].to_vec()));
+    }
+    cores.into()
+}
+
+/// One copy on the cores of its layout, in the order of the file.
+fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Compiled, PredictError> {
+    let failed = |error: CompileError| PredictError::Compile(file.name.clone(), Box::new(error));
+    let members = members(file, &network);
+    let mesh = Mesh::for_target(target);
+    let sites: Option<IdVec<CoreId, Site>> = (0..members.len() as u32).map(|core| mesh.site(core)).collect();
+    let sites = sites.ok_or_else(|| failed(CompileError::fault("more cores than the target has")))?;
+    seats(network.compartments(), &members).map_err(|error| failed(CompileError::fault(error)))?;
+    // What a source put on a core fits it, whatever nsim counts there.
+    let mut limits = target.limits().clone();
+    for resource in Resource::ALL {
+        limits = limits.with(resource, u32::from(u16::MAX));
+    }
+    let target = &target.clone().with_limits(limits);
+    let (options, rates) = (Options::default(), firing_rates::Rates::assumed(nsim_compile::DEFAULT_RATE));
+    let placed =
+        Front::from(network).place_on(target, &options, &rates, (members, sites), "printed").map_err(failed)?;
+    let checked = placed.emit(target, &options).and_then(|unchecked| unchecked.check(target)).map_err(failed)?;
+    with_program(checked, target).map_err(failed)
+}
+
+/// The numbers of cores that a workload ran on.
+fn deployment(file: &WorkloadFile, target: &Target) -> Deployment {
+    let of = file.deployment;
+    let cores = DeployedCores { cores_used: of.cores_used, chips_used: of.chips_used, x86_cores: of.x86_cores };
+    let work = HostWork { host: file.host.host, ..HostWork::default() };
+    let words = |count: u64| Words { count, steps: file.steps };
+    Deployment {
+        board_chips: of.board_chips,
+        x86_cores: of.x86_cores,
+        x86_chips: of.x86_cores.min(of.chips_used),
+        x86_working: of.x86_working.unwrap_or(of.x86_cores),
+        reset: words(file.host.reset_words),
+        sent: words(file.host.sent_words),
+        ..Deployment::from_numbers(&file.name, cores, target, of.copies, work)
+    }
+}
+
+/// One figure of a job.
+fn figure(
+    file: &WorkloadFile,
+    asked: &PublishedFigure,
+    job: &JobPower,
+    lane: &Lane,
+    (deployment, paced): (&Deployment, bool),
+) -> Option<f64> {
+    let steps = lane.whole.steps.max(1) as f64;
+    let [injection, turn, .., reset] = lane.whole.parts.map(|part| part as f64 / 1e6 / steps);
+    let free_us = lane.whole.time as f64 / 1e6 / steps;
+    let step_us = if paced { lane.whole.paced_time as f64 / 1e6 / steps } else { free_us };
+    let dynamic = job.core_dynamic? + job.x86_dynamic()?;
+    let all = match asked.quantity {
+        Quantity::CoreStaticPower => job.core_static,
+        Quantity::CoreDynamicPower => job.core_dynamic?,
+        Quantity::X86StaticPower => job.x86_static,
+        Quantity::X86DynamicPower => job.x86_dynamic()?,
+        Quantity::DynamicPower => dynamic,
+        Quantity::RailsIdle => job.rails_idle(),
+        Quantity::RailsStatic => job.rails_idle() - job.x86_clock,
+        Quantity::RailsTotal => job.rails_running()?,
+        Quantity::RailsEmpty => job.rails_idle() + job.x86_active?,
+        Quantity::AboveLoaded => job.rails_running()? - job.rails_idle(),
+        Quantity::AboveBoot => job.rails_running()? - job.boot,
+        Quantity::StepTime => step_us,
+        Quantity::SpikingTime => free_us - injection - turn - reset,
+        Quantity::ManagementTime => turn + reset,
+        // Milliwatts times microseconds are nanojoules.
+        Quantity::InferenceDynamicEnergy => dynamic * step_us * f64::from(file.steps) / 1e3,
+    };
+    let parts = match asked.per {
+        Per::Job => 1.0,
+        Per::Copy => f64::from(deployment.copies),
+        Per::X86Core => deployment.x86_cores as f64,
+        Per::Chip => deployment.board_chips as f64,
+    };
+    Some(all / parts.max(1.0))
+}
+
+/// The figures of a workload under each table, in the order of the file; unknown ones are not
+/// numbers.
+///
+/// # Errors
+/// [`PredictError`].
+pub fn predict(
+    file: &WorkloadFile,
+    target: &Target,
+    rates: Rates,
+    tables: &[CostTable],
+) -> Result<Vec<Vec<f64>>, PredictError> {
+    let (network, sample) = build(file, rates).map_err(|error| PredictError::Build(file.name.clone(), error))?;
+    let compiled = mapped(file, network, target)?;
+    let deployment = deployment(file, target);
+    let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
+    // Biases keep every compartment of the network from rest; what that costs is linear in the
+    // share of steps in which it is so.
+    let share = rates.of_range(file.active_share);
+    let table = |table: &CostTable| {
+        let mut table = table.clone();
+        table.compartment_active_energy.0 = (table.compartment_active_energy.0 as f64 * share).round() as u128;
+        table.compartment_active_time.0 = (table.compartment_active_time.0 as f64 * share).round() as u64;
+        table
+    };
+    let timing = deployment.timing(Transport::default(), 1);
+    let settings = MeterSettings::new(tables.iter().map(table).collect(), timing, &compiled.program, timestep);
+    let (mut meter, mut activity) = (StepMeter::new(settings), Activity::new(compiled.program.cores().len()));
+    let image =
+        Image::new(&compiled.program, 1).map_err(|error| PredictError::Image(file.name.clone(), error.to_string()))?;
+    let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
+    let before = warm_up(file, rates);
+    machine.begin(before + COUNTED);
+    for step in 0..before + COUNTED {
+        machine.step(sample.at(step));
+        if step >= before {
+            meter.add(machine.last_step(), 1, false);
+            activity.add_steps(machine.last_step(), 1);
+        }
+    }
+    let mode = if file.paced_us.is_some() { Mode::Realtime } else { Mode::Offline };
+    let priced = |preset: usize| {
+        let timestep_ms = file.paced_us.unwrap_or(0.0) / 1e3;
+        let case = Case { preset, copies_counted: 1, mode, ..Case::new(&activity, &meter, &deployment, timestep_ms) };
+        let lane = &meter.lanes()[preset];
+        let job = case.job(&meter.tables()[preset], &lane.whole);
+        let figures = file.figures.iter();
+        let of = |asked| figure(file, asked, &job, lane, (&deployment, file.paced_us.is_some())).unwrap_or(f64::NAN);
+        figures.map(of).collect()
+    };
+    Ok((0..tables.len()).map(priced).collect())
+}

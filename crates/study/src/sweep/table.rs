@@ -1,0 +1,260 @@
+//! The table of a sweep: a row for each variant, and how it lies on the disk.
+//!
+//! Input: rows by number of variant, as they were run, read from a journal or from the tables of
+//! shards. Output: CSV, sorted by variant, the same bytes whatever the order in which rows came.
+//! Columns: `variant`, what varies, [`FIGURES`]; the table of a shard has one more, a checksum of
+//! each row, whose name says of which files the rows are.
+//!
+//! Errors: `sweep.shard` for a table of other work, one that was cut or changed, a variant that is
+//! missing or there twice.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::sweep::row::Cells;
+use crate::sweep::variants::{FIGURES, Sweep};
+use nsim_files::text::sha256;
+use nsim_files::write::Batch;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// Rows by number of variant.
+#[derive(Debug)]
+pub struct Table<'s> {
+    sweep: &'s Sweep,
+    /// The cells of each variant that has been run.
+    pub rows: BTreeMap<u64, Cells>,
+    /// The column of checksums of the shards that were added, if there were any; none of a version
+    /// without checksums.
+    column: Option<Option<String>>,
+}
+
+/// What the name of the column of checksums begins with; a digest of what the rows were made from
+/// follows.
+const CHECKSUM: &str = "checksum of ";
+
+/// The name of the column of checksums, for rows that were made from files of this digest.
+#[must_use]
+pub fn checksum_column(work: &str) -> String {
+    format!("{CHECKSUM}{}", work.get(..16).unwrap_or(work))
+}
+
+fn checksum(column: &str, record: &[String]) -> String {
+    sha256(format!("{column}\n{}", record.join("\n")).as_bytes())[..16].to_string()
+}
+
+/// What is wrong with the cells of a row, if anything: each is what
+/// [`crate::sweep::row::Runner::row`] writes.
+fn first_wrong(cells: &Cells) -> Option<&'static str> {
+    let failed = !cells[0].is_empty();
+    let is_right = |(name, cell): (&str, &String)| match name {
+        "error" => cell.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || ".-".contains(c)),
+        "fits" => {
+            if failed {
+                ["", "false"].contains(&cell.as_str())
+            } else {
+                cell == "true"
+            }
+        }
+        _ if failed => cell.is_empty(),
+        "digest" => cell.len() == 64 && cell.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f')),
+        // Samples without labels have no accuracy, those without steps no costs.
+        "accuracy" | "static_mw" | "dynamic_mw" | "total_mw" | "latency_us" | "energy_uj" | "edp_pjs" => {
+            cell.is_empty() || cell.parse().is_ok_and(|number: f64| number.is_finite() && number.to_string() == *cell)
+        }
+        _ => cell.parse().is_ok_and(|number: u64| number.to_string() == *cell),
+    };
+    FIGURES.into_iter().zip(cells).find(|&one| !is_right(one)).map(|(name, _)| name)
+}
+
+fn wrong(message: impl Into<String>) -> Diagnostic {
+    let help = "give each part of this sweep once, as nsim wrote it; nsim sweep SWEEP.ron --shard I/N -o FILE.csv makes one again";
+    Diagnostic::new("sweep.shard", message).help(help)
+}
+
+/// A row as a journal keeps it.
+#[must_use]
+pub fn line(variant: u64, cells: &Cells) -> String {
+    format!("{variant},{}", cells.join(","))
+}
+
+/// A row from a journal.
+#[must_use]
+pub fn from_line(line: &str) -> Option<(u64, Cells)> {
+    let (variant, cells) = line.split_once(',')?;
+    let cells: Vec<String> = cells.split(',').map(str::to_string).collect();
+    Some((variant.parse().ok()?, cells.try_into().ok()?))
+}
+
+impl<'s> Table<'s> {
+    /// A table without rows.
+    #[must_use]
+    pub fn new(sweep: &'s Sweep) -> Self {
+        Table { sweep, rows: BTreeMap::new(), column: None }
+    }
+
+    /// Names of the columns.
+    #[must_use]
+    pub fn columns(&self) -> Vec<&'s str> {
+        std::iter::once("variant").chain(self.sweep.columns()).chain(FIGURES).collect()
+    }
+
+    /// The cells of each row, in order.
+    pub fn records(&self) -> impl Iterator<Item = Vec<String>> {
+        self.rows.iter().map(|(&variant, cells)| {
+            let values = self.sweep.values(variant).into_iter().map(str::to_string);
+            std::iter::once(variant.to_string()).chain(values).chain(cells.iter().cloned()).collect()
+        })
+    }
+
+    /// The table as CSV; of a shard with its column of checksums.
+    ///
+    /// # Errors
+    /// When memory cannot be written, which does not happen.
+    pub fn csv(&self, checksums: Option<&str>) -> Result<String, csv::Error> {
+        let mut out = csv::Writer::from_writer(Vec::new());
+        out.write_record(self.columns().into_iter().chain(checksums))?;
+        self.records().try_for_each(|mut record| {
+            record.extend(checksums.map(|column| checksum(column, &record)));
+            out.write_record(record)
+        })?;
+        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+
+    /// Adds the rows of a shard's table; returns whether they have checksums.
+    ///
+    /// # Errors
+    /// `sweep.shard` when it is of another sweep or of other files than the shards before, was cut
+    /// or changed, or has a variant that is here already.
+    pub fn add_csv(&mut self, text: &str) -> Result<bool> {
+        if !text.ends_with('\n') {
+            return Err(wrong("the part is cut: its last line has no end"));
+        }
+        let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(text.as_bytes());
+        let mut records = reader.records();
+        let mut next = || records.next().transpose().map_err(|error| wrong(format!("no table: {error}")));
+        let columns: Vec<String> = self.columns().into_iter().map(str::to_string).collect();
+        let head: Vec<String> = next()?.iter().flatten().map(str::to_string).collect();
+        let column = head.last().filter(|name| head.len() > columns.len() && name.starts_with(CHECKSUM)).cloned();
+        if head.len() - usize::from(column.is_some()) != columns.len() || !head.starts_with(&columns) {
+            return Err(wrong("its columns are not those of this sweep"));
+        }
+        if *self.column.get_or_insert_with(|| column.clone()) != column {
+            return Err(wrong(
+                "its rows were made from other files, or by another nsim, than those of the parts before",
+            ));
+        }
+        while let Some(record) = next()? {
+            let mut record: Vec<String> = record.iter().map(str::to_string).collect();
+            let name = record.first().cloned().unwrap_or_default();
+            let sum = column.as_ref().and_then(|_| record.pop());
+            let variant = name.parse().unwrap_or(u64::MAX);
+            if variant >= self.sweep.len() || record.len() != columns.len() {
+                return Err(wrong(format!("{name} is no variant of this sweep")));
+            }
+            if column.as_deref().is_some_and(|column| sum != Some(checksum(column, &record))) {
+                return Err(wrong(format!("the row of variant {name} was changed: its checksum is another")));
+            }
+            let values = self.sweep.values(variant);
+            if values.iter().ne(record.iter().skip(1).take(values.len())) {
+                return Err(wrong(format!("variant {variant} has other values in this sweep")));
+            }
+            let mut cells = Cells::default();
+            cells.iter_mut().zip(record.drain(1 + values.len()..)).for_each(|(cell, given)| *cell = given);
+            if let Some(figure) = first_wrong(&cells) {
+                return Err(wrong(format!("variant {variant}: its cell under {figure} is none that nsim writes")));
+            }
+            if self.rows.insert(variant, cells).is_some() {
+                return Err(wrong(format!("variant {variant} is there twice")));
+            }
+        }
+        Ok(column.is_some())
+    }
+
+    /// Whether every variant has a row.
+    ///
+    /// # Errors
+    /// `sweep.shard` with the first that is missing.
+    pub fn check_whole(&self) -> Result<()> {
+        let missing = (0..self.sweep.len()).find(|variant| !self.rows.contains_key(variant));
+        match missing {
+            Some(variant) => {
+                let left = self.sweep.len() - self.rows.len() as u64;
+                Err(wrong(format!("variant {variant} has no row, and {left} in all have none")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Adds the table to the files that are to be written, as [`Self::csv`] has it.
+    ///
+    /// # Errors
+    /// `write.*`.
+    pub fn write(&self, path: &Path, checksums: Option<&str>, batch: &mut Batch) -> Result<()> {
+        let text =
+            self.csv(checksums).map_err(|error| Diagnostic::new("write.failed", error.to_string()).in_file(path))?;
+        batch.add(path, |out| out.write_all(text.as_bytes()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::base::diagnostic::SourceText;
+
+    #[test]
+    fn shards_make_the_table_that_they_are_of() {
+        let text = r#"Sweep(grid: [(paths: ["model"], values: ["a,b", "c"]), (paths: ["target"], values: ["x"])])"#;
+        let sweep = Sweep::parse(&SourceText::new("s", text)).unwrap();
+        let row = |spikes: &str| {
+            Cells::from(FIGURES.map(|name| match name {
+                "error" => String::new(),
+                "fits" => "true".to_string(),
+                "digest" => "0a".repeat(32),
+                "edp_pjs" => "0.158".to_string(),
+                _ => spikes.to_string(),
+            }))
+        };
+        let mut whole = Table::new(&sweep);
+        whole.rows.extend([(1, row("12")), (0, row("34"))]);
+        let csv = whole.csv(None).unwrap();
+        let mut shards = [Table::new(&sweep), Table::new(&sweep)];
+        shards[0].rows.insert(1, row("12"));
+        shards[1].rows.insert(0, row("34"));
+        let (column, other) = (checksum_column(&"ab".repeat(32)), checksum_column("other"));
+        for checksums in [None, Some(column.as_str())] {
+            let mut merged = Table::new(&sweep);
+            assert_eq!(merged.add_csv(&shards[0].csv(checksums).unwrap()).unwrap(), checksums.is_some());
+            assert!(merged.check_whole().unwrap_err().message.contains("variant 0"));
+            merged.add_csv(&shards[1].csv(checksums).unwrap()).unwrap();
+            merged.check_whole().unwrap();
+            assert_eq!(merged.csv(None).unwrap(), csv);
+            assert!(merged.add_csv(&whole.csv(checksums).unwrap()).unwrap_err().message.contains("twice"));
+            // Cut anywhere, a part is refused or lacks a variant.
+            let part = whole.csv(checksums).unwrap();
+            for end in 0..part.len() {
+                let mut cut = Table::new(&sweep);
+                assert!(cut.add_csv(&part[..end]).and_then(|_| cut.check_whole()).is_err(), "{}", &part[..end]);
+            }
+        }
+        let mut merged = Table::new(&sweep);
+        merged.add_csv(&shards[0].csv(Some(&column)).unwrap()).unwrap();
+        for other in [Some(other.as_str()), None] {
+            assert!(merged.add_csv(&shards[1].csv(other).unwrap()).unwrap_err().message.contains("other files"));
+        }
+        let summed = whole.csv(Some(&column)).unwrap();
+        for (from, to) in [("34", "35"), ("0.158", "0.159"), ("0a0a", "0a0b"), ("true", "tru"), ("ab", "ac")] {
+            let changed = summed.replacen(from, to, 1);
+            assert_eq!(Table::new(&sweep).add_csv(&changed).unwrap_err().code, "sweep.shard", "{changed}");
+        }
+        for (from, to) in [("variant,model", "variant,modell"), ("1,c", "1,d"), ("1,c", "7,c"), ("0,", "x,")]
+            .into_iter()
+            .chain([("0.158", "0."), ("0.158", "NaN"), ("0.158", "inf"), ("true", ""), ("34", "-34"), ("0a0a", "0A0a")])
+        {
+            let changed = csv.replacen(from, to, 1);
+            assert_eq!(Table::new(&sweep).add_csv(&changed).unwrap_err().code, "sweep.shard", "{changed}");
+        }
+        assert_eq!(from_line(&line(7, &row("5"))), Some((7, row("5"))));
+        assert_eq!(from_line("7,a"), None);
+    }
+}

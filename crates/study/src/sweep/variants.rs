@@ -1,0 +1,481 @@
+//! From a sweep file to its variants, by number.
+//!
+//! Input: a [`SweepFile`]. Output: a [`Sweep`], which says how many variants there are, the columns of what varies, and the [`Job`] of each.
+//! Variants are numbered from 0: the list's entries in order, of each the combinations of the grid, the last axis changing fastest.
+//! Errors: `sweep.axis`, `sweep.path`, `sweep.value`, `sweep.size`.
+
+use std::collections::BTreeSet;
+use std::ops::Range;
+
+use crate::sweep::file::{AxisDesc, SweepFile, ValueText};
+use nsim_compile::{Objective, Options, Strategy};
+use nsim_cost::estimate::Convention;
+use nsim_cost::job::Mode;
+use nsim_files::changes::Change;
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::base::names::did_you_mean;
+use nsim_ir::spanned::parse;
+
+/// The columns behind those of what varies.
+pub const FIGURES: [&str; 16] = [
+    "error",
+    "fits",
+    "cores",
+    "chips",
+    "samples",
+    "timesteps",
+    "accuracy",
+    "digest",
+    "spikes",
+    "synaptic_events",
+    "static_mw",
+    "dynamic_mw",
+    "total_mw",
+    "latency_us",
+    "energy_uj",
+    "edp_pjs",
+];
+
+/// The most variants of a sweep.
+const MOST_VARIANTS: u64 = 10_000_000;
+/// The most values of an axis that are said by a step.
+const MOST_STEPS: u64 = 1_000_000;
+/// Options that a path can name, behind `options.`.
+const OPTIONS: [&str; 7] = ["copies", "strategy", "objective", "seed", "constants", "mode", "convention"];
+/// What of the input a path can name, behind `input.`.
+const INPUTS: [&str; 2] = ["samples", "seed"];
+
+/// What one variant runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    /// A model file or the name of a shipped model.
+    pub model: String,
+    /// Milliseconds of a timestep, where the model's file does not say.
+    pub dt_ms: Option<f64>,
+    /// A target file or the name of a shipped target.
+    pub target: String,
+    /// Where spikes come from; the model's scene when empty.
+    pub input: Vec<String>,
+    /// Which samples; all when `None`.
+    pub samples: Option<Range<usize>>,
+    /// Seed of a scene.
+    pub seed: Option<u64>,
+    /// How it is mapped.
+    pub options: Options,
+    /// A preset of constants; the target's first when `None`.
+    pub constants: Option<String>,
+    /// As fast as possible, or held to the model's timestep.
+    pub mode: Mode,
+    /// How energy is computed.
+    pub convention: Convention,
+    /// Changes of the model.
+    pub of_model: Vec<Change>,
+    /// Changes of the target and its constants.
+    pub of_target: Vec<Change>,
+}
+
+fn named<T: Copy>(all: &[T], name_of: fn(T) -> &'static str, value: &str) -> Result<T, String> {
+    let names: Vec<&str> = all.iter().map(|&one| name_of(one)).collect();
+    all.iter().copied().find(|&one| name_of(one) == value).ok_or_else(|| format!("not one of {}", names.join(", ")))
+}
+
+fn number<T: std::str::FromStr>(value: &str) -> Result<T, String> {
+    value.parse().map_err(|_| "no number of this kind".to_string())
+}
+
+fn range(value: &str) -> Result<Range<usize>, String> {
+    let wrong = || "no range of samples such as 0..20".to_string();
+    let (from, to) = value.split_once("..").ok_or_else(wrong)?;
+    let from = if from.is_empty() { 0 } else { from.parse().map_err(|_| wrong())? };
+    let to = if to.is_empty() { usize::MAX } else { to.parse().map_err(|_| wrong())? };
+    if from < to { Ok(from..to) } else { Err(wrong()) }
+}
+
+impl Job {
+    fn new(file: &SweepFile) -> Self {
+        Job {
+            model: file.model.clone(),
+            dt_ms: None,
+            target: file.target.clone(),
+            input: file.input.clone(),
+            samples: None,
+            seed: file.seed,
+            options: Options { copies: file.copies, ..Options::default() },
+            constants: None,
+            mode: Mode::Offline,
+            convention: Convention::Physical,
+            of_model: Vec::new(),
+            of_target: Vec::new(),
+        }
+    }
+
+    /// Gives a path a value.
+    ///
+    /// # Errors
+    /// `sweep.path`, `sweep.value`.
+    fn assign(&mut self, path: &str, value: &str) -> Result<()> {
+        let (first, rest) = path.split_once('.').filter(|(_, rest)| !rest.is_empty()).unwrap_or((path, ""));
+        let text = |place: &mut String| {
+            *place = value.to_string();
+            Ok(())
+        };
+        let done = match (first, rest) {
+            ("model", "") => text(&mut self.model),
+            ("target", "") => text(&mut self.target),
+            ("input", "") => {
+                self.input = vec![value.to_string()];
+                Ok(())
+            }
+            ("input", "samples") => range(value).map(|samples| self.samples = Some(samples)),
+            ("input", "seed") => number(value).map(|seed| self.seed = Some(seed)),
+            ("options", "copies") => match number(value) {
+                Ok(0) => Err("less than 1".to_string()),
+                copies => copies.map(|copies| self.options.copies = copies),
+            },
+            ("options", "seed") => number(value).map(|seed| self.options.seed = seed),
+            ("options", "strategy") => {
+                named(&Strategy::ALL, Strategy::name, value).map(|strategy| self.options.strategy = strategy)
+            }
+            ("options", "objective") => {
+                named(&Objective::ALL, Objective::name, value).map(|objective| self.options.objective = objective)
+            }
+            ("options", "constants") => text(self.constants.get_or_insert_default()),
+            ("options", "mode") => named(&Mode::ALL, Mode::name, value).map(|mode| self.mode = mode),
+            ("options", "convention") => {
+                named(&Convention::ALL, Convention::name, value).map(|convention| self.convention = convention)
+            }
+            ("options" | "input", other) => {
+                let known: &[&str] = if first == "options" { &OPTIONS } else { &INPUTS };
+                let meant = did_you_mean(other, known.iter().copied());
+                return Err(Diagnostic::new("sweep.path", format!("there is no path {path}"))
+                    .help(format!("{meant}behind {first}. stands one of {}", known.join(", "))));
+            }
+            _ => {
+                let change = Change::new(path, value);
+                change.check()?;
+                let changes = if change.is_of_target() { &mut self.of_target } else { &mut self.of_model };
+                changes.push(change);
+                Ok(())
+            }
+        };
+        done.map_err(|problem| Diagnostic::new("sweep.value", format!("{path}: {value} is {problem}")))
+    }
+}
+
+/// Paths that take the same value, and their values.
+#[derive(Debug, Clone)]
+struct Axis {
+    name: String,
+    paths: Vec<String>,
+    values: Vec<String>,
+}
+
+/// A sweep that can be run.
+#[derive(Debug, Clone)]
+pub struct Sweep {
+    base: Job,
+    /// Columns of the list.
+    listed: Vec<String>,
+    /// For each entry of the list the value of each of its columns.
+    list: Vec<Vec<Option<String>>>,
+    axes: Vec<Axis>,
+    text: String,
+}
+
+impl Sweep {
+    /// A sweep from its text.
+    ///
+    /// # Errors
+    /// `sweep.*`.
+    pub fn parse(source: &SourceText) -> Result<Self> {
+        let file: SweepFile = parse(source, "sweep.syntax")?;
+        let in_file = |problem: Diagnostic| problem.or_in_file(source.path());
+        let mut base = Job::new(&file);
+        if file.copies == 0 {
+            return Err(in_file(Diagnostic::new("sweep.value", "copies: a mapping has at least one copy")));
+        }
+        if let Some(samples) = &file.samples {
+            base.assign("input.samples", samples).map_err(in_file)?;
+        }
+        for (path, ValueText(value)) in &file.set.0 {
+            base.assign(path, value).map_err(in_file)?;
+        }
+        let mut axes = Vec::new();
+        for axis in &file.grid {
+            axes.push(self::axis(&axis.value).map_err(|problem| problem.at(source, axis.span))?);
+        }
+        let mut listed: Vec<String> = Vec::new();
+        for (path, _) in file.list.iter().flat_map(|entry| &entry.0) {
+            if !listed.contains(path) {
+                listed.push(path.clone());
+            }
+        }
+        let value_of = |entry: &[(String, ValueText)], path: &String| {
+            entry.iter().rev().find(|(name, _)| name == path).map(|(_, ValueText(value))| value.clone())
+        };
+        let mut list: Vec<Vec<Option<String>>> =
+            file.list.iter().map(|entry| listed.iter().map(|path| value_of(&entry.0, path)).collect()).collect();
+        if list.is_empty() {
+            list.push(Vec::new());
+        }
+        let paths = axes.iter().flat_map(|axis: &Axis| &axis.paths);
+        if let Some(twice) = repeated(paths.clone().chain(&listed).map(|path| Change::new(path, "").path().to_string()))
+        {
+            let message = format!("{twice} is varied twice, so one of its values would have no effect");
+            return Err(in_file(Diagnostic::new("sweep.axis", message).help("leave it in one axis, or in the list")));
+        }
+        let set: Vec<&String> = file.set.0.iter().map(|(path, _)| path).collect();
+        if let Some(twice) = repeated(set.iter().copied()).or(paths.clone().find(|path| set.contains(path))) {
+            let message = format!("{twice} is set twice, so one of its values would have no effect");
+            return Err(in_file(Diagnostic::new("sweep.path", message).help("leave it out in one place")));
+        }
+        for (entry, of) in file.list.iter().enumerate() {
+            if let Some(twice) = repeated(of.0.iter().map(|(path, _)| path)) {
+                let message = format!("entry {entry} of the list has {twice} twice");
+                return Err(in_file(Diagnostic::new("sweep.path", message).help("leave one of them out")));
+            }
+        }
+        let sweep = Sweep { base, listed, list, axes, text: source.text().to_string() };
+        let mut names = sweep.columns();
+        names.extend(std::iter::once("variant").chain(FIGURES));
+        names.sort_unstable();
+        if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            let problem = Diagnostic::new("sweep.axis", format!("two columns would be named {}", twice[0]));
+            return Err(in_file(problem.help("give one of the axes a name of its own")));
+        }
+        let sizes = sweep.axes.iter().map(|axis| axis.values.len() as u64);
+        let count = sizes.fold(sweep.list.len() as u64, u64::saturating_mul);
+        if count > MOST_VARIANTS {
+            return Err(in_file(Diagnostic::new("sweep.size", format!("more than {MOST_VARIANTS} variants"))));
+        }
+        // Every value of every column once, so that a wrong one is found before the work.
+        let mut scratch = sweep.base.clone();
+        for axis in &sweep.axes {
+            for (path, value) in axis.values.iter().flat_map(|value| axis.paths.iter().map(move |path| (path, value))) {
+                scratch.assign(path, value).map_err(in_file)?;
+            }
+            scratch = sweep.base.clone();
+        }
+        for (path, value) in sweep.list.iter().flat_map(|entry| sweep.listed.iter().zip(entry)) {
+            value.iter().try_for_each(|value| scratch.assign(path, value)).map_err(in_file)?;
+        }
+        Ok(sweep)
+    }
+
+    /// The same with the milliseconds of a timestep, for models whose files do not say.
+    #[must_use]
+    pub fn with_timestep(mut self, dt_ms: Option<f64>) -> Self {
+        self.base.dt_ms = dt_ms;
+        self
+    }
+
+    /// How many variants there are.
+    #[must_use]
+    pub fn len(&self) -> u64 {
+        self.list.len() as u64 * self.axes.iter().map(|axis| axis.values.len() as u64).product::<u64>()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Names of what varies.
+    #[must_use]
+    pub fn columns(&self) -> Vec<&str> {
+        self.listed.iter().map(String::as_str).chain(self.axes.iter().map(|axis| axis.name.as_str())).collect()
+    }
+
+    /// The list's entry of a variant, and the number of its value on each axis.
+    fn place(&self, variant: u64) -> (usize, Vec<usize>) {
+        let mut rest = variant;
+        let mut on_axes = vec![0; self.axes.len()];
+        for (place, axis) in on_axes.iter_mut().zip(&self.axes).rev() {
+            let size = axis.values.len() as u64;
+            *place = (rest % size) as usize;
+            rest /= size;
+        }
+        (rest as usize, on_axes)
+    }
+
+    /// The values of a variant, by column.
+    #[must_use]
+    pub fn values(&self, variant: u64) -> Vec<&str> {
+        let (entry, on_axes) = self.place(variant);
+        let listed = self.list[entry].iter().map(|value| value.as_deref().unwrap_or_default());
+        listed.chain(self.axes.iter().zip(on_axes).map(|(axis, place)| axis.values[place].as_str())).collect()
+    }
+
+    /// What a variant runs.
+    ///
+    /// # Errors
+    /// `sweep.value`, which [`Self::parse`] has found before.
+    pub fn job(&self, variant: u64) -> Result<Job> {
+        let (entry, on_axes) = self.place(variant);
+        let mut job = self.base.clone();
+        for (path, value) in self.listed.iter().zip(&self.list[entry]) {
+            value.iter().try_for_each(|value| job.assign(path, value))?;
+        }
+        for (axis, place) in self.axes.iter().zip(on_axes) {
+            axis.paths.iter().try_for_each(|path| job.assign(path, &axis.values[place]))?;
+        }
+        Ok(job)
+    }
+
+    /// Models, targets, inputs and constants that variants name.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let mut scratch = self.base.clone();
+        let mut names = Vec::new();
+        let listed = self.list.iter().flat_map(|entry| self.listed.iter().zip(entry));
+        let listed = listed.filter_map(|(path, value)| Some((path, value.as_ref()?)));
+        let of_axis = |axis: &'_ Axis| -> Vec<(String, String)> {
+            let pairs =
+                axis.paths.iter().flat_map(|path| axis.values.iter().map(move |value| (path.clone(), value.clone())));
+            pairs.collect()
+        };
+        let on_axes = self.axes.iter().flat_map(of_axis);
+        let all = listed.map(|(path, value)| (path.clone(), value.clone())).chain(on_axes);
+        let names_one = |path: &String| ["model", "target", "input", "options.constants"].contains(&path.as_str());
+        let of_job = |job: &Job, names: &mut Vec<String>| {
+            let some = [&job.model, &job.target].into_iter().chain(&job.input).chain(&job.constants);
+            names.extend(some.cloned());
+        };
+        of_job(&scratch, &mut names);
+        for (path, value) in all.filter(|(path, _)| names_one(path)) {
+            // Wrong values were refused before.
+            let _ = scratch.assign(&path, &value);
+            of_job(&scratch, &mut names);
+        }
+        names.sort_unstable();
+        names.dedup();
+        names
+    }
+
+    /// Whether variants may differ in how long they run before what they change is looked at.
+    #[must_use]
+    pub fn has_sizes(&self) -> bool {
+        let paths = self.axes.iter().flat_map(|axis| &axis.paths).chain(&self.listed);
+        paths.into_iter().any(|path| ["model", "options.copies"].contains(&path.as_str()))
+    }
+
+    /// The text that it was read from.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+}
+
+/// The first that was there before.
+fn repeated<T: Ord + Clone>(all: impl Iterator<Item = T>) -> Option<T> {
+    let mut seen = BTreeSet::new();
+    all.into_iter().find(|one| !seen.insert(one.clone()))
+}
+
+fn axis(desc: &AxisDesc) -> Result<Axis> {
+    let wrong = |message: &str| Err(Diagnostic::new("sweep.axis", message));
+    let name = match (&desc.name, desc.paths.as_slice()) {
+        (_, []) => return wrong("an axis has at least one path"),
+        (Some(name), _) => name.clone(),
+        (None, [path]) => path.clone(),
+        (None, _) => return wrong("an axis of several paths has a name"),
+    };
+    let values = match (desc.values.as_slice(), desc.from, desc.to, desc.step) {
+        ([], Some(from), Some(to), Some(step)) => stepped(from, to, step)?,
+        ([], None, None, None) => return wrong("an axis has values, or from, to and step"),
+        (values, None, None, None) => values.iter().map(|ValueText(value)| value.clone()).collect(),
+        _ => return wrong("an axis has either values or all of from, to and step"),
+    };
+    Ok(Axis { name, paths: desc.paths.clone(), values })
+}
+
+/// Values from one to another; whole numbers are written without a point.
+fn stepped(from: f64, to: f64, step: f64) -> Result<Vec<String>> {
+    let count = ((to - from) / step * (1.0 + 1e-12) + 1e-9).floor();
+    if !(count >= 0.0 && count < MOST_STEPS as f64 && step != 0.0) {
+        return Err(Diagnostic::new("sweep.axis", format!("no steps of {step} lead from {from} to {to}")));
+    }
+    let value = |index: u64| from + index as f64 * step;
+    let whole = [from, step].iter().all(|number| number.fract() == 0.0);
+    let text = |value: f64| if whole { format!("{value:.0}") } else { format!("{value:?}") };
+    Ok((0..=count as u64).map(|index| text(value(index))).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sweep(text: &str) -> Result<Sweep> {
+        Sweep::parse(&SourceText::new("s.ron", text))
+    }
+
+    #[test]
+    fn variants_are_counted_like_digits() {
+        let sweep = sweep(
+            r#"Sweep(list: [{"model": "a"}, {"model": "b", "input.seed": 5}], grid: [
+                (name: "threshold", paths: ["populations.x.vth_mant", "populations.y.vth_mant"], values: [10, 2.5]),
+                (paths: ["constants.injection_time"], from: 1, to: 3, step: 1),
+                (paths: ["options.copies"], values: [2])])"#,
+        )
+        .unwrap();
+        assert_eq!(sweep.len(), 12);
+        let columns = ["model", "input.seed", "threshold", "constants.injection_time", "options.copies"];
+        assert_eq!(sweep.columns(), columns);
+        assert_eq!(sweep.values(0), ["a", "", "10", "1", "2"]);
+        assert_eq!(sweep.values(1), ["a", "", "10", "2", "2"]);
+        assert_eq!(sweep.values(11), ["b", "5", "2.5", "3", "2"]);
+        let job = sweep.job(11).unwrap();
+        let of_model = ["populations.x.vth_mant", "populations.y.vth_mant"].map(|path| Change::new(path, "2.5"));
+        assert_eq!((job.model.as_str(), job.seed, job.options.copies), ("b", Some(5), 2));
+        assert_eq!(
+            (job.of_model, job.of_target),
+            (of_model.to_vec(), vec![Change::new("constants.injection_time", "3")])
+        );
+    }
+
+    #[test]
+    fn steps_end_where_they_are_said_to() {
+        assert_eq!(stepped(0.1, 0.3, 0.1).unwrap().len(), 3);
+        assert_eq!(stepped(300.0, 500.0, 100.0).unwrap(), ["300", "400", "500"]);
+        assert_eq!(stepped(5.0, 1.0, -2.0).unwrap(), ["5", "3", "1"]);
+        assert!(
+            stepped(1.0, 2.0, 0.0).is_err() && stepped(1.0, 2.0, -1.0).is_err() && stepped(0.0, f64::NAN, 1.0).is_err()
+        );
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_before_the_work() {
+        for (text, code) in [
+            ("Sweep(grid: [(paths: [], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(paths: [\"a\", \"b\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(paths: [\"a\"])])", "sweep.axis"),
+            ("Sweep(grid: [(paths: [\"a\"], values: [1], from: 2)])", "sweep.axis"),
+            ("Sweep(grid: [(paths: [\"a\"], values: [1]), (paths: [\"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(name: \"x\", paths: [\"a\"], values: [1]), (paths: [\"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(name: \"x\", paths: [\"a\", \"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(list: [{\"a\": 1}], grid: [(name: \"x\", paths: [\" a\"], values: [1])])", "sweep.axis"),
+            (
+                "Sweep(grid: [(name: \"x\", paths: [\"constants.a\"], values: [1]),
+                    (paths: [\"constants.a.value\"], values: [1])])",
+                "sweep.axis",
+            ),
+            ("Sweep(set: {\"a\": 1}, grid: [(paths: [\"a\"], values: [1])])", "sweep.path"),
+            ("Sweep(list: [{\"a\": 1, \"a\": 2}])", "sweep.path"),
+            ("Sweep(grid: [(name: \"energy_uj\", paths: [\"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(name: \"variant\", paths: [\"a\"], values: [1])])", "sweep.axis"),
+            ("Sweep(grid: [(paths: [\"constants\"], values: [1])])", "set.path"),
+            ("Sweep(grid: [(paths: [\"target.\"], values: [1])])", "set.path"),
+            ("Sweep(set: {\"a..b\": 1})", "set.path"),
+            ("Sweep(set: {\"a\": \"(\"})", "set.value"),
+            ("Sweep(grid: [(paths: [\"options.copys\"], values: [1])])", "sweep.path"),
+            ("Sweep(grid: [(paths: [\"options.copies\"], values: [0])])", "sweep.value"),
+            ("Sweep(list: [{\"options.strategy\": \"best\"}])", "sweep.value"),
+            ("Sweep(samples: \"5..5\")", "sweep.value"),
+            ("Sweep(copies: 0)", "sweep.value"),
+            ("Sweep(grids: [])", "sweep.syntax"),
+        ] {
+            assert_eq!(sweep(text).unwrap_err().code, code, "{text}");
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! Runs many variants on several threads, the largest first.
+//!
+//! Input: a sweep, the numbers of its variants that are to be run. Output: their cells, handed over one by one as they are finished, in
+//! any order. Each variant has one thread. The first error ends the work once the variants that run are finished.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use crate::sweep::made::held;
+use crate::sweep::row::{Cells, Runner};
+use crate::sweep::variants::Sweep;
+use nsim_session::error::Error;
+
+/// Stack of a thread: mapping recurses as it does in the main one.
+const STACK: usize = 16 << 20;
+
+/// Runs these variants; `take` is called by one thread at a time.
+///
+/// # Errors
+/// The first of a variant or of `take`.
+pub fn run(
+    sweep: &Sweep,
+    mut numbers: Vec<u64>,
+    threads: usize,
+    take: impl FnMut(u64, Cells) -> Result<(), Error> + Send,
+) -> Result<(), Error> {
+    let runner = Runner::default();
+    if sweep.has_sizes() {
+        let sized = |number: u64| Ok((runner.size(&sweep.job(number)?), number));
+        let mut sizes = numbers.into_iter().map(sized).collect::<Result<Vec<(u64, u64)>, Error>>()?;
+        sizes.sort_by_key(|&(size, _)| std::cmp::Reverse(size));
+        numbers = sizes.into_iter().map(|(_, number)| number).collect();
+    }
+    let (next, ended) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let (take, first_error) = (Mutex::new(take), Mutex::new(None));
+    let work = || {
+        while !ended.load(Ordering::Relaxed) {
+            let Some(&number) = numbers.get(next.fetch_add(1, Ordering::Relaxed)) else { return };
+            let done = sweep.job(number).map_err(Error::from).and_then(|job| runner.row(&job));
+            if let Err(error) = done.and_then(|cells| held(&take)(number, cells)) {
+                ended.store(true, Ordering::Relaxed);
+                held(&first_error).get_or_insert(error);
+            }
+        }
+    };
+    let alone = || {
+        // What a variant does in parallel stays on its thread.
+        match rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() {
+            Ok(pool) => pool.install(work),
+            Err(_) => work(),
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..threads.clamp(1, numbers.len().max(1)) {
+            let started = std::thread::Builder::new().stack_size(STACK).spawn_scoped(scope, alone);
+            // Where the system allows fewer threads, those that it allows.
+            if started.is_err() {
+                break;
+            }
+        }
+    });
+    let left = next.load(Ordering::Relaxed) < numbers.len();
+    if left && !ended.load(Ordering::Relaxed) {
+        return Err(Error::Fault("threads cannot be started".to_string()));
+    }
+    held(&first_error).take().map_or(Ok(()), Err)
+}

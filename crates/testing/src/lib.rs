@@ -1,0 +1,269 @@
+//! Networks and targets for tests, by hand and at random. Nothing here is part of nsim itself.
+
+use std::sync::Arc;
+
+use nsim_ir::base::diagnostic::SourceText;
+use nsim_ir::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
+use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim_ir::base::rng;
+use nsim_ir::graph::{PerCompartment, Shape, Window};
+use nsim_ir::hardware::{Chip, Target, TargetFile};
+use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim_ir::quantised::{Neuron, Neurons, Parts, Population, Projection, Quantised, Units};
+use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Resource};
+
+/// The limits of a Loihi core as the shipped chip has them.
+pub fn limits() -> Limits {
+    let of = |resource| match resource {
+        Resource::Compartments => 1024,
+        Resource::AxonsIn | Resource::AxonsOut => 4096,
+        Resource::AxonsOutPerCompartment => 511,
+        Resource::SynapseWords => 16_384,
+        Resource::SynapseWordsPerAxon => 256,
+        Resource::SynapseFormats | Resource::ThresholdProfiles => 16,
+        Resource::CompartmentProfiles => 32,
+        Resource::Accumulators => 8192,
+    };
+    Limits {
+        most: PerResource::from_fn(of),
+        pools: Vec::new(),
+        axon_out_slots: 1,
+        axon_out_slots_off_chip: 2,
+        output_axons: OutputAxons::PerPosition { atoms: 32, more_slots: 1 },
+        synapses_per_entry: 64,
+        packing: Packing::Nengo,
+    }
+}
+
+/// A board of Loihi chips with these limits.
+pub fn target(chips_x: u32, chips_y: u32, limits: Limits) -> Target {
+    let shipped = nsim_files::target::load_target("loihi1-chip").unwrap();
+    let chip = Chip { limits, ..shipped.chip().clone() };
+    let file = TargetFile {
+        name: "test-board".to_string(),
+        notes: String::new(),
+        chip: chip.name.clone().into(),
+        chips_x: chips_x.into(),
+        chips_y: chips_y.into(),
+        constants: Vec::new(),
+    };
+    Target::new(&file, &SourceText::new("test.ron", ""), chip, shipped.constants().to_vec()).unwrap()
+}
+
+/// The format of 8-bit mixed weights.
+pub fn plain_format() -> SynapseFormat {
+    format(0, SignMode::Mixed, 8)
+}
+
+/// A format.
+pub fn format(exponent: i64, sign: SignMode, bits: i64) -> SynapseFormat {
+    SynapseFormat { exponent: WeightExponent::new(exponent).unwrap(), sign, bits: WeightBits::new(bits).unwrap() }
+}
+
+/// Parameters of the silicon network's compartments.
+pub fn neurons() -> Neurons {
+    PerCompartment::Same(Neuron {
+        du: Decay::new(1024).unwrap(),
+        dv: Decay::new(128).unwrap(),
+        vth: ThresholdMantissa::new(80).unwrap(),
+        ..Neuron::PLAIN
+    })
+}
+
+/// Builds a network population by population.
+pub struct Builder {
+    parts: Parts,
+    channels: u32,
+    compartments: u32,
+}
+
+impl Builder {
+    /// Nothing yet.
+    pub fn new() -> Self {
+        let parts = Parts::empty("test");
+        Builder { parts, channels: 0, compartments: 0 }
+    }
+
+    /// An input of this shape.
+    pub fn input_shape(&mut self, name: &str, shape: Shape) -> PopulationId {
+        let units = Units::Input(ChannelId(self.channels));
+        self.channels += shape.len();
+        self.parts.populations.push(Population { name: name.to_string(), shape, units, payload: None })
+    }
+
+    /// An input of so many channels.
+    pub fn input(&mut self, name: &str, channels: u32) -> PopulationId {
+        self.input_shape(name, Shape::Line(channels))
+    }
+
+    /// Compartments with these parameters; the last population is the output.
+    pub fn loihi_with(&mut self, name: &str, shape: Shape, neurons: Neurons) -> PopulationId {
+        let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
+        self.compartments += shape.len();
+        self.parts.output =
+            self.parts.populations.push(Population { name: name.to_string(), shape, units, payload: None });
+        self.parts.output
+    }
+
+    /// So many compartments.
+    pub fn loihi(&mut self, name: &str, compartments: u32) -> PopulationId {
+        self.loihi_with(name, Shape::Line(compartments), neurons())
+    }
+
+    /// A projection.
+    pub fn connect(
+        &mut self,
+        (source, target): (PopulationId, PopulationId),
+        format: SynapseFormat,
+        delay: i64,
+        connectivity: Connectivity,
+    ) {
+        let name = |id| &self.parts.populations[id].name;
+        let name = format!("{} -> {}", name(source), name(target));
+        let delay = Delay::new(delay).unwrap();
+        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
+    }
+
+    /// A dense projection of plain weights `f(source, target)`.
+    pub fn dense(&mut self, source: PopulationId, target: PopulationId, f: impl Fn(u32, u32) -> i16) {
+        let size = |id: PopulationId| self.parts.populations[id].shape.len();
+        let (sources, targets) = (size(source), size(target));
+        let weights: Arc<[i16]> =
+            (0..sources).flat_map(|s| (0..targets).map(move |t| (s, t))).map(|(s, t)| f(s, t)).collect();
+        self.connect((source, target), plain_format(), 0, Connectivity::Dense { targets, weights });
+    }
+
+    /// A random projection of plain weights.
+    pub fn random(&mut self, source: PopulationId, target: PopulationId, fan_out: u32, seed: u64) {
+        let targets = self.parts.populations[target].shape.len();
+        let random = Connectivity::Random { targets, fan_out, low: -64, high: 64, step: 2, seed, first_source: 0 };
+        self.connect((source, target), plain_format(), 0, random);
+    }
+
+    /// The network.
+    pub fn build(self) -> Quantised {
+        Quantised::new(self.parts).unwrap()
+    }
+}
+
+/// The shape of the VT-SNN slip network: 156 -> 50 and `vision` -> 10, both -> 2, all dense.
+pub fn slip(vision: u32) -> Quantised {
+    let mut builder = Builder::new();
+    let (tactile, seen) = (builder.input("tactile", 156), builder.input("vision", vision));
+    let (touch, sight, out) = (builder.loihi("touch", 50), builder.loihi("sight", 10), builder.loihi("out", 2));
+    for (source, target) in [(tactile, touch), (seen, sight), (touch, out), (sight, out)] {
+        builder.dense(source, target, |s, t| ((s * 7 + t * 3) % 100) as i16 * 2 - 100);
+    }
+    builder.build()
+}
+
+/// A drawer of numbers for one network.
+struct Draw(u64, u64);
+
+impl Draw {
+    fn below(&mut self, n: u64) -> u64 {
+        self.1 += 1;
+        rng::below(n, self.0, 0, self.1)
+    }
+
+    fn each<T: Copy>(&mut self, n: u32, values: &[T]) -> PerCompartment<T> {
+        let mut pick = || values[self.below(values.len() as u64) as usize];
+        if n.is_multiple_of(2) {
+            PerCompartment::Same(pick())
+        } else {
+            PerCompartment::Each((0..n).map(|_| pick()).collect())
+        }
+    }
+}
+
+/// A network of a few populations with every kind of projection, delays, formats and parameters.
+pub fn random_network(seed: u64) -> Quantised {
+    let mut draw = Draw(seed, 0);
+    let mut builder = Builder::new();
+    let shape = |draw: &mut Draw| {
+        if draw.below(2) == 0 {
+            Shape::Line(1 + draw.below(40) as u32)
+        } else {
+            Shape::Volume(2, 2 + draw.below(3) as u32, 2 + draw.below(3) as u32)
+        }
+    };
+    let mut all: Vec<(PopulationId, Shape)> = Vec::new();
+    let inputs = 1 + draw.below(2);
+    for k in 0..inputs {
+        let shape = shape(&mut draw);
+        all.push((builder.input_shape(&format!("in{k}"), shape), shape));
+    }
+    for k in 0..1 + draw.below(4) {
+        let shape = shape(&mut draw);
+        let n = shape.len();
+        let (du, vth, refractory) = (
+            draw.each(n, &[0, 1024, 4096].map(|d| Decay::new(d).unwrap())),
+            draw.each(n, &[80, 100].map(|v| ThresholdMantissa::new(v).unwrap())),
+            draw.each(n, &[1, 2].map(|r| Refractory::new(r).unwrap())),
+        );
+        let neuron = |i| Neuron { du: du.get(i), vth: vth.get(i), refractory: refractory.get(i), ..neurons().get(i) };
+        let same = [matches!(du, PerCompartment::Same(_)), matches!(vth, PerCompartment::Same(_))];
+        let neurons = match same == [true; 2] && matches!(refractory, PerCompartment::Same(_)) {
+            true => PerCompartment::Same(neuron(0)),
+            false => PerCompartment::Each((0..n).map(neuron).collect()),
+        };
+        all.push((builder.loihi_with(&format!("pop{k}"), shape, neurons), shape));
+    }
+    let signs = [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory];
+    for _ in 0..2 + draw.below(6) {
+        let (source, from) = all[draw.below(all.len() as u64) as usize];
+        let (target, to) = all[(inputs + draw.below(all.len() as u64 - inputs)) as usize];
+        let sign = signs[draw.below(3) as usize];
+        let format = format(draw.below(4) as i64 - 2, sign, [8, 8, 6, 4][draw.below(4) as usize]);
+        let delay = [0, 0, 0, 1, 3][draw.below(5) as usize];
+        let connectivity = random_connectivity(&mut draw, format, from, to);
+        builder.connect((source, target), format, delay, connectivity);
+    }
+    builder.build()
+}
+
+fn random_connectivity(draw: &mut Draw, format: SynapseFormat, from: Shape, to: Shape) -> Connectivity {
+    let (low, high) = format.sign.range(format.bits);
+    let step = format.sign.step(format.bits);
+    let levels = (i32::from(high) - i32::from(low)) / i32::from(step) + 1;
+    let weight = |draw: &mut Draw| low + step * draw.below(levels as u64) as i16;
+    let (sources, targets) = (from.len(), to.len());
+    if let (Some(source), Some(target)) = (from.volume(), to.volume())
+        && draw.below(2) == 0
+    {
+        let window = Window {
+            source,
+            target,
+            kernel: (2, 2),
+            stride: (1 + draw.below(2) as u32, 1),
+            padding: (draw.below(2) as u32, 1),
+            dilation: (1, 1 + draw.below(2) as u32),
+            groups: 1 + draw.below(2) as u32,
+        };
+        if draw.below(2) == 0 {
+            return Connectivity::SumPool2d { window: Window { groups: 1, ..window }, weight: weight(draw) };
+        }
+        let size = target.0 * source.0 / window.groups * 4;
+        return Connectivity::Conv2d { window, kernel: (0..size).map(|_| weight(draw)).collect() };
+    }
+    match draw.below(3) {
+        0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| weight(draw)).collect() },
+        1 => {
+            let (mut first, mut to, mut weights) = (vec![0], Vec::new(), Vec::new());
+            for _ in 0..sources {
+                for target in 0..targets {
+                    if draw.below(3) == 0 {
+                        to.push(target);
+                        weights.push(weight(draw));
+                    }
+                }
+                first.push(to.len() as u64);
+            }
+            Connectivity::Sparse { first: first.into(), targets: to.into(), weights: weights.into() }
+        }
+        _ => {
+            let (fan_out, seed) = (draw.below(8) as u32, draw.below(1000));
+            Connectivity::Random { targets, fan_out, low, high, step, seed, first_source: 3 }
+        }
+    }
+}

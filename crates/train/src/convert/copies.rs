@@ -1,0 +1,311 @@
+//! Current and voltage with delayed copies of what comes in, as near to a spike response as they can be.
+//!
+//! Input: what arrives at a population on calibration samples, and its spike response parameters. Output: decays of current and
+//! voltage with the delays and factors of the copies, from which the search chooses.
+//!
+//! A hard reset takes the voltage and leaves the current. So the faster the voltage forgets, the less a reset takes: with dv =
+//! 4096 the voltage is the current, and nothing is taken. What is lost is the alpha kernel, which has two equal decays. With
+//! F(t) the response of such a compartment to what arrives, without resets, and P(t) the potential of the trained neuron, the
+//! factors a of the copies with delays d are those of least squares, `sum over t of w(t) (P(t) - sum_i a_i F(t - d_i))^2`. The
+//! delays are chosen one after the other, each the one that leaves the least. What arrives in the calibration samples weighs: a
+//! population with thousands of sources needs the slow part of the kernel, one with few also its shape. Steps count by
+//! [`relevance`].
+
+use rayon::prelude::*;
+
+use nsim_ir::base::fixed::DECAY_ONE;
+use nsim_ir::graph::SrmParameters;
+use nsim_quantise::analytic;
+
+/// The most copies that can be asked for.
+pub const MOST: usize = 32;
+/// The most copies where nothing is asked: the synapses of a source onto one compartment, delayed by up to 62 steps, then take 310
+/// bits, which are five words of a Loihi core's memory.
+pub const USUAL: usize = 15;
+
+/// Time constants of the current in those of the response, voltages kept in a step, delays in time constants.
+const CURRENTS: [f64; 4] = [1.2, 1.4, 1.65, 2.0];
+const VOLTAGES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
+/// The latest copy in time constants, and how many delays up to there are tried.
+const LATEST: f64 = 4.5;
+const DELAYS: u32 = 45;
+/// Numbers of copies that are tried.
+const COUNTS: [usize; 12] = [1, 2, 3, 4, 5, 7, 9, 12, 15, 20, 24, 32];
+/// Steps of neurons on which least squares are taken.
+const POINTS: usize = 12_000;
+/// Times that every copy may give its place to another delay.
+const SWAPS: usize = 3;
+
+/// What arrives at a population.
+#[derive(Debug, Clone, Copy)]
+pub struct Arrivals<'a> {
+    /// Its compartments.
+    pub neurons: usize,
+    /// Weighted input of each sample, `[neuron][step]`.
+    pub samples: &'a [Vec<f64>],
+}
+
+/// Delays and factors of the copies of what comes in.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Copies {
+    each: [(u32, f64); MOST],
+    count: usize,
+}
+
+impl Copies {
+    /// Those that there are.
+    #[must_use]
+    pub fn as_slice(&self) -> &[(u32, f64)] {
+        &self.each[..self.count]
+    }
+
+    /// With all factors times one.
+    #[must_use]
+    pub fn scaled(mut self, by: f64) -> Copies {
+        self.each.iter_mut().for_each(|copy| copy.1 *= by);
+        self
+    }
+}
+
+/// What an error counts where the potential is so many thresholds: less, the further it is from where spikes are decided. A neuron
+/// that spikes in every step has about six.
+pub fn relevance(potential: f64) -> f64 {
+    let away = (potential - 2.0) / 3.0;
+    1.0 / (1.0 + away * away)
+}
+
+/// The solution of `matrix x = right`, positive definite; none where it is not.
+fn solved(matrix: &[Vec<f64>], right: &[f64]) -> Option<Vec<f64>> {
+    let n = right.len();
+    let mut rows: Vec<Vec<f64>> =
+        matrix.iter().zip(right).map(|(row, &r)| row.iter().copied().chain([r]).collect()).collect();
+    for i in 0..n {
+        let row = rows[i].clone();
+        if row[i].abs() < 1e-12 {
+            return None;
+        }
+        for (_, other) in rows.iter_mut().enumerate().filter(|(j, _)| *j != i) {
+            let by = other[i] / row[i];
+            other.iter_mut().zip(&row).skip(i).for_each(|(x, y)| *x -= by * y);
+        }
+    }
+    Some((0..n).map(|i| rows[i][n] / rows[i][i]).collect())
+}
+
+/// A decay that the chip has.
+fn kept(keep: f64) -> f64 {
+    1.0 - libm::rint(DECAY_ONE as f64 * (1.0 - keep)).clamp(1.0, DECAY_ONE as f64) / DECAY_ONE as f64
+}
+
+/// Decays and copies to choose from: (current kept in a step, voltage kept, copies), for each number of copies up to `most` those
+/// that leave the least error: with each decay of the current where the voltage forgets all, with the best elsewhere. Delays up to
+/// `room`.
+pub fn candidates(
+    task: Arrivals<'_>,
+    srm: &SrmParameters,
+    timestep_ms: f64,
+    (most, room): (usize, u32),
+) -> Vec<(f64, f64, Copies)> {
+    let tau = srm.tau_sr_ms / timestep_ms;
+    let latest = (LATEST * tau).min(f64::from(room));
+    let mut delays: Vec<u32> =
+        (0..=DELAYS).map(|place| libm::rint(latest * f64::from(place) / f64::from(DELAYS)) as u32).collect();
+    delays.dedup();
+    let wanted = potentials(task, srm, timestep_ms);
+    let of_voltage = |&voltage: &f64| {
+        let pairs = CURRENTS.iter().flat_map(|current| {
+            let keep_u = kept(libm::exp(-1.0 / (current * tau)));
+            let found = of_pair(task, &wanted, (keep_u, kept(voltage)), &delays, most);
+            found.into_iter().map(move |(taken, copies)| (taken, keep_u, copies))
+        });
+        let mut pairs: Vec<(f64, f64, Copies)> = pairs.collect();
+        if voltage > 0.0 {
+            let best = |pair: &(f64, f64, Copies)| {
+                let rivals = pairs.iter().filter(|rival| rival.2.count == pair.2.count);
+                rivals.fold(0.0, |most: f64, rival| most.max(rival.0)) <= pair.0
+            };
+            let best: Vec<bool> = pairs.iter().map(best).collect();
+            let mut best = best.into_iter();
+            pairs.retain(|_| best.next().unwrap_or(false));
+        }
+        pairs
+            .into_iter()
+            .map(|(_, keep_u, copies)| (keep_u, kept(voltage), copies.scaled(srm.theta)))
+            .collect::<Vec<_>>()
+    };
+    let each: Vec<Vec<(f64, f64, Copies)>> = VOLTAGES.par_iter().map(of_voltage).collect();
+    each.into_iter().flatten().collect()
+}
+
+/// The potential of the trained neurons without their own spikes, in thresholds, `[neuron][step]` of each sample.
+pub fn potentials(task: Arrivals<'_>, srm: &SrmParameters, timestep_ms: f64) -> Vec<Vec<f64>> {
+    let (tau, r) = (srm.tau_sr_ms / timestep_ms, analytic::real_keep(srm, timestep_ms));
+    let gain = std::f64::consts::E * r / tau / srm.theta;
+    task.samples.par_iter().map(|arrivals| filtered(arrivals, task.neurons, (r, r), gain)).collect()
+}
+
+/// What passes current and voltage, `[neuron][step]`.
+fn filtered(arrivals: &[f64], neurons: usize, keeps: (f64, f64), gain: f64) -> Vec<f64> {
+    let steps = (arrivals.len() / neurons.max(1)).max(1);
+    let mut out = Vec::with_capacity(arrivals.len());
+    arrivals.chunks(steps).for_each(|row| filtered_row(row, keeps, gain, &mut out));
+    out
+}
+
+fn filtered_row(row: &[f64], (keep_u, keep_v): (f64, f64), gain: f64, out: &mut Vec<f64>) {
+    let (mut u, mut v) = (0.0, 0.0);
+    out.extend(row.iter().map(|x| {
+        u = keep_u * u + x;
+        v = keep_v * v + u;
+        gain * v
+    }));
+}
+
+/// In eight sums, which the processor adds at once.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (mut sums, n) = ([0.0; 8], a.len().min(b.len()));
+    let (a, b) = (&a[..n], &b[..n]);
+    for (x, y) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
+        sums.iter_mut().zip(x.iter().zip(y)).for_each(|(sum, (x, y))| *sum += x * y);
+    }
+    let rest = n - n % 8;
+    sums.iter().sum::<f64>() + a[rest..].iter().zip(&b[rest..]).map(|(x, y)| x * y).sum::<f64>()
+}
+
+/// Sums of products of the responses of all delays and of the potentials wanted, relevance as weight.
+struct Products {
+    /// Row by row, those of a delay with itself a trifle greater.
+    between: Vec<Vec<f64>>,
+    right: Vec<f64>,
+}
+
+/// What is left of each delay once some are chosen.
+struct Left {
+    /// Its square and its product with what is left of the potentials.
+    squares: Vec<f64>,
+    right: Vec<f64>,
+    /// What the chosen ones took from the error.
+    taken: f64,
+}
+
+impl Products {
+    fn new(task: Arrivals<'_>, wanted: &[Vec<f64>], keeps: (f64, f64), delays: &[u32]) -> Products {
+        let n = delays.len();
+        let every = (task.samples.iter().map(Vec::len).sum::<usize>() / POINTS).clamp(1, task.neurons.max(1));
+        let (mut between, mut right) = (vec![vec![0.0; n]; n], vec![0.0; n]);
+        let (mut response, mut relevant, mut mine) = (Vec::new(), Vec::new(), Vec::new());
+        for (place, (arrivals, wanted)) in task.samples.iter().zip(wanted).enumerate() {
+            let steps = (arrivals.len() / task.neurons.max(1)).max(1);
+            // Other neurons in each sample.
+            let rows = arrivals.chunks(steps).zip(wanted.chunks(steps)).skip(place % every).step_by(every);
+            for (row, wanted) in rows {
+                response.clear();
+                filtered_row(row, keeps, 1.0, &mut response);
+                relevant.clear();
+                relevant.extend(wanted.iter().map(|&potential| relevance(potential)));
+                for (i, &d) in delays.iter().enumerate() {
+                    let start = (d as usize).min(steps);
+                    mine.clear();
+                    mine.extend(
+                        response.iter().zip(&relevant[start..]).map(|(x, relevant): (&f64, &f64)| x * relevant),
+                    );
+                    right[i] += dot(&mine, &wanted[start..]);
+                    // With d >= e, the sum over t of F(t - d) F(t - e).
+                    for (j, &e) in delays[..=i].iter().enumerate() {
+                        between[i][j] += dot(&mine, &response[start.saturating_sub(e as usize)..]);
+                    }
+                }
+            }
+        }
+        // Computed below the diagonal.
+        for i in 0..n {
+            let (above, rest) = between.split_at_mut(i);
+            let Some(row) = rest.first_mut() else { break };
+            row[i] *= 1.0 + 1e-9;
+            above.iter_mut().zip(&*row).for_each(|(other, &product)| other[i] = product);
+        }
+        Products { between, right }
+    }
+
+    /// What is left when these delays are chosen: each is made orthogonal to those before it.
+    fn left(&self, chosen: &[usize]) -> Left {
+        let mut left = Left {
+            squares: (0..self.right.len()).map(|j| self.between[j][j]).collect(),
+            right: self.right.clone(),
+            taken: 0.0,
+        };
+        let mut parts: Vec<Vec<f64>> = Vec::with_capacity(chosen.len());
+        for &c in chosen {
+            let length = left.squares[c].max(f64::MIN_POSITIVE).sqrt();
+            let mut part = self.between[c].clone();
+            for before in &parts {
+                let by = before[c];
+                part.iter_mut().zip(before).for_each(|(x, y)| *x -= by * y);
+            }
+            part.iter_mut().for_each(|x| *x /= length);
+            let along = left.right[c] / length;
+            left.taken += along * along;
+            for (j, &x) in part.iter().enumerate() {
+                left.squares[j] -= x * x;
+                left.right[j] -= x * along;
+            }
+            parts.push(part);
+        }
+        left
+    }
+
+    /// The delay that takes most beside those chosen, and what all take then.
+    fn next(&self, chosen: &[usize]) -> Option<(f64, usize)> {
+        let left = self.left(chosen);
+        let each = (0..self.right.len()).filter(|j| !chosen.contains(j)).filter_map(|j| {
+            let distinct = left.squares[j] > 1e-7 * self.between[j][j];
+            distinct.then(|| (left.taken + left.right[j] * left.right[j] / left.squares[j], j))
+        });
+        each.reduce(|best, next| if next.0 > best.0 { next } else { best })
+    }
+
+    fn factors(&self, chosen: &[usize]) -> Option<Vec<f64>> {
+        let row = |&i: &usize| chosen.iter().map(|&j| self.between[i][j]).collect::<Vec<_>>();
+        solved(&chosen.iter().map(row).collect::<Vec<_>>(), &chosen.iter().map(|&i| self.right[i]).collect::<Vec<_>>())
+    }
+}
+
+/// What the copies take from the error, for each number of them up to `most` that is tried.
+fn of_pair(
+    task: Arrivals<'_>,
+    wanted: &[Vec<f64>],
+    keeps: (f64, f64),
+    delays: &[u32],
+    most: usize,
+) -> Vec<(f64, Copies)> {
+    let products = Products::new(task, wanted, keeps, delays);
+    let (mut chosen, mut found): (Vec<usize>, Vec<(f64, Copies)>) = (Vec::new(), Vec::new());
+    while let Some((mut taken, next)) = products.next(&chosen).filter(|_| chosen.len() < most) {
+        chosen.push(next);
+        if !COUNTS.contains(&chosen.len()) {
+            continue;
+        }
+        // Each in turn gives its place to a better one, while that helps.
+        for _ in 0..SWAPS {
+            let before = taken;
+            for member in 0..chosen.len() {
+                let without: Vec<usize> =
+                    chosen.iter().enumerate().filter(|(k, _)| *k != member).map(|(_, &place)| place).collect();
+                if let Some((better, place)) = products.next(&without).filter(|next| next.0 > taken * (1.0 + 1e-12)) {
+                    (taken, chosen[member]) = (better, place);
+                }
+            }
+            if taken <= before {
+                break;
+            }
+        }
+        let Some(factors) = products.factors(&chosen) else { break };
+        let mut copies = Copies { count: chosen.len(), ..Copies::default() };
+        let mut each: Vec<(u32, f64)> =
+            chosen.iter().zip(factors).map(|(&place, factor)| (delays[place], factor)).collect();
+        each.sort_by_key(|&(delay, _)| delay);
+        copies.each[..each.len()].copy_from_slice(&each);
+        found.push((taken, copies));
+    }
+    found
+}

@@ -1,0 +1,492 @@
+//! A few epochs of training with the integers in the forward pass.
+//!
+//! Input: a network of spike response neurons, what stands for each of its populations, a training plan and labelled training
+//! samples. Output: the trained weights whose integers decide best, and how well they do. Invariants: in every minibatch the
+//! weights become integers as `quantise` makes them, and the samples run through exactly these (`agree::ladder`, whose last rung
+//! equals the golden interpreter bit for bit). The gradient is that of the trained neurons at the integers' potentials, in
+//! thresholds, and at their spikes; rounding is passed straight through, and so are the reset and the delayed copies. The
+//! epoch that is kept is the one that does best on the training samples as they are, the start included: most right, then least
+//! loss. Held-out samples are only counted, at the start and at the end. Errors: networks that the plan does not describe.
+//!
+//! No part of the training samples is set aside to choose the epoch: the network was trained on all of them, so the start would be
+//! judged by what it knows.
+//!
+//! A converted layer answers one step earlier than the trained one (`docs/semantics.md`, 18). So samples get one more, empty
+//! step, the integers run without it, and what they do is read one step later.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use petgraph::graph::NodeIndex;
+use rayon::prelude::*;
+
+use crate::cells;
+use crate::cells::Cells;
+use crate::checkpoint;
+use crate::convert::staged::Measured;
+use crate::fit::{Example, Forward, Plan};
+use crate::network::{Deployed, Source, Weights, Workspace};
+use crate::raster::Raster;
+use nsim_agree::causes::Rung;
+use nsim_agree::compare::output_layer;
+use nsim_agree::ladder::Ladder;
+use nsim_agree::trace::{Layer, Trace};
+use nsim_files::training::TrainingFile;
+use nsim_ir::arithmetic::ReadOut;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::id::ChannelId;
+use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind};
+use nsim_ir::spikes::Sample;
+use nsim_ir::tensor::{Numbers, Tensor};
+use nsim_quantise::analytic::Fit;
+use nsim_quantise::exponents::Detail;
+
+/// What is fine-tuned.
+#[derive(Debug)]
+pub struct Task {
+    graph: Graph,
+    fits: Vec<Option<Fit>>,
+    detail: Detail,
+    plan: Plan,
+    /// For each projection of the graph, the layer that it leads to and the place of its first source among the layer's.
+    places: Vec<Place>,
+    /// The plan's layers as the integers number their compartments.
+    layers: Vec<Layer>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    layer: usize,
+    offset: usize,
+    sources: usize,
+    first_column: usize,
+}
+
+/// How many samples are right, and the mean loss.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TaskScore {
+    /// Share of samples that are right.
+    pub accuracy: f64,
+    /// Mean loss.
+    pub loss: f64,
+}
+
+/// An epoch.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FineTuneRow {
+    /// The epoch, 0 before the first.
+    pub epoch: u32,
+    /// Its integers on the training samples, not varied.
+    pub score: TaskScore,
+}
+
+/// Samples that were not trained on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeldOut {
+    /// How many.
+    pub samples: usize,
+    /// Share that the trained network has right.
+    pub trained: f64,
+    /// The integers before.
+    pub before: TaskScore,
+    /// The integers that are kept.
+    pub after: TaskScore,
+}
+
+/// What came out.
+#[derive(Debug, Clone)]
+pub struct FineTuned {
+    /// The weights that are kept.
+    pub weights: Weights,
+    /// The epoch that they are of; 0 when no epoch was better than the start.
+    pub kept: u32,
+    /// Before the first epoch and after each.
+    pub rows: Vec<FineTuneRow>,
+    /// Samples trained on.
+    pub samples: usize,
+    /// How many samples that were not trained on are right; none where there are none with labels.
+    pub held_out: Option<HeldOut>,
+    /// The seed of the order of samples.
+    pub seed: u64,
+    /// SHA-256 of the plan and of all training samples.
+    pub fingerprint: String,
+}
+
+impl FineTuned {
+    /// The integers before and those that are kept, on the training samples.
+    #[must_use]
+    pub fn scores(&self) -> (TaskScore, TaskScore) {
+        let of =
+            |epoch: u32| self.rows.iter().find(|row| row.epoch == epoch).map_or_else(TaskScore::default, |r| r.score);
+        (of(0), of(self.kept))
+    }
+}
+
+/// Integers that were trained further.
+#[derive(Debug)]
+pub struct Tuned {
+    /// The epochs and their scores.
+    pub tuned: FineTuned,
+    /// Epochs that were asked for.
+    pub epochs: u32,
+    /// The integers that are kept.
+    pub integers: Ladder,
+    /// Where the training samples came from.
+    pub samples: Vec<String>,
+    /// How near the integers still are to the trained network on samples that no stage saw.
+    pub held_out: Option<Measured>,
+}
+
+impl Tuned {
+    /// For a model's provenance.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
+        let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
+        let (before, after) = self.tuned.scores();
+        let unseen = held_out.map_or_else(String::new, |held| {
+            let change = change(&held.before, &held.after);
+            format!(", {change} on {} held-out samples (as trained {:.4})", held.samples, held.trained)
+        });
+        format!(
+            "fine-tuned for {} with seed {seed} on {samples} training samples of {}, SHA-256 of plan and samples {fingerprint}; epoch \
+             {kept} is kept; accuracy {} on the training samples{unseen}",
+            if self.epochs == 1 { "1 epoch".to_string() } else { format!("{} epochs", self.epochs) },
+            self.samples.join(" "),
+            change(&before, &after),
+        )
+    }
+}
+
+/// The best epoch so far.
+#[derive(Debug, Clone)]
+pub struct BestEpoch {
+    /// Its weights.
+    pub weights: Weights,
+    /// Its number.
+    pub epoch: u32,
+    /// On the training samples.
+    pub score: TaskScore,
+}
+
+fn unlike(graph: &Graph, message: &str) -> Diagnostic {
+    Diagnostic::new("convert.fine-tune", format!("{}: {message}", graph.facts().name))
+        .help("fine-tuning takes dense layers of spike response neurons and the training file that describes them")
+}
+
+/// Whether fine-tuning takes a network at all: dense layers of spike response neurons without loops
+/// or delays, read out by their spikes.
+///
+/// # Errors
+/// `convert.fine-tune` with what it does not take.
+pub fn trainable(graph: &Graph) -> Result<()> {
+    if graph.facts().decision != ReadOut::Spikes {
+        return Err(unlike(graph, "its potentials decide, and training is by the spikes of the output"));
+    }
+    for (_, population) in graph.populations() {
+        if matches!(population.kind, PopulationKind::Neurons(_)) {
+            let message = format!("'{}' has neurons that are not spike response neurons", population.name);
+            return Err(unlike(graph, &message));
+        }
+    }
+    for (_, source, target, projection) in graph.projections() {
+        let plain = matches!(projection.kind, ProjectionKind::Dense { .. }) && projection.delay.get() == 0;
+        if !plain || source >= target || graph.population(source).payload.is_some() {
+            let message = format!("projection {} is no dense layer without a delay", projection.name);
+            return Err(unlike(graph, &message));
+        }
+    }
+    Ok(())
+}
+
+impl Task {
+    /// A network, what stands for its populations, and how it is trained; the plan is that of the training file.
+    ///
+    /// # Errors
+    /// `convert.fine-tune` where the training file describes another network.
+    pub fn new(
+        graph: &Graph,
+        (fits, detail): (&[Option<Fit>], Detail),
+        file: &TrainingFile,
+        plan: Plan,
+    ) -> Result<Task> {
+        trainable(graph)?;
+        let mut channels = graph.populations().filter(|(_, p)| matches!(p.kind, PopulationKind::Input));
+        for (input, &size) in file.inputs.iter().zip(&plan.topology.inputs) {
+            let same = |(_, p): &(NodeIndex, &nsim_ir::graph::Population)| {
+                p.name == input.name && p.shape.len() as usize == size
+            };
+            if !channels.next().as_ref().is_some_and(same) {
+                return Err(unlike(
+                    graph,
+                    &format!("the training file's input '{}' is not its next input", input.name),
+                ));
+            }
+        }
+        if let Some((_, more)) = channels.next() {
+            return Err(unlike(graph, &format!("the training file has no input '{}'", more.name)));
+        }
+        let node_of = |name: &str| graph.populations().find(|(_, p)| p.name == name).map(|(node, _)| node);
+        let inputs: Vec<Option<NodeIndex>> = file.inputs.iter().map(|input| node_of(&input.name)).collect();
+        let nodes: Vec<Option<NodeIndex>> = file.layers.iter().map(|layer| node_of(&layer.name)).collect();
+        let mut layers = Vec::new();
+        let mut first = 0;
+        let mut firsts: BTreeMap<usize, u32> = BTreeMap::new();
+        for (node, population) in graph.populations().filter(|(_, p)| !matches!(p.kind, PopulationKind::Input)) {
+            firsts.insert(node.index(), first);
+            first += population.shape.len();
+        }
+        for (layer, node) in plan.topology.layers.iter().zip(&nodes) {
+            let population = node.map(|node| (node, graph.population(node)));
+            let timestep_ms = graph.facts().timestep_ms;
+            let same = population.filter(|(_, population)| match (&population.kind, &layer.cells) {
+                (PopulationKind::Srm(srm), Cells::Srm(cells)) => {
+                    let decay = libm::exp(-timestep_ms / srm.tau_sr_ms);
+                    population.shape.len() as usize == layer.cells.len()
+                        && (f64::from(cells.theta) - srm.theta).abs() <= 1e-5 * srm.theta.abs()
+                        && cells.response.iter().all(|&(is, _)| (f64::from(is) - decay).abs() < 1e-5)
+                }
+                _ => false,
+            });
+            let Some((node, population)) = same else {
+                let message = format!("'{}' is no population with the training file's neurons", layer.name);
+                return Err(unlike(graph, &message));
+            };
+            let first = firsts.get(&node.index()).copied().unwrap_or(0);
+            layers.push(Layer { name: population.name.clone(), first, count: population.shape.len() });
+        }
+        if layers.len() != firsts.len() || nodes.last().copied().flatten() != Some(graph.output()) {
+            return Err(unlike(graph, "its layers are not those of the training file, the output last"));
+        }
+        let mut places = Vec::new();
+        let mut found = 0;
+        for (_, source, target, projection) in graph.projections() {
+            let place = nodes.iter().position(|&node| node == Some(target)).and_then(|layer| {
+                let mut offset = 0;
+                for &from in &plan.topology.layers[layer].sources {
+                    let node = match from {
+                        Source::Input(input) => inputs[input],
+                        Source::Layer(earlier) => nodes[earlier],
+                    };
+                    let sources = node.map_or(0, |node| graph.population(node).shape.len() as usize);
+                    if node == Some(source) {
+                        let first_column = projection.first_source as usize;
+                        return Some(Place { layer, offset, sources, first_column });
+                    }
+                    offset += sources;
+                }
+                None
+            });
+            match place {
+                Some(place) => places.push(place),
+                None => {
+                    let message = format!("projection {} is none of the training file's dense layers", projection.name);
+                    return Err(unlike(graph, &message));
+                }
+            }
+            found += 1;
+        }
+        if found != plan.topology.layers.iter().map(|layer| layer.sources.len()).sum::<usize>() {
+            return Err(unlike(graph, "it lacks projections of the training file"));
+        }
+        Ok(Task { graph: graph.clone(), fits: fits.to_vec(), detail, plan, places, layers })
+    }
+
+    /// The weights as the plan orders them.
+    fn weights(&self) -> Weights {
+        let mut all = self.plan.topology.zeros();
+        for ((_, _, _, projection), place) in self.graph.projections().zip(&self.places) {
+            let ProjectionKind::Dense { weights, .. } = &projection.kind else { continue };
+            let targets = self.plan.topology.layers[place.layer].cells.len();
+            let columns = weights.len() / targets.max(1);
+            for target in 0..targets {
+                for source in 0..place.sources {
+                    let weight = weights.real(target * columns + place.first_column + source);
+                    all[place.layer][(place.offset + source) * targets + target] = weight as f32;
+                }
+            }
+        }
+        all
+    }
+
+    /// The network with other weights. Projections that are declared as one stay one: they share an array.
+    #[must_use]
+    pub fn with_weights(&self, weights: &Weights) -> Graph {
+        let mut declared: Vec<(Arc<Tensor>, Vec<f64>)> = Vec::new();
+        let mut at = Vec::new();
+        for ((_, _, _, projection), place) in self.graph.projections().zip(&self.places) {
+            let ProjectionKind::Dense { weights: before, .. } = &projection.kind else { continue };
+            let index = declared.iter().position(|(tensor, _)| Arc::ptr_eq(tensor, before)).unwrap_or_else(|| {
+                declared.push((before.clone(), (0..before.len()).map(|i| before.real(i)).collect()));
+                declared.len() - 1
+            });
+            at.push(index);
+            let targets = self.plan.topology.layers[place.layer].cells.len();
+            let columns = before.len() / targets.max(1);
+            for target in 0..targets {
+                for source in 0..place.sources {
+                    let weight = weights[place.layer][(place.offset + source) * targets + target];
+                    declared[index].1[target * columns + place.first_column + source] = f64::from(weight);
+                }
+            }
+        }
+        let changed: Vec<Arc<Tensor>> = declared
+            .into_iter()
+            .map(|(before, numbers)| {
+                Tensor::new(before.shape().to_vec(), Numbers::Reals(numbers)).map_or(before, Arc::new)
+            })
+            .collect();
+        let mut at = at.into_iter();
+        self.graph.with_projections(|_, projection| {
+            let mut projection = projection.clone();
+            if let ProjectionKind::Dense { weights, .. } = &mut projection.kind
+                && let Some(index) = at.next()
+            {
+                *weights = changed[index].clone();
+            }
+            projection
+        })
+    }
+
+    /// The integers of these weights.
+    ///
+    /// # Errors
+    /// As `compile::frontend::quantise`.
+    pub fn integers(&self, weights: &Weights) -> Result<Ladder> {
+        Ladder::with_exponents(&self.with_weights(weights), &self.fits, self.detail)
+    }
+
+    /// How well integers do.
+    fn score(&self, ladder: &Ladder, examples: &[Example], step: &(impl Fn() + Sync)) -> TaskScore {
+        let output = output_layer(ladder.deployed());
+        let one = |example: &Example| {
+            let trace = ladder.run(Rung::MACHINE, &sample(&example.inputs), false);
+            let mut error = vec![0.0; (trace.steps as usize + 1) * output.count as usize];
+            let loss = self.plan.loss.evaluate(&raster(&trace, &output), example.label, &mut error);
+            step();
+            (loss, trace.class(&output) == Some(example.label))
+        };
+        let each: Vec<(f64, bool)> = examples.par_iter().map(one).collect();
+        let all = each.len().max(1) as f64;
+        TaskScore {
+            accuracy: each.iter().filter(|(_, right)| *right).count() as f64 / all,
+            loss: each.iter().map(|(loss, _)| loss).sum::<f64>() / all,
+        }
+    }
+
+    /// Samples that are shown in all: for a progress bar.
+    #[must_use]
+    pub fn work(examples: &[Example], held_out: &[Example], epochs: u32) -> u64 {
+        let (all, held_out) = (examples.len() as u64, held_out.len() as u64);
+        all + 2 * u64::from(epochs) * all + 2 * held_out
+    }
+
+    /// Trains for so many epochs. `shown` is called after each sample, `after` with the best epoch whenever there is a better one.
+    ///
+    /// # Errors
+    /// As [`Task::integers`], where weights grow beyond what the integers hold.
+    pub fn run(
+        &self,
+        (examples, held_out): (&[Example], &[Example]),
+        epochs: u32,
+        shown: &(impl Fn() + Sync),
+        mut after: impl FnMut(&BestEpoch),
+    ) -> Result<FineTuned> {
+        let fingerprint = checkpoint::fingerprint(&self.plan, examples);
+        let train: Vec<Example> = examples.iter().map(padded).collect();
+        let unseen: Vec<Example> = held_out.iter().map(padded).collect();
+        // It goes on where the training ended; what runs forward leaves nothing out.
+        let mut plan = Plan { epochs, dropout: 0.0, ..self.plan.clone() };
+        plan.rates.iter_mut().for_each(|rate| *rate *= self.plan.last_rate);
+        let mut state = plan.start_from(self.weights());
+        let start = self.integers(&state.weights)?;
+        let score = self.score(&start, &train, shown);
+        let before = self.score(&start, &unseen, shown);
+        let trained = plan.score(&state.weights, held_out).accuracy;
+        let mut best = BestEpoch { weights: state.weights.clone(), epoch: 0, score };
+        after(&best);
+        let mut rows = vec![FineTuneRow { epoch: 0, score }];
+        let integers = Integers { task: self, shown };
+        let mut workers = Vec::new();
+        while state.epoch < epochs {
+            plan.epoch_through(&integers, &mut state, &train, &mut workers)?;
+            let weights = plan.result(&state);
+            let score = self.score(&self.integers(weights)?, &train, shown);
+            rows.push(FineTuneRow { epoch: state.epoch, score });
+            if (score.accuracy, -score.loss) > (best.score.accuracy, -best.score.loss) {
+                best = BestEpoch { weights: weights.clone(), epoch: state.epoch, score };
+                after(&best);
+            }
+        }
+        let after = self.score(&self.integers(&best.weights)?, &unseen, shown);
+        let held_out = (!unseen.is_empty()).then_some(HeldOut { samples: unseen.len(), trained, before, after });
+        let (weights, kept) = (best.weights, best.epoch);
+        Ok(FineTuned { weights, kept, rows, samples: train.len(), held_out, seed: plan.seed, fingerprint })
+    }
+}
+
+/// The integers as what runs forward in training.
+#[derive(Debug)]
+struct Integers<'a, F> {
+    task: &'a Task,
+    shown: &'a F,
+}
+
+impl<F: Fn() + Sync> Forward for Integers<'_, F> {
+    type Network = Ladder;
+    type Error = Diagnostic;
+
+    fn network(&self, weights: &Weights) -> Result<Ladder> {
+        self.task.integers(weights)
+    }
+
+    fn run(&self, ladder: &Ladder, _: &Deployed, inputs: &[Raster], work: &mut Workspace) {
+        let trace = ladder.run(Rung::MACHINE, &sample(inputs), true);
+        let each = self.task.layers.iter().zip(&self.task.plan.topology.layers).zip(&mut work.traces);
+        for ((layer, trained), kept) in each {
+            let theta = trained.cells.theta();
+            *kept = cells::Trace::of_stand_in(potentials(&trace, layer, theta), raster(&trace, layer));
+        }
+        (self.shown)();
+    }
+}
+
+/// The same with an empty step at the end.
+fn padded(example: &Example) -> Example {
+    let longer = |raster: &Raster| Raster::from_events(raster.units(), raster.steps() + 1, raster.events().collect());
+    Example { inputs: example.inputs.iter().map(longer).collect(), label: example.label }
+}
+
+/// What a network in integers sees of a sample: all but the last, empty step.
+fn sample(inputs: &[Raster]) -> Sample {
+    let steps = inputs.first().map_or(0, Raster::steps).saturating_sub(1) as u32;
+    let mut first = 0;
+    let mut events = Vec::with_capacity(inputs.iter().map(Raster::len).sum());
+    for raster in inputs {
+        let all = raster.events().filter(|&(step, _)| step < steps);
+        events.extend(all.map(|(step, unit)| (step, ChannelId(first + unit))));
+        first += raster.units() as u32;
+    }
+    // All events are within; a raster counts its events in 32 bits, as a sample does.
+    Sample::new(steps, &events, None).unwrap_or_else(|_| Sample::silent(steps))
+}
+
+/// A layer's spikes one step later.
+fn raster(trace: &Trace, layer: &Layer) -> Raster {
+    let trains = trace.trains.iter().skip(layer.first as usize).take(layer.count as usize);
+    let events = trains.zip(0..).flat_map(|(train, neuron)| train.iter().map(move |&step| (step + 1, neuron)));
+    Raster::from_events(layer.count as usize, trace.steps as usize + 1, events.collect())
+}
+
+/// A layer's potentials one step later, `[step][neuron]`, in the trained network's units.
+fn potentials(trace: &Trace, layer: &Layer, theta: f32) -> Vec<f32> {
+    let (steps, count) = (trace.steps as usize, layer.count as usize);
+    let mut out = vec![0.0; (steps + 1) * count];
+    let rows = trace.potentials.chunks_exact(steps.max(1)).skip(layer.first as usize).take(count);
+    for (neuron, row) in rows.enumerate() {
+        for (step, potential) in row.iter().enumerate() {
+            out[(step + 1) * count + neuron] = theta * potential;
+        }
+    }
+    out
+}

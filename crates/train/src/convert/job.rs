@@ -1,0 +1,238 @@
+//! A conversion from a network to integers that can be kept, with samples to search on and others to judge by.
+//!
+//! Input: a network with real numbers, what it is for, samples. Output: [`Converted`] with its measures, fine-tuned where that is asked for;
+//! the model of the integers, and the sentence that says how they were made. Errors: `convert.*`, `train.label`.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::convert::fine_tune::{BestEpoch, Task, Tuned};
+use crate::convert::staged;
+use crate::convert::staged::{Converted, Measured};
+use crate::convert::{model_file, resets};
+use crate::fit::Example;
+use crate::plan::plan;
+use nsim_compile::Form;
+use nsim_files::model_builder::ModelBuilder;
+use nsim_files::network::Network;
+use nsim_files::text::sha256;
+use nsim_files::training::TrainingFile;
+use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
+use nsim_ir::graph::Graph;
+use nsim_ir::hardware::Target;
+use nsim_ir::neurons::NeuronKind;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::{Sample, Stimulus};
+use nsim_session::error::Result;
+use nsim_session::front::real_and_integers;
+use nsim_session::inputs;
+
+/// A network whose real numbers are to become integers.
+#[derive(Debug)]
+pub struct Job {
+    /// As it was trained.
+    pub graph: Graph,
+    /// With the integers of the analytic start.
+    pub integers: Quantised,
+    /// SHA-256 of the text of its file.
+    pub hash: String,
+    soft_reset: bool,
+}
+
+/// Samples that integers are searched on, and samples by which they are judged.
+#[derive(Debug)]
+pub struct Split<'s> {
+    /// Where the first come from.
+    pub origin: &'s [String],
+    /// Searched on.
+    pub calibration: Vec<&'s Sample>,
+    /// Judged by.
+    pub held_out: Vec<&'s Sample>,
+}
+
+impl<'s> Split<'s> {
+    /// All that is shown is held out where there are samples apart for the search; otherwise the first half of it is searched on.
+    #[must_use]
+    pub fn new((origin, shown): (&'s [String], &[&'s Sample]), apart: Option<&'s Stimulus>, wanted: usize) -> Self {
+        match apart {
+            Some(apart) => Split {
+                origin: &apart.origin,
+                calibration: apart.samples.iter().take(wanted).collect(),
+                held_out: shown.to_vec(),
+            },
+            None => {
+                let half = shown.len().div_ceil(2).min(wanted);
+                Split { origin, calibration: shown[..half].to_vec(), held_out: shown[half..].to_vec() }
+            }
+        }
+    }
+}
+
+/// Integers and how near they are.
+#[derive(Debug)]
+pub struct Done {
+    /// Stage by stage.
+    pub converted: Converted,
+    /// On samples that no stage saw; none where there are none.
+    pub held_out: Option<Measured>,
+    /// Seconds that the search took.
+    pub seconds: f64,
+}
+
+/// How near integers are, in words.
+#[must_use]
+pub fn sentence(measured: &Measured) -> String {
+    let layers = measured.layers.iter().map(|(name, coincidence, _)| match coincidence {
+        Some(coincidence) => format!("{name} {coincidence:.3}"),
+        None => format!("{name} silent"),
+    });
+    let layers: Vec<String> = layers.collect();
+    let classes = measured
+        .distance
+        .class_agreement
+        .map_or("no class is compared".to_string(), |share| format!("classes agree in {share:.4}"));
+    format!("{classes}, coincidence {}", layers.join(", "))
+}
+
+impl Job {
+    /// A network for a target: one without resets by subtraction makes them resets to zero.
+    ///
+    /// # Errors
+    /// `convert.integers` where nothing is to be converted; `model.*`.
+    pub fn new(network: &Network, target: &Target) -> Result<Self> {
+        let (graph, integers) = real_and_integers(network)?;
+        let soft_reset = target.chip().neuron_kinds.contains(&NeuronKind::SoftReset);
+        if !staged::is_real(&graph) && (soft_reset || !resets::has_soft_reset(&graph)) {
+            let message = format!("{} has no real numbers to convert", graph.facts().name);
+            return Err(Diagnostic::new("convert.integers", message).help("it runs as it is").into());
+        }
+        Form::require_written("nsim convert", &integers, 1)?;
+        Ok(Job { graph, integers, hash: sha256(network.source().text().as_bytes()), soft_reset })
+    }
+
+    /// Whether the target lacks resets that the network has.
+    #[must_use]
+    pub fn resets_are_replaced(&self) -> bool {
+        !self.soft_reset && resets::has_soft_reset(&self.graph)
+    }
+
+    /// Searches for integers; `searching` is told each population in turn.
+    ///
+    /// # Errors
+    /// As `compile::frontend::quantise`.
+    pub fn convert(&self, samples: &Split<'_>, most_copies: usize, searching: impl FnMut(&str)) -> Result<Done> {
+        let choices = staged::Choices { most_copies, soft_reset: self.soft_reset };
+        let start = Instant::now();
+        let converted = staged::convert(&self.graph, &samples.calibration, choices, searching)?;
+        let seconds = start.elapsed().as_secs_f64();
+        let held_out = (!samples.held_out.is_empty()).then(|| converted.on(&samples.held_out));
+        Ok(Done { converted, held_out, seconds })
+    }
+
+    /// How the integers were made, as their model file says; `model` is the network's file or name.
+    #[must_use]
+    pub fn provenance(&self, model: &str, samples: &Split<'_>, done: &Done) -> String {
+        let Done { converted, held_out, .. } = done;
+        let kept: Vec<&str> = converted.stages.iter().filter(|row| row.kept).map(|row| row.name.as_str()).collect();
+        let mut provenance = format!(
+            "nsim convert {model}; SHA-256 of its text {}; {} calibration samples of {}; stages: {}; on these {}",
+            self.hash,
+            converted.calibration.samples,
+            samples.origin.join(" "),
+            kept.join(", "),
+            sentence(&converted.calibration)
+        );
+        if let Some(held) = held_out {
+            provenance += &format!("; on {} held-out samples {}", held.samples, sentence(held));
+        }
+        if let Some(before) = &self.graph.facts().provenance {
+            provenance += &format!("; converted from: {before}");
+        }
+        provenance
+    }
+
+    /// The model of the integers, of the fine-tuned ones where there are any.
+    ///
+    /// # Errors
+    /// `convert.*` for integers that a model file does not hold.
+    pub fn model(&self, done: &Done, tuned: Option<&Tuned>, provenance: &str) -> Result<ModelBuilder> {
+        Ok(match tuned {
+            Some(tuned) => {
+                let provenance = format!("{provenance}; {}", tuned.sentence());
+                model_file::model(&self.graph, tuned.integers.deployed(), provenance)?
+            }
+            None => model_file::model(&self.graph, &done.converted.network, provenance.to_string())?,
+        })
+    }
+}
+
+/// Training that goes on with the integers in the forward pass.
+#[derive(Debug)]
+pub struct FineTuning {
+    /// What is trained.
+    pub task: Arc<Task>,
+    epochs: u32,
+    origin: Vec<String>,
+    examples: Vec<Example>,
+    unseen: Vec<Example>,
+}
+
+impl FineTuning {
+    /// So many epochs as a training file says, on the samples that it names or those of `sources`.
+    ///
+    /// # Errors
+    /// `convert.fine-tune` for the file of another network, `train.sources` without samples, `train.label`.
+    pub fn new(
+        job: &Job,
+        converted: &Converted,
+        training: &SourceText,
+        (sources, held_out): (&[String], &[&Sample]),
+        epochs: u32,
+    ) -> Result<Self> {
+        let file = TrainingFile::parse(training)?;
+        let fits = (converted.fits.as_slice(), converted.detail);
+        let task = Task::new(&job.graph, fits, &file, plan(&file, training)?)?;
+        let sources = if sources.is_empty() { &file.train } else { sources };
+        if sources.is_empty() {
+            let message = "the training file names no training samples";
+            return Err(Diagnostic::new("train.sources", message).help("add --train SOURCE").into());
+        }
+        let stimulus = inputs::stimulus(&job.integers, sources, None, None)?;
+        let classes = file.layers.last().map_or(0, |layer| layer.size);
+        let labelled =
+            |sample: &Sample| Example::from_sample(&job.integers, sample).filter(|example| example.label < classes);
+        let example = |(index, sample): (usize, &Sample)| {
+            labelled(sample).ok_or_else(|| {
+                let message = format!("training sample {index} has no label of the network's {classes} outputs");
+                Diagnostic::new("train.label", message)
+            })
+        };
+        let examples = stimulus.samples.iter().enumerate().map(example).collect::<Result<Vec<_>, _>>()?;
+        let unseen = held_out.iter().filter_map(|sample| labelled(sample)).collect();
+        Ok(FineTuning { task: Arc::new(task), epochs, origin: stimulus.origin, examples, unseen })
+    }
+
+    /// Samples that are shown in all: for a progress bar.
+    #[must_use]
+    pub fn work(&self) -> u64 {
+        Task::work(&self.examples, &self.unseen, self.epochs)
+    }
+
+    /// Trains; `shown` is called after each sample, `after` with the best epoch whenever there is a better one.
+    ///
+    /// # Errors
+    /// As [`Task::integers`].
+    pub fn run(
+        self,
+        converted: &Converted,
+        held_out: &[&Sample],
+        shown: &(impl Fn() + Sync),
+        after: impl FnMut(&BestEpoch),
+    ) -> Result<Tuned> {
+        let FineTuning { task, epochs, origin, examples, unseen } = self;
+        let tuned = task.run((&examples, &unseen), epochs, shown, after)?;
+        let integers = task.integers(&tuned.weights)?;
+        let held_out = (!held_out.is_empty()).then(|| converted.compared(&integers, held_out));
+        Ok(Tuned { tuned, epochs, integers, samples: origin, held_out })
+    }
+}

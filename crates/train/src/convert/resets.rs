@@ -1,0 +1,28 @@
+//! Reset by subtraction -> reset to zero, for targets whose compartments only clear the voltage.
+//!
+//! Input: a network with `SoftReset` populations. Output: the same with `Loihi` populations, all parameters as they were, refractory
+//! period 1. What that loses, the stages of the conversion measure.
+
+use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
+use nsim_ir::neurons::NeuronKind;
+
+fn subtracts(kind: &PopulationKind) -> bool {
+    matches!(kind, PopulationKind::Neurons(parameters) if parameters.kind == NeuronKind::SoftReset)
+}
+
+/// Whether a population of the network resets by subtraction.
+#[must_use]
+pub fn has_soft_reset(graph: &Graph) -> bool {
+    graph.populations().any(|(_, population)| subtracts(&population.kind))
+}
+
+/// The network with resets to zero.
+#[must_use]
+pub fn to_zero(graph: &Graph) -> Graph {
+    graph.with_kinds(|_, population| match &population.kind {
+        PopulationKind::Neurons(parameters) if subtracts(&population.kind) => {
+            PopulationKind::Neurons(NeuronParameters { kind: NeuronKind::Loihi, ..parameters.clone() })
+        }
+        other => other.clone(),
+    })
+}

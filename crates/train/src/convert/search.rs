@@ -1,0 +1,600 @@
+//! The integers with which a spike response network is best deployed, by a deterministic search over calibration samples.
+//!
+//! Input: the graph and calibration samples. Output: a [`Fit`] for each population, and how near each stage comes. From the
+//! analytic start (`compile::frontend::analytic`) each stage goes through the populations from the input on. A population gets the
+//! spikes that its converted sources send, and is to send those that the trained population sends, step by step:
+//!
+//! 1. [`Stage::Shape`]: du, dv, and delayed copies of all that comes in (`super::copies`), with synapses of each
+//!    compartment onto itself for the refractory response; then threshold and those synapses in finer steps while they help. A
+//!    voltage that forgets everything in a step loses nothing at a reset, and the copies make the current's single exponential
+//!    an alpha kernel again.
+//! 2. [`Stage::Rounding`]: what rounding a copy leaves goes to the next one (`compile::frontend::carry`).
+//!
+//! What is minimised is 1 minus the coincidence factor, and a share of the difference of spike counts (a greater one for the
+//! output, whose counts are classes). The start and every stage are run as integers; what is nearest to the trained network is
+//! returned: the search never makes things worse on the calibration samples. No randomness; ties go to the first.
+
+use petgraph::algo::toposort;
+use petgraph::graph::NodeIndex;
+use rayon::prelude::*;
+
+use nsim_agree::causes::{Cause, Rung};
+use nsim_agree::classes::ClassTally;
+use nsim_agree::compare::output_layer;
+use nsim_agree::ladder::Ladder;
+use nsim_agree::metrics::{TrainSums, coincidence};
+use nsim_agree::trace::{Comparison, Layer, Trace};
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::fixed::{DECAY_ONE, Decay, Delay, Refractory};
+use nsim_ir::base::names::named_variants;
+use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind, SrmParameters};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+use nsim_quantise::analytic;
+use nsim_quantise::analytic::Fit;
+use nsim_quantise::exponents::Detail;
+use nsim_quantise::quantise::quantise_with;
+use nsim_reference::synapses::Synapses;
+
+use super::copies::{self, Arrivals, Copies, MOST};
+
+/// Most neuron-steps that a candidate is tried on; calibration samples beyond are left out.
+const MOST_WORK: u64 = 2_000_000;
+
+/// Neuron-steps that shapes are first tried on, and the most that the best is improved on.
+const SKETCH: usize = 40_000;
+const DRAWING: usize = 240_000;
+/// The least number of samples of either.
+const LEAST: usize = 8;
+
+/// Synapses of a compartment onto itself: the paper's refractory response is below 0.001 thresholds after so many steps. With 10
+/// what is left of it, which decays with the current, costs 0.01 to 0.03 in coincidence.
+const OWN: usize = 12;
+
+/// How much more than on the calibration samples may arrive before a register wraps.
+const FORESEEN: f64 = 2.0;
+
+/// What a copy more of all that comes in has to gain in distance, and what it has to gain besides for each synapse.
+const COPY_PRICE: f64 = 0.0005;
+const SYNAPSE_PRICE: f64 = 5e-8;
+
+/// The most synapses that the copies of a compartment's input may have together: what one core of Loihi holds of a compartment, at
+/// 20 bits a synapse.
+const MOST_SYNAPSES: usize = 49_152;
+
+/// Synapses that all copies of a population's input may have for it to be given twice as many copies as others: half a core.
+const FEW_SYNAPSES: f64 = 24_576.0;
+
+/// The most compartments of a population that get synapses onto themselves, which are listed one by one.
+const MOST_OWN: u32 = 1 << 16;
+
+/// What of the search is done, each stage on top of the last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// The analytic start.
+    Start,
+    /// Decays, delayed copies of what comes in, threshold and synapses onto itself of each population together.
+    Shape,
+    /// Rounding errors carried over to the next copy.
+    Rounding,
+}
+
+named_variants!(Stage {
+    Start = "analytic start",
+    Shape = "decays, delayed copies and reset together",
+    Rounding = "rounding errors carried to the next copy",
+});
+
+/// How near a conversion is on the calibration samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ConversionScore {
+    /// The classes of the trained network and of the converted one.
+    pub classes: ClassTally,
+    /// Coincidence factor over all layers.
+    pub coincidence: f64,
+    /// The mean of the layers' coincidence factors.
+    pub mean_coincidence: f64,
+    /// Differences of the output's spike counts relative to all of its spikes.
+    pub count_error: f64,
+}
+
+impl ConversionScore {
+    /// What is minimised: wrong classes, wrong counts of the output, spikes that do not coincide.
+    fn distance(&self) -> f64 {
+        2.0 * (1.0 - self.classes.kept()) + self.count_error + (1.0 - self.mean_coincidence)
+    }
+}
+
+/// What stands for a network of spike response neurons.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Conversion {
+    /// In the order of the populations.
+    pub fits: Vec<Option<Fit>>,
+    /// How finely exponents and weights are chosen.
+    pub detail: Detail,
+}
+
+impl Conversion {
+    /// The steps from the network to these integers.
+    ///
+    /// # Errors
+    /// As `compile::frontend::quantise`.
+    pub fn ladder(&self, graph: &Graph) -> Result<Ladder> {
+        Ladder::with_exponents(graph, &self.fits, self.detail)
+    }
+
+    /// The integers.
+    ///
+    /// # Errors
+    /// As `compile::frontend::quantise`.
+    pub fn integers(&self, graph: &Graph) -> Result<Quantised> {
+        quantise_with(&analytic::with_fits(graph, &self.fits), self.detail)
+    }
+}
+
+/// What a search found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SearchResult {
+    /// What is nearest to the trained network.
+    pub conversion: Conversion,
+    /// The analytic start.
+    pub start: ConversionScore,
+    /// What is left.
+    pub end: ConversionScore,
+    /// Every stage, the start first; the score of those that were run.
+    pub stages: Vec<(Stage, Conversion, Option<ConversionScore>)>,
+    /// Candidates that were tried.
+    pub tried: u64,
+    /// Calibration samples.
+    pub samples: usize,
+}
+
+/// A population's inputs and what it should do with them.
+struct Task {
+    neurons: usize,
+    /// Weighted input of each sample, `[neuron][step]`.
+    arrivals: Vec<Vec<f64>>,
+    /// The steps in which each neuron of each sample should spike.
+    wanted: Vec<Vec<Vec<u32>>>,
+    /// What a difference of counts weighs beside coincidence.
+    count_weight: f64,
+}
+
+/// A candidate for one neuron.
+#[derive(Debug, Clone, Copy)]
+struct Candidate {
+    keep_u: f64,
+    keep_v: f64,
+    threshold: f64,
+    copies: Copies,
+    own: [f64; OWN],
+}
+
+impl Candidate {
+    /// What it spikes; `see` gets what arrives in each step and the current after it.
+    fn spikes(&self, copied: &[f64], spikes: &mut Vec<u32>, mut see: impl FnMut(f64, f64)) {
+        spikes.clear();
+        let (mut u, mut v) = (0.0, 0.0);
+        // What its own spikes bring in this step and those to come.
+        let (mut coming, mut at) = ([0.0; OWN], 0);
+        for (step, x) in copied.iter().enumerate() {
+            let x = x + coming[at];
+            u = self.keep_u * u + x;
+            see(x, u);
+            coming[at] = 0.0;
+            at = if at + 1 == OWN { 0 } else { at + 1 };
+            v = self.keep_v * v + u;
+            if v > self.threshold {
+                v = 0.0;
+                spikes.push(step as u32);
+                let (first, rest) = self.own.split_at(OWN - at);
+                coming[at..].iter_mut().zip(first).for_each(|(sum, weight)| *sum += weight);
+                coming.iter_mut().zip(rest).for_each(|(sum, weight)| *sum += weight);
+            }
+        }
+    }
+}
+
+/// How far spikes are from those wanted, in sums that add up over neurons.
+#[derive(Debug, Clone, Copy, Default)]
+struct Gap {
+    beyond_chance: f64,
+    at_most: f64,
+    counts: f64,
+    spikes: f64,
+}
+
+impl Gap {
+    fn add(self, other: Gap) -> Gap {
+        Gap {
+            beyond_chance: self.beyond_chance + other.beyond_chance,
+            at_most: self.at_most + other.at_most,
+            counts: self.counts + other.counts,
+            spikes: self.spikes + other.spikes,
+        }
+    }
+
+    fn distance(self, count_weight: f64) -> f64 {
+        let missed = if self.at_most > 0.0 { 1.0 - self.beyond_chance / self.at_most } else { 0.0 };
+        missed + count_weight * self.counts / self.spikes.max(1.0)
+    }
+}
+
+impl Task {
+    fn arrived(&self) -> Arrivals<'_> {
+        Arrivals { neurons: self.neurons, samples: &self.arrivals }
+    }
+
+    /// What all copies together bring, as [`Task::arrivals`].
+    fn copied(&self, copies: &Copies) -> Vec<Vec<f64>> {
+        let of_sample = |arrivals: &Vec<f64>| {
+            let steps = (arrivals.len() / self.neurons.max(1)).max(1);
+            let mut sums = vec![0.0; arrivals.len()];
+            for (sums, arrived) in sums.chunks_mut(steps).zip(arrivals.chunks(steps)) {
+                for &(delay, factor) in copies.as_slice() {
+                    let late = (delay as usize).min(sums.len());
+                    sums[late..].iter_mut().zip(arrived).for_each(|(sum, x)| *sum += factor * x);
+                }
+            }
+            sums
+        };
+        self.arrivals.par_iter().map(of_sample).collect()
+    }
+
+    fn gap(&self, neuron: usize, c: &Candidate, copied: &[Vec<f64>], spikes: &mut Vec<u32>) -> Gap {
+        let mut gap = Gap::default();
+        for (copied, wanted) in copied.iter().zip(&self.wanted) {
+            let steps = copied.len() / self.neurons;
+            c.spikes(&copied[neuron * steps..(neuron + 1) * steps], spikes, |_, _| ());
+            let (wanted, got) = (&wanted[neuron], &*spikes);
+            if !(wanted.is_empty() && got.is_empty()) {
+                let (beyond_chance, at_most) = coincidence(wanted, got, steps as u32);
+                let counts = wanted.len().abs_diff(got.len()) as f64;
+                let spikes = (wanted.len() + got.len()) as f64;
+                gap = gap.add(Gap { beyond_chance, at_most, counts, spikes });
+            }
+        }
+        gap
+    }
+
+    /// The greatest input of a step to foresee: some times that of these samples, or what, held for ever, brings the current there.
+    fn greatest_input(&self, c: &Candidate) -> f64 {
+        let of_sample = |copied: &Vec<f64>| {
+            let (mut most, mut spikes) = (0.0, Vec::new());
+            for row in copied.chunks((copied.len() / self.neurons.max(1)).max(1)) {
+                c.spikes(row, &mut spikes, |x, u| most = f64::max(most, x.abs().max(u.abs() * (1.0 - c.keep_u))));
+            }
+            most
+        };
+        FORESEEN * self.copied(&c.copies).par_iter().map(of_sample).reduce(|| 0.0, f64::max)
+    }
+
+    fn distance(&self, candidate: &Candidate, copied: &[Vec<f64>]) -> f64 {
+        let mut spikes = Vec::new();
+        let gaps = (0..self.neurons).map(|neuron| self.gap(neuron, candidate, copied, &mut spikes));
+        gaps.fold(Gap::default(), Gap::add).distance(self.count_weight)
+    }
+
+    /// The same over some of the samples, evenly taken: enough to tell shapes apart.
+    fn part(&self, neuron_steps: usize) -> Task {
+        let all: usize = self.arrivals.iter().map(Vec::len).sum();
+        let every = all.div_ceil(neuron_steps).clamp(1, self.arrivals.len().div_ceil(LEAST).max(1));
+        Task {
+            neurons: self.neurons,
+            arrivals: self.arrivals.iter().step_by(every).cloned().collect(),
+            wanted: self.wanted.iter().step_by(every).cloned().collect(),
+            count_weight: self.count_weight,
+        }
+    }
+}
+
+/// What the compartments of a population share.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Shape {
+    keep_u: f64,
+    keep_v: f64,
+    copies: Copies,
+    threshold: f64,
+    /// The voltage at a spike, and the refractory response, in those of the trained neuron.
+    given_back: f64,
+    refractory: f64,
+}
+
+impl Shape {
+    fn valid(&self) -> bool {
+        (0.0..=6.0).contains(&self.given_back) && (0.0..=6.0).contains(&self.refractory)
+    }
+
+    fn candidate(&self, srm: &SrmParameters, timestep_ms: f64) -> Candidate {
+        let candidate = Candidate {
+            keep_u: self.keep_u,
+            keep_v: self.keep_v,
+            threshold: self.threshold,
+            copies: self.copies,
+            own: [0.0; OWN],
+        };
+        Candidate { own: own(srm, timestep_ms, &candidate, (self.given_back, self.refractory)), ..candidate }
+    }
+
+    /// What its copies have to gain.
+    fn price(&self, synapses: f64) -> f64 {
+        (COPY_PRICE + SYNAPSE_PRICE * synapses) * self.copies.as_slice().len() as f64
+    }
+}
+
+fn own(srm: &SrmParameters, timestep_ms: f64, c: &Candidate, (given, refractory): (f64, f64)) -> [f64; OWN] {
+    let relative = analytic::own_synapses((srm, timestep_ms), (c.keep_u, c.keep_v), (given, refractory), OWN);
+    let mut own = [0.0; OWN];
+    own.iter_mut().zip(relative).for_each(|(own, relative)| *own = relative * c.threshold);
+    own
+}
+
+/// Searches.
+///
+/// # Errors
+/// As `compile::frontend::quantise`.
+///
+/// `most` is the greatest number of delayed copies of a population's input.
+pub fn search(graph: &Graph, samples: &[&Sample], most: usize, mut progress: impl FnMut(&str)) -> Result<SearchResult> {
+    let starts = analytic::starts(graph);
+    let ladder = Ladder::new(graph, &starts)?;
+    let largest = ladder.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
+    let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).max().unwrap_or(1);
+    let fitting = (MOST_WORK / (largest * steps).max(1)).max(4) as usize;
+    let samples = &samples[..samples.len().min(fitting)];
+    let trained: Vec<Trace> =
+        samples.par_iter().map(|sample| ladder.run(Rung::TRAINED.with(Cause::Untruncated), sample, false)).collect();
+    let layers = ladder.layers();
+    let output = output_layer(ladder.deployed());
+    let score = |conversion: &Conversion| -> Result<ConversionScore> {
+        Ok(scored(&conversion.ladder(graph)?, &layers, &output, samples, &trained))
+    };
+    let analysis = Conversion { fits: starts.clone(), detail: Detail::Groups };
+    let start = score(&analysis)?;
+    let mut best = (analysis.clone(), start);
+    let mut tried = 0;
+    let mut stages = vec![(Stage::Start, analysis, Some(start))];
+    let material = Material { graph, layers: &layers, samples, trained: &trained, starts: &starts, most };
+    let found = Conversion { fits: material.pipeline(&mut tried, &mut progress)?, detail: Detail::Carried };
+    let end = score(&found)?;
+    stages.push((Stage::Shape, Conversion { detail: Detail::Groups, ..found.clone() }, None));
+    stages.push((Stage::Rounding, found.clone(), Some(end)));
+    if end.distance() < best.1.distance() {
+        best = (found, end);
+    }
+    Ok(SearchResult { conversion: best.0, start, end: best.1, stages, tried, samples: samples.len() })
+}
+
+struct Material<'a> {
+    graph: &'a Graph,
+    layers: &'a [Layer],
+    samples: &'a [&'a Sample],
+    trained: &'a [Trace],
+    starts: &'a [Option<Fit>],
+    most: usize,
+}
+
+impl Material<'_> {
+    /// Goes through the populations from the input on.
+    fn pipeline(&self, tried: &mut u64, progress: &mut impl FnMut(&str)) -> Result<Vec<Option<Fit>>> {
+        let (graph, timestep_ms) = (self.graph, self.graph.facts().timestep_ms);
+        let mut fits = self.starts.to_vec();
+        let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
+        let as_trained: Vec<Trace> = self.trained.iter().map(earlier).collect();
+        for node in order {
+            let population = graph.population(node);
+            let PopulationKind::Srm(srm) = &population.kind else { continue };
+            let Some(layer) = self.layers.iter().find(|layer| layer.name == population.name) else { continue };
+            if layer.count > MOST_OWN {
+                // It stays as it is by analysis.
+                continue;
+            }
+            progress(&population.name);
+            let output = node == graph.output();
+            let count_weight = if output { 0.5 } else { 0.2 };
+            let task = task(graph, node, layer, (self.samples, &as_trained, self.trained), count_weight);
+            let shape = best_shape(&task, graph, (node, srm), self.most, tried);
+            let mut fit = fit_of(&shape, srm, timestep_ms);
+            fit.greatest_input = Some(task.greatest_input(&shape.candidate(srm, timestep_ms)));
+            fits[node.index()] = Some(fit);
+        }
+        Ok(fits)
+    }
+}
+
+/// A trace one step earlier, as a converted layer answers.
+fn earlier(trace: &Trace) -> Trace {
+    let train = |train: &Vec<u32>| train.iter().filter_map(|&t| t.checked_sub(1)).collect();
+    Trace { trains: trace.trains.iter().map(train).collect(), ..trace.clone() }
+}
+
+/// The class of a sample by the trained network and by the converted one.
+type Classes = (Option<u32>, Option<u32>);
+
+fn scored(
+    ladder: &Ladder,
+    layers: &[Layer],
+    output: &Layer,
+    samples: &[&Sample],
+    trained: &[Trace],
+) -> ConversionScore {
+    let each: Vec<(Vec<TrainSums>, Classes)> = samples
+        .par_iter()
+        .zip(trained)
+        .map(|(sample, trained)| {
+            let machine = ladder.run(Rung::MACHINE, sample, false);
+            let sums = |layer: &Layer| {
+                let mut comparison = Comparison::default();
+                comparison.add(0, layer, trained, &machine, -1);
+                comparison.tally
+            };
+            (layers.iter().map(sums).collect(), (trained.class(output), machine.class(output)))
+        })
+        .collect();
+    let mut by_layer = vec![TrainSums::default(); layers.len()];
+    for (sums, _) in &each {
+        by_layer.iter_mut().zip(sums).for_each(|(all, sums)| all.merge(sums));
+    }
+    let mut all = TrainSums::default();
+    by_layer.iter().for_each(|sums| all.merge(sums));
+    let last = layers.iter().position(|layer| layer == output).map_or(all, |place| by_layer[place]);
+    ConversionScore {
+        classes: ClassTally::new(each.iter().map(|(_, classes)| *classes)),
+        coincidence: all.coincidence(),
+        mean_coincidence: by_layer.iter().map(TrainSums::coincidence).sum::<f64>() / by_layer.len().max(1) as f64,
+        count_error: last.count_error(),
+    }
+}
+
+/// What arrives at a population from its sources, and what it should send, in the converted network's time.
+fn task(
+    graph: &Graph,
+    node: NodeIndex,
+    layer: &Layer,
+    (samples, converted, trained): (&[&Sample], &[Trace], &[Trace]),
+    count_weight: f64,
+) -> Task {
+    let neurons = layer.count as usize;
+    let mut firsts = Vec::new();
+    let (mut channels, mut compartments) = (0, 0);
+    for (_, population) in graph.populations() {
+        let counter = if matches!(population.kind, PopulationKind::Input) { &mut channels } else { &mut compartments };
+        firsts.push(*counter);
+        *counter += population.shape.len();
+    }
+    let links: Vec<_> = graph
+        .projections()
+        .filter(|(_, _, target, _)| *target == node)
+        .map(|(_, source, _, projection)| {
+            let count = graph.population(source).shape.len();
+            let input = matches!(graph.population(source).kind, PopulationKind::Input);
+            let synapses = Synapses::<f64>::new(projection, count, layer.count, 1.0);
+            (firsts[source.index()], count, input, u32::from(projection.delay.get()), synapses)
+        })
+        .collect();
+    let of_sample = |((sample, converted), trained): ((&&Sample, &Trace), &Trace)| {
+        let steps = sample.steps() as usize;
+        let mut arrived = vec![0.0; steps * neurons];
+        for (first, count, input, delay, synapses) in &links {
+            let mut send = |source: u32, step: usize| {
+                if step < steps {
+                    synapses.deliver(source, &mut arrived[step * neurons..(step + 1) * neurons]);
+                }
+            };
+            if *input {
+                for step in 0..sample.steps() {
+                    let mine = sample.at(step).iter().filter_map(|c| c.0.checked_sub(*first)).filter(|c| c < count);
+                    mine.for_each(|channel| send(channel, (step + delay) as usize));
+                }
+            } else {
+                for source in 0..*count {
+                    let train = &converted.trains[(first + source) as usize];
+                    train.iter().for_each(|step| send(source, (step + 1 + delay) as usize));
+                }
+            }
+        }
+        let train = |neuron: usize| &trained.trains[layer.first as usize + neuron];
+        let wanted = (0..neurons).map(|neuron| train(neuron).iter().filter_map(|t| t.checked_sub(1)).collect());
+        let by_neuron = (0..neurons).flat_map(|neuron| arrived.iter().skip(neuron).step_by(neurons).copied());
+        (by_neuron.collect(), wanted.collect())
+    };
+    let (arrivals, wanted) = samples.par_iter().zip(converted).zip(trained).map(of_sample).unzip();
+    Task { neurons, arrivals, wanted, count_weight }
+}
+
+fn best_shape(
+    task: &Task,
+    graph: &Graph,
+    (node, srm): (NodeIndex, &SrmParameters),
+    most: usize,
+    tried: &mut u64,
+) -> Shape {
+    let timestep_ms = graph.facts().timestep_ms;
+    let (sketch, drawing) = (task.part(SKETCH), task.part(DRAWING));
+    let into =
+        || graph.projections().filter(|(_, _, target, _)| *target == node).map(|(_, _, _, projection)| projection);
+    let latest = into().map(|projection| u32::from(projection.delay.get())).max().unwrap_or(0);
+    let room = u32::from(Delay::MAX.get()) - latest;
+    let sources = |(_, source, target, _): (_, NodeIndex, NodeIndex, _)| {
+        if target == node { f64::from(graph.population(source).shape.len()) } else { 0.0 }
+    };
+    // All to all: windows have fewer, which then cost more.
+    let synapses = graph.projections().map(sources).sum::<f64>() * task.neurons as f64;
+    let most = if into().any(|projection| matches!(projection.kind, ProjectionKind::Random { .. })) { 1 } else { most };
+    let fan_in = (synapses / task.neurons.max(1) as f64) as usize;
+    // With few synapses, copies cost next to nothing.
+    let most = if 2.0 * most as f64 * synapses <= FEW_SYNAPSES { (2 * most).min(MOST) } else { most };
+    let most = most.min(MOST_SYNAPSES / fan_in.max(1)).max(1);
+    let shape = |(keep_u, keep_v, copies): (f64, f64, Copies)| {
+        // Random weights have no factor: the threshold takes its place.
+        let unit = if most == 1 { copies.as_slice().first().map_or(1.0, |copy| copy.1) } else { 1.0 };
+        let threshold = srm.theta / unit;
+        Shape { keep_u, keep_v, copies: copies.scaled(1.0 / unit), threshold, given_back: 1.15, refractory: 1.0 }
+    };
+    let shapes: Vec<Shape> =
+        copies::candidates(sketch.arrived(), srm, timestep_ms, (most, room)).into_iter().map(shape).collect();
+    let rated = |task: &Task, shape: &Shape, copied: &[Vec<f64>]| {
+        task.distance(&shape.candidate(srm, timestep_ms), copied) + shape.price(synapses)
+    };
+    let ranked = |task: &Task, shapes: &[Shape], tried: &mut u64| {
+        *tried += shapes.len() as u64;
+        let distance = |shape: &Shape| rated(task, shape, &task.copied(&shape.copies));
+        let distances: Vec<f64> = shapes.par_iter().map(distance).collect();
+        let mut order: Vec<usize> = (0..shapes.len()).collect();
+        order.sort_by(|&a, &b| distances[a].total_cmp(&distances[b]));
+        order.into_iter().map(|place| (shapes[place], distances[place])).collect::<Vec<_>>()
+    };
+    let descend = |task: &Task, from: (Shape, f64), steps: &[f64], tried: &mut u64| {
+        let mut best = from;
+        let copied = task.copied(&from.0.copies);
+        for &step in steps {
+            // Few enough rounds to end, more than enough to get anywhere in range.
+            for _ in 0..12 {
+                let near = near(&best.0, step);
+                *tried += near.len() as u64;
+                let distances: Vec<f64> = near.par_iter().map(|shape| rated(task, shape, &copied)).collect();
+                let next =
+                    near.into_iter().zip(distances).reduce(|best, next| if next.1 < best.1 { next } else { best });
+                match next {
+                    Some(next) if next.1 < best.1 - 1e-6 => best = next,
+                    _ => break,
+                }
+            }
+        }
+        best
+    };
+    let few: Vec<(Shape, f64)> = ranked(&sketch, &shapes, tried).into_iter().take(3).collect();
+    let found: Vec<Shape> = few.into_iter().map(|from| descend(&sketch, from, &[1.1, 1.05], tried).0).collect();
+    let best = ranked(&drawing, &found, tried)[0];
+    descend(&drawing, best, &[1.02], tried).0
+}
+
+/// Shapes one step away.
+fn near(best: &Shape, step: f64) -> Vec<Shape> {
+    let mut near = Vec::new();
+    for by in [step, 1.0 / step] {
+        near.push(Shape { threshold: best.threshold * by, ..*best });
+        near.push(Shape { refractory: best.refractory * by, ..*best });
+        near.push(Shape { threshold: best.threshold * by, refractory: best.refractory / by, ..*best });
+        if best.keep_v > 0.0 {
+            near.push(Shape { given_back: best.given_back * by, ..*best });
+            near.push(Shape { threshold: best.threshold * by, given_back: best.given_back / by, ..*best });
+        }
+    }
+    near.retain(Shape::valid);
+    near
+}
+
+fn fit_of(shape: &Shape, srm: &SrmParameters, timestep_ms: f64) -> Fit {
+    let (start, candidate) = (analytic::start(srm, timestep_ms), shape.candidate(srm, timestep_ms));
+    let decay = |keep: f64| Decay::new(libm::rint(DECAY_ONE as f64 * (1.0 - keep)) as i64);
+    Fit {
+        du: decay(shape.keep_u).unwrap_or(start.du),
+        dv: decay(shape.keep_v).unwrap_or(start.dv),
+        refractory: Refractory::new(1).unwrap_or(start.refractory),
+        threshold: candidate.threshold,
+        copies: shape.copies.as_slice().to_vec(),
+        own: candidate.own.iter().map(|&weight| vec![weight]).collect(),
+        greatest_input: None,
+    }
+}

@@ -1,0 +1,304 @@
+//! Conversion stage by stage: what each stage gains, what is left, and what to change about it.
+//!
+//! Input: a network with real numbers and calibration samples. Output: the network in integers, how near it is after each stage,
+//! and for each layer what it lost. Spike response networks go through [`super::search`], all others through the choice of
+//! exponents (`compile::frontend::exponents`). Where the target
+//! cannot reset by subtraction, that becomes a reset to zero first, a stage of its own. What the rest costs is found by putting the real number in the place of each kind of
+//! integer, all others staying (`agree::ladder`).
+
+use crate::convert::resets;
+use crate::convert::search;
+use crate::convert::search::{Conversion, SearchResult};
+use nsim_agree::attribution;
+use nsim_agree::attribution::{Attribution, Distance};
+use nsim_agree::causes::{Cause, Rung};
+use nsim_agree::compare::output_layer;
+use nsim_agree::ladder::Ladder;
+use nsim_golden::Golden;
+use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::id::{CompartmentId, Id};
+use nsim_ir::graph::{Graph, PopulationKind};
+use nsim_ir::quantised::{Population, Quantised};
+use nsim_ir::spikes::{Engine, Sample};
+use nsim_quantise::analytic;
+use nsim_quantise::analytic::Fit;
+use nsim_quantise::exponents::Detail;
+use nsim_session::warnings::widen;
+
+/// Samples on which overflows are counted, with the slow interpreter.
+const COUNTED: usize = 4;
+
+/// Calibration samples on which the kinds of integers are told apart.
+const TOLD_APART: usize = 20;
+
+/// A stage and how near the network is after it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageRow {
+    /// What was done.
+    pub name: String,
+    /// How near that is, on the calibration samples.
+    pub distance: Distance,
+    /// Whether the result has it.
+    pub kept: bool,
+    /// Coincidence beyond the stage before; none for the first.
+    pub gain: Option<f64>,
+    /// Coincidence that real numbers would add in the place of what the stage chooses; none for the start.
+    pub left: Option<f64>,
+}
+
+/// A layer of the integers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerRow {
+    /// The population.
+    pub name: String,
+    /// Coincidence factor; none where neither network spikes, as there is nothing to compare.
+    pub coincidence: Option<f64>,
+    /// Exponent of each projection into it.
+    pub weight_exp: Vec<i64>,
+    /// Voltages that were clipped and are missed (`LeftField::cut`), counted on a few samples.
+    pub clipped: u64,
+    /// What keeps it from being compared, or is wrong with it.
+    pub problem: Option<String>,
+}
+
+/// A kind of integer, and how near the network would be with the real number in its place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Left {
+    /// The kind.
+    pub cause: Cause,
+    /// How near it would be.
+    pub without: Distance,
+}
+
+/// How far integers are from the network that they stand for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// Over all layers.
+    pub distance: Distance,
+    /// Layer by layer: name, coincidence (none where nothing spikes), spikes of the integers.
+    pub layers: Vec<(String, Option<f64>, u64)>,
+    /// Samples.
+    pub samples: usize,
+}
+
+/// A network in integers and how it got there.
+#[derive(Debug)]
+pub struct Converted {
+    /// The integers.
+    pub network: Quantised,
+    /// What stands for each spike response population.
+    pub fits: Vec<Option<Fit>>,
+    /// Every stage that was tried.
+    pub stages: Vec<StageRow>,
+    /// Layer by layer.
+    pub layers: Vec<LayerRow>,
+    /// What each kind of integer still costs, on some of the calibration samples.
+    pub left: Vec<Left>,
+    /// To what causes the layers lose their coincidence, on the same samples.
+    pub attribution: Attribution,
+    /// On the calibration samples.
+    pub calibration: Measured,
+    /// The steps between the network and its integers.
+    pub ladder: Ladder,
+    /// The network as its tool runs it.
+    pub trained: Rung,
+    /// How finely their exponents and weights were chosen.
+    pub detail: Detail,
+}
+
+/// Whether a network has real numbers that are to become integers.
+#[must_use]
+pub fn is_real(graph: &Graph) -> bool {
+    let real = |kind: &PopulationKind| match kind {
+        PopulationKind::Input => false,
+        PopulationKind::Srm(_) => true,
+        PopulationKind::Neurons(parameters) => {
+            ["vth", "tau_u_ms", "tau_v_ms"].iter().any(|name| parameters.get(name).is_some())
+        }
+    };
+    graph.populations().any(|(_, population)| real(&population.kind))
+        || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some())
+}
+
+fn by_layer(ladder: &Ladder, measured: attribution::Measured, samples: usize) -> Measured {
+    let rows = ladder.layers().into_iter().zip(measured.layers).map(|(layer, sum)| {
+        let silent = sum.spikes_a + sum.spikes_b == 0;
+        (layer.name, (!silent).then(|| sum.coincidence()), sum.spikes_b)
+    });
+    Measured { distance: measured.distance, layers: rows.collect(), samples }
+}
+
+impl Converted {
+    /// How far the integers are from the trained network on other samples.
+    #[must_use]
+    pub fn on(&self, samples: &[&Sample]) -> Measured {
+        self.compared(&self.ladder, samples)
+    }
+
+    /// How far other integers of the same populations are from the trained network.
+    #[must_use]
+    pub fn compared(&self, integers: &Ladder, samples: &[&Sample]) -> Measured {
+        let from = (&self.ladder, self.trained);
+        let output = output_layer(self.ladder.deployed());
+        let on = attribution::measured(from, &[(integers, Rung::MACHINE)], &output, samples).remove(0);
+        by_layer(&self.ladder, on, samples.len())
+    }
+}
+
+/// What a conversion may use.
+#[derive(Debug, Clone, Copy)]
+pub struct Choices {
+    /// The most delayed copies of what comes in.
+    pub most_copies: usize,
+    /// Whether compartments can reset by subtraction.
+    pub soft_reset: bool,
+}
+
+/// Converts.
+///
+/// # Errors
+/// As `compile::frontend::quantise`.
+pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: impl FnMut(&str)) -> Result<Converted> {
+    let replaced = (resets::has_soft_reset(given) && !choices.soft_reset).then(|| resets::to_zero(given));
+    let graph = replaced.as_ref().unwrap_or(given);
+    let most = choices.most_copies;
+    let Steps { fits, detail, mut stages, ladder } = match graph.has_srm() {
+        true => by_search(graph, samples, most, progress)?,
+        false => by_exponents(graph)?,
+    };
+    let ladder = match &replaced {
+        Some(_) => ladder.from_subtraction(given),
+        None => ladder,
+    };
+    if replaced.is_some() {
+        if let Some(first) = stages.first_mut() {
+            first.name = format!("reset to zero; {}", first.name);
+        }
+        let name = "reset by subtraction, which the target does not have".to_string();
+        let as_given = Ladder::with_exponents(given, &analytic::starts(given), Detail::Zero)?;
+        stages.insert(0, StageIntegers { name, kept: false, ladder: Some(as_given), decides: &[] });
+    }
+    let output = output_layer(ladder.deployed());
+    let trained = attribution::as_trained(&ladder, &output, samples);
+    let mut rungs: Vec<(&Ladder, Rung)> = vec![(&ladder, Rung::MACHINE)];
+    rungs.extend(stages.iter().filter_map(|stage| Some((stage.ladder.as_ref()?, Rung::MACHINE))));
+    let mut all = attribution::measured((&ladder, trained), &rungs, &output, samples).into_iter();
+    let none = attribution::Measured { distance: Distance::EQUAL, layers: Vec::new() };
+    let calibration = by_layer(&ladder, all.next().unwrap_or(none), samples.len());
+    let distances_of_stages: Vec<Distance> = stages
+        .iter()
+        .map(|stage| stage.ladder.as_ref().and_then(|_| all.next()).map_or(calibration.distance, |own| own.distance))
+        .collect();
+    let some: Vec<&Sample> = samples.iter().step_by(samples.len().div_ceil(TOLD_APART).max(1)).copied().collect();
+    let attribution = attribution::attribute_from(&ladder, trained, &output, &some);
+    let left_from = attribution.machine;
+    let costly = attribution.shares.iter().filter(|share| share.cause != Cause::Kernel);
+    let left: Vec<Left> = costly.map(|share| Left { cause: share.cause, without: share.without }).collect();
+    let row = |(place, stage): (usize, StageIntegers)| {
+        let distance = distances_of_stages[place];
+        let before = place.checked_sub(1).map(|before| distances_of_stages[before]);
+        let own = left.iter().filter(|left| stage.decides.contains(&left.cause));
+        let added = own.map(|left| left.without.coincidence - left_from.coincidence);
+        StageRow {
+            name: stage.name,
+            distance,
+            kept: stage.kept,
+            gain: before.map(|before| distance.coincidence - before.coincidence),
+            left: added.reduce(f64::max).map(|added| added.max(0.0)),
+        }
+    };
+    let stages: Vec<StageRow> = stages.into_iter().enumerate().map(row).collect();
+    let network = ladder.deployed().clone();
+    let layers = rows(&network, &calibration, samples);
+    Ok(Converted { network, fits, stages, layers, left, attribution, calibration, ladder, trained, detail })
+}
+
+/// A conversion before it is measured.
+struct Steps {
+    fits: Vec<Option<Fit>>,
+    detail: Detail,
+    stages: Vec<StageIntegers>,
+    ladder: Ladder,
+}
+
+/// A stage before it is measured.
+struct StageIntegers {
+    name: String,
+    /// Whether the result has it.
+    kept: bool,
+    /// Its integers; none where they are the result.
+    ladder: Option<Ladder>,
+    /// The kinds of integers that it chooses.
+    decides: &'static [Cause],
+}
+
+fn by_search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<Steps> {
+    let SearchResult { conversion, stages, .. } = search::search(graph, samples, most, progress)?;
+    let last = stages.iter().position(|(_, of_stage, _)| *of_stage == conversion).unwrap_or(0);
+    let row = |(place, (stage, of_stage, _)): (usize, &(search::Stage, Conversion, _))| {
+        let ladder = if place == last { None } else { Some(of_stage.ladder(graph)?) };
+        let decides: &[Cause] = match stage {
+            search::Stage::Start => &[],
+            search::Stage::Shape => &[Cause::HardReset, Cause::Decays, Cause::Calibration],
+            search::Stage::Rounding => &[Cause::Weights],
+        };
+        Ok(StageIntegers { name: stage.name().to_string(), kept: place <= last, ladder, decides })
+    };
+    let stages = stages.iter().enumerate().map(row).collect::<Result<_>>()?;
+    let ladder = conversion.ladder(graph)?;
+    Ok(Steps { fits: conversion.fits, detail: conversion.detail, stages, ladder })
+}
+
+fn by_exponents(graph: &Graph) -> Result<Steps> {
+    let fits = analytic::starts(graph);
+    let row = |(name, detail): (&str, Detail)| {
+        let ladder = if detail == Detail::Groups { None } else { Some(Ladder::with_exponents(graph, &fits, detail)?) };
+        let decides: &[Cause] = if detail == Detail::Zero { &[] } else { &[Cause::Weights] };
+        Ok(StageIntegers { name: name.to_string(), kept: true, ladder, decides })
+    };
+    let stages = [
+        ("analytic start", Detail::Zero),
+        ("a scale a population, an exponent a projection", Detail::Projections),
+        ("an exponent for weights of like size", Detail::Groups),
+    ];
+    let stages = stages.into_iter().map(row).collect::<Result<_>>()?;
+    let ladder = Ladder::new(graph, &fits)?;
+    Ok(Steps { fits, detail: Detail::default(), stages, ladder })
+}
+
+/// Each layer of the integers, and what is wrong with it.
+fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<LayerRow> {
+    let clipped = clipped(network, samples);
+    let rows = measured.layers.iter().map(|(name, coincidence, spikes)| {
+        let target = network.population_named(name);
+        let into = target.into_iter().flat_map(|target| network.incoming(target));
+        let clipped = target.map_or(0, |target| clipped[target.index()]);
+        let problem = match (spikes, coincidence, clipped) {
+            (0, None, _) => Some("it never fires: nothing to compare; show it input that drives it".to_string()),
+            (0, Some(_), _) => Some("its integers never fire where the trained layer does".to_string()),
+            (_, _, 1..) => target.map(|target| format!("its voltages clip: {}", widen(network, target))),
+            _ => None,
+        };
+        let weight_exp = into.map(|(_, projection)| projection.format.exponent.get().into()).collect();
+        LayerRow { name: name.clone(), coincidence: *coincidence, weight_exp, clipped, problem }
+    });
+    rows.collect()
+}
+
+/// Voltages of each population that are clipped and missed, on the first samples.
+fn clipped(network: &Quantised, samples: &[&Sample]) -> Vec<u64> {
+    let mut engine = Golden::new(network);
+    for sample in samples.iter().take(COUNTED) {
+        engine.begin(sample.steps());
+        for step in 0..sample.steps() {
+            engine.step(sample.at(step));
+        }
+    }
+    let left = engine.left_fields();
+    let of = |population: &Population| {
+        let first = population.first_compartment().map_or(0, |first| first.0);
+        let count = population.first_compartment().map_or(0, |_| population.shape.len());
+        (first..first + count).map(|compartment| left[CompartmentId(compartment)].cut).sum()
+    };
+    network.populations().iter().map(of).collect()
+}

@@ -1,0 +1,337 @@
+//! A training from its file to its result.
+//!
+//! Input: the text of a training file, labelled samples. Output: [`Trained`]: weights, their score, the digest of their output spikes;
+//! and the model that holds them. Errors: `train.*`. Left out on purpose: studies of many trainings.
+
+mod text;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use self::text::with_field;
+use crate::checkpoint;
+use crate::export;
+use crate::export::Model;
+use crate::fit::{Example, Plan, TrainingState};
+use crate::network::Weights;
+use crate::plan::plan;
+use crate::raster::Raster;
+use nsim_files::network::Network;
+use nsim_files::shipped::Origin;
+use nsim_files::training::TrainingFile;
+use nsim_files::write::Batch;
+use nsim_import::model;
+use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
+use nsim_ir::base::folds::stratified_folds;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+use nsim_session::error::{Error, Result};
+use nsim_session::{Outcome, digest, inputs};
+
+/// The text of a training file with fields replaced.
+///
+/// # Errors
+/// `usage` when the text is no `Training(..)`.
+pub fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceText> {
+    let mut text = source.text().to_string();
+    for (key, value) in fields {
+        let changed = with_field(&text, key, value);
+        text = changed.ok_or_else(|| Error::Usage(format!("--set {key}: the training file is no Training(..)")))?;
+    }
+    Ok(SourceText::new(source.path(), text))
+}
+
+/// A training file, checked.
+#[derive(Debug)]
+pub struct Job {
+    /// Its text.
+    pub source: SourceText,
+    /// Its fields.
+    pub file: TrainingFile,
+    /// What they come to.
+    pub plan: Plan,
+}
+
+/// What samples are for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// To train on.
+    Train,
+    /// To score on.
+    Test,
+}
+
+/// Training and test samples.
+#[derive(Debug, Default)]
+pub struct Data {
+    /// What is trained on.
+    pub train: Vec<Example>,
+    /// What is scored on, never used to choose anything.
+    pub test: Vec<Example>,
+}
+
+/// Where a training is saved, and of which training the file is.
+#[derive(Debug, Clone)]
+pub struct Checkpoint {
+    path: PathBuf,
+    fingerprint: String,
+}
+
+/// What a training came to.
+#[derive(Debug)]
+pub struct Trained {
+    /// Weights and the history of the epochs.
+    pub state: TrainingState,
+    /// Share of the training samples that is right.
+    pub train_accuracy: f64,
+    /// Share of the test samples that is right; none without any.
+    pub test_accuracy: Option<f64>,
+    /// Of the output spikes on the test samples (without any, the training samples), as `nsim run` computes it.
+    pub digest: String,
+    /// Accuracy on each fold left out of the training samples.
+    pub folds: Vec<f64>,
+    /// Training and test samples.
+    pub samples: (usize, usize),
+    /// Seconds that training took, without reading samples.
+    pub seconds: f64,
+}
+
+impl Job {
+    /// Reads a training file; `seed` and `epochs` stand in for the file's.
+    ///
+    /// # Errors
+    /// `train.*` at the field that cannot be used.
+    pub fn new(source: SourceText, seed: Option<u64>, epochs: Option<u32>) -> Result<Self> {
+        let mut file = TrainingFile::parse(&source)?;
+        file.seed = seed.unwrap_or(file.seed);
+        file.epochs = epochs.unwrap_or(file.epochs);
+        let plan = plan(&file, &source)?;
+        Ok(Job { source, file, plan })
+    }
+
+    /// A network with the inputs of the training file, by which samples are read as for `nsim run`.
+    ///
+    /// # Errors
+    /// `model.*` for an input that no network can have.
+    pub fn inputs(&self) -> Result<Quantised> {
+        let mut text = String::from("Network(name: \"inputs\", timestep_ms: 1.0, populations: [");
+        for input in &self.file.inputs {
+            text += &format!("Input(name: {:?}, shape: {:?}),", input.name, input.shape);
+        }
+        text += "Loihi(name: \"stand-in-for-the-layers\", shape: [1], du: 0, dv: 0, vth_mant: 0)], projections: [";
+        for input in &self.file.inputs {
+            text += &format!(
+                "Random(from: [{:?}], to: \"stand-in-for-the-layers\", fan_out: 1, low: 0, high: 0, seed: 0),",
+                input.name
+            );
+        }
+        text += "], output: \"stand-in-for-the-layers\")";
+        let network = model::network(SourceText::new("inputs of the training file", text), Origin::File)?;
+        Ok(nsim_session::front::front(&network)?.into_quantised())
+    }
+
+    /// Labelled samples as training takes them; `what` they are is for messages.
+    ///
+    /// # Errors
+    /// `train.label` for a sample without a label, or with one that no output stands for.
+    pub fn examples(&self, network: &Quantised, samples: &[Sample], what: &str) -> Result<Vec<Example>> {
+        let classes = self.plan.topology.classes();
+        let wrong = |message: String| Diagnostic::new("train.label", message).in_file(self.source.path());
+        let labelled = |(index, sample): (usize, &Sample)| {
+            let example = Example::from_sample(network, sample)
+                .ok_or_else(|| wrong(format!("{what} sample {index} has no label")))?;
+            if example.label as usize >= classes {
+                let message = format!("a sample has label {}, the network {classes} outputs", example.label);
+                return Err(wrong(message).into());
+            }
+            Ok(example)
+        };
+        samples.iter().enumerate().map(labelled).collect()
+    }
+
+    /// Samples of the given sources, or of those that the training file names.
+    ///
+    /// # Errors
+    /// As [`Self::examples`]; a source that cannot be read.
+    pub fn read(&self, part: Part, given: &[String]) -> Result<Vec<Example>> {
+        let (what, named) = match part {
+            Part::Train => ("training", &self.file.train),
+            Part::Test => ("test", &self.file.test),
+        };
+        let sources = if given.is_empty() { named } else { given };
+        if sources.is_empty() {
+            return Ok(Vec::new());
+        }
+        let network = self.inputs()?;
+        self.examples(&network, &inputs::stimulus(&network, sources, None, None)?.samples, what)
+    }
+
+    /// Training and test samples.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn data(&self, train: &[String], test: &[String]) -> Result<Data> {
+        Ok(Data { train: self.read(Part::Train, train)?, test: self.read(Part::Test, test)? })
+    }
+
+    /// So many stratified folds of samples, drawn from a fixed seed so that every setting is tried on the same ones.
+    #[must_use]
+    pub fn folds(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
+        let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();
+        Job::folds_by_label(&labels, k)
+    }
+
+    /// The same of samples of which only the labels are known.
+    #[must_use]
+    pub fn folds_by_label(labels: &[u32], k: u32) -> Vec<Vec<usize>> {
+        stratified_folds(labels, k as usize, FOLD_SEED)
+    }
+
+    /// What a trained state is good for, and how well trainings without each of the folds do on it.
+    ///
+    /// # Errors
+    /// Those of `each`, which trains on other samples to the end.
+    pub fn trained(
+        &self,
+        (state, seconds): (TrainingState, f64),
+        data: &Data,
+        folds: &[Vec<usize>],
+        mut each: impl FnMut(&Plan, &[Example]) -> Result<TrainingState>,
+    ) -> Result<Trained> {
+        let weights = self.plan.result(&state);
+        let score = |examples: &[Example]| self.plan.score(weights, examples).accuracy;
+        let test_accuracy = (!data.test.is_empty()).then(|| score(&data.test));
+        let seen = if data.test.is_empty() { &data.train } else { &data.test };
+        let outcome = |output: &Raster| Outcome { spikes: output.events().collect(), ..Outcome::default() };
+        let outcomes: Vec<Outcome> = self.plan.outputs(weights, seen).iter().map(outcome).collect();
+        let mut accuracies = Vec::new();
+        for fold in folds {
+            accuracies.push(cross_validate(&self.plan, &data.train, fold, &mut each)?.0);
+        }
+        Ok(Trained {
+            train_accuracy: score(&data.train),
+            test_accuracy,
+            digest: digest(&outcomes),
+            folds: accuracies,
+            samples: (data.train.len(), data.test.len()),
+            seconds,
+            state,
+        })
+    }
+
+    /// The model of trained weights, which are in `weights_file` beside it.
+    ///
+    /// # Errors
+    /// `train.export` for neurons that a model file cannot describe.
+    pub fn model(&self, weights: &Weights, weights_file: &str, comment: &str, provenance: &str) -> Result<Model> {
+        Ok(export::model(&self.file, &self.plan.topology, weights, weights_file, comment, provenance)?)
+    }
+
+    /// Writes the model of trained weights to a path, with `force` in the place of a file that is there, and the weights beside it; the
+    /// names of both.
+    ///
+    /// # Errors
+    /// As [`Self::model`]; `write.*`.
+    pub fn write(
+        &self,
+        (path, force): (&Path, bool),
+        weights: &Weights,
+        comment: &str,
+        provenance: &str,
+    ) -> Result<[PathBuf; 2]> {
+        let beside = weights_path(path);
+        let name = beside.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let model = self.model(weights, &name, comment, provenance)?;
+        let mut files = Batch::new(force);
+        files.add(&beside, |out| out.write_all(&model.weights))?;
+        files.add(path, |out| out.write_all(model.ron.as_bytes()))?;
+        files.commit()?;
+        Ok([path.to_path_buf(), beside])
+    }
+
+    /// The network of trained weights, in memory.
+    ///
+    /// # Errors
+    /// As [`Self::model`]; `model.*`.
+    pub fn network(&self, weights: &Weights, comment: &str, provenance: &str) -> Result<Network> {
+        let model = self.model(weights, "weights.safetensors", comment, provenance)?;
+        let place = format!("{} (in memory)", self.file.name);
+        Ok(model::with_tensors(SourceText::new(place, model.ron), model.weights)?)
+    }
+}
+
+/// Where the weights of a model file are.
+#[must_use]
+pub fn weights_path(model: &Path) -> PathBuf {
+    model.with_extension("safetensors")
+}
+
+const FOLD_SEED: u64 = 0;
+
+/// Trains on all samples but those of a fold, and scores on them.
+///
+/// # Errors
+/// Those of `train`.
+pub fn cross_validate(
+    plan: &Plan,
+    examples: &[Example],
+    fold: &[usize],
+    mut train: impl FnMut(&Plan, &[Example]) -> Result<TrainingState>,
+) -> Result<(f64, Weights)> {
+    let part = |tested: bool| {
+        let chosen = (0..examples.len()).filter(|index| fold.contains(index) == tested);
+        chosen.map(|index| examples[index].clone()).collect::<Vec<_>>()
+    };
+    let state = train(plan, &part(false))?;
+    let weights = plan.result(&state).clone();
+    Ok((plan.score(&weights, &part(true)).accuracy, weights))
+}
+
+impl Checkpoint {
+    /// The file in which a training of these samples is saved.
+    #[must_use]
+    pub fn new(path: &Path, plan: &Plan, examples: &[Example]) -> Self {
+        Checkpoint { path: path.to_path_buf(), fingerprint: checkpoint::fingerprint(plan, examples) }
+    }
+
+    /// Saves a state.
+    ///
+    /// # Errors
+    /// `write.*`.
+    pub fn save(&self, state: &TrainingState) -> Result<()> {
+        Ok(checkpoint::save(&self.path, state, &self.fingerprint)?)
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// Trains to the end, from the checkpoint when there is one; `after` sees the state after each epoch. Also gives the seconds that it took.
+///
+/// # Errors
+/// `train.checkpoint` for a file of another training; `write.*` when a state cannot be saved.
+pub fn train(
+    plan: &Plan,
+    examples: &[Example],
+    kept: Option<&Checkpoint>,
+    mut after: impl FnMut(&TrainingState),
+) -> Result<(TrainingState, f64)> {
+    let begin = Instant::now();
+    let state = kept.map(|kept| checkpoint::load(&kept.path, plan, &kept.fingerprint)).transpose()?.flatten();
+    let mut state = state.unwrap_or_else(|| plan.start());
+    let mut saved = Ok(());
+    plan.run(&mut state, examples, |state| {
+        after(state);
+        if let Some(kept) = kept
+            && (state.epoch.is_multiple_of(10) || state.epoch == plan.epochs)
+        {
+            saved = kept.save(state);
+        }
+        saved.is_ok()
+    });
+    saved?;
+    Ok((state, begin.elapsed().as_secs_f64()))
+}

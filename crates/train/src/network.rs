@@ -1,0 +1,360 @@
+//! The trained network: dense layers of neurons over spike rasters, forward and backward for one sample.
+//!
+//! Weights are `[source][target]`, sources concatenated in the order that a layer names them: a spike adds one row. Work
+//! forward and in the weights' gradient grows with the spikes; only errors between layers are dense.
+
+use super::cells::{Cells, Spiking, Trace};
+use super::raster::Raster;
+use super::surrogate::Surrogate;
+use nsim_ir::base::fixed::{WeightExponent, scaled_weight};
+
+/// Where a layer's input comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// An input population.
+    Input(usize),
+    /// A layer before it.
+    Layer(usize),
+}
+
+/// How trained weights become the integers of a projection.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mantissas {
+    /// Mantissa units that a trained weight of 1 counts.
+    pub scale: f32,
+    /// The projection's weight exponent.
+    pub exponent: WeightExponent,
+}
+
+impl Mantissas {
+    /// The nearest even mantissa of 8 signed bits, ties to even multiples of 2 (as `compile::frontend::quantise` rounds).
+    #[must_use]
+    pub fn mantissa(&self, weight: f32) -> i16 {
+        (2.0 * (weight * self.scale / 2.0).round_ties_even()).clamp(-256.0, 254.0) as i16
+    }
+
+    /// What a mantissa adds, in units of 64.
+    #[must_use]
+    pub fn adds(&self, mantissa: i16) -> i32 {
+        scaled_weight(mantissa, self.exponent) >> 6
+    }
+
+    /// What a trained weight of 1 adds, in units of 64.
+    #[must_use]
+    pub fn unit(&self) -> f32 {
+        self.scale * f32::from(self.exponent.get()).exp2()
+    }
+}
+
+/// A dense layer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Layer {
+    /// Its name.
+    pub name: String,
+    /// What is concatenated to its input.
+    pub sources: Vec<Source>,
+    /// Summed sizes of the sources.
+    pub fan_in: usize,
+    /// Its neurons.
+    pub cells: Cells,
+    /// How its weights become integers, for Loihi cells.
+    pub mantissas: Option<Mantissas>,
+    /// The surrogate of its spikes.
+    pub surrogate: Surrogate,
+}
+
+/// Sizes, neurons and connections; the weights are apart.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Topology {
+    /// Channels of each input population.
+    pub inputs: Vec<usize>,
+    /// Layers, each after what it reads; the last one decides.
+    pub layers: Vec<Layer>,
+}
+
+/// Trained weights, `[layer][source * targets + target]`.
+pub type Weights = Vec<Vec<f32>>;
+
+impl Topology {
+    /// Number of outputs.
+    #[must_use]
+    pub fn classes(&self) -> usize {
+        self.layers.last().map_or(0, |layer| layer.cells.len())
+    }
+
+    /// Weights of zero.
+    #[must_use]
+    pub fn zeros(&self) -> Weights {
+        self.layers.iter().map(|layer| vec![0.0; layer.fan_in * layer.cells.len()]).collect()
+    }
+
+    fn size_of(&self, source: Source) -> usize {
+        match source {
+            Source::Input(input) => self.inputs[input],
+            Source::Layer(layer) => self.layers[layer].cells.len(),
+        }
+    }
+
+    /// The weights that the forward pass multiplies with, computed once a minibatch.
+    #[must_use]
+    pub fn deploy(&self, weights: &Weights, spiking: Spiking) -> Deployed {
+        let mut deployed = Deployed::default();
+        for (layer, trained) in self.layers.iter().zip(weights) {
+            let n = layer.cells.len();
+            let (adds, means): (Vec<f32>, Vec<f32>) = match &layer.mantissas {
+                Some(m) if spiking == Spiking::Hard => {
+                    let adds: Vec<f32> = trained.iter().map(|&w| m.adds(m.mantissa(w)) as f32).collect();
+                    let means = adds.iter().map(|a| a / m.unit()).collect();
+                    (adds, means)
+                }
+                Some(m) => (trained.iter().map(|w| w * m.unit()).collect(), trained.clone()),
+                None => (trained.clone(), trained.clone()),
+            };
+            let mut transposed = vec![0.0; means.len()];
+            for source in 0..layer.fan_in {
+                for target in 0..n {
+                    transposed[target * layer.fan_in + source] = means[source * n + target];
+                }
+            }
+            deployed.adds.push(adds);
+            deployed.transposed.push(transposed);
+        }
+        deployed
+    }
+}
+
+/// Weights as a minibatch uses them: rounded where the deployed network rounds.
+#[derive(Debug, Clone, Default)]
+pub struct Deployed {
+    /// The contribution of a spike to each target, `[layer][source * targets + target]`; whole numbers for Loihi cells.
+    adds: Vec<Vec<f32>>,
+    /// The same in the units of the trained weights, `[layer][target * sources + source]`.
+    transposed: Vec<Vec<f32>>,
+}
+
+/// Buffers of the passes of one sample, reused for the next.
+#[derive(Debug, Clone, Default)]
+pub struct Workspace {
+    drive: Vec<f32>,
+    /// Of each layer.
+    pub traces: Vec<Trace>,
+    errors: Vec<Vec<f32>>,
+    /// What the spikes of each unit of each hidden layer are multiplied by on their way on; empty: 1.
+    pub(super) factors: Vec<Vec<f32>>,
+    /// Derivative of the loss by each trained weight.
+    pub gradient: Weights,
+}
+
+impl Workspace {
+    /// For a network.
+    #[must_use]
+    pub fn new(topology: &Topology) -> Self {
+        Workspace {
+            traces: topology.layers.iter().map(|_| Trace::default()).collect(),
+            errors: topology.layers.iter().map(|_| Vec::new()).collect(),
+            gradient: topology.zeros(),
+            ..Workspace::default()
+        }
+    }
+
+    /// The spikes of the last layer.
+    #[must_use]
+    pub fn output(&self) -> &Raster {
+        &self.traces[self.traces.len() - 1].spikes
+    }
+
+    pub(super) fn output_mut(&mut self) -> &mut Raster {
+        let last = self.traces.len() - 1;
+        &mut self.traces[last].spikes
+    }
+
+    /// What the loss's derivative by each output spike is written to, `[step][output]`, zero at first.
+    pub fn output_error(&mut self) -> &mut Vec<f32> {
+        let last = self.traces.len() - 1;
+        let error = &mut self.errors[last];
+        error.clear();
+        error.resize(self.traces[last].potential.len(), 0.0);
+        error
+    }
+}
+
+impl Topology {
+    /// Runs a sample through the network.
+    pub fn forward(&self, deployed: &Deployed, inputs: &[Raster], spiking: Spiking, work: &mut Workspace) {
+        let steps = inputs.first().map_or(0, Raster::steps);
+        for (index, layer) in self.layers.iter().enumerate() {
+            let n = layer.cells.len();
+            let rows = &deployed.adds[index];
+            work.drive.clear();
+            work.drive.resize(steps * n, 0.0);
+            let (before, from) = work.traces.split_at_mut(index);
+            let mut offset = 0;
+            for &source in &layer.sources {
+                let (raster, lag) = match source {
+                    Source::Input(input) => (&inputs[input], 0),
+                    Source::Layer(earlier) => (&before[earlier].spikes, layer.cells.lag()),
+                };
+                let factors = factors_of(&work.factors, source);
+                for t in lag..steps {
+                    let drive = &mut work.drive[t * n..][..n];
+                    for (unit, value) in raster.at(t - lag) {
+                        let value = value * factor(factors, unit);
+                        for (z, w) in drive.iter_mut().zip(&rows[(offset + unit) * n..][..n]) {
+                            *z += value * w;
+                        }
+                    }
+                }
+                offset += raster.units();
+            }
+            layer.cells.forward(&work.drive, &layer.surrogate, spiking, &mut from[0]);
+        }
+    }
+
+    /// Sets the gradient from the output error that was written into [`Workspace::output_error`].
+    pub fn backward(&self, deployed: &Deployed, inputs: &[Raster], work: &mut Workspace) {
+        let steps = inputs.first().map_or(0, Raster::steps);
+        let last = self.layers.len() - 1;
+        for index in 0..last {
+            let size = steps * self.layers[index].cells.len();
+            work.errors[index].clear();
+            work.errors[index].resize(size, 0.0);
+        }
+        for index in (0..self.layers.len()).rev() {
+            let layer = &self.layers[index];
+            let n = layer.cells.len();
+            let (earlier_errors, from) = work.errors.split_at_mut(index);
+            let error = &mut from[0];
+            if let Some(factors) = work.factors.get(index) {
+                error.chunks_exact_mut(n).for_each(|step| step.iter_mut().zip(factors).for_each(|(e, f)| *e *= f));
+            }
+            layer.cells.backward(&work.traces[index], &layer.surrogate, error);
+            let gradient = &mut work.gradient[index];
+            gradient.fill(0.0);
+            let mut offset = 0;
+            for &source in &layer.sources {
+                let (raster, lag) = match source {
+                    Source::Input(input) => (&inputs[input], 0),
+                    Source::Layer(earlier) => (&work.traces[earlier].spikes, layer.cells.lag()),
+                };
+                let factors = factors_of(&work.factors, source);
+                for t in lag..steps {
+                    let c = &error[t * n..][..n];
+                    for (unit, value) in raster.at(t - lag) {
+                        let value = value * factor(factors, unit);
+                        for (g, c) in gradient[(offset + unit) * n..][..n].iter_mut().zip(c) {
+                            *g += value * c;
+                        }
+                    }
+                }
+                if let Source::Layer(earlier) = source {
+                    let size = self.size_of(source);
+                    let transposed = &deployed.transposed[index];
+                    for t in lag..steps {
+                        let target = &mut earlier_errors[earlier][(t - lag) * size..][..size];
+                        for (j, &c) in error[t * n..][..n].iter().enumerate() {
+                            let row = &transposed[j * layer.fan_in + offset..][..size];
+                            for (e, w) in target.iter_mut().zip(row) {
+                                *e += c * w;
+                            }
+                        }
+                    }
+                }
+                offset += self.size_of(source);
+            }
+        }
+    }
+}
+
+/// The factors of a source's spikes; none where all are 1.
+fn factors_of(factors: &[Vec<f32>], source: Source) -> Option<&[f32]> {
+    match source {
+        Source::Input(_) => None,
+        Source::Layer(layer) => factors.get(layer).map(Vec::as_slice),
+    }
+}
+
+fn factor(factors: Option<&[f32]>, unit: usize) -> f32 {
+    factors.map_or(1.0, |factors| factors[unit])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::Plan;
+    use crate::plan::plan;
+    use nsim_files::training::TrainingFile;
+    use nsim_ir::base::diagnostic::SourceText;
+    use nsim_ir::base::rng;
+
+    fn smooth_plan(neuron: &str, loss: &str) -> Plan {
+        let text = format!(
+            "Training(name: \"x\", timestep_ms: 1, inputs: [(name: \"a\", shape: [5]), (name: \"b\", shape: [7])],
+            layers: [(name: \"p\", from: [\"a\"], size: 4), (name: \"q\", from: [\"b\"], size: 3),
+                     (name: \"o\", from: [\"p\", \"b\", \"q\"], size: 3)],
+            neuron: {neuron}, loss: {loss}, optimiser: Adam(rate: 1), surrogate: (0.5, 0.5), batch: 1, epochs: 1, seed: 7)"
+        );
+        let source = SourceText::new("x", text);
+        plan(&TrainingFile::parse(&source).unwrap(), &source).unwrap()
+    }
+
+    /// The gradient of the smoothed network against central differences of its loss, weight by weight.
+    #[test]
+    fn the_gradient_is_that_of_the_smoothed_network() {
+        let neurons = [
+            "Srm(tau_sr_ms: Spread(2, 6, 2), tau_ref_ms: 1, scale_ref: 2, theta: 10)",
+            "Srm(tau_sr_ms: Same(4), tau_ref_ms: 1, scale_ref: 2, theta: 10, truncated: true)",
+            "Loihi(tau_u_ms: Same(3), tau_v_ms: Same(5), weight_scale: 16, theta: 10)",
+            "Loihi(tau_u_ms: Same(3), tau_v_ms: Same(5), weight_scale: 16, theta: 10, credit: UpToReset)",
+        ];
+        let losses = [
+            "SpikeCount(right: 6, wrong: 1)",
+            "Weighted(right: 6, wrong: 1, beta: -1, gamma: 1)",
+            "CrossEntropy(scale: 0.5)",
+        ];
+        for (case, neuron) in neurons.iter().enumerate() {
+            let plan = smooth_plan(neuron, losses[case % losses.len()]);
+            let topology = &plan.topology;
+            let inputs: Vec<Raster> = [5u64, 7]
+                .iter()
+                .map(|&units| {
+                    let all = (0..25).flat_map(|t| (0..units as u32).map(move |u| (t, u)));
+                    let some = all.filter(|&(t, u)| rng::unit(1, units, u64::from(8 * t + u)) < 0.25);
+                    Raster::from_events(units as usize, 25, some.collect())
+                })
+                .collect();
+            let mut work = Workspace::new(topology);
+            if case % 2 == 1 {
+                // As a dropout of two fifths leaves two layers.
+                work.factors = vec![vec![1.5, 0.0, 1.5, 1.5], vec![0.0, 1.5, 1.5]];
+            }
+            let loss_of = |weights: &Weights, work: &mut Workspace| {
+                let deployed = topology.deploy(weights, Spiking::Smooth);
+                topology.forward(&deployed, &inputs, Spiking::Smooth, work);
+                let output = work.output().clone();
+                let loss = plan.loss.evaluate(&output, 1, work.output_error());
+                (loss, deployed)
+            };
+            let mut weights = plan.start().weights;
+            let (_, deployed) = loss_of(&weights, &mut work);
+            topology.backward(&deployed, &inputs, &mut work);
+            let gradient = work.gradient.clone();
+            let norm = gradient.iter().flatten().map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
+            assert!(norm > 1e-3, "{neuron}");
+            let mut worst = 0.0f64;
+            for layer in 0..weights.len() {
+                for i in 0..weights[layer].len() {
+                    let at = weights[layer][i];
+                    let h = 0.02;
+                    weights[layer][i] = at + h;
+                    let above = loss_of(&weights, &mut work).0;
+                    weights[layer][i] = at - h;
+                    let below = loss_of(&weights, &mut work).0;
+                    weights[layer][i] = at;
+                    let difference = (above - below) / (2.0 * f64::from(h));
+                    worst = worst.max((difference - f64::from(gradient[layer][i])).abs());
+                }
+            }
+            assert!(worst < 2e-3 * norm, "{neuron}: {worst} of {norm}");
+        }
+    }
+}

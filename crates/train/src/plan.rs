@@ -1,0 +1,190 @@
+//! From a training file to a plan whose values are checked to be in range.
+
+use super::cells::{Cells, Loihi, Srm, response_peak};
+use super::fit::Plan;
+use super::loss::{Form, Loss};
+use super::network::{Layer, Mantissas, Source, Topology};
+use super::optimiser::{Optimiser, Rule};
+use super::surrogate::Surrogate;
+use nsim_dynamics as neuron;
+use nsim_files::training::{LossDesc, NeuronDesc, OptimiserDesc, TimesDesc, TrainingFile};
+use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use nsim_ir::base::fixed::{Decay, OutOfRange, Refractory, ThresholdMantissa, WeightExponent};
+use nsim_ir::quantised::Neuron;
+use nsim_reference::kernel::{Alpha, Kernel};
+use nsim_reference::srm::Parameters;
+
+/// Time constants are at most so many steps.
+const LONGEST: f64 = 1e6;
+/// A layer is at most so large.
+const LARGEST: u32 = 65_536;
+
+struct Problems<'a>(&'a SourceText);
+
+impl Problems<'_> {
+    fn at(&self, code: &'static str, span: Span, message: impl Into<String>) -> Diagnostic {
+        Diagnostic::new(code, message).at(self.0, span)
+    }
+
+    /// A number within a closed range.
+    fn number(&self, span: Span, what: &str, value: f64, low: f64, high: f64) -> Result<f64> {
+        if (low..=high).contains(&value) {
+            return Ok(value);
+        }
+        Err(self.at("train.range", span, format!("{what} {value} is outside {low}..={high}")))
+    }
+
+    fn field<T>(&self, span: Span, of: Result<T, OutOfRange>) -> Result<T> {
+        of.map_err(|error| self.at("train.range", span, error.to_string()))
+    }
+}
+
+/// Checks a training file and makes its plan.
+///
+/// # Errors
+/// `train.range` for a number, `train.layer` for a layer that reads what is not there, each at its place.
+pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
+    let problems = Problems(source);
+    let whole = Span::default();
+    let timestep = problems.number(file.timestep_ms.span, "timestep_ms", *file.timestep_ms, 1e-3, 1e6)?;
+    let mut inputs = Vec::new();
+    for input in &file.inputs {
+        let size = input.shape.iter().try_fold(1u64, |size, &n| size.checked_mul(n)).unwrap_or(u64::MAX);
+        problems.number(input.span, "number of channels", size as f64, 1.0, f64::from(LARGEST))?;
+        inputs.push(size as usize);
+    }
+    let tau_rho = problems.number(whole, "surrogate width", file.surrogate.0, 1e-3, 1e3)?;
+    let scale_rho = problems.number(whole, "surrogate height", file.surrogate.1, 1e-6, 1e6)?;
+    let mut layers: Vec<Layer> = Vec::new();
+    for desc in &file.layers {
+        let size = problems.number(desc.span, "size", f64::from(desc.size), 1.0, f64::from(LARGEST))? as usize;
+        let mut sources = Vec::new();
+        let mut fan_in = 0;
+        for name in &desc.from {
+            if let Some(input) = file.inputs.iter().position(|input| &input.name == name) {
+                sources.push(Source::Input(input));
+                fan_in += inputs[input];
+            } else if let Some(layer) = layers.iter().position(|layer| &layer.name == name) {
+                sources.push(Source::Layer(layer));
+                fan_in += layers[layer].cells.len();
+            } else {
+                let message = format!("layer '{}' reads '{name}', which is no input and no layer before it", desc.name);
+                return Err(problems.at("train.layer", desc.span, message));
+            }
+        }
+        if fan_in == 0 {
+            return Err(problems.at("train.layer", desc.span, format!("layer '{}' reads nothing", desc.name)));
+        }
+        let (neuron, span) = match &desc.neuron {
+            Some(neuron) => (neuron, desc.span),
+            None => (&file.neuron.value, file.neuron.span),
+        };
+        let (cells, mantissas) = cells(&problems, span, neuron, size, timestep)?;
+        if let Some(m) = &mantissas
+            && 256.0 * fan_in as f64 * f64::from(m.exponent.get()).exp2() >= f64::from(1 << 24)
+        {
+            let message =
+                format!("layer '{}': {fan_in} inputs at this weight exponent could sum beyond 2^24", desc.name);
+            return Err(problems.at("train.range", span, message));
+        }
+        let surrogate = Surrogate::new(cells.theta(), tau_rho as f32, scale_rho as f32);
+        layers.push(Layer { name: desc.name.clone(), sources, fan_in, cells, mantissas, surrogate });
+    }
+    if layers.is_empty() || inputs.is_empty() {
+        return Err(problems.at("train.layer", whole, "a network has an input and a layer at least"));
+    }
+    let (rule, rate) = match file.optimiser.value {
+        OptimiserDesc::Adam { rate } => (Rule::Adam, rate),
+        OptimiserDesc::RmsProp { rate } => (Rule::RmsProp, rate),
+    };
+    problems.number(file.optimiser.span, "rate", rate, 0.0, 1e3)?;
+    let rates = file.layers.iter().map(|layer| (rate * layer.rate) as f32).collect();
+    let weight_decay = problems.number(whole, "weight_decay", file.weight_decay, 0.0, 1e3)? as f32;
+    let l1 = problems.number(whole, "l1", file.l1, 0.0, 1e3)? as f32;
+    let last = layers[layers.len() - 1].cells.clone();
+    Ok(Plan {
+        topology: Topology { inputs, layers },
+        loss: loss(file.loss.value, &last),
+        optimiser: Optimiser { rule, weight_decay, l1, decoupled: file.decoupled },
+        rates,
+        last_rate: problems.number(whole, "last_rate", file.last_rate, 0.0, 1.0)? as f32,
+        batch: problems.number(whole, "batch", f64::from(file.batch), 1.0, 65_536.0)? as usize,
+        epochs: file.epochs,
+        augment: file.augment,
+        dropout: problems.number(whole, "dropout", file.dropout, 0.0, 0.99)? as f32,
+        averaging: problems.number(whole, "averaging", file.averaging, 0.0, 1.0 - 1e-6)? as f32,
+        initial: file.layers.iter().map(|layer| layer.initial as f32).collect(),
+        seed: file.seed,
+    })
+}
+
+fn loss(desc: LossDesc, output: &Cells) -> Loss {
+    let (form, right, wrong) = match desc {
+        LossDesc::SpikeCount { right, wrong } => (Form::SpikeCount, right, wrong),
+        LossDesc::Weighted { right, wrong, beta, gamma } => {
+            (Form::Weighted { beta: beta as f32, gamma: gamma as f32 }, right, wrong)
+        }
+        LossDesc::NumSpikes { right, wrong } => (Form::NumSpikes { kernel: output.kernel(1000) }, right, wrong),
+        LossDesc::CrossEntropy { scale } => (Form::CrossEntropy { scale: scale as f32 }, 0.0, 0.0),
+    };
+    Loss { form, right: right as f32, wrong: wrong as f32 }
+}
+
+/// The time constant of each neuron in steps.
+fn times(problems: &Problems, span: Span, what: &str, desc: TimesDesc, n: usize, step: f64) -> Result<Vec<f64>> {
+    let check = |value: f64| problems.number(span, what, value / step, 1e-3, LONGEST);
+    match desc {
+        TimesDesc::Same(value) => Ok(vec![check(value)?; n]),
+        TimesDesc::Spread(from, to, levels) => {
+            let (from, to) = (check(from)?, check(to)?);
+            let levels = problems.number(span, "levels", f64::from(levels), 2.0, f64::from(LARGEST))? as usize;
+            let level = |k: usize| from * libm::pow(to / from, k as f64 / (levels - 1) as f64);
+            Ok((0..n).map(|i| level(i % levels)).collect())
+        }
+    }
+}
+
+/// The decay of an exponential with this time constant in steps.
+fn decay_of(tau: f64) -> Result<Decay, OutOfRange> {
+    Decay::new((4096.0 * (1.0 - libm::exp(-1.0 / tau))).round() as i64)
+}
+
+fn cells(
+    problems: &Problems,
+    span: Span,
+    desc: &NeuronDesc,
+    n: usize,
+    step: f64,
+) -> Result<(Cells, Option<Mantissas>)> {
+    match *desc {
+        NeuronDesc::Srm { tau_sr_ms, tau_ref_ms, scale_ref, theta, truncated } => {
+            let tau = times(problems, span, "tau_sr_ms in steps", tau_sr_ms, n, step)?;
+            let tau_ref = problems.number(span, "tau_ref_ms in steps", tau_ref_ms / step, 1e-3, LONGEST)?;
+            let theta = problems.number(span, "theta", theta, 1e-6, 1e6)?;
+            let scale_ref = problems.number(span, "scale_ref", scale_ref, 0.0, 1e6)?;
+            let of = |tau_sr| Parameters { tau_sr, tau_ref, scale_ref, theta };
+            let responses: Vec<Alpha> = tau.iter().map(|&tau| of(tau).response()).collect();
+            let kernel = if truncated { Kernel::Truncated } else { Kernel::Exact };
+            Ok((Cells::Srm(Srm::new(theta, &responses, of(1.0).refractory(), kernel)), None))
+        }
+        NeuronDesc::Loihi { tau_u_ms, tau_v_ms, weight_scale, weight_exp, refractory, theta, credit } => {
+            let u = times(problems, span, "tau_u_ms in steps", tau_u_ms, n, step)?;
+            let v = times(problems, span, "tau_v_ms in steps", tau_v_ms, n, step)?;
+            let scale = problems.number(span, "weight_scale", weight_scale, 1e-6, 1e6)?;
+            let theta = problems.number(span, "theta", theta, 1e-6, 1e6)?;
+            let exponent = problems.field(span, WeightExponent::new(weight_exp))?;
+            let refractory = problems.field(span, Refractory::new(refractory))?;
+            let mantissas = Mantissas { scale: scale as f32, exponent };
+            let mut fields = Vec::with_capacity(n);
+            for (u, v) in u.into_iter().zip(v) {
+                let (du, dv) = (problems.field(span, decay_of(u))?, problems.field(span, decay_of(v))?);
+                let threshold = theta * f64::from(mantissas.unit()) * response_peak(du, dv);
+                let vth = problems.field(span, ThresholdMantissa::new(threshold.round() as i64))?;
+                let neuron = Neuron { du, dv, vth, refractory, ..Neuron::PLAIN };
+                fields.push(neuron::fields(&neuron, 0, Semantics::Hardware, ThresholdTest::Strict));
+            }
+            Ok((Cells::Loihi(Loihi::new(fields, theta as f32, mantissas.unit(), credit)), Some(mantissas)))
+        }
+    }
+}

@@ -1,7 +1,0 @@
-//! Proof that a mapping keeps its limits and equals its network, by code that shares nothing with what made it.
-
-pub mod equivalence;
-pub mod relays;
-pub mod repeats;
-pub mod sampled;
-pub mod verify;
