@@ -12,10 +12,12 @@ use common::{biased, neuron};
 use nsim::agree::stress::exact::{Compartment, Parameters, decayed, scaled};
 use nsim::agree::stress::{CASES, Case};
 use nsim::dynamics as neuron;
+use nsim::dynamics::arithmetic::decay;
+use nsim::dynamics::arithmetic::scaled_weight;
 use nsim::dynamics::{Registers, update};
 use nsim::files::target::load_target;
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
-use nsim::ir::base::fixed::{Decay, VmaxExponent, VminExponent, WeightExponent, decay, scaled_weight};
+use nsim::ir::base::fixed::{Decay, VmaxExponent, VminExponent, WeightExponent};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 

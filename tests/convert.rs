@@ -10,6 +10,7 @@ use std::path::Path;
 
 use assert_cmd::Command;
 use common::data;
+use nsim::dynamics::synapses::Enumerate;
 use nsim::files::lower::lower;
 use nsim::files::network::{Network, NetworkFile};
 use nsim::files::training::TrainingFile;

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use common::{Net, format, neuron};
 use nsim::compile::explore::traffic::traffic;
 use nsim::compile::{Compiled, CopyPlacement, Effort, Objective, Options, Strategy, compile, compile_saved};
+use nsim::dynamics::synapses::Enumerate;
 use nsim::files::mapping::load_mapping;
 use nsim::files::target::load_target;
 use nsim::import::model::load_model;

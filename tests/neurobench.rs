@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 
 use common::random;
 use nsim::compile::{Options, compile};
+use nsim::dynamics::synapses::Enumerate;
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::ir::base::id::{CompartmentId, Id};

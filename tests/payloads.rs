@@ -9,6 +9,7 @@ mod common;
 use common::random::{self, Draw};
 use common::{Net, format, neuron};
 use nsim::compile::{Options, compile};
+use nsim::dynamics::synapses::Enumerate;
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::ir::activity::{Activity, Overflow, Totals};

@@ -5,21 +5,21 @@
 
 use nsim::agree::attribution::attribute;
 use nsim::agree::compare::{Counterpart, Deployed, compare, output_layer};
-use nsim::session::front::real_and_integers;
 use nsim::compile::{Form, Options, compile};
+use nsim::files::network::Network;
+use nsim::report::agree::{AgreeReport, named_fits};
+use nsim::session::front::real_and_integers;
 use nsim::train::convert::calibration::RunInput;
 use nsim::train::convert::copies::{MOST, USUAL};
 use nsim::train::convert::deployed::{Choice, Conversion, Integers};
-use nsim::files::network::Network;
-use nsim::report::agree::{AgreeReport, named_fits};
 use pyo3::prelude::*;
 use serde_json::Value;
 
 use crate::error::raised;
 use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
-use crate::run::to_python;
 use crate::spikes::{Shown, sources};
+use crate::value::to_python;
 use crate::work::{detached, work};
 
 /// Where and why two networks disagree.

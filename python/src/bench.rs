@@ -1,21 +1,21 @@
 //! How long a timestep of a mapping takes to simulate.
 //!
-//! Input: a mapping, a sample that is shown over and over. Output: what [`nsim::energy::measure::measure`] measures, as `nsim bench step` does of
+//! Input: a mapping, a sample that is shown over and over. Output: what [`nsim::energy::measure`] measures, as `nsim bench step` does of
 //! its standard networks.
 
 use std::time::Duration;
 
-use nsim::energy::measure::measure::{Budget, StepTiming, measure};
-use nsim::session::samples::{Division, laid_out};
+use nsim::energy::measure::{Budget, StepTiming, measure};
 use nsim::machine::{Machine, Settings};
+use nsim::session::samples::{Division, laid_out};
 use pyo3::prelude::*;
 use serde_json::json;
 
 use crate::error::raised;
 use crate::keywords::{Keywords, usage};
-use crate::mapping::Shared;
-use crate::run::to_python;
+use crate::shared::Shared;
 use crate::spikes::Shown;
+use crate::value::to_python;
 use crate::work::detached;
 
 /// The longest measurement.

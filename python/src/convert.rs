@@ -2,13 +2,13 @@
 //!
 //! Input: a network with real numbers, spikes. Output: a [`Conversion`], whose figures and whose model are those of the command line.
 
+use nsim::files::model_builder::ModelBuilder;
+use nsim::files::shipped;
+use nsim::report::convert::ConvertReport;
 use nsim::train::convert::calibration;
 use nsim::train::convert::calibration::RunInput;
 use nsim::train::convert::copies::{MOST, USUAL};
 use nsim::train::convert::job::{FineTuning, Job, Split};
-use nsim::files::model_builder::ModelBuilder;
-use nsim::files::shipped;
-use nsim::report::convert::ConvertReport;
 use pyo3::prelude::*;
 use serde_json::Value;
 use std::path::PathBuf;
@@ -17,10 +17,8 @@ use crate::agree::{MOST_SAMPLES, counted};
 use crate::error::raised;
 use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
-use crate::memory;
-use crate::network::Network;
-use crate::run::to_python;
 use crate::spikes::{Shown, sources};
+use crate::value::to_python;
 use crate::work::{detached, work};
 
 /// The greatest number of epochs of fine-tuning, as on the command line.
@@ -32,17 +30,18 @@ pub struct Conversion {
     json: Value,
     text: String,
     model: ModelBuilder,
-    network: Py<Network>,
+    network: Py<PyAny>,
 }
 
 impl Conversion {
-    /// Converts a network for a target.
+    /// Converts a network for a target; `built` makes the network that the written model would give.
     pub fn new(
         py: Python<'_>,
         (name, network): (&str, &nsim::files::network::Network),
         target: &str,
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
+        built: impl FnOnce(&ModelBuilder) -> PyResult<Py<PyAny>>,
     ) -> PyResult<Self> {
         let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
         let job = detached(py, || Job::new(network, &target)).map_err(|problem| raised(py, problem))?;
@@ -83,8 +82,8 @@ impl Conversion {
                 ConvertReport { job: &job, done: &done, input: origin, tuned: tuned.as_ref(), files: &[], next: None };
             Ok((report.json(), report.text(), model))
         })?;
-        let network = Network::built(py, &model)?;
-        Ok(Conversion { json, text, model, network: Py::new(py, network)? })
+        let network = built(&model)?;
+        Ok(Conversion { json, text, model, network })
     }
 }
 
@@ -92,7 +91,7 @@ impl Conversion {
 impl Conversion {
     /// The network in integers.
     #[getter]
-    fn network(&self, py: Python<'_>) -> Py<Network> {
+    fn network(&self, py: Python<'_>) -> Py<PyAny> {
         self.network.clone_ref(py)
     }
 
@@ -146,14 +145,5 @@ impl Conversion {
     fn _repr_html_(&self) -> String {
         let stages = self.json["stages"].as_array().map_or(&[][..], Vec::as_slice);
         table(&self.__repr__().replace(['<', '>'], ""), &columns(stages), stages)
-    }
-}
-
-impl Network {
-    /// The network that a written model would give.
-    pub fn built(py: Python<'_>, model: &ModelBuilder) -> PyResult<Self> {
-        let place = PathBuf::from(memory::place(&model.name));
-        let network = detached(py, || model.build(&place)).map_err(|problem| raised(py, problem))?;
-        Network::checked(py, network, Vec::new())
     }
 }

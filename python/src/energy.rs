@@ -3,28 +3,29 @@
 use std::path::PathBuf;
 
 use nsim::cost::estimate::Convention;
-use nsim::cost::{Host, Streams, Transport};
-use nsim::cost::job::Mode;
 use nsim::cost::job::Accounting;
-use nsim::session::samples::Progress;
+use nsim::cost::job::Mode;
+use nsim::cost::{Host, Streams, Transport};
 use nsim::energy::evaluate::{Evaluated, Plan, evaluate};
 use nsim::energy::options::CostOptions;
-use nsim::report::page::job as page;
+use nsim::energy::report::table::EnergyReport;
 use nsim::energy::workload::Workload;
 use nsim::files::text::sha256;
 use nsim::files::write;
 use nsim::files::write::check_free;
 use nsim::ir::program::Program;
-use nsim::energy::report::table::EnergyReport;
+use nsim::report::page::job as page;
 use nsim::report::page::{Origin, Provenance, html};
+use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 
 use crate::error::{Problem, raised, warn};
 use crate::html::{frame, table};
 use crate::keywords::Keywords;
-use crate::mapping::Mapping;
-use crate::run::{is_long, rule, to_python};
+use crate::run::{is_long, rule};
+use crate::shared::Shared;
 use crate::spikes::Shown;
+use crate::value::to_python;
 use crate::work::{detached, work};
 
 /// The deployment that `deployment` names.
@@ -65,12 +66,11 @@ pub struct Energy {
 /// Runs and prices a mapping; `then` takes the result.
 fn priced<T: Send>(
     py: Python<'_>,
-    (mapping, plan): (&Mapping, &Plan),
+    (shared, plan): (&Shared, &Plan),
     spikes: Option<&Bound<'_, PyAny>>,
     keywords: &Keywords<'_>,
     then: impl FnOnce(&Workload<'_>, Evaluated, (Transport, Progress<'_>)) -> Result<T, Problem> + Send,
 ) -> PyResult<T> {
-    let shared = mapping.shared();
     let compiled = shared.compiled();
     let shown = Shown::new(&compiled.one, shared.scene.as_deref(), spikes, keywords)?;
     let options = options(py, keywords)?;
@@ -102,13 +102,13 @@ fn priced<T: Send>(
 /// Writes the page of a run to a path, with `force` in the place of a file that is there.
 pub fn report(
     py: Python<'_>,
-    what: (&Mapping, &Plan),
+    what: (&Shared, &Plan),
     spikes: Option<&Bound<'_, PyAny>>,
     keywords: &Keywords<'_>,
     (path, force): (PathBuf, bool),
 ) -> PyResult<PathBuf> {
     check_free(&path, force).map_err(|problem| raised(py, problem))?;
-    let network = &what.0.shared().network;
+    let network = &what.0.network;
     let page = priced(py, what, spikes, keywords, |workload, evaluated, (transport, progress)| {
         let mut sections = page::sections(workload, &evaluated, transport)?;
         if let Some(trained) = page::trained(workload, network)? {
@@ -129,12 +129,12 @@ impl Energy {
     /// Runs and prices a mapping.
     pub fn new(
         py: Python<'_>,
-        mapping: &Mapping,
+        shared: &Shared,
         plan: &Plan,
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
-        priced(py, (mapping, plan), spikes, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
+        priced(py, (shared, plan), spikes, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
     fn total(&self, figure: &str) -> Option<f64> {

@@ -2,15 +2,15 @@
 
 use std::ffi::CString;
 
-use nsim::ir::base::diagnostic::{Diagnostic, Position};
 use nsim::compile::CompileError;
 use nsim::compile::reason::Reason;
+use nsim::ir::base::diagnostic::{Diagnostic, Position};
 use nsim::report::map::reason_json;
 use pyo3::exceptions::{PyException, PyUserWarning};
 use pyo3::prelude::*;
 use serde_json::{Value, json};
 
-use crate::run::to_python;
+use crate::value::to_python;
 
 pyo3::create_exception!(
     nsim,

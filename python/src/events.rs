@@ -8,11 +8,11 @@
 
 use std::fmt::Write;
 
-use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::events::read::read_input;
 use nsim::import::spikes::events::text::is_header;
 use nsim::import::spikes::{EventFormat, EventOptions, Expected, PopulationSpikes, TimeUnit};
+use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Population;
 use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;

@@ -6,7 +6,7 @@
 use pyo3::prelude::*;
 use serde_json::Value;
 
-use crate::run::to_python;
+use crate::value::to_python;
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")

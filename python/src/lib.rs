@@ -18,9 +18,11 @@ mod memory;
 mod network;
 mod projections;
 mod run;
+mod shared;
 mod spikes;
 mod sweep;
 mod train;
+mod value;
 mod work;
 
 use pyo3::prelude::*;

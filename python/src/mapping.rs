@@ -3,25 +3,21 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
-use nsim::compile::explore;
 use nsim::compile;
+use nsim::compile::explore;
 use nsim::compile::{CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Objective, Options, Strategy};
+use nsim::files::mapping::{load_mapping, mapping_text};
+use nsim::files::network::Network;
+use nsim::ir::firing_rates::Rates;
+use nsim::ir::graph::Shape;
+use nsim::ir::hardware::Target;
+use nsim::ir::quantised::Population;
 use nsim::session::shapes;
 use nsim::train::convert::copies::USUAL;
 use nsim::train::convert::prepare::integers;
-use nsim::files::network::Network;
-use nsim::ir::hardware::Target;
-use nsim::session::samples::{Division, laid_out};
-use nsim::files::mapping::{load_mapping, mapping_text};
-use nsim::ir::firing_rates::Rates;
-use nsim::ir::graph::Shape;
-use nsim::ir::quantised::Population;
-use nsim::machine::Image;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use self_cell::self_cell;
 
 use crate::bench::bench;
 use crate::energy::{self, Energy};
@@ -29,6 +25,7 @@ use crate::error::{Problem, raised};
 use crate::keywords::Keywords;
 use crate::projections;
 use crate::run::Run;
+use crate::shared::Shared;
 use crate::spikes::Shown;
 use crate::work::detached;
 
@@ -90,49 +87,6 @@ fn in_file(error: CompileError, path: &Path) -> CompileError {
     }
 }
 
-/// The program laid out for one thread; none where threads share a sample, as its image depends on their number.
-type LaidOut<'p> = Option<Image<'p>>;
-
-self_cell!(
-    /// A compiled network with its layout.
-    pub struct Ready {
-        owner: Compiled,
-        #[covariant]
-        dependent: LaidOut,
-    }
-);
-
-/// A mapping that runs and energies share.
-pub struct Shared {
-    /// The model, as it was named.
-    pub model: String,
-    /// Its own stimulus.
-    pub scene: Option<String>,
-    /// Where it is mapped.
-    pub target: Target,
-    /// The network as its file says.
-    pub network: Arc<Network>,
-    ready: Ready,
-    warned: AtomicBool,
-}
-
-impl Shared {
-    /// The compiled network.
-    pub fn compiled(&self) -> &Compiled {
-        self.ready.borrow_owner()
-    }
-
-    /// Whether nobody has been warned of what this network does; after the first call somebody has.
-    pub fn warns(&self) -> bool {
-        !self.warned.swap(true, Ordering::Relaxed)
-    }
-
-    /// The program, laid out for runs of this division.
-    pub fn image(&self, division: Division) -> Option<&Image<'_>> {
-        self.ready.borrow_dependent().as_ref().filter(|_| division.shards == 1)
-    }
-}
-
 /// A network on simulated cores.
 #[pyclass(frozen, module = "nsim")]
 pub struct Mapping(Arc<Shared>);
@@ -142,24 +96,9 @@ impl Mapping {
     pub fn new(py: Python<'_>, model: &str, network: &Arc<Network>, request: &MappingRequest) -> PyResult<Self> {
         let made = detached(py, || {
             let (compiled, target) = request.compiled(network)?;
-            let division = Division::new(&compiled.program, 2);
-            let ready = Ready::new(compiled, |compiled| match division.shards {
-                1 => laid_out(&compiled.program, division).ok(),
-                _ => None,
-            });
-            Ok((ready, target))
+            Ok(Shared::new(model, network, compiled, target))
         });
-        let (ready, target) = made.map_err(|problem: Problem| raised(py, problem))?;
-        let scene = network.file().scene.clone();
-        let shared = Shared {
-            model: model.to_string(),
-            scene,
-            target,
-            network: network.clone(),
-            ready,
-            warned: AtomicBool::new(false),
-        };
-        Ok(Mapping(Arc::new(shared)))
+        made.map(|shared| Mapping(Arc::new(shared))).map_err(|problem: Problem| raised(py, problem))
     }
 
     /// What runs and energies share.
@@ -296,7 +235,7 @@ impl Mapping {
         let keywords = Keywords::new(options)?;
         let plan = energy::plan(py, &self.0.model, &keywords, None)?;
         plan.of_mapping().map_err(|error| raised(py, error))?;
-        Energy::new(py, self, &plan, spikes, &keywords)
+        Energy::new(py, &self.0, &plan, spikes, &keywords)
     }
 
     /// How long a timestep takes to simulate on one thread, measured for about so many `seconds` while the first sample is shown over and over.
@@ -334,7 +273,7 @@ impl Mapping {
         let keywords = Keywords::new(options)?;
         let plan = energy::plan(py, &self.0.model, &keywords, None)?;
         plan.of_mapping().map_err(|error| raised(py, error))?;
-        energy::report(py, (self, &plan), spikes, &keywords, (path, force))
+        energy::report(py, (&self.0, &plan), spikes, &keywords, (path, force))
     }
 
     fn __repr__(&self) -> String {

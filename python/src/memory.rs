@@ -7,15 +7,17 @@
 
 use std::path::Path;
 
-use nsim::ir::base::fixed::SignMode;
+use nsim::files::model_builder::{
+    ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor,
+};
 use nsim::files::network::Network;
-use nsim::ir::arithmetic::ThresholdTest;
-use nsim::ir::neurons::NeuronKind;
-use nsim::import::foreign::imported::DecayRule;
 use nsim::import::foreign;
+use nsim::import::foreign::imported::DecayRule;
 use nsim::import::foreign::{Options, ResetMode};
-use nsim::files::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
+use nsim::ir::arithmetic::ThresholdTest;
+use nsim::ir::base::fixed::SignMode;
 use nsim::ir::graph::MOST_UNITS;
+use nsim::ir::neurons::NeuronKind;
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use nsim::session::front::real_and_integers;
-use nsim::files::network::PopulationDesc;
 use nsim::energy::evaluate::Plan;
 use nsim::files::model_builder::ModelBuilder;
+use nsim::files::network::PopulationDesc;
+use nsim::session::front::real_and_integers;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -57,6 +57,13 @@ pub struct Network {
 }
 
 impl Network {
+    /// The network that a written model would give.
+    pub fn built(py: Python<'_>, model: &ModelBuilder) -> PyResult<Self> {
+        let place = PathBuf::from(memory::place(&model.name));
+        let network = detached(py, || model.build(&place)).map_err(|problem| raised(py, problem))?;
+        Network::checked(py, network, Vec::new())
+    }
+
     /// The mapping that is priced, and its deployment: one copy unless more are asked for.
     fn priced(
         &self,
@@ -178,7 +185,7 @@ impl Network {
     ) -> PyResult<Energy> {
         let keywords = Keywords::new(options)?;
         let (mapping, plan) = self.priced(py, target, copies, &keywords)?;
-        Energy::new(py, &mapping, &plan, spikes, &keywords)
+        Energy::new(py, mapping.shared(), &plan, spikes, &keywords)
     }
 
     /// Writes a page that shows what the network does and costs, to be opened in a browser: `nsim report`.
@@ -200,7 +207,7 @@ impl Network {
         let keywords = Keywords::new(options)?;
         let force = keywords.take("force")?.unwrap_or(false);
         let (mapping, plan) = self.priced(py, target, copies, &keywords)?;
-        energy::report(py, (&mapping, &plan), spikes, &keywords, (path, force))
+        energy::report(py, (mapping.shared(), &plan), spikes, &keywords, (path, force))
     }
 
     /// Where and why the integers on the cores disagree with the network that was trained: `nsim agree`.
@@ -243,7 +250,8 @@ impl Network {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Conversion> {
         let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
-        Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?)
+        let built = |model: &ModelBuilder| Ok(Py::new(py, Network::built(py, model)?)?.into_any());
+        Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?, built)
     }
 
     /// Writes the network as a model file, and its arrays beside it; with `force` in the place of files that are there.

@@ -1,5 +1,6 @@
 //! The integers of a network's projections, as Python sees them.
 
+use nsim::dynamics::synapses::Enumerate;
 use nsim::ir::graph::Window;
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Projection, Quantised};

@@ -3,27 +3,27 @@
 use std::sync::Arc;
 
 use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::quantised::Quantised;
+use nsim::ir::spikes::{Copies, Sample};
+use nsim::report::run::{RunReport, neurobench_json};
 use nsim::session::cores::core_rows;
 use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::detail::Detail;
 use nsim::session::neurobench::NeuroBench;
 use nsim::session::populations::ByPopulation;
 use nsim::session::samples;
 use nsim::session::samples::{Division, Running, fast, fast_on};
 use nsim::session::warnings::{Finished, Ran, warnings};
 use nsim::session::{Keep, Outcome, Probe, Quantity, digest};
-use nsim::files::write::checksum;
-use nsim::ir::quantised::Quantised;
-use nsim::ir::spikes::{Copies, Sample};
-use nsim::session::detail::Detail;
-use nsim::report::run::{RunReport, neurobench_json};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
 use crate::error::warn;
 use crate::html::{frame, table};
 use crate::keywords::{Keywords, usage};
-use crate::mapping::Shared;
+use crate::shared::Shared;
 use crate::spikes::Shown;
+use crate::value::to_python;
 use crate::work::{detached, on_own_threads, work};
 
 /// The most numbers that probes record, 4 bytes each.
@@ -81,11 +81,6 @@ pub fn rule(keywords: &Keywords<'_>) -> PyResult<Option<Rule>> {
 pub fn is_long(mapping: &Shared, shown: &Shown) -> bool {
     let steps: u64 = shown.samples().iter().map(|sample| u64::from(sample.steps())).sum();
     steps * u64::from(mapping.compiled().quantised.compartments().max(1)) > LONG
-}
-
-/// JSON as Python's own dictionaries and lists; a result as the command line prints it.
-pub fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bound<'py, PyAny>> {
-    py.import("json")?.call_method1("loads", (checksum::printed(value.clone()).to_string(),))
 }
 
 /// Runs samples on the simulated cores.

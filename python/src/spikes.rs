@@ -4,12 +4,12 @@
 //! text, or nothing. A number other than zero is a spike. Output: samples and the order in which they run. Contiguous arrays of `uint8`
 //! and `bool` are read in place. Invariant: what samples take is bounded before they are made. Errors: `input.*`, `usage`.
 
-use nsim::ir::base::diagnostic::Diagnostic;
-use nsim::session::inputs::{MOST_REPEATS, drained, joined, repeated, stimulus};
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::PopulationSpikes;
+use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::{Population, Quantised};
 use nsim::ir::spikes::{Sample, Stimulus};
+use nsim::session::inputs::{MOST_REPEATS, drained, joined, repeated, stimulus};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 

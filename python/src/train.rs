@@ -5,8 +5,8 @@
 
 use std::path::PathBuf;
 
-use nsim::ir::base::diagnostic::SourceText;
 use nsim::files::text::read_text;
+use nsim::ir::base::diagnostic::SourceText;
 use nsim::report::train::{TrainReport, history_csv};
 use nsim::train::fit::{Example, Plan, TrainingState};
 use nsim::train::job::{Checkpoint, Data, Job, Part, Trained, train as trained_to_the_end, with_fields};
@@ -19,8 +19,8 @@ use crate::html::{columns, frame, table};
 use crate::keywords::Keywords;
 use crate::memory;
 use crate::network::Network;
-use crate::run::to_python;
 use crate::spikes::{Shown, sources};
+use crate::value::to_python;
 use crate::work::{detached, work};
 
 /// Bounds of the command line.

@@ -1,4 +1,4 @@
-//! Rules of the source tree: layers, cycles, sizes of folders, module docs, names, and paths that documents name.
+//! Rules of the source tree: which crate may use which, cycles, sizes, module docs, names, and paths that documents name.
 //!
 //! Each rule prints all its violations. Exceptions are named in the lists below; one that is no longer needed fails too.
 
@@ -14,36 +14,21 @@ use std::sync::LazyLock;
 
 use petgraph::algo::tarjan_scc;
 use petgraph::graph::DiGraph;
-use source::Sources;
+use source::{SourceFile, Sources};
 
-/// Rooms of `src` from the lowest layer up. A room names itself and rooms of lower lines, not its neighbours on a line.
-const LAYERS: [&[&str]; 16] = [
-    &["base"],
-    &["error"],
-    &["desc"],
-    &["io", "ir"],
-    &["neuron"],
-    &["cost"],
-    &["compile", "machine", "golden", "reference", "scene"],
-    &["drive"],
-    &["agree", "stress", "train", "baseline"],
-    &["convert"],
-    &["bench"],
-    &["report"],
-    &["energy"],
-    &["sweep"],
-    &["cli", "python"],
-    &["main"],
-];
-
-/// Files in a folder besides `mod.rs`.
+/// Files in a folder within a crate besides `mod.rs`.
 const MOST_FILES: usize = 12;
 
-/// Rooms in which no board is named: what differs from board to board is in its target file.
+/// Lines of a crate, its tests within included.
+const MOST_LINES: usize = 13_000;
+/// Crates of the workspace, the command line among them.
+const MOST_CRATES: usize = 22;
+/// Crates above the limit.
+const LARGE: &[&str] = &["compile"];
+
+/// Crates in which no board is named: what differs from board to board is in its target file.
 const BOARDLESS: [&str; 5] = ["compile", "cost", "report", "machine", "ir"];
 
-/// Exceptions that are left: cycles, as the files in each.
-const CYCLES: &[&[&str]] = &[];
 /// Folders with more files than a dozen.
 const CROWDED: &[&str] = &[];
 /// Files with the core counts of one published deployment.
@@ -51,7 +36,49 @@ const DEPLOYMENT_COUNTS: &[&str] = &[];
 /// Files that name a board.
 const BOARDS_NAMED: &[&str] = &[];
 
-static SOURCES: LazyLock<Sources> = LazyLock::new(|| Sources::read(root()));
+/// The crates of the workspace and Python's, by name: `nsim` is the command line.
+static CRATES: LazyLock<BTreeMap<String, Sources>> = LazyLock::new(|| {
+    let mut folders: Vec<PathBuf> =
+        fs::read_dir(root().join("crates")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    folders.push(root().join("python"));
+    let named = |folder: &PathBuf| folder.file_name().unwrap().to_string_lossy().into_owned();
+    let mut crates: BTreeMap<String, Sources> =
+        folders.iter().map(|folder| (named(folder), Sources::read(folder))).collect();
+    crates.insert("nsim".to_string(), Sources::read(root()));
+    crates
+});
+
+/// The files of all crates, by their path in the repository.
+fn sources() -> impl Iterator<Item = (String, &'static SourceFile)> {
+    CRATES.iter().flat_map(|(name, sources)| {
+        let folder = match name.as_str() {
+            "nsim" => String::new(),
+            "python" => "python/".to_string(),
+            name => format!("crates/{name}/"),
+        };
+        sources.files.iter().map(move |file| (format!("{folder}{}", file.path), file))
+    })
+}
+
+/// The crates of the workspace that a crate names in its manifest, those for tests only left out.
+fn uses(name: &str) -> BTreeSet<String> {
+    let manifest = fs::read_to_string(root().join(format!("crates/{name}/Cargo.toml"))).unwrap();
+    let dependencies = manifest.split("[dependencies]").nth(1).unwrap().split("\n[").next().unwrap().to_string();
+    let named = |line: &str| Some(line.strip_prefix("nsim-")?.split(['.', ' ']).next()?.to_string());
+    dependencies.lines().filter_map(named).collect()
+}
+
+/// All crates that a crate reaches.
+fn reach(name: &str) -> BTreeSet<String> {
+    let mut reached = BTreeSet::new();
+    let mut next: Vec<String> = uses(name).into_iter().collect();
+    while let Some(name) = next.pop() {
+        if reached.insert(name.clone()) {
+            next.extend(uses(&name));
+        }
+    }
+    reached
+}
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -127,181 +154,73 @@ fn every_kind_of_path_is_read() {
 }
 
 #[test]
-fn imports_go_downward_only() {
-    let layer = |room: &str| LAYERS.iter().position(|rooms| rooms.contains(&room));
-    let mut violations: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for file in &SOURCES.files {
-        let Some(room) = file.module.first() else { continue };
-        let mut wrong = |what| violations.entry(file.path.clone()).or_default().push(what);
-        let Some(here) = layer(room) else {
-            wrong(format!("{room} is in no layer"));
-            continue;
-        };
-        for import in &file.imports {
-            let Some(other) = import.path.first() else { continue };
-            match layer(other) {
-                Some(there) if there < here || other == room => {}
-                Some(_) => wrong(format!("line {} names {}", import.line, import.path.join("::"))),
-                None => wrong(format!("line {} names {other}, which is in no layer", import.line)),
-            }
-        }
-    }
-    hold("a room names itself and rooms of lower layers only", &violations, &[]);
+fn what_is_compared_with_nsim_s_own_work_shares_no_crate_with_it() {
+    let only = |names: &[&str]| names.iter().map(ToString::to_string).collect::<BTreeSet<_>>();
+    assert_eq!(reach("golden"), only(&["ir"]), "the interpreter is written from docs/semantics.md alone");
+    assert_eq!(reach("check"), only(&["dynamics", "ir"]), "the checker takes no stage of the compiler");
+    assert!(reach("study").is_superset(&only(&["check", "compile", "golden", "ir", "machine"])), "manifests are read");
+}
+
+#[test]
+fn crates_are_few_and_none_is_large() {
+    let workspace = CRATES.keys().filter(|name| *name != "python").count();
+    assert!((8..=MOST_CRATES).contains(&workspace), "{workspace} crates");
+    let lines = |sources: &Sources| sources.files.iter().map(|file| file.text.lines().count()).sum::<usize>();
+    let large = CRATES.iter().map(|(name, sources)| (name, lines(sources))).filter(|(_, lines)| *lines > MOST_LINES);
+    let violations = large.map(|(name, lines)| (name.clone(), vec![format!("{lines} lines")])).collect();
+    hold("a crate has at most 13,000 lines", &violations, LARGE);
 }
 
 #[test]
 fn no_file_depends_on_itself() {
-    let edges = SOURCES.graph();
-    let mut graph = DiGraph::<usize, ()>::new();
-    let nodes: Vec<_> = (0..edges.len()).map(|file| graph.add_node(file)).collect();
-    for (from, to) in edges.iter().enumerate().flat_map(|(from, edges)| edges.keys().map(move |to| (from, *to))) {
-        graph.add_edge(nodes[from], nodes[to], ());
-    }
     let mut wrong = Vec::new();
-    let mut excused: BTreeMap<&str, bool> =
-        CYCLES.iter().flat_map(|cycle| cycle.iter().map(|file| (*file, false))).collect();
-    for component in tarjan_scc(&graph).into_iter().filter(|component| component.len() > 1) {
-        let cycle: BTreeSet<usize> = component.into_iter().map(|node| graph[node]).collect();
-        let paths: BTreeSet<&str> = cycle.iter().map(|&file| SOURCES.files[file].path.as_str()).collect();
-        if CYCLES.iter().any(|known| paths.iter().all(|path| known.contains(path))) {
-            excused.extend(paths.iter().map(|path| (*path, true)));
-            continue;
+    for (name, sources) in &*CRATES {
+        let edges = sources.graph();
+        let mut graph = DiGraph::<usize, ()>::new();
+        let nodes: Vec<_> = (0..edges.len()).map(|file| graph.add_node(file)).collect();
+        for (from, to) in edges.iter().enumerate().flat_map(|(from, edges)| edges.keys().map(move |to| (from, *to))) {
+            graph.add_edge(nodes[from], nodes[to], ());
         }
-        wrong.push(format!("a cycle of {} files:", cycle.len()));
-        for &from in &cycle {
-            for (to, names) in edges[from].iter().filter(|(to, _)| cycle.contains(to)) {
-                let [from, to] = [from, *to].map(|file| &SOURCES.files[file].path);
-                wrong.push(format!("  {from} -> {to}: {}", names.join(", ")));
+        for component in tarjan_scc(&graph).into_iter().filter(|component| component.len() > 1) {
+            let cycle: BTreeSet<usize> = component.into_iter().map(|node| graph[node]).collect();
+            wrong.push(format!("{name}: a cycle of {} files:", cycle.len()));
+            for &from in &cycle {
+                for (to, names) in edges[from].iter().filter(|(to, _)| cycle.contains(to)) {
+                    let [from, to] = [from, *to].map(|file| &sources.files[file].path);
+                    wrong.push(format!("  {from} -> {to}: {}", names.join(", ")));
+                }
             }
         }
     }
-    let unneeded = excused.into_iter().filter(|(_, needed)| !needed);
-    wrong.extend(unneeded.map(|(file, _)| format!("{file}: is named as an exception and is in no cycle")));
     assert!(wrong.is_empty(), "files depend on each other without cycles:\n{}", wrong.join("\n"));
 }
 
-/// What the interpreter may import: types that hold data, the engine's interface, and `rng`, which defines random synapses.
-const GOLDEN_IMPORTS: [&str; 21] = [
-    "base::fixed::Decay",
-    "base::id::ChannelId",
-    "base::id::CompartmentId",
-    "base::id::Id",
-    "base::id::IdVec",
-    "base::rng",
-    "desc::network::Semantics",
-    "desc::network::ThresholdTest",
-    "desc::neurons::NeuronKind",
-    "ir::activity::Overflow",
-    "ir::activity::Totals",
-    "ir::graph::Window",
-    "ir::quantised::Neuron",
-    "ir::quantised::Projection",
-    "ir::quantised::Quantised",
-    "ir::quantised::Reset",
-    "ir::quantised::SpikeSource",
-    "ir::quantised::Units",
-    "ir::quantised::connectivity::Connectivity",
-    "ir::source_counts::LeftField",
-    "ir::spikes::Engine",
-];
-/// Functions of the rooms below that the interpreter may call: they return stored data and decide nothing.
-const GOLDEN_CALLS: &[&str] = &["channels", "first_compartment", "below", "parts", "populations", "projections"];
-/// Names that collections of the standard library have too.
-const COLLECTIONS: &[&str] = &[
-    "any", "clear", "default", "from", "get", "ids", "index", "iter", "iter_mut", "len", "map", "max", "min", "new",
-    "push", "try_from",
-];
-
-/// What the checkers may take from the compiler: formulas of the hardware's formats, and the form of a sampled core; no
-/// counter, and no stage.
-const CHECKER_IMPORTS: [&str; 5] = [
-    "compile::check",
-    "compile::emit::sample::SampledCore",
-    "compile::resources::axon_sharing",
-    "compile::resources::exact::profiles",
-    "compile::resources::packing",
-];
-
-/// Whether a path is in a list, or within what the list names.
-fn within(path: &str, allowed: &[&str]) -> bool {
-    allowed
-        .iter()
-        .any(|allowed| path.strip_prefix(allowed).is_some_and(|rest| rest.is_empty() || rest.starts_with("::")))
-}
-
-/// The paths that files take from elsewhere in the crate, tests left out, with file and line.
-fn taken(by: impl Fn(&[String]) -> bool) -> Vec<(String, String)> {
-    let files = SOURCES.files.iter().filter(|file| by(&file.module));
-    files
-        .flat_map(|file| {
-            let imports = file.imports.iter().filter(|import| !import.test);
-            imports.map(|import| (import.path.join("::"), format!("{}:{}", file.path, import.line)))
-        })
-        .collect()
-}
-
 #[test]
-fn the_interpreter_shares_no_rule_with_what_it_is_compared_with() {
-    let golden = |module: &[String]| module.first().is_some_and(|room| room == "golden");
-    let taken = taken(golden);
-    assert!(
-        taken.iter().any(|(path, _)| path == "ir::quantised::connectivity::Connectivity"),
-        "its imports are read: {taken:?}"
-    );
-    let foreign = taken.iter().filter(|(path, _)| !within(path, &["golden"]) && !within(path, &GOLDEN_IMPORTS));
-    let mut wrong: Vec<String> = foreign.map(|(path, place)| format!("{place} names {path}")).collect();
-    let below = |file: &&source::SourceFile| {
-        !file.test && file.module.first().is_some_and(|r| r == "base" || r == "desc" || r == "ir")
-    };
-    let functions: BTreeSet<&str> = SOURCES
-        .files
-        .iter()
-        .filter(below)
-        .flat_map(|file| file.functions.iter().map(|(name, _)| name.as_str()))
-        .collect();
-    assert!(["falls_on", "for_each_from", "scaled"].iter().all(|rule| functions.contains(rule)), "the rules are read");
-    for file in SOURCES.files.iter().filter(|file| golden(&file.module)) {
-        let own: BTreeSet<&str> = file.functions.iter().map(|(name, _)| name.as_str()).collect();
-        for (name, line) in &file.calls {
-            let name = name.as_str();
-            let known = [GOLDEN_CALLS, COLLECTIONS].concat().contains(&name) || own.contains(name);
-            if functions.contains(name) && !known {
-                wrong.push(format!("{}:{line} calls {name}", file.path));
-            }
-        }
-    }
-    assert!(wrong.is_empty(), "the interpreter takes plain data only:\n{}", wrong.join("\n"));
-}
-
-#[test]
-fn the_checkers_use_no_stage_of_the_compiler() {
-    let checkers = |module: &[String]| module.len() > 1 && module[0] == "compile" && module[1] == "check";
-    let foreign = |(path, _): &(String, String)| path.starts_with("compile::") && !within(path, &CHECKER_IMPORTS);
-    let wrong: Vec<String> =
-        taken(checkers).into_iter().filter(foreign).map(|(path, place)| format!("{place} names {path}")).collect();
-    assert!(wrong.is_empty(), "a checker shares nothing with what it checks:\n{}", wrong.join("\n"));
-}
-
-#[test]
-fn every_file_is_part_of_the_crate_and_says_what_it_is() {
-    let read: BTreeSet<&str> = SOURCES.files.iter().map(|file| file.path.as_str()).collect();
+fn every_file_is_part_of_its_crate_and_says_what_it_is() {
+    let read: BTreeSet<String> = sources().map(|(path, _)| path).collect();
     let mut found = Vec::new();
-    files(&root().join("src"), "rs", &mut found);
+    for folder in ["src", "crates", "python/src"] {
+        files(&root().join(folder), "rs", &mut found);
+    }
     let paths = found.iter().map(|path| path.strip_prefix(root()).unwrap().to_string_lossy().into_owned());
     let mut wrong: Vec<String> = paths
-        .filter(|path| !read.contains(path.as_str()))
+        .filter(|path| !read.contains(path) && !path.ends_with("/build.rs"))
         .map(|path| format!("{path}: no module declares it"))
         .collect();
-    let undocumented = SOURCES.files.iter().filter(|file| !file.text.starts_with("//! "));
-    wrong.extend(undocumented.map(|file| format!("{}: has no module doc", file.path)));
+    let undocumented = sources().filter(|(_, file)| !file.text.starts_with("//! "));
+    wrong.extend(undocumented.map(|(path, _)| format!("{path}: has no module doc")));
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[test]
 fn folders_hold_at_most_a_dozen_files() {
-    let mut folders: BTreeMap<String, Vec<&str>> = BTreeMap::new();
-    for file in SOURCES.files.iter().filter(|file| !file.path.ends_with("/mod.rs")) {
-        folders.entry(file.path.rsplit_once('/').unwrap().0.to_string()).or_default().push(&file.path);
+    let mut folders: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    // A crate's own folder holds as many as the crate has subjects.
+    for (path, _) in sources().filter(|(path, _)| !path.ends_with("/mod.rs")) {
+        let folder = path.rsplit_once('/').unwrap().0.to_string();
+        if !folder.ends_with("/src") && folder != "src" {
+            folders.entry(folder).or_default().push(path);
+        }
     }
     folders.retain(|_, files| files.len() > MOST_FILES);
     let violations =
@@ -312,9 +231,9 @@ fn folders_hold_at_most_a_dozen_files() {
 #[test]
 fn functions_say_what_they_return() {
     let mut violations: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for file in &SOURCES.files {
+    for (path, file) in sources() {
         for (_, line) in file.functions.iter().filter(|(name, _)| name == "of") {
-            violations.entry(file.path.clone()).or_default().push(format!("line {line}: a function called `of`"));
+            violations.entry(path.clone()).or_default().push(format!("line {line}: a function called `of`"));
         }
     }
     hold("`of` alone is no name", &violations, &[]);
@@ -329,10 +248,10 @@ fn holds_number(text: &str, number: &str) -> bool {
 #[test]
 fn no_published_deployment_is_in_the_code() {
     let mut violations: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for file in &SOURCES.files {
+    for (path, file) in sources() {
         for (line, text) in file.product_lines() {
             if ["594", "624"].iter().any(|number| holds_number(text, number)) {
-                violations.entry(file.path.clone()).or_default().push(format!("line {line}: {}", text.trim()));
+                violations.entry(path.clone()).or_default().push(format!("line {line}: {}", text.trim()));
             }
         }
     }
@@ -351,12 +270,12 @@ fn boards_are_named_in_their_files_only() {
         names.extend((stem != "tiny").then_some(stem));
     }
     let mut violations: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for file in SOURCES.files.iter().filter(|file| file.module.first().is_some_and(|r| BOARDLESS.contains(&r.as_str())))
-    {
+    let in_boardless = |path: &str| BOARDLESS.iter().any(|name| path.starts_with(&format!("crates/{name}/")));
+    for (path, file) in sources().filter(|(path, _)| in_boardless(path)) {
         for (line, text) in file.product_lines() {
             let lower = text.to_lowercase();
             if names.iter().any(|name| lower.contains(name)) {
-                violations.entry(file.path.clone()).or_default().push(format!("line {line}: {}", text.trim()));
+                violations.entry(path.clone()).or_default().push(format!("line {line}: {}", text.trim()));
             }
         }
     }
@@ -364,8 +283,8 @@ fn boards_are_named_in_their_files_only() {
 }
 
 /// Folders whose files documents name by their path.
-const NAMED_FOLDERS: [&str; 9] =
-    ["src/", "tests/", "docs/", "models/", "mapping/", "benches/", "examples/", ".github/", ".ci/"];
+const NAMED_FOLDERS: [&str; 10] =
+    ["src/", "crates/", "tests/", "docs/", "models/", "mapping/", "benches/", "examples/", ".github/", ".ci/"];
 
 /// Paths in the repositories of other projects, which comments cite.
 const CITED: [&str; 2] = ["docs/source/primitives.md", "docs/spec.md"];
@@ -400,13 +319,13 @@ fn paths_in_documents_exist() {
             }
         }
     }
-    for file in &SOURCES.files {
+    for (place, file) in sources() {
         for (line, text) in (1..).zip(file.text.lines()).filter(|(_, text)| text.trim_start().starts_with("//")) {
             let ours = |path: &&str| {
                 !CITED.contains(path) && [".rs", ".md", ".ron", ".sh", "/"].iter().any(|e| path.ends_with(e))
             };
             let absent = quoted_paths(text).filter(ours).filter(|path| !root().join(path).exists());
-            wrong.extend(absent.map(|path| format!("{}:{line} names {path}, which does not exist", file.path)));
+            wrong.extend(absent.map(|path| format!("{place}:{line} names {path}, which does not exist")));
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));

@@ -1,4 +1,4 @@
-//! The crate's source files as a graph: which file names something of which other file.
+//! A crate's source files as a graph: which file names something of which other file.
 //!
 //! Input: `src`, from `lib.rs` and `main.rs` along the `mod` declarations. Output: every [`SourceFile`] with the paths that its
 //! code names, resolved to files. Read are `use` trees, paths in expressions, types, patterns and attributes' strings, and
@@ -40,13 +40,11 @@ pub struct SourceFile {
     pub imports: Vec<Import>,
     /// Names of functions, and their lines.
     pub functions: Vec<(String, usize)>,
-    /// Names of methods and associated functions that are called, and the lines; test code left out.
-    pub calls: Vec<(String, usize)>,
 }
 
 impl SourceFile {
     fn forget(&mut self) {
-        (self.test_lines, self.imports, self.functions, self.calls) = Default::default();
+        (self.test_lines, self.imports, self.functions) = Default::default();
     }
 
     /// The lines that are not for tests only, with their numbers.
@@ -67,7 +65,10 @@ impl Sources {
     pub fn read(root: &Path) -> Sources {
         let mut files = Vec::new();
         read_module(root, &root.join("src/lib.rs"), Vec::new(), false, &mut files);
-        read_module(root, &root.join("src/main.rs"), vec!["main".to_string()], false, &mut files);
+        let program = root.join("src/main.rs");
+        if program.is_file() {
+            read_module(root, &program, vec!["main".to_string()], false, &mut files);
+        }
         files.sort_by(|a, b| a.0.path.cmp(&b.0.path));
         let (mut files, syntax): (Vec<SourceFile>, Vec<syn::File>) = files.into_iter().unzip();
         let by_module: BTreeMap<_, _> = files.iter().enumerate().map(|(i, file)| (file.module.clone(), i)).collect();
@@ -126,8 +127,8 @@ fn read_module(root: &Path, path: &Path, module: Vec<String>, test: bool, files:
     };
     declared(root, &folder, &module, &syntax.items, test, files);
     let path = path.strip_prefix(root).unwrap().to_string_lossy().into_owned();
-    let (test_lines, imports, functions, calls) = Default::default();
-    let file = SourceFile { path, module, text, test, test_lines, imports, functions, calls };
+    let (test_lines, imports, functions) = Default::default();
+    let file = SourceFile { path, module, text, test, test_lines, imports, functions };
     files.push((file, syntax));
 }
 
@@ -333,20 +334,6 @@ impl<'ast> Visit<'ast> for Reader<'_> {
     fn visit_signature(&mut self, node: &'ast syn::Signature) {
         self.file.functions.push((node.ident.to_string(), node.ident.span().start().line));
         visit::visit_signature(self, node);
-    }
-
-    fn visit_expr_method_call(&mut self, node: &'ast syn::ExprMethodCall) {
-        if !self.test {
-            self.file.calls.push((node.method.to_string(), node.method.span().start().line));
-        }
-        visit::visit_expr_method_call(self, node);
-    }
-
-    fn visit_expr_path(&mut self, node: &'ast syn::ExprPath) {
-        if let (false, Some(last), 2..) = (self.test, node.path.segments.last(), node.path.segments.len()) {
-            self.file.calls.push((last.ident.to_string(), last.ident.span().start().line));
-        }
-        visit::visit_expr_path(self, node);
     }
 
     fn visit_visibility(&mut self, _: &'ast syn::Visibility) {}

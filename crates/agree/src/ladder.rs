@@ -14,6 +14,7 @@ use petgraph::graph::NodeIndex;
 
 use nsim_dynamics as neuron;
 use nsim_dynamics::RealForm;
+use nsim_dynamics::arithmetic::falls_on;
 use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::Id;
@@ -465,7 +466,7 @@ impl Ladder {
             let slot = now as usize % self.slots;
             for (index, state) in states.iter_mut().enumerate() {
                 let Some(state) = state else { continue };
-                if self.reset.is_some_and(|reset| reset.falls_on(now, state.start_step)) {
+                if self.reset.is_some_and(|reset| falls_on(reset, now, state.start_step)) {
                     state.clear();
                 }
                 let sums = &mut arrivals[index][slot];

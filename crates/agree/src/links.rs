@@ -3,6 +3,8 @@
 //! Input: spikes of a population. Output: weights added to what arrives at another. Delayed copies between the same two
 //! populations are one link, whose weights from one source follow one another, so that a spike reads memory in order.
 
+use nsim_dynamics::arithmetic::scaled;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::quantised;
 use nsim_reference::synapses::Synapses;
 
@@ -84,7 +86,7 @@ pub(super) fn integer_synapses(projection: &quantised::Projection, sources: u32,
     for source in 0..sources {
         projection.connectivity.for_each_from(source, |target, weight| {
             if weight != 0 {
-                synapses.push((source, target, f64::from(projection.format.scaled(weight)) * factor));
+                synapses.push((source, target, f64::from(scaled(projection.format, weight)) * factor));
             }
         });
     }

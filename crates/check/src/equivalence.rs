@@ -34,6 +34,7 @@ use rayon::prelude::*;
 
 use crate::repeats;
 use crate::repeats::messages_of;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::{Delay, SignMode};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, PopulationId};
 use nsim_ir::program::{AxonTarget, Compartment, Compartments, Program};

@@ -22,6 +22,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
+use nsim_dynamics::arithmetic::scaled;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId};
 use nsim_ir::quantised::connectivity::SynapseFormat;
@@ -172,7 +174,7 @@ impl Walk<'_> {
                 if target < own {
                     found.push((target, projection.format, weight, arrives));
                 } else {
-                    relays.push((target, projection.format.scaled(weight), arrives + 1));
+                    relays.push((target, scaled(projection.format, weight), arrives + 1));
                 }
             });
         }

@@ -22,6 +22,7 @@ use rayon::prelude::*;
 
 use crate::equivalence::SynapseCode;
 use crate::verify::{is_long, verify_tables};
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
 use nsim_ir::graph::Window;
 use nsim_ir::partition::Partition;

@@ -3,6 +3,7 @@
 use crate::emit::route::route;
 use crate::{Options, compile};
 use nsim_check::equivalence::{check, check_copies};
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::CompartmentId;
 use nsim_ir::program::{Parts, Program};
 use nsim_ir::quantised::{Quantised, Units};

@@ -7,10 +7,12 @@
 //!
 //! To add a kind: its file, [`kind`] and [`update`] here, its table in `desc::neurons`, its arithmetic in `golden`.
 
+pub mod arithmetic;
 mod integrate_fire;
 mod kind;
 mod loihi;
 mod soft_reset;
+pub mod synapses;
 
 pub use kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers, StateField};
 

@@ -30,10 +30,13 @@
 use std::num::NonZeroU32;
 
 use super::kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers, StateField};
+use crate::arithmetic::clip;
+use crate::arithmetic::decay;
+use crate::arithmetic::wrap;
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::{
     BiasExponent, BiasMantissa, DECAY_ONE, Decay, OutOfRange, Payload, Q_BITS, Refractory, ThresholdMantissa, UV_BITS,
-    VmaxExponent, VminExponent, WEIGHT_SHIFT, clip, decay, wrap,
+    VmaxExponent, VminExponent, WEIGHT_SHIFT,
 };
 use nsim_ir::graph::NeuronParameters;
 use nsim_ir::neurons::NeuronKind;

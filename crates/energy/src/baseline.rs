@@ -5,6 +5,7 @@
 use crate::published::baseline::{BaselineFile, DenseLayer};
 use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
 use nsim_cost::job::Mode;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::hardware::constants::Status;

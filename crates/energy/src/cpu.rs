@@ -14,6 +14,8 @@ use ndarray::{Array1, Array2, s};
 
 use crate::measure::quantile;
 use nsim_dynamics::RealForm;
+use nsim_dynamics::arithmetic::scaled;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{Id, IdVec, PopulationId};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Quantised, Units};
@@ -145,7 +147,7 @@ impl Dense {
                 let factor = network.populations()[projection.source].spike_factor() as f32;
                 for from in 0..size(projection.source) {
                     projection.connectivity.for_each_from(from, |to, weight| {
-                        weights[[from as usize, to as usize]] += projection.format.scaled(weight) as f32 * factor;
+                        weights[[from as usize, to as usize]] += scaled(projection.format, weight) as f32 * factor;
                     });
                 }
                 let input = network.populations()[projection.source].first_compartment().is_none();

@@ -20,6 +20,7 @@ use std::fmt::Write;
 use nsim_compile::Compiled;
 use nsim_cost::CostTable;
 use nsim_dynamics::RealForm;
+use nsim_dynamics::arithmetic::scaled;
 use nsim_ir::arithmetic::ThresholdTest;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CoreId, Id};
@@ -372,7 +373,7 @@ impl Export<'_> {
         let image = &self.program().cores()[message.core];
         for synapse in image.inputs.get(usize::from(message.axon)).synapses() {
             let format = image.formats[usize::from(synapse.format)].synapse;
-            let weight = f64::from(format.scaled(synapse.weight)) / 64.0;
+            let weight = f64::from(scaled(format, synapse.weight)) / 64.0;
             let _ = writeln!(out, "    - {from} -> c{}.{}: [weight: {weight:?}]", message.core.0, synapse.slot);
         }
     }

@@ -600,7 +600,9 @@ fn over_window(window: &Window, (y, x): (u32, u32), mut f: impl FnMut((u32, u32)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent, scaled_weight};
+    use nsim_dynamics::arithmetic::scaled_weight;
+    use nsim_dynamics::synapses::Enumerate;
+    use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
     use nsim_ir::base::id::PopulationId;
     use nsim_ir::quantised::connectivity::SynapseFormat;
 

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::csr::Csr;
-use crate::base::fixed::{Delay, Payload, WEIGHT_SHIFT};
+use crate::base::fixed::{Delay, Payload};
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::base::shared::Shared;
 use crate::dealt::Dealt;
@@ -44,16 +44,6 @@ pub struct Synapse {
     pub format: u8,
     /// Delay field.
     pub delay: Delay,
-}
-
-impl Synapse {
-    /// What a binary spike adds over it, in units of 64, on a core with these formats. It fits 16 bits: |w| <= 256 and the
-    /// exponent is at most 7.
-    #[inline]
-    #[must_use]
-    pub fn units(&self, formats: &[CoreFormat]) -> i32 {
-        formats[usize::from(self.format)].synapse.scaled(self.weight) >> WEIGHT_SHIFT
-    }
 }
 
 /// A synapse format of a core.

@@ -13,6 +13,7 @@
 //! sources, 16 copies) the coincidence of the layer `sight` rises from 0.859 to 0.926, with real weights it is 0.934.
 
 use nsim_dynamics::RealForm;
+use nsim_dynamics::arithmetic::scaled;
 use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph;
 use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind};
@@ -139,7 +140,7 @@ fn of_source_population(
                 let mantissa = (wanted / unit).round_ties_even() * f64::from(step);
                 let mantissa = mantissa.clamp(f64::from(low), f64::from(high)) as i16;
                 all[order][place] = mantissa;
-                e_u += weight - f64::from(format.scaled(mantissa));
+                e_u += weight - f64::from(scaled(format, mantissa));
             }
         }
     }
@@ -175,6 +176,7 @@ mod tests {
     use crate::analytic::Fit;
     use crate::exponents::Detail;
     use crate::quantise::{quantise_with, scales};
+    use nsim_dynamics::synapses::Enumerate;
     use nsim_files::lower::lower;
     use nsim_files::network::{Network, NetworkFile};
     use nsim_ir::base::diagnostic::SourceText;
@@ -205,11 +207,11 @@ mod tests {
         let mut coarsest: f64 = 0.0;
         for projection in network.projections() {
             let format = projection.format;
-            coarsest = coarsest.max(f64::from(format.scaled(format.sign.step(format.bits))));
+            coarsest = coarsest.max(f64::from(scaled(format, format.sign.step(format.bits))));
             for source in 0..40 {
                 projection.connectivity.for_each_from(source, |target, weight| {
                     left[(source * 3 + target) as usize] +=
-                        f64::from(format.scaled(weight)) * keep(projection.delay.get().into());
+                        f64::from(scaled(format, weight)) * keep(projection.delay.get().into());
                 });
             }
         }

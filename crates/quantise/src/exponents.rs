@@ -260,6 +260,7 @@ mod tests {
 
     use super::*;
     use crate::quantise::quantise;
+    use nsim_dynamics::synapses::Enumerate;
     use nsim_files::lower::lower;
     use nsim_files::network::{Network, NetworkFile};
     use nsim_ir::base::diagnostic::SourceText;

@@ -593,6 +593,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
+    use nsim_dynamics::synapses::Enumerate;
     use nsim_files::lower::lower;
     use nsim_files::network::{Network, NetworkFile};
     use nsim_ir::base::diagnostic::SourceText;
@@ -645,8 +646,10 @@ mod tests {
         let mut scaled = [[0; 2]; 2];
         for projection in q.projections() {
             for source in 0..2 {
-                let at =
-                    |target: u32, weight| scaled[target as usize][source as usize] += projection.format.scaled(weight);
+                let at = |target: u32, weight| {
+                    scaled[target as usize][source as usize] +=
+                        nsim_dynamics::arithmetic::scaled(projection.format, weight)
+                };
                 projection.connectivity.for_each_from(source, at);
             }
         }

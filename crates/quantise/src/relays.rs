@@ -26,6 +26,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::fixed::{Delay, OutOfRange, SignMode, ThresholdMantissa, WeightBits, WeightExponent};

@@ -15,6 +15,7 @@ use super::srm::{self, Srm};
 use super::synapses::Synapses;
 use nsim_dynamics as neuron;
 use nsim_dynamics::RealForm;
+use nsim_dynamics::arithmetic::falls_on;
 use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::id::{ChannelId, CompartmentId};
@@ -345,7 +346,7 @@ impl<F: Real> Engine for Reference<'_, F> {
             let spikes = &mut self.spikes;
             let spike = |neuron: u32| spikes.push(CompartmentId(population.first + neuron));
             let held = self.step < population.start_step;
-            let reset = model.reset.is_some_and(|reset| reset.falls_on(self.step, population.start_step));
+            let reset = model.reset.is_some_and(|reset| falls_on(reset, self.step, population.start_step));
             match &mut self.units[index] {
                 Units::Input => continue,
                 Units::Srm(srm) => {

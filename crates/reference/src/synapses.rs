@@ -1,5 +1,6 @@
 //! Real synapses, enumerated from their source.
 
+use nsim_dynamics::synapses::for_each_position;
 use nsim_ir::base::rng;
 use nsim_ir::graph::{Projection, ProjectionKind, Window};
 use nsim_ir::tensor::Tensor;
@@ -121,7 +122,7 @@ impl<F: Real> Synapses<F> {
                 let group = channel / per_in;
                 for out in group * per_out..(group + 1) * per_out {
                     let base = (out * per_in + channel % per_in) * kh * kw;
-                    window.for_each_position(source, |y, x, ky, kx| {
+                    for_each_position(window, source, |y, x, ky, kx| {
                         let target = (out * window.target.1 + y) * window.target.2 + x;
                         each(target, kernel[(base + ky * kw + kx) as usize]);
                     });
@@ -129,7 +130,7 @@ impl<F: Real> Synapses<F> {
             }
             Synapses::Pool { window, weight } => {
                 let channel = source / (window.source.1 * window.source.2);
-                window.for_each_position(source, |y, x, _, _| {
+                for_each_position(window, source, |y, x, _, _| {
                     each((channel * window.target.1 + y) * window.target.2 + x, *weight);
                 });
             }

@@ -259,6 +259,7 @@ impl<'e> Decision<'e> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nsim_dynamics::arithmetic::falls_on;
     use nsim_ir::base::rng;
 
     fn margin(margin: u32) -> Rule {
@@ -367,7 +368,7 @@ mod tests {
     /// What a compartment may do, told by looking back at its own spikes instead of by formula.
     fn may_spike(pace: &Pace, output: usize, train: &[u32], step: u32) -> bool {
         let Some(&last) = train.last() else { return step >= pace.start };
-        let was_reset = pace.reset.is_some_and(|(reset, from)| (last + 1..=step).any(|s| reset.falls_on(s, from)));
+        let was_reset = pace.reset.is_some_and(|(reset, from)| (last + 1..=step).any(|s| falls_on(reset, s, from)));
         let over = pace.gaps[output].is_some_and(|gap| step - last >= gap.get());
         step >= pace.start && (was_reset || over)
     }

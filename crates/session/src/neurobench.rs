@@ -18,6 +18,7 @@ use std::ops::Range;
 
 use super::steps::groups;
 use super::{Keep, Outcome, Probe, Quantity};
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::Id;
 use nsim_ir::quantised::connectivity::Connectivity;

@@ -339,7 +339,7 @@ impl Loihi {
                 registers[j] = now;
                 // The register reads 0 at a spike; what crossed the threshold is u plus what v had left.
                 let v = if effect.spiked {
-                    nsim_ir::base::fixed::decay(i64::from(was.v), f.neuron.dv) as i32 + now.u + f.bias
+                    nsim_dynamics::arithmetic::decay(i64::from(was.v), f.neuron.dv) as i32 + now.u + f.bias
                 } else {
                     now.v
                 };

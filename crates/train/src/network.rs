@@ -6,7 +6,8 @@
 use super::cells::{Cells, Spiking, Trace};
 use super::raster::Raster;
 use super::surrogate::Surrogate;
-use nsim_ir::base::fixed::{WeightExponent, scaled_weight};
+use nsim_dynamics::arithmetic::scaled_weight;
+use nsim_ir::base::fixed::WeightExponent;
 
 /// Where a layer's input comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

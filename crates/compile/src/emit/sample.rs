@@ -11,6 +11,7 @@ use crate::emit::route::Tables;
 use crate::resources::by_core::Key;
 use crate::resources::fan_in::{FanIn, first_source};
 use nsim_check::sampled::SampledCore;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, ProjectionId};
 use nsim_ir::partition::Partition;

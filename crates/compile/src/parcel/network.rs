@@ -18,6 +18,7 @@ use std::sync::Arc;
 
 use crate::error::CompileError;
 use crate::parcel::words::{Damaged, Reader, Writer};
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use nsim_ir::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, OutOfRange, Payload, Refractory, SignMode, ThresholdMantissa,

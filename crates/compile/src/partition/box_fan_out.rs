@@ -304,7 +304,7 @@ mod tests {
             let axis = WindowAxis::columns(&window);
             for s in 0..source {
                 let mut meant = Vec::new();
-                window.for_each_position(s, |_, x, _, _| meant.push(x));
+                nsim_dynamics::synapses::for_each_position(&window, s, |_, x, _, _| meant.push(x));
                 assert_eq!(axis.reached(s).collect::<Vec<_>>(), meant);
             }
         }

@@ -16,6 +16,7 @@
 use crate::resources::fan_in::first_source;
 use crate::resources::packing;
 use crate::resources::packing::{Group, Widths};
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::firing_rates::Rates;

@@ -47,6 +47,7 @@ use crate::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::resources::incremental::Filling;
 use nsim_cost::constants::CostTable;
 use nsim_cost::model::core_time;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::activity::CoreCounts;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::base::rng;

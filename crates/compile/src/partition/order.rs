@@ -25,6 +25,7 @@ use crate::resources::fan_out::{
     ALONE, FanOut, MembersOfCores, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core,
 };
 use crate::resources::incremental::{Filling, Newcomer};
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::CoreUsage;

@@ -7,6 +7,7 @@
 
 use std::collections::HashSet;
 
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::base::rng;
 use nsim_ir::quantised::Quantised;

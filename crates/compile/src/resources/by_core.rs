@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use crate::resources::fan_in::first_source;
 use crate::resources::formats::Formats;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, ProjectionId};
 use nsim_ir::partition::Seat;
 use nsim_ir::quantised::{Projection, Quantised};

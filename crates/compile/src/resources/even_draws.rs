@@ -20,6 +20,7 @@ use std::ops::Range;
 
 use crate::reason::Reason;
 use crate::resources::axon_sharing::Places;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{PopulationId, ProjectionId};
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::connectivity::Connectivity;

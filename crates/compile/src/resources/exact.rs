@@ -13,6 +13,7 @@ use crate::resources::fan_out;
 use crate::resources::fan_out::{FanOut, MembersOfCores, SharedPlaces};
 use crate::resources::formats::Formats;
 use crate::resources::packing::{Group, Widths};
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::partition::{CoreUsage, Seat};

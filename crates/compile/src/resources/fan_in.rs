@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::graph::Window;

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use crate::resources::axon_sharing::Places;
 use crate::resources::fan_in::{bundle, first_source};
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::Rates;

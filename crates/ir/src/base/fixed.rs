@@ -1,8 +1,7 @@
-//! Integers with the widths of the hardware's fields, and the operations by which the hardware narrows them.
+//! Integers with the widths of the hardware's fields.
 //!
 //! Input: any integer. Output: a value that is known to fit its field, or [`OutOfRange`] with the value and the limits.
-//! Operations are named after what they do at the edge: [`wrap`] (two's complement), [`clip`] (saturate), [`decay`]
-//! (multiply and round toward zero). Equation numbers refer to `docs/semantics.md`.
+//! What the hardware computes with them is in `nsim_dynamics`.
 
 use std::fmt;
 
@@ -145,52 +144,6 @@ pub const THRESHOLD_SHIFT: u32 = 6;
 /// One in the fixed-point format of a decay.
 pub const DECAY_ONE: i64 = 4096;
 
-/// Two's complement wrap of `x` to `bits` bits and a sign: the result is in `-2^bits..2^bits`.
-#[inline]
-#[must_use]
-pub const fn wrap(x: i64, bits: u32) -> i64 {
-    let shift = 63 - bits;
-    (x << shift) >> shift
-}
-
-/// `x` held within `low..=high`.
-#[inline]
-#[must_use]
-pub const fn clip(x: i64, low: i64, high: i64) -> i64 {
-    if x < low {
-        low
-    } else if x > high {
-        high
-    } else {
-        x
-    }
-}
-
-/// Equation (3): `sign(x) * ((|x| * (4096 - d)) >> 12)`, which rounds toward zero. Exact for any 32-bit `x`.
-/// Source: recorded chip voltages (slayerPytorch `test/test_files/Loihi`), 0 differences over four traces.
-#[inline]
-#[must_use]
-pub const fn decay(x: i64, d: Decay) -> i64 {
-    let kept = (x.abs() * (DECAY_ONE - d.0 as i64)) >> 12;
-    if x < 0 { -kept } else { kept }
-}
-
-/// Equation (1): what one spike over a synapse of weight `w` adds to the accumulator: `w * 2^(6 + exponent)`. For a
-/// negative exponent each weight is rounded toward zero to a multiple of 64 (nengo-loihi `discretize.py`).
-#[inline]
-#[must_use]
-pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {
-    let e = exponent.0;
-    let w = w as i32;
-    if e >= 0 {
-        w << (WEIGHT_SHIFT + e as u32)
-    } else {
-        // |w| <= 256, so |w| * 64 fits; the shift and the mask act on the magnitude, hence toward zero.
-        let magnitude = ((w.abs() << WEIGHT_SHIFT) >> (-e) as u32) & !63;
-        if w < 0 { -magnitude } else { magnitude }
-    }
-}
-
 /// Sign mode of a synapse format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Deserialize, serde::Serialize)]
 pub enum SignMode {
@@ -235,39 +188,6 @@ impl SignMode {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn wrap_is_two_s_complement() {
-        assert_eq!(wrap(1 << 21, 21), -(1 << 21));
-        assert_eq!(wrap((1 << 21) - 1, 21), (1 << 21) - 1);
-        assert_eq!(wrap(-(1 << 21) - 1, 21), (1 << 21) - 1);
-        for x in -70_000i64..70_000 {
-            assert_eq!(wrap(x, 15), (x + 32_768).rem_euclid(65_536) - 32_768);
-        }
-    }
-
-    #[test]
-    fn decay_rounds_toward_zero_for_every_decay() {
-        for d in 0..=4096 {
-            let field = Decay::new(d).unwrap();
-            for x in [0i64, 1, 2, 63, 64, 4095, 4096, 4097, 8_388_607, 8_388_608] {
-                let exact = (i128::from(x) * i128::from(4096 - d)) / 4096;
-                assert_eq!(i128::from(decay(x, field)), exact);
-                assert_eq!(i128::from(decay(-x, field)), -exact);
-            }
-        }
-    }
-
-    #[test]
-    fn scaled_weights_of_negative_exponents_lose_their_low_bits_toward_zero() {
-        for w in -256i16..=255 {
-            for e in -8..=7 {
-                let real = f64::from(w) * 2f64.powi(6 + e);
-                let expected = if e < 0 { (real / 64.0).trunc() * 64.0 } else { real };
-                assert_eq!(f64::from(scaled_weight(w, WeightExponent::new(e.into()).unwrap())), expected, "{w} {e}");
-            }
-        }
-    }
 
     #[test]
     fn ranges_of_weights() {

@@ -168,18 +168,6 @@ pub struct Reset {
     pub offset: u32,
 }
 
-impl Reset {
-    /// Whether a population with this start step returns to zero before the update of `step`.
-    #[inline]
-    #[must_use]
-    pub fn falls_on(self, step: u32, start_step: u32) -> bool {
-        match step.checked_sub(start_step.saturating_add(self.offset)) {
-            Some(since) => since % self.interval == 0,
-            None => false,
-        }
-    }
-}
-
 /// The compartments that decide a sample, and what of them does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Output {

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use crate::count::routing_tables::RoutingTables;
 use crate::layout::lists::{LaneWeight, ListBuilder};
 use crate::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
+use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::id::Id;
 use nsim_ir::program::Program;
 
@@ -147,7 +148,7 @@ impl<'a> Flattener<'a> {
                 let shard = self.shard(lane);
                 let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
                 piece.counts[source] += 1;
-                piece.synapses.push((lane - self.bases[shard], synapse.units(selected.formats) as i16));
+                piece.synapses.push((lane - self.bases[shard], units(synapse, selected.formats) as i16));
             }
         });
         pieces

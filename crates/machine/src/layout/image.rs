@@ -21,6 +21,7 @@ use crate::layout::weight_rows::{ProgramRows, WeightRows};
 use crate::update::kernel::{LANES, Shared};
 use nsim_dynamics as neuron;
 use nsim_dynamics::Fields;
+use nsim_dynamics::arithmetic;
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
 use nsim_ir::program::Program;
@@ -297,7 +298,7 @@ impl<'p> Image<'p> {
         for image in self.program.cores_with_own_tables() {
             let mut weight = vec![0u64; image.compartments.len()];
             for synapse in image.inputs.synapses() {
-                let units = synapse.units(&image.formats).unsigned_abs();
+                let units = arithmetic::units(&synapse, &image.formats).unsigned_abs();
                 weight[usize::from(synapse.slot)] += u64::from(units) * factor;
             }
             if let Some(slot) = weight.iter().position(|&weight| weight >= 1 << bits) {

@@ -18,6 +18,7 @@ use rayon::prelude::*;
 use crate::layout::delivery_cost::DELIVERY_COST as COST;
 use crate::layout::lane_order::LaneOrder;
 use crate::update::kernel::LANES;
+use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::program::{CoreFormat, CoreImage, Program, Selected, Stored, Synapse};
@@ -238,7 +239,7 @@ fn rows_of(
 ) -> Option<Vec<(u16, u8, Content)>> {
     scratch.clear();
     let rank = |s: &Synapse| ranks[usize::from(s.slot + axon.base)];
-    scratch.extend(axon.stored.iter().map(|s| (s.delay.get(), rank(s), s.units(formats) as i16)));
+    scratch.extend(axon.stored.iter().map(|s| (s.delay.get(), rank(s), units(s, formats) as i16)));
     if !scratch.is_sorted_by_key(|&(delay, rank, _)| (delay, rank)) {
         scratch.sort_unstable();
     }
@@ -477,7 +478,7 @@ mod tests {
             let mut expected = std::collections::BTreeMap::new();
             for synapse in &list {
                 let at = (synapse.delay.get(), ranks[usize::from(synapse.slot + base)]);
-                *expected.entry(at).or_insert(0) += synapse.units(&formats);
+                *expected.entry(at).or_insert(0) += units(synapse, &formats);
             }
             expected.retain(|_, weight| *weight != 0);
             let mut held = std::collections::BTreeMap::new();

@@ -14,6 +14,7 @@ use crate::layout::shard::{BlockFields, CoreBlock, Shard, VectorRun};
 use crate::layout::store::Aligned;
 use crate::update::kernel;
 use crate::update::kernel::{LANES, Portable, Sum, Vectors};
+use nsim_dynamics::arithmetic::falls_on;
 use nsim_dynamics::{Effect, Registers, update};
 use nsim_ir::activity::Overflow;
 use nsim_ir::arithmetic::Semantics;
@@ -388,7 +389,7 @@ impl CompartmentState {
             return self.count(shard, index, effects, input);
         };
         if let Some(reset) = image.reset
-            && reset.falls_on(input.step, image.fields[fields as usize].resets_from)
+            && falls_on(reset, input.step, image.fields[fields as usize].resets_from)
         {
             self.u[lanes.clone()].fill(0);
             self.v[lanes.clone()].fill(0);
@@ -505,7 +506,7 @@ impl CompartmentState {
                 continue;
             }
             let mut old = self.registers(lane);
-            if image.reset.is_some_and(|reset| reset.falls_on(input.step, fields.resets_from)) {
+            if image.reset.is_some_and(|reset| falls_on(reset, input.step, fields.resets_from)) {
                 old = Registers::default();
             }
             effects.moved |= u64::from(!fields.at_rest(&old, arrived)) << offset;

@@ -13,6 +13,8 @@
 //! that nothing starts is silent. F grows one source at a time and each synapse is visited once; a larger F only widens the
 //! bounds, so nothing needs to be taken back.
 
+use nsim_dynamics::arithmetic::scaled;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_dynamics::{Arrivals, may_spike};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
 use nsim_ir::quantised::{Neuron, Quantised, Units};
@@ -38,7 +40,7 @@ pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<Com
         let factor = i64::from(parts.populations[population].spike_factor());
         for (_, projection, first) in network.targets_of(population) {
             projection.connectivity.for_each_from(index, |target, weight| {
-                let added = i64::from(projection.format.scaled(weight)) * factor;
+                let added = i64::from(scaled(projection.format, weight)) * factor;
                 if added != 0 {
                     arrivals[first.index() + target as usize].add(added);
                     reached.push(first.index() + target as usize);

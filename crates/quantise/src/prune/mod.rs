@@ -27,6 +27,8 @@ pub mod bound;
 
 use std::sync::Arc;
 
+use nsim_dynamics::arithmetic::scaled;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
@@ -220,7 +222,7 @@ fn for_each_living(
             let source = CompartmentId(from.0 + index);
             if fires[source] {
                 projection.connectivity.for_each_from(index, |target, weight| {
-                    if projection.format.scaled(weight) != 0 {
+                    if scaled(projection.format, weight) != 0 {
                         f(source, CompartmentId(to.0 + target));
                     }
                 });
@@ -328,7 +330,7 @@ fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally:
     let (mut zero, mut loose, mut left) = (0, 0, 0u64);
     for index in 0..source.shape.len() {
         let matters = survey.matters(source_at(index));
-        projection.connectivity.for_each_from(index, |target, weight| match projection.format.scaled(weight) {
+        projection.connectivity.for_each_from(index, |target, weight| match scaled(projection.format, weight) {
             0 => zero += 1,
             _ if matters && place(target).is_some() => left += 1,
             _ => loose += 1,
@@ -353,7 +355,7 @@ fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally:
     for index in (0..source.shape.len()).filter(|&index| stays(index)) {
         if survey.matters(source_at(index)) {
             projection.connectivity.for_each_from(index, |target, weight| {
-                if let Some(target) = place(target).filter(|_| projection.format.scaled(weight) != 0) {
+                if let Some(target) = place(target).filter(|_| scaled(projection.format, weight) != 0) {
                     row.push((target, weight));
                 }
             });

@@ -7,7 +7,9 @@ use std::cmp::Reverse;
 use std::fmt::Debug;
 use std::marker::PhantomData;
 
+use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::fields;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::id::CompartmentId;
 use nsim_ir::graph::Graph;
@@ -106,7 +108,7 @@ impl BatchForm<Integers> {
             let way = u32::from(projection.delay.get()) + later;
             for from in 0..source.shape.len() {
                 projection.connectivity.for_each_from(from, |to, weight| {
-                    let adds = projection.format.scaled(weight).wrapping_mul(source.spike_factor());
+                    let adds = scaled(projection.format, weight).wrapping_mul(source.spike_factor());
                     incoming[(first_target.0 + to) as usize].push([first_source + from, way, adds as u32]);
                 });
             }

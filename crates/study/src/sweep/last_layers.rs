@@ -15,6 +15,9 @@ use crate::sweep::made::held;
 use nsim_compile::Compiled;
 use nsim_cost::{MeterSettings, StepCost, StepMeter};
 use nsim_dynamics as neuron;
+use nsim_dynamics::arithmetic::falls_on;
+use nsim_dynamics::arithmetic::scaled;
+use nsim_dynamics::synapses::Enumerate;
 use nsim_dynamics::{Fields, Registers};
 use nsim_ir::activity::{Activity, StepActivity, Totals};
 use nsim_ir::arithmetic::ReadOut;
@@ -126,7 +129,7 @@ impl Wiring {
                 };
                 projection.connectivity.for_each_from(from, |target, weight| {
                     // Scaled weights are multiples of 64, in units of which updates take sums.
-                    let adds = projection.format.scaled(weight) / 64;
+                    let adds = scaled(projection.format, weight) / 64;
                     list.push(Arrival { to: first + target as usize, later, adds });
                 });
             }
@@ -185,7 +188,7 @@ impl<'n> Running<'n> {
             if step < fields.start_step {
                 continue;
             }
-            if reset.is_some_and(|reset| reset.falls_on(step, fields.resets_from)) {
+            if reset.is_some_and(|reset| falls_on(reset, step, fields.resets_from)) {
                 *registers = Registers::default();
             }
             moves.active |= u64::from(!fields.at_rest(registers, arrived)) << place;

@@ -1,0 +1,72 @@
+//! A compiled network with its layout, which runs and energies of one mapping share.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use nsim::compile::Compiled;
+use nsim::files::network::Network;
+use nsim::ir::hardware::Target;
+use nsim::machine::Image;
+use nsim::session::samples::{Division, laid_out};
+use self_cell::self_cell;
+
+/// The program laid out for one thread; none where threads share a sample, as its image depends on their number.
+type LaidOut<'p> = Option<Image<'p>>;
+
+self_cell!(
+    /// A compiled network with its layout.
+    pub struct Ready {
+        owner: Compiled,
+        #[covariant]
+        dependent: LaidOut,
+    }
+);
+
+/// A mapping that runs and energies share.
+pub struct Shared {
+    /// The model, as it was named.
+    pub model: String,
+    /// Its own stimulus.
+    pub scene: Option<String>,
+    /// Where it is mapped.
+    pub target: Target,
+    /// The network as its file says.
+    pub network: Arc<Network>,
+    ready: Ready,
+    warned: AtomicBool,
+}
+
+impl Shared {
+    /// A mapping of this network, laid out where one thread runs it.
+    pub fn new(model: &str, network: &Arc<Network>, compiled: Compiled, target: Target) -> Self {
+        let division = Division::new(&compiled.program, 2);
+        let ready = Ready::new(compiled, |compiled| match division.shards {
+            1 => laid_out(&compiled.program, division).ok(),
+            _ => None,
+        });
+        let scene = network.file().scene.clone();
+        Shared {
+            model: model.to_string(),
+            scene,
+            target,
+            network: network.clone(),
+            ready,
+            warned: AtomicBool::new(false),
+        }
+    }
+
+    /// The compiled network.
+    pub fn compiled(&self) -> &Compiled {
+        self.ready.borrow_owner()
+    }
+
+    /// Whether nobody has been warned of what this network does; after the first call somebody has.
+    pub fn warns(&self) -> bool {
+        !self.warned.swap(true, Ordering::Relaxed)
+    }
+
+    /// The program, laid out for runs of this division.
+    pub fn image(&self, division: Division) -> Option<&Image<'_>> {
+        self.ready.borrow_dependent().as_ref().filter(|_| division.shards == 1)
+    }
+}
