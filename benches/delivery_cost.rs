@@ -1,5 +1,6 @@
-//! Measures what the parts of a delivery take, and prints it beside the table by which the machine chooses forms of synapses
-//! (`crates/machine/src/layout/delivery_cost.rs`): `cargo bench --bench delivery_cost`, on a quiet machine.
+//! Measures what the parts of a delivery take, and prints it beside the table by which the machine
+//! chooses forms of synapses (`crates/machine/src/layout/delivery_cost.rs`):
+//! `cargo bench --bench delivery_cost`, on a quiet machine.
 
 // A bench that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

@@ -1,8 +1,9 @@
 //! How the cost of a step grows with its synaptic events: N events a step, from 10^2 to 10^6.
 //!
-//! - `events/grown/N`: on networks that grow with N, an eighth as many compartments as events (128 at least). The time per event
-//!   should be constant.
-//! - `events/fixed/N`: on one network of 16,384 compartments: the time is a constant for the size and a constant per event.
+//! - `events/grown/N`: on networks that grow with N, an eighth as many compartments as events (128
+//!   at least). The time per event should be constant.
+//! - `events/fixed/N`: on one network of 16,384 compartments: the time is a constant for the size
+//!   and a constant per event.
 
 // A bench that cannot go on has failed; criterion's macro makes functions without documentation.
 #![allow(clippy::unwrap_used, missing_docs)]

@@ -1,9 +1,10 @@
-//! What each kind of skipping saves alone, on whole samples: at run time (`--skip`), at map time (`--prune`), at decision time
-//! (`--early-exit`).
+//! What each kind of skipping saves alone, on whole samples: at run time (`--skip`), at map time
+//! (`--prune`), at decision time (`--early-exit`).
 //!
-//! Scenes: recorded tactile samples (in `NSIM_DATA` or `../shared/data`) on the shipped tactile network, slip scenes and silence on
-//! the shipped slip network. Each row runs all samples repeatedly on one thread. Rows alternate, so that other load of the machine
-//! affects all alike. Prints a table of times and counts.
+//! Scenes: recorded tactile samples (in `NSIM_DATA` or `../shared/data`) on the shipped tactile
+//! network, slip scenes and silence on the shipped slip network. Each row runs all samples
+//! repeatedly on one thread. Rows alternate, so that other load of the machine affects all alike.
+//! Prints a table of times and counts.
 
 // A bench that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

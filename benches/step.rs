@@ -1,5 +1,6 @@
-//! A timestep of the standard networks, one thread and two; set-up outside the timing. `nsim bench step` measures the same
-//! and prints one object; this keeps criterion's history. The networks of a million compartments map for a minute.
+//! A timestep of the standard networks, one thread and two; set-up outside the timing.
+//! `nsim bench step` measures the same and prints one object; this keeps criterion's history. The
+//! networks of a million compartments map for a minute.
 
 // A bench that cannot go on has failed; criterion's macro makes functions without documentation.
 #![allow(clippy::unwrap_used, missing_docs)]

@@ -1,10 +1,11 @@
-//! nsim maps trained spiking networks onto simulated Loihi-style cores, runs them with the chip's own integer
-//! arithmetic, and reports energy, latency and power.
+//! nsim maps trained spiking networks onto simulated Loihi-style cores, runs them with the chip's
+//! own integer arithmetic, and reports energy, latency and power.
 //!
-//! The way through is one line: files become a [`desc::network::Network`], then an [`ir::graph::Graph`], an
-//! [`ir::quantised::Quantised`] network, an [`ir::partition::Partition`], an [`ir::placement::Placement`], an
-//! [`ir::program::Program`]; the machine runs it and counts an [`ir::activity::Activity`], from which energy and time
-//! are computed. `docs/architecture.md` has the picture; `docs/semantics.md` the numbered equations.
+//! The way through is one line: files become a [`desc::network::Network`], then an
+//! [`ir::graph::Graph`], an [`ir::quantised::Quantised`] network, an [`ir::partition::Partition`],
+//! an [`ir::placement::Placement`], an [`ir::program::Program`]; the machine runs it and counts an
+//! [`ir::activity::Activity`], from which energy and time are computed. `docs/architecture.md` has
+//! the picture; `docs/semantics.md` the numbered equations.
 //!
 //! Map, run and price a network:
 //!

@@ -1,4 +1,5 @@
-//! The ladder from a trained network to the machine: both ends are what they claim, and every rung is real.
+//! The ladder from a trained network to the machine: both ends are what they claim, and every rung
+//! is real.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -46,8 +47,8 @@ const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [
         Dense(from: ["h"], to: "o", weights: Uniform(low: -2, high: 3, seed: 2))],
     output: "o")"#;
 
-/// A network of spike response neurons that tells the classes of [`samples`] apart: each hidden neuron has a class's
-/// channels of its own, each output a class's hidden neurons.
+/// A network of spike response neurons that tells the classes of [`samples`] apart: each hidden
+/// neuron has a class's channels of its own, each output a class's hidden neurons.
 fn decided() -> String {
     let row = |own: u32, columns: u32, strong: f64, seed: u64| {
         let weight = |c: u32| {
@@ -279,7 +280,8 @@ fn every_rung_is_real() {
     }
     // Against the trained network, taking the hard reset or the decays away changes the figure.
     let all = distances(&ladder, ladder.trained(), &[Rung::MACHINE], &output, &samples)[0];
-    // Decaying current and voltage have no end, so that nothing is left to truncate once they are there.
+    // Decaying current and voltage have no end, so that nothing is left to truncate once they are
+    // there.
     for missing in of_srm().filter(|&cause| cause != Cause::Untruncated) {
         let without = Cause::ALL.into_iter().filter(|&c| c != missing).fold(Rung::TRAINED, Rung::with);
         let away = distances(&ladder, ladder.trained(), &[without], &output, &samples)[0];

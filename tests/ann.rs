@@ -1,5 +1,5 @@
-//! Networks without spikes: convolutions against the sum as it is defined, gradients against differences, counts against those made
-//! by hand, and that both kinds learn.
+//! Networks without spikes: convolutions against the sum as it is defined, gradients against
+//! differences, counts against those made by hand, and that both kinds learn.
 
 #![cfg(feature = "ann")]
 // Helpers of tests may unwrap as tests may.
@@ -93,7 +93,8 @@ fn parameters_and_operations_are_those_counted_by_hand() {
     assert_eq!(cnn.operations(), 16 * 78 * 8 * 9 + 8 * 39 * 16 * 8 * 9 + 16 * 8 * 39 * 32 + 64);
 }
 
-/// Samples whose class is the half of the time in which they have more events, on 2 x 8 x 8 channels and on 6.
+/// Samples whose class is the half of the time in which they have more events, on 2 x 8 x 8
+/// channels and on 6.
 fn examples(count: u64) -> Vec<Example> {
     let raster = |units: u32, sample: u64, label: u32, stream: u64| {
         let events = (0..60).map(|k| {

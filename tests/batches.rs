@@ -1,5 +1,5 @@
-//! Batches on a GPU give the spikes and registers of the interpreter, bit for bit, and in f32 those of the reference up to the
-//! rounding of sums. Software such as Mesa's lavapipe serves too.
+//! Batches on a GPU give the spikes and registers of the interpreter, bit for bit, and in f32 those
+//! of the reference up to the rounding of sums. Software such as Mesa's lavapipe serves too.
 #![cfg(feature = "gpu")]
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -109,7 +109,8 @@ fn graph(text: &str) -> Graph {
     lower(&Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap()).unwrap()
 }
 
-/// Spike response and current-based neurons of each kind, dense, random, convolved and pooled, recurrent, with delays and resets.
+/// Spike response and current-based neurons of each kind, dense, random, convolved and pooled,
+/// recurrent, with delays and resets.
 const REAL: [&str; 3] = [
     r#"Network(name: "srm", timestep_ms: 1.0, populations: [
         Input(name: "a", shape: [20]), Input(name: "b", shape: [10]),
@@ -170,7 +171,8 @@ fn spikes_in_f32_are_those_of_the_reference() {
                 trains.spikes(at, step) != reference.spikes()
             });
             if let Some(step) = parted {
-                // A spike more than the reference has was on the edge; of one less, the reset has hidden the potential.
+                // A spike more than the reference has was on the edge; of one less, the reset has
+                // hidden the potential.
                 for id in trains.spikes(at, step).iter().filter(|id| !reference.spikes().contains(id)) {
                     let far = (reference.potential(*id) / thresholds[id.0 as usize] - 1.0).abs();
                     assert!(far < NEAR, "{name}, sample {at}, step {step}, compartment {}: {far}", id.0);

@@ -1,5 +1,6 @@
-//! The integer neuron against a model in 128-bit integers that shares nothing with it, over random parameters; decay and
-//! rounding at every power of two and its neighbours. Then the stability suite itself, in short.
+//! The integer neuron against a model in 128-bit integers that shares nothing with it, over random
+//! parameters; decay and rounding at every power of two and its neighbours. Then the stability
+//! suite itself, in short.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -68,7 +69,8 @@ fn ten_million_neuron_steps_are_those_of_a_model_without_limits() {
             let (mut registers, mut exact) = (Registers::default(), Compartment::default());
             let mut state = seed;
             for now in 0..each {
-                // A plain congruential sequence (Knuth's constants) is random enough and shrinks with its seed.
+                // A plain congruential sequence (Knuth's constants) is random enough and shrinks
+                // with its seed.
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 let silent = (state >> 20) as u32 % 8 < silence;
                 let arrived = if silent { 0 } else { (state >> 33) as i32 >> (31 - size.min(30)) };

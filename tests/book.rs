@@ -1,9 +1,12 @@
-//! The book: its tutorials run as they are printed, its pages of commands are their `--help`, its table of contents names every page.
+//! The book: its tutorials run as they are printed, its pages of commands are their `--help`, its
+//! table of contents names every page.
 //!
-//! In a tutorial, a block ```` ```sh ```` is run by a shell in the page's own folder, and ends with status 0 or the one that `exit=` names; a
-//! block ```` ```text ```` behind it is what the last one printed, `...` standing for any lines; ```` ```ron NAME ```` and ```` ```csv NAME ````
-//! are files; ```` ```python run ```` is run where a Python with the package `nir` is found, and said to be skipped where not.
-//! `NSIM_BLESS=1` writes the pages of commands anew.
+//! In a tutorial, a block ````
+//! ```sh ```` is run by a shell in the page's own folder, and ends with status 0 or the one that `exit=` names; a block ```` ```text
+//! ```` behind it is what the last one printed, `...` standing for any lines; ````
+//! ```ron NAME ```` and ```` ```csv NAME ```` are files; ````
+//! ```python run ```` is run where a Python with the package `nir` is found, and said to be skipped where not. `NSIM_BLESS=1`
+//! writes the pages of commands anew.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

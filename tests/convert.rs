@@ -1,4 +1,5 @@
-//! Networks with real numbers become integers, are written, and are read again as the same integers.
+//! Networks with real numbers become integers, are written, and are read again as the same
+//! integers.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -37,7 +38,8 @@ fn graph(populations: &str, projections: &str) -> Graph {
     lower(&Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap()).unwrap()
 }
 
-/// Real thresholds, a convolution, a recurrent projection with a heavy tail, biases, decays of their own.
+/// Real thresholds, a convolution, a recurrent projection with a heavy tail, biases, decays of
+/// their own.
 fn real() -> Graph {
     let row = |t: u32| {
         let weight = |s: u32| if (s + t).is_multiple_of(7) { -6.5 } else { 0.05 + 0.01 * f64::from(s) };
@@ -48,7 +50,8 @@ fn real() -> Graph {
         "Loihi(name: \"c\", shape: [2, 3, 3], tau_u_ms: 4.2, tau_v_ms: 17.0, vth: 1.3, refractory: 2), \
          Loihi(name: \"o\", shape: [4], du: [4096, 2000, 900, 300], dv: 100, vth: 2.0, bias: 0.03, start_step: 2)",
         &format!(
-            "Conv2d(from: [\"in\"], to: \"c\", weights: [[[[0.3, -0.1], [0.2, 0.77], [0.5, 0.1]]], [[[0.1, 0.4], [-0.2, 0.3], [0.9, 0.35]]]], stride: (1, 2)), \
+            "Conv2d(from: [\"in\"], to: \"c\", weights: [[[[0.3, -0.1], [0.2, 0.77], [0.5, 0.1]]], [[[0.1, 0.4], \
+             [-0.2, 0.3], [0.9, 0.35]]]], stride: (1, 2)), \
              Dense(from: [\"c\"], to: \"c\", weights: [{rows}]), \
              Dense(from: [\"c\"], to: \"o\", weights: Uniform(low: -0.4, high: 0.7, seed: 2), delay: 2)"
         ),

@@ -1,5 +1,5 @@
-//! The fast machine against the golden interpreter, bit for bit, on random networks: under three partitions, with
-//! skipping on and off, in 1, 2 and 8 shares run by as many threads.
+//! The fast machine against the golden interpreter, bit for bit, on random networks: under three
+//! partitions, with skipping on and off, in 1, 2 and 8 shares run by as many threads.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -78,9 +78,11 @@ fn assert_same(golden: &Trace, fast: &Trace, what: &str) {
     assert_eq!((golden.totals, golden.overflow), (fast.totals, fast.overflow), "{what}: counts");
 }
 
-/// Three partitions: as few cores as possible, at most so many compartments a core, dealt out at random.
+/// Three partitions: as few cores as possible, at most so many compartments a core, dealt out at
+/// random.
 fn partitions(network: &Quantised, chip: &Target, few: u32, seed: u64) -> Vec<(&'static str, Compiled)> {
-    // Searching for places takes most of the time and decides nothing here; dealt out, cores stand anywhere.
+    // Searching for places takes most of the time and decides nothing here; dealt out, cores stand
+    // anywhere.
     let options = Options { place: seed.is_multiple_of(8), ..Options::default() };
     let mut compiled = Vec::new();
     let mut limits = chip.limits().clone();
@@ -110,7 +112,8 @@ fn compare(seed: u64, chip: &Target) -> u64 {
     golden.totals.spikes
 }
 
-/// A golden trace against the machine's on every mapping and setting; returns how many chunks of shared weights it added.
+/// A golden trace against the machine's on every mapping and setting; returns how many chunks of
+/// shared weights it added.
 fn compare_on(golden: &Trace, sample: &Sample, mapped: Vec<(&'static str, Compiled)>, seed: u64) -> usize {
     let mut shared = 0;
     for (name, compiled) in mapped {
@@ -134,8 +137,8 @@ fn compare_on(golden: &Trace, sample: &Sample, mapped: Vec<(&'static str, Compil
     shared
 }
 
-/// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles, compartments dealt out, and
-/// the program that is written box by box where kernels stay kernels.
+/// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles,
+/// compartments dealt out, and the program that is written box by box where kernels stay kernels.
 #[test]
 fn random_convolutions_are_the_same_in_both_engines() {
     let chip = load_target("loihi1-chip").unwrap();
@@ -173,7 +176,8 @@ fn random_networks_are_the_same_in_both_engines() {
     assert!(silent < NETWORKS as usize / 3, "{silent} of {NETWORKS} networks never spike: they test too little");
 }
 
-/// Networks large enough that their lists of synapses take the form of three bytes each, and shares of them that do not.
+/// Networks large enough that their lists of synapses take the form of three bytes each, and shares
+/// of them that do not.
 #[test]
 fn a_large_random_network_is_the_same_in_both_engines() {
     let sizes = Random { compartments: 4_500, background: 4, driven: 100, period: 30 };
@@ -191,8 +195,9 @@ fn a_large_random_network_is_the_same_in_both_engines() {
     }
 }
 
-/// Where channels with rows have different numbers of synapses, steps count by a mean, and what that missed is made up from how
-/// often each spiked: whenever it is asked for, and whenever these numbers are taken.
+/// Where channels with rows have different numbers of synapses, steps count by a mean, and what
+/// that missed is made up from how often each spiked: whenever it is asked for, and whenever these
+/// numbers are taken.
 #[test]
 fn events_of_uneven_rows_are_right_after_every_step() {
     let network = front(&load_model("vtsnn-slip").unwrap()).unwrap().into_quantised();
@@ -236,7 +241,8 @@ fn wide_convolution(side: u32) -> Quantised {
     net.build()
 }
 
-/// The machine runs a network of more synapses than are written out; golden runs regions of it, alone.
+/// The machine runs a network of more synapses than are written out; golden runs regions of it,
+/// alone.
 #[test]
 fn regions_of_a_network_too_large_to_write_out_spike_as_they_do_alone() {
     const SIDE: u32 = 88;

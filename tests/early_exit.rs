@@ -1,5 +1,6 @@
-//! Ending a sample when it is decided: the same class as the whole sample for `certain`, the first steps of the whole
-//! sample for every rule, the same on every engine; and what the command line says of it.
+//! Ending a sample when it is decided: the same class as the whole sample for `certain`, the first
+//! steps of the whole sample for every rule, the same on every engine; and what the command line
+//! says of it.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -96,8 +97,9 @@ fn certainty_that_comes_in_silence_is_found_in_the_same_step_when_silence_is_ski
     let out = net.loihi(Shape::Line(2), &[common::neuron(4096, 4096, 10, 1); 2], 0);
     net.dense(input, out, 0, &[20, 0, 0, 20]);
     let network = net.build();
-    // Output 1 spikes in steps 2 to 5, then nothing happens until step 15 of 20. Output 0 could tie, and so win, with
-    // four spikes: that is over when three steps are left, after step 16, in which both stand as they did.
+    // Output 1 spikes in steps 2 to 5, then nothing happens until step 15 of 20. Output 0 could
+    // tie, and so win, with four spikes: that is over when three steps are left, after step 16, in
+    // which both stand as they did.
     let events: Vec<_> = (2..6).map(|step| (step, ChannelId(1))).collect();
     let sample = Sample::new(20, &events, None).unwrap();
     for (name, mut engine) in common::engines(&network) {
@@ -148,7 +150,8 @@ fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
         if rule == Rule::Certain {
             assert_eq!(same, samples.len());
         }
-        // One sample is one of many to a machine that goes on: nothing is left of the one that ended early.
+        // One sample is one of many to a machine that goes on: nothing is left of the one that
+        // ended early.
         let mut machine = Machine::new(&image, Settings::default());
         for (sample, [early, _]) in samples.iter().zip(&outcomes).take(20) {
             let again = run_sample(&mut machine, sample, &keep(network, Some(rule)), |_, _| ());

@@ -1,4 +1,5 @@
-//! What more copies and more traffic do to time and energy: no more than what the chips' hosts hand over, and never less.
+//! What more copies and more traffic do to time and energy: no more than what the chips' hosts hand
+//! over, and never less.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

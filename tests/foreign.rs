@@ -1,8 +1,9 @@
-//! Foreign files: what peers wrote reads as what they wrote, round trips lose nothing, and damaged files are refused
-//! within their bound of memory.
+//! Foreign files: what peers wrote reads as what they wrote, round trips lose nothing, and damaged
+//! files are refused within their bound of memory.
 //!
-//! The files of `tests/fuzz/corpus` were made by h5py 3.16, nir 1.0.8, expelliarmus 1.1.12 and dv-processing 2.0.4 from
-//! numbers drawn for the purpose (headers shortened); the checkpoints by hand, as torch's `serialization.py` writes them.
+//! The files of `tests/fuzz/corpus` were made by h5py 3.16, nir 1.0.8, expelliarmus 1.1.12 and
+//! dv-processing 2.0.4 from numbers drawn for the purpose (headers shortened); the checkpoints by
+//! hand, as torch's `serialization.py` writes them.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -365,7 +366,8 @@ fn arrays_of_another_reader(group: &hdf5_reader::group::Group, path: &str, found
     }
 }
 
-/// One crate reads and writes HDF5 for nsim; another reads the same from the files of peers and from nsim's own.
+/// One crate reads and writes HDF5 for nsim; another reads the same from the files of peers and
+/// from nsim's own.
 #[test]
 fn another_hdf5_reader_finds_the_same_arrays() {
     let written = hdf5::Group::default()
@@ -485,7 +487,8 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
     let imported = foreign::read(&folder.path().join("nir_recurrent.net"), &options).unwrap();
     let model = imported.model;
     assert!((model.timestep_ms - 0.1).abs() < 1e-12);
-    // dt / tau_syn = 1/4 and dt / tau_mem = 1/16 of 4096; the delay of three steps; 'w_in' and 'r' undo the scaling.
+    // dt / tau_syn = 1/4 and dt / tau_mem = 1/16 of 4096; the delay of three steps; 'w_in' and 'r'
+    // undo the scaling.
     let population = model.population("l").unwrap();
     assert_eq!(population.parameter("du"), Some(&Parameter::Same(1024.0)));
     assert_eq!(population.parameter("dv"), Some(&Parameter::Same(256.0)));

@@ -64,8 +64,8 @@ fn the_csv_example_is_read() {
     assert_eq!((samples[0].steps, samples[0].events.clone()), (150, vec![(3, 17), (3, 18), (149, 0)]));
 }
 
-/// Each field of a model file is described: the reader's own list of fields, as its errors give it, is held against the
-/// text.
+/// Each field of a model file is described: the reader's own list of fields, as its errors give it,
+/// is held against the text.
 #[test]
 fn every_field_of_a_model_is_described() {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/formats.md")).unwrap();

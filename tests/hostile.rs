@@ -1,5 +1,6 @@
-//! Inputs and surroundings that used to break the command line: it answers with a status of its contract, in bounded time
-//! and memory. Every run is a process of its own with 3 GB of address space.
+//! Inputs and surroundings that used to break the command line: it answers with a status of its
+//! contract, in bounded time and memory. Every run is a process of its own with 3 GB of address
+//! space.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -128,7 +129,8 @@ fn sizes_are_refused_from_shapes() {
     }
 }
 
-/// A pickle of a dictionary with so many views of one storage of `numbers` floats (opcodes: CPython `pickletools.py`).
+/// A pickle of a dictionary with so many views of one storage of `numbers` floats (opcodes: CPython
+/// `pickletools.py`).
 fn pickle(tensors: u32, numbers: u32) -> Vec<u8> {
     let mut out = b"\x80\x02}".to_vec();
     let text = |out: &mut Vec<u8>, text: &str| {
@@ -453,7 +455,8 @@ fn a_file_beyond_its_limit_is_an_error_and_leaves_nothing() {
     assert_eq!(left, ["ok.ron"]);
 }
 
-/// A line of a shell that runs the program, sends it a signal once a file is there, and ends as it ends.
+/// A line of a shell that runs the program, sends it a signal once a file is there, and ends as it
+/// ends.
 fn signalled(signal: &str, file: &str, arguments: &str) -> String {
     format!(
         "$program {arguments} & pid=$!; while kill -0 $pid && [ ! -e {file} ]; do sleep 0.02; done 2>/dev/null; \
@@ -554,7 +557,8 @@ fn stored_trainings_are_the_same_bytes_however_they_were_interrupted() {
             assert!(bytes("c") == bytes("w"), "{ending} differs after a signal");
         }
     }
-    // The third checkpointed epoch never comes: the first process ends while it writes the second checkpoint.
+    // The third checkpointed epoch never comes: the first process ends while it writes the second
+    // checkpoint.
     let cut = place.run("NSIM_FAULT=kill:7 nsim train t.ron --train d --checkpoint b.st --log b.csv -o b.ron");
     assert_eq!(cut.status.code(), Some(137));
     assert!(place.path("b.st").exists() && !place.path("b.csv").exists());

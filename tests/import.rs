@@ -1,4 +1,5 @@
-//! Networks that other tools wrote, through import, map and the fast engine, against what those tools recorded.
+//! Networks that other tools wrote, through import, map and the fast engine, against what those
+//! tools recorded.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -47,8 +48,8 @@ fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIter
     outcome.spikes.into_iter().collect()
 }
 
-/// The network that a foreign file becomes when it is written and read again; reading it on the fly gives the same text
-/// but for the name of the file with the arrays.
+/// The network that a foreign file becomes when it is written and read again; reading it on the fly
+/// gives the same text but for the name of the file with the arrays.
 fn import(path: &Path, options: &Options) -> Network {
     let folder = tempfile::tempdir().unwrap();
     let model = folder.path().join("model.ron");
@@ -132,7 +133,8 @@ fn an_image_drives_the_input_layer_as_recorded() {
 
 fn yaml(folder: &Path) -> PathBuf {
     let path = folder.join("loihi.yml");
-    let text = "simulation:\n  Ts: 1.0\n  tSample: 150\nneuron:\n  type: LOIHI\n  vThMant: 80\n  vDecay: 128\n  iDecay: 1024\n  refDelay: 1\n  wgtExp: 0\n";
+    let text = "simulation:\n  Ts: 1.0\n  tSample: 150\nneuron:\n  type: LOIHI\n  vThMant: 80\n  vDecay: 128\n  \
+                iDecay: 1024\n  refDelay: 1\n  wgtExp: 0\n";
     std::fs::write(&path, text).unwrap();
     path
 }
@@ -227,8 +229,8 @@ struct Layer {
     bias: Vec<i64>,
 }
 
-/// What a network does in SLAYER's time, all layers in the same step, for one presentation of an image: computed from
-/// the equations, without any of nsim.
+/// What a network does in SLAYER's time, all layers in the same step, for one presentation of an
+/// image: computed from the equations, without any of nsim.
 fn presented(image: &[i64], input: [usize; 3], layers: &[Layer], steps: usize) -> Vec<Vec<Vec<bool>>> {
     let decay = |x: i64, d: i64| x * (4096 - d) / 4096;
     let mut v: Vec<Vec<i64>> = std::iter::once(vec![0; image.len()])

@@ -1,4 +1,5 @@
-//! An `If` population against a `Loihi` one with du = 4096 and dv = 0: the same numbers from every engine.
+//! An `If` population against a `Loihi` one with du = 4096 and dv = 0: the same numbers from every
+//! engine.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -89,7 +90,8 @@ fn it_equals_a_loihi_compartment_that_forgets_all_current_and_no_voltage() {
 fn read(population: &str, out: &str) -> Graph {
     let text = format!(
         "Network(name: \"n\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), {population}, {out}], \
-         projections: [Dense(from: [\"in\"], to: \"hidden\", weights: [[20, -6, 4, 0], [0, 8, 40, 2], [-2, -4, -6, -8]]), \
+         projections: [Dense(from: [\"in\"], to: \"hidden\", weights: [[20, -6, 4, 0], [0, 8, 40, 2], [-2, -4, -6, \
+         -8]]), \
          Dense(from: [\"hidden\"], to: \"out\", weights: [[8, 20, 2], [6, -4, 2]])], output: \"out\")"
     );
     lower(&network(SourceText::new("n.ron", text), Origin::File).unwrap()).unwrap()

@@ -1,5 +1,6 @@
-//! Jobs of several processes, started by `mpirun`: results of one process, files of the first rank, and ends with one message within two
-//! seconds, whatever fails. With the feature `mpi` only; says so where `mpirun` is absent.
+//! Jobs of several processes, started by `mpirun`: results of one process, files of the first rank,
+//! and ends with one message within two seconds, whatever fails. With the feature `mpi` only; says
+//! so where `mpirun` is absent.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

@@ -1,4 +1,5 @@
-//! Recordings as people have them: arrays with labels beside them, archives, event lists with a header.
+//! Recordings as people have them: arrays with labels beside them, archives, event lists with a
+//! header.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -11,7 +12,8 @@ use serde_json::Value;
 
 const MODEL: &str = "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [2, 2, 3]),
     Loihi(name: \"out\", shape: [2], du: 4095, dv: 4095, vth_mant: 8)],
-  projections: [Dense(from: [\"in\"], to: \"out\", weights: Uniform(low: 20, high: 60, step: 2, seed: 1))], output: \"out\")";
+  projections: [Dense(from: [\"in\"], to: \"out\", weights: Uniform(low: 20, high: 60, step: 2, seed: 1))], output: \
+                               \"out\")";
 
 fn run(folder: &Path, args: &[&str]) -> (i32, Value) {
     let line = [&["run", "m.ron", "--format", "json"], args].concat();

@@ -1,5 +1,5 @@
-//! Mappings: those of the suite against sequential ones and the golden interpreter, at any number of threads, and small
-//! ones against the best there is, found by trying all.
+//! Mappings: those of the suite against sequential ones and the golden interpreter, at any number
+//! of threads, and small ones against the best there is, found by trying all.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -48,8 +48,8 @@ fn mapped(name: &str) -> Vec<MeasuredMapping> {
     let bench = case.build().unwrap();
     let target = load_target(bench.target).unwrap();
     let mut rows = Vec::new();
-    // Compiling checks; mapping all compares spikes with golden. The perceptron is to be compared on small cores too, for
-    // which a second is too little.
+    // Compiling checks; mapping all compares spikes with golden. The perceptron is to be compared
+    // on small cores too, for which a second is too little.
     let effort_s = if name == "mlp-3x1024" { 4 } else { 1 };
     map_all(&case, &bench, &target, effort_s, |row| rows.push(row)).unwrap();
     rows
@@ -69,7 +69,8 @@ fn no_mapping_of_the_suite_has_more_hops_or_cores_or_longer_steps_than_the_seque
                     assert!(hops(row) <= hops(sequential), "{what}: {} of {} hops", hops(row), hops(sequential));
                 }
             } else {
-                // Kernels are stored once, so that cores of convolutions are bound by their synapses, not by their words.
+                // Kernels are stored once, so that cores of convolutions are bound by their
+                // synapses, not by their words.
                 let most = if name == "dvs-gesture" { sequential.step_us / 2.0 } else { sequential.step_us };
                 assert!(row.step_us <= most, "{what}: {} of {} us", row.step_us, sequential.step_us);
             }
@@ -109,7 +110,8 @@ fn the_number_of_threads_changes_no_mapping() {
     }
 }
 
-/// A recurrent network of `n` compartments, some with an input, and synapses to a few of those that follow on a ring.
+/// A recurrent network of `n` compartments, some with an input, and synapses to a few of those that
+/// follow on a ring.
 fn small(n: u32, seed: u64) -> Quantised {
     let mut net = Net::new();
     let input = net.input(Shape::Line(n));
@@ -200,7 +202,8 @@ fn partitions_of_small_networks_are_the_best_or_nearly() {
         println!("seed {seed}: {found} messages, the least is {least}");
         (ours, best) = (ours + found, best + least);
     }
-    // A network of nine messages is either at its best or more than 5 % off; together they have to be within it.
+    // A network of nine messages is either at its best or more than 5 % off; together they have to
+    // be within it.
     println!("{ours} messages, the least is {best}");
     assert!(ours as f64 <= 1.05 * best as f64, "{ours} messages, the least is {best}");
 }
@@ -245,8 +248,8 @@ impl Walker {
     }
 }
 
-/// The least cost of any places, by branch and bound: blocks that have no place yet cost nothing, so what is placed is a
-/// lower bound.
+/// The least cost of any places, by branch and bound: blocks that have no place yet cost nothing,
+/// so what is placed is a lower bound.
 fn best_places(walker: &Walker, nets: &[Told], blocks: usize, known: u64) -> u64 {
     fn go(walker: &Walker, nets: &[Told], places: &mut Vec<Option<(u32, u32)>>, block: usize, best: &mut u64) {
         let bound: u64 = nets.iter().map(|net| walker.cost(net, places)).sum();
@@ -289,7 +292,8 @@ fn nets_of(compiled: &Compiled) -> Vec<Told> {
 #[test]
 fn places_of_small_networks_are_the_best_or_nearly() {
     for seed in 0..8 {
-        // One core a tile and two compartments a core: eight or nine blocks on a mesh of four by three.
+        // One core a tile and two compartments a core: eight or nine blocks on a mesh of four by
+        // three.
         let network = small(16 + 2 * (seed as u32 % 2), seed);
         let board = load_target("loihi1-chip").unwrap();
         let mut chip = board.chip().clone();

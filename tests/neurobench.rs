@@ -1,4 +1,5 @@
-//! The metrics of NeuroBench's harness against a count over matrices, step by step, on the golden interpreter and the machine.
+//! The metrics of NeuroBench's harness against a count over matrices, step by step, on the golden
+//! interpreter and the machine.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -20,7 +21,8 @@ use nsim::ir::spikes::{Copies, Engine, Sample};
 use nsim::session::neurobench::NeuroBench;
 use nsim::session::samples::{Running, fast, golden};
 
-/// Operations without and with numbers, all of a network without zeros, membrane updates, spikes: sums over the samples.
+/// Operations without and with numbers, all of a network without zeros, membrane updates, spikes:
+/// sums over the samples.
 #[derive(Debug, Default, PartialEq)]
 struct Sums {
     plain: u64,

@@ -1,5 +1,6 @@
-//! Recorded compartments of three other emulators, bit for bit in spikes, current and voltage: nine regimes of
-//! parameters under each of the named semantics (nengo-loihi 1.1.0, lava-nc b6822fb, SLAYER's Loihi kernel).
+//! Recorded compartments of three other emulators, bit for bit in spikes, current and voltage: nine
+//! regimes of parameters under each of the named semantics (nengo-loihi 1.1.0, lava-nc b6822fb,
+//! SLAYER's Loihi kernel).
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -56,7 +57,8 @@ fn matches_recording(folder: &Path, semantics: Semantics, prefix: &str) {
             engine.step(&drive.spikes(|n| acc.at([n, step])));
             for n in 0..compartments {
                 let id = CompartmentId(n as u32);
-                // SLAYER's trace shows dv at a spike: it is a read-out, as the chip's (`docs/semantics.md`, probes).
+                // SLAYER's trace shows dv at a spike: it is a read-out, as the chip's
+                // (`docs/semantics.md`, probes).
                 let voltage = if semantics == Semantics::Slayer { engine.v_register(id) } else { engine.v(id) };
                 let got = (i64::from(engine.spikes().contains(&id)), i64::from(engine.u(id)), i64::from(voltage));
                 let expected = (s.at([n, step]), u.at([n, step]), v.at([n, step]));
@@ -78,7 +80,8 @@ fn every_recorded_regime_matches_bit_for_bit() {
     }
 }
 
-/// A copy without one of the recordings, or with one that no regime names, is not what was compared.
+/// A copy without one of the recordings, or with one that no regime names, is not what was
+/// compared.
 #[test]
 fn every_recording_is_there_and_no_other() {
     let Some(folder) = data("neuron") else { return };

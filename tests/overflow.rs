@@ -1,7 +1,9 @@
-//! Where values leave their fields: the least cases in which the peers disagree, and what is counted.
+//! Where values leave their fields: the least cases in which the peers disagree, and what is
+//! counted.
 //!
-//! The registers of the first two tests are those of nengo-loihi 1.1.0 (hardware), lava-nc b6822fb and SLAYER's Loihi
-//! kernel (slayerPytorch 01beeeb) on the same input; the rest follows from `docs/semantics.md`.
+//! The registers of the first two tests are those of nengo-loihi 1.1.0 (hardware), lava-nc b6822fb
+//! and SLAYER's Loihi kernel (slayerPytorch 01beeeb) on the same input; the rest follows from
+//! `docs/semantics.md`.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -18,8 +20,8 @@ use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Shape;
 use nsim::ir::quantised::Neuron;
 
-/// Drives compartments, all with the same numbers, and holds the last u, v and the counts of overflow to what is
-/// expected.
+/// Drives compartments, all with the same numbers, and holds the last u, v and the counts of
+/// overflow to what is expected.
 fn ends_in(semantics: Semantics, neurons: &[Neuron], acc: &[i64], (u, v): (i32, i32), expected: Overflow) {
     let mut net = Net::with(semantics);
     let drive = Drive::new(&mut net, neurons.len() as u32);
@@ -48,12 +50,13 @@ const NONE: Overflow = Overflow { q_wrapped: 0, u_wrapped: 0, v_clipped: 0, firs
 fn a_current_of_two_to_the_23_wraps_on_the_chip_stays_in_lava_and_collapses_in_slayer() {
     let acc = [0, 28_672, 28_679, 28_686, 28_693, 16_412];
     let forgets_slowly = [neuron(1, 4096, 131_071, 1)];
-    // On the chip the wrapped current then takes the voltage below its least value; in lava the voltage is above its
-    // greatest, is clipped, and spikes.
+    // On the chip the wrapped current then takes the voltage below its least value; in lava the
+    // voltage is above its greatest, is clipped, and spikes.
     ends_in(Semantics::Hardware, &forgets_slowly, &acc, (-8_388_608, -8_388_607), counts(0, 1, 1, 5));
     ends_in(Semantics::Lava, &forgets_slowly, &acc, (8_388_608, 0), counts(0, 0, 1, 5));
     ends_in(Semantics::Slayer, &forgets_slowly, &acc, (1_050_878, 1_050_878), NONE);
-    // At the other end it is lava that wraps (`wrapped_curr <= -max_uv_val` in its `proc/lif/models.py`).
+    // At the other end it is lava that wraps (`wrapped_curr <= -max_uv_val` in its
+    // `proc/lif/models.py`).
     let acc = acc.map(|x| -x);
     ends_in(Semantics::Hardware, &forgets_slowly, &acc, (-8_388_608, -8_388_607), counts(0, 0, 1, 5));
     ends_in(Semantics::Lava, &forgets_slowly, &acc, (8_388_608, 0), counts(0, 1, 1, 5));
@@ -106,8 +109,8 @@ fn voltages_clip_at_their_exponents_on_the_chip_and_at_the_register_in_lava() {
 #[test]
 fn a_clip_is_not_counted_while_a_refractory_period_holds_the_voltage() {
     let narrow = Neuron { vmin: VminExponent::new(0).unwrap(), ..biased(neuron(4096, 0, 0, 3), 1, 0) };
-    // Spikes in step 0 by its bias; inputs of -1 would take v below 0 in every step after it, but v moves in steps 3
-    // and 4 only.
+    // Spikes in step 0 by its bias; inputs of -1 would take v below 0 in every step after it, but v
+    // moves in steps 3 and 4 only.
     ends_in(Semantics::Hardware, &[narrow], &[0, -1, -1, -1, -1], (-64, 0), counts(0, 0, 2, 3));
 }
 

@@ -1,8 +1,9 @@
 //! The pages of `nsim report`, opened by a browser without a network.
 //!
-//! Chromium draws every section of five pages, a pointer moves over each chart, each zoom is set, each button of choices is pressed; what the page
-//! says of errors and of loads from a network is collected. Without Chromium that test says `skipped`, and what can be told from the
-//! text of a page is still tested.
+//! Chromium draws every section of five pages, a pointer moves over each chart, each zoom is set,
+//! each button of choices is pressed; what the page says of errors and of loads from a network is
+//! collected. Without Chromium that test says `skipped`, and what can be told from the text of a
+//! page is still tested.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -60,7 +61,8 @@ fn convolutions() -> String {
     )
 }
 
-/// Four pages: the shipped network with 32 copies, a trained one beside its integers, convolutions from another format, and 1,024 copies.
+/// Four pages: the shipped network with 32 copies, a trained one beside its integers, convolutions
+/// from another format, and 1,024 copies.
 fn pages(folder: &Path) -> Vec<(&'static str, PathBuf)> {
     let slip = page(folder, "slip.html", &["vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti"]);
     let trained = page(folder, "trained.html", &["vtsnn-slip-srm", "--samples", "0..4", "--baseline"]);
@@ -83,7 +85,8 @@ fn chain(count: u32) -> String {
     };
     let list = |of: &dyn Fn(u32) -> String| (0..count).map(of).collect::<Vec<_>>().join(",");
     format!(
-        "Network(name: \"chain\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), {}], projections: [{}],
+        "Network(name: \"chain\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), {}], projections: \
+         [{}],
         output: \"p{}\")",
         list(&one),
         list(&into),
@@ -147,7 +150,8 @@ fn a_page_holds_what_energy_prints_and_loads_nothing() {
         let (result, sample) = (&data["results"][0], &data["sample"]);
         let steps = sample["steps"].as_u64().unwrap();
         assert!(steps > 0 && steps == sample["steps_of_sample"]);
-        // The curves of a page that reduces nothing are those of the first sample: their spikes are the rasters'.
+        // The curves of a page that reduces nothing are those of the first sample: their spikes are
+        // the rasters'.
         assert_eq!(sample["steps_a_point"], 1);
         let copies = result["copies"].as_u64().unwrap();
         for raster in sample["rasters"].as_array().unwrap() {
@@ -226,9 +230,9 @@ fn a_model_comes_through_a_pipe() {
     assert_eq!((&data["network"]["name"], data["origins"].as_array().unwrap().len()), (&"slip-tactile".into(), 0));
 }
 
-/// What a page's own script cannot say of itself: put behind it, it moves the pointer over every chart, turns the wheel, sets its zoom, takes
-/// the focus to every control as the tabulator key does, reads what is drawn, and
-/// leaves the findings in the document.
+/// What a page's own script cannot say of itself: put behind it, it moves the pointer over every
+/// chart, turns the wheel, sets its zoom, takes the focus to every control as the tabulator key
+/// does, reads what is drawn, and leaves the findings in the document.
 const OBSERVER: &str = r#"<script>
 (() => {
   const found = { sections: [], blank: [], silent: [], zoomed: 0, wheeled: 0, buttons: 0, unreachable: [] };
@@ -256,7 +260,8 @@ const OBSERVER: &str = r#"<script>
       const zooms = () => JSON.stringify((chart.getOption().dataZoom || []).map((zoom) => [zoom.start, zoom.end]));
       const unwheeled = zooms();
       for (let x = 0.2; x < 0.9 && unwheeled !== "[]" && unwheeled === zooms(); x += 0.2) for (let y = 0.1; y < 0.95 && unwheeled === zooms(); y += 0.08) {
-        // Of an event that a script makes, Chromium takes a positive delta for a turn away from the user.
+        // Of an event that a script makes, Chromium takes a positive delta for a turn away from the
+        // user.
         const wheel = { bubbles: true, cancelable: true, ctrlKey: true, deltaY: 240, clientX: at.left + x * place.width, clientY: at.top + y * place.height };
         chart.getZr().dom.firstChild.dispatchEvent(new WheelEvent("wheel", wheel));
       }

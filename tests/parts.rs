@@ -1,5 +1,5 @@
-//! The parts of a run add up to its totals, exactly: populations, inputs, cores and timesteps of random networks, on the machine with 1, 2
-//! and 8 threads and on the golden interpreter.
+//! The parts of a run add up to its totals, exactly: populations, inputs, cores and timesteps of
+//! random networks, on the machine with 1, 2 and 8 threads and on the golden interpreter.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -127,7 +127,8 @@ fn compare(compiled: &Compiled, target: &Target, samples: &[&Sample], expected: 
     }
 }
 
-/// Copies see the same samples, and a row is of all of them, whether all of them run or one does for all.
+/// Copies see the same samples, and a row is of all of them, whether all of them run or one does
+/// for all.
 #[test]
 fn copies_count_together() {
     let network = random::network(3);
@@ -188,7 +189,8 @@ fn assert_rows_add_up(compiled: &Compiled, target: &Target, samples: &[&Sample],
     let mut places =
         samples.iter().zip(0u64..).flat_map(|(sample, n)| (0..u64::from(sample.steps())).map(move |t| (n, t)));
     for record in reader.records() {
-        // Every figure is an integer of its finest unit: what is behind the point has a fixed number of digits.
+        // Every figure is an integer of its finest unit: what is behind the point has a fixed
+        // number of digits.
         let cells: Vec<u64> = record.unwrap().iter().map(|cell| cell.replace('.', "").parse().unwrap()).collect();
         assert_eq!(places.next(), Some((cells[0], cells[1])), "{what}: rows are in run order");
         sums.iter_mut().zip(cells).for_each(|(sum, cell)| *sum += cell);

@@ -1,5 +1,6 @@
-//! Graded spikes: a network whose spikes carry 3 is the same as one of binary spikes over weights times 3, in the interpreter and
-//! in the machine, on random networks; and the two engines agree on payloads of any size, past every overflow.
+//! Graded spikes: a network whose spikes carry 3 is the same as one of binary spikes over weights
+//! times 3, in the interpreter and in the machine, on random networks; and the two engines agree on
+//! payloads of any size, past every overflow.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -50,7 +51,8 @@ fn shown(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Shown {
     Shown { steps, totals: engine.totals(), overflow: engine.overflow(), carried }
 }
 
-/// What the machine shows in all numbers of shards, with skipping on and off, held to `expected`; returns the activity.
+/// What the machine shows in all numbers of shards, with skipping on and off, held to `expected`;
+/// returns the activity.
 fn assert_machine(network: &Quantised, sample: &Sample, expected: &Shown, what: &str) -> Activity {
     let chip = load_target("loihi1-chip").unwrap();
     let mut limits = chip.limits().clone();
@@ -73,7 +75,8 @@ fn assert_machine(network: &Quantised, sample: &Sample, expected: &Shown, what: 
     activity.unwrap()
 }
 
-/// The network with every weight a multiple of 6 and no larger than 8 bits hold three times, and exponents that lose no bits.
+/// The network with every weight a multiple of 6 and no larger than 8 bits hold three times, and
+/// exponents that lose no bits.
 fn tame(network: &Quantised) -> Parts {
     let mut parts = network.parts().clone();
     for projection in parts.projections.iter_mut() {
@@ -183,7 +186,8 @@ fn the_engines_agree_on_payloads_of_any_size() {
     assert!(overflows.iter().filter(|&&any| any).count() > 40);
 }
 
-/// Enough lanes and sources for every form of list and dense block, and a product that the accumulator wraps.
+/// Enough lanes and sources for every form of list and dense block, and a product that the
+/// accumulator wraps.
 #[test]
 fn every_form_of_synapses_carries_payloads() {
     // Dense blocks; lists of three bytes a synapse in runs of 4, 8 and 16; lists of words.
@@ -215,7 +219,8 @@ fn every_form_of_synapses_carries_payloads() {
     }
 }
 
-/// In every semantics a graded spike adds what as many binary spikes would, if nothing wraps between.
+/// In every semantics a graded spike adds what as many binary spikes would, if nothing wraps
+/// between.
 #[test]
 fn a_payload_multiplies_the_weight_in_every_semantics() {
     for semantics in [Semantics::Hardware, Semantics::Lava, Semantics::Slayer] {

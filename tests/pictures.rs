@@ -1,4 +1,5 @@
-//! Pictures as the command line draws them: each kind in each format, from models and from saved results.
+//! Pictures as the command line draws them: each kind in each format, from models and from saved
+//! results.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

@@ -1,5 +1,5 @@
-//! Pruned networks against the whole ones, over the interpreter: the same spikes wherever something is left, and enough
-//! pruned of each kind for that to mean something.
+//! Pruned networks against the whole ones, over the interpreter: the same spikes wherever something
+//! is left, and enough pruned of each kind for that to mean something.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -32,7 +32,8 @@ use rayon::prelude::*;
 
 const NETWORKS: u64 = 1500;
 
-/// A random network in which there is something to prune: thresholds raised, weights taken, another output.
+/// A random network in which there is something to prune: thresholds raised, weights taken, another
+/// output.
 fn network(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0x9123);
     let mut parts = random::network(seed).parts().clone();
@@ -174,7 +175,8 @@ fn plain() -> Options {
     Options { strategy: Strategy::Sequential, place: false, ..Options::default() }
 }
 
-/// One network pruned in three ways, and how much went; also the spikes of its compartments and of its output.
+/// One network pruned in three ways, and how much went; also the spikes of its compartments and of
+/// its output.
 fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
     let whole = network(seed);
     let shown = sample(&whole, seed);
@@ -378,16 +380,17 @@ fn no_input_makes_a_compartment_spike_that_is_said_to_be_silent() {
         let (spiking, silent) = (of(|v| v.2), of(|v| v.1));
         let (unproven, wrapped) = (of(|v| !v.1 && !v.2), of(|v| v.3));
         println!("{name}: {spiking} spike, {silent} proved silent, {unproven} silent without proof; {wrapped} wrapped");
-        // The bound is worth having: it finds most of those that no input here makes spike. (SLAYER's products lose bits
-        // from 2^20 on, where nothing is claimed.)
+        // The bound is worth having: it finds most of those that no input here makes spike.
+        // (SLAYER's products lose bits from 2^20 on, where nothing is claimed.)
         assert!(silent > 500 && spiking > 500 && silent > unproven, "{name}");
     }
 }
 
 #[test]
 fn the_bound_is_the_highest_that_v_can_be_driven() {
-    // Weights 10 and 20 with exponent 0: at most 1,920 arrive. u ends at (1920 - 1) * 4096 / 1024 + 1 = 7677, v at
-    // (7677 - 1) * 4096 / 128 + 1 = 245,633. A threshold of 3,838 * 64 = 245,632 is passed, one of 3,839 * 64 is not.
+    // Weights 10 and 20 with exponent 0: at most 1,920 arrive. u ends at (1920 - 1) * 4096 / 1024 +
+    // 1 = 7677, v at (7677 - 1) * 4096 / 128 + 1 = 245,633. A threshold of 3,838 * 64 = 245,632 is
+    // passed, one of 3,839 * 64 is not.
     for (vth, silent) in [(3838, false), (3839, true)] {
         let mut net = Net::new();
         let input = net.input(Shape::Line(2));

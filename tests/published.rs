@@ -85,7 +85,8 @@ fn the_offline_table_is_reproduced_within_two_percent() {
 #[test]
 fn the_real_time_table_is_predicted_within_six_percent() {
     hold("vtsnn-realtime", "realtime", 0.06);
-    // The host's 39.9 us are in no offline figure: what is predicted is the bin alone, in every step.
+    // The host's 39.9 us are in no offline figure: what is predicted is the bin alone, in every
+    // step.
     let rows = reproduced("realtime", "physical");
     assert_eq!(figure(&rows, "total", "latency_us"), 1000.0);
 }

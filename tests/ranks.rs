@@ -1,5 +1,6 @@
-//! One network on several ranks against the same network on one: spikes, counts, probes, times and energies, bit for bit; and that no
-//! rank holds more than its part. Here ranks are threads; `tests/jobs.rs` starts them as processes.
+//! One network on several ranks against the same network on one: spikes, counts, probes, times and
+//! energies, bit for bit; and that no rank holds more than its part. Here ranks are threads;
+//! `tests/jobs.rs` starts them as processes.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

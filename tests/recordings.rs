@@ -236,7 +236,8 @@ fn formats() -> Vec<Format> {
 
     let stream = |number: u32, kind: &str, columns: u32| {
         format!(
-            "<node name=\"{number}\" path=\"/outInfo/{number}/\"><attr key=\"typeIdentifier\" type=\"string\">{kind}</attr>\
+            "<node name=\"{number}\" path=\"/outInfo/{number}/\"><attr key=\"typeIdentifier\" \
+             type=\"string\">{kind}</attr>\
              <node name=\"info\"><attr key=\"sizeX\">{columns}</attr><attr key=\"sizeY\">16</attr>\
              <attr key=\"source\">CAM</attr></node></node>"
         )
@@ -542,7 +543,8 @@ fn of_two_cameras_one_is_chosen() {
     assert_eq!(read_bytes("a.raw", &evt3, "stream=1").unwrap().0, [(0, 256 + 34)]);
     let stream = |number: u32| {
         format!(
-            "<node name=\"{number}\"><attr key=\"typeIdentifier\">EVTS</attr><node name=\"info\"><attr key=\"sizeX\">16</attr>\
+            "<node name=\"{number}\"><attr key=\"typeIdentifier\">EVTS</attr><node name=\"info\"><attr \
+             key=\"sizeX\">16</attr>\
              <attr key=\"sizeY\">16</attr><attr key=\"source\">CAM{number}</attr></node></node>"
         )
     };

@@ -1,5 +1,5 @@
-//! The reference engine over whole networks: against SLAYER's own order of operations, and against the machine where both
-//! mean the same.
+//! The reference engine over whole networks: against SLAYER's own order of operations, and against
+//! the machine where both mean the same.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -101,7 +101,8 @@ fn a_network_of_spike_response_neurons_is_what_slayer_computes() {
     assert!(spikes > 300, "{spikes} spikes show little");
 }
 
-/// Decays and weights whose products stay whole numbers, so that the integer machine rounds nothing away.
+/// Decays and weights whose products stay whole numbers, so that the integer machine rounds nothing
+/// away.
 const WHOLE: &str = r#"Network(name: "whole", timestep_ms: 1.0, populations: [
     Input(name: "in", shape: [4, 3, 3]),
     Loihi(name: "pool", shape: [4, 2, 2], du: 4096, dv: 4096, vth_mant: 3, refractory: 2, start_step: 3),

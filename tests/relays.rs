@@ -1,4 +1,5 @@
-//! Networks with relays against the golden interpreter of the same networks without, and changed relays against the checker.
+//! Networks with relays against the golden interpreter of the same networks without, and changed
+//! relays against the checker.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -24,7 +25,8 @@ use nsim::quantise::relays::{Relayed, relayed};
 
 const NETWORKS: u64 = 400;
 
-/// The spikes of the compartments of the original, each so many steps earlier as its population is late.
+/// The spikes of the compartments of the original, each so many steps earlier as its population is
+/// late.
 fn spikes(
     engine: &mut dyn Engine,
     network: &Quantised,

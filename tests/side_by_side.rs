@@ -1,4 +1,5 @@
-//! `nsim agree` with several model files: one table of the trained network, its conversion and its fine-tuned conversion.
+//! `nsim agree` with several model files: one table of the trained network, its conversion and its
+//! fine-tuned conversion.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

@@ -1,4 +1,5 @@
-//! What a Loihi chip did, bit for bit: a recorded network, and two published traces of the voltage register.
+//! What a Loihi chip did, bit for bit: a recorded network, and two published traces of the voltage
+//! register.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -10,8 +11,9 @@ use common::{Array, Net, data, engines, neuron};
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
 
-/// One compartment (du 1024, dv 128) that one spike over a weight of 2 reaches in step 1, with its register after each
-/// step. The figures are from slayerPytorch 01beeeb, `test/test_files/Loihi/LoihiData/LoihiVth05.txt`.
+/// One compartment (du 1024, dv 128) that one spike over a weight of 2 reaches in step 1, with its
+/// register after each step. The figures are from slayerPytorch 01beeeb,
+/// `test/test_files/Loihi/LoihiData/LoihiVth05.txt`.
 fn register_trace(vth_mant: i64, refractory: i64, expected: &[i32]) {
     let mut net = Net::new();
     let input = net.input(Shape::Line(1));
@@ -97,7 +99,8 @@ fn the_recorded_network_equals_the_chip() {
 
 #[test]
 fn a_number_that_is_driven_is_the_number_that_arrives() {
-    // The other tests lean on `Drive`; with du and dv 4096 the current is what arrives, so here it is held to itself.
+    // The other tests lean on `Drive`; with du and dv 4096 the current is what arrives, so here it
+    // is held to itself.
     let numbers = [0, 1, -1, 127, 128, -129, 16_383, 16_384, -16_385, 32_767, -32_768];
     let mut net = Net::new();
     let drive = Drive::new(&mut net, 1);

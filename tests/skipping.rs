@@ -1,5 +1,6 @@
-//! What is skipped at run time changes nothing: recordings of a real sensor and networks by hand, with skipping on and
-//! off, in 1, 2 and 8 shares and threads, against the interpreter; and how much is skipped.
+//! What is skipped at run time changes nothing: recordings of a real sensor and networks by hand,
+//! with skipping on and off, in 1, 2 and 8 shares and threads, against the interpreter; and how
+//! much is skipped.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -36,7 +37,8 @@ fn keep(network: &Quantised) -> Keep {
     }
 }
 
-/// An outcome without what skipping may change, its traces as a number, and how many steps were skipped.
+/// An outcome without what skipping may change, its traces as a number, and how many steps were
+/// skipped.
 fn essence(outcome: Outcome) -> (Outcome, u64, u64) {
     let mut hasher = DefaultHasher::new();
     outcome.probes.hash(&mut hasher);
@@ -52,8 +54,8 @@ fn on_small_cores(model: &str) -> Compiled {
     compile(front(&load_model(model).unwrap()).unwrap(), &chip.with_limits(limits), &Options::default()).unwrap()
 }
 
-/// What the interpreter makes of a sample, and the steps of which it shows that they could be skipped: no input, no spike
-/// in the step before, every register zero.
+/// What the interpreter makes of a sample, and the steps of which it shows that they could be
+/// skipped: no input, no spike in the step before, every register zero.
 fn interpreted(network: &Quantised, sample: &Sample, keep: &Keep) -> (Outcome, u64, u64) {
     let (mut step, mut idle, mut at_rest) = (0, 0, true);
     let outcome = run_sample(&mut Golden::new(network), sample, keep, |engine, _| {
@@ -66,7 +68,8 @@ fn interpreted(network: &Quantised, sample: &Sample, keep: &Keep) -> (Outcome, u
     (outcome, traces, idle)
 }
 
-/// Runs the samples with every setting, compares, and returns (steps without input, skipped steps, all steps).
+/// Runs the samples with every setting, compares, and returns (steps without input, skipped steps,
+/// all steps).
 fn compare(model: &str, samples: &[Sample]) -> (u64, u64, u64) {
     let compiled = on_small_cores(model);
     assert!(compiled.program.cores().len() > 8, "one core or more for each of eight shares");
@@ -110,7 +113,8 @@ fn compare(model: &str, samples: &[Sample]) -> (u64, u64, u64) {
     (samples.iter().map(silent).sum(), golden.iter().map(|(_, _, idle)| idle).sum(), steps)
 }
 
-/// A network whose compartments keep nothing from one step to the next, so that every silent step can be skipped.
+/// A network whose compartments keep nothing from one step to the next, so that every silent step
+/// can be skipped.
 const FORGETFUL: &str = r#"Network(name: "forgetful", timestep_ms: 20.0, populations: [
     Input(name: "tactile", shape: [78]),
     Loihi(name: "hidden", shape: [32], du: 4096, dv: 4096, vth_mant: 20),
@@ -159,7 +163,8 @@ fn spikes_at(steps: u32, at: &[u32]) -> Sample {
     Sample::new(steps, &at.iter().map(|&step| (step, ChannelId(0))).collect::<Vec<_>>(), None).unwrap()
 }
 
-/// One channel to one compartment, by a weight of 8 over this delay; thresholds are far above unless given.
+/// One channel to one compartment, by a weight of 8 over this delay; thresholds are far above
+/// unless given.
 fn one(neuron: nsim::ir::quantised::Neuron, start_step: u32, delay: i64) -> Net {
     let mut net = Net::new();
     let input = net.input(Shape::Line(1));
@@ -173,14 +178,16 @@ fn a_silent_network_is_skipped_whole() {
     let network = one(neuron(1024, 128, 80, 1), 0, 0).build();
     let (outcome, skipped) = agreed(&network, &spikes_at(1000, &[]));
     assert_eq!((skipped, outcome.totals.compartment_updates, outcome.totals.active_updates), (1000, 1000, 0));
-    // Until the first spike, too, and again once it is forgotten: step 501 still holds what step 500 left.
+    // Until the first spike, too, and again once it is forgotten: step 501 still holds what step
+    // 500 left.
     let network = one(neuron(4096, 4096, 80, 1), 0, 0).build();
     assert_eq!(agreed(&network, &spikes_at(1000, &[500])).1, 500 + 498);
 }
 
 #[test]
 fn slow_decays_rest_when_the_integers_have_reached_zero() {
-    // u(0) = 512 loses an eighth each step, toward zero, and v follows; the step after both are zero is skipped.
+    // u(0) = 512 loses an eighth each step, toward zero, and v follows; the step after both are
+    // zero is skipped.
     let network = one(neuron(512, 2048, 80, 1), 0, 0).build();
     let (mut u, mut v, mut steps) = (512i64, 512i64, 1);
     while u != 0 || v != 0 {
@@ -229,8 +236,8 @@ fn a_spike_in_flight_is_waited_for() {
 
 #[test]
 fn a_refractory_period_is_no_rest() {
-    // It spikes in step 2 and is free again in step 12: steps 0, 1 and 12 on are at rest. A counter that runs out in the
-    // update of step 12 may take that step too.
+    // It spikes in step 2 and is free again in step 12: steps 0, 1 and 12 on are at rest. A counter
+    // that runs out in the update of step 12 may take that step too.
     let (outcome, skipped) = agreed(&one(neuron(4096, 4096, 5, 10), 0, 0).build(), &spikes_at(50, &[2]));
     assert_eq!(outcome.counts[0], 1);
     assert!((2 + 37..=2 + 38).contains(&skipped), "{skipped}");
@@ -253,7 +260,8 @@ fn a_reset_brings_rest_and_comes_in_time_after_it() {
     // Not at rest from step 3 to step 10, whose update finds zero; again from 27 to 30.
     let (_, skipped) = agreed(&network, &spikes_at(100, &[3, 27]));
     assert_eq!(skipped, 3 + (27 - 11) + (100 - 31));
-    // A reset in the step of an arrival, after a long rest: what arrives in step 50 counts from zero.
+    // A reset in the step of an arrival, after a long rest: what arrives in step 50 counts from
+    // zero.
     let (outcome, skipped) = agreed(&network, &spikes_at(60, &[50]));
     assert_eq!((skipped, outcome.totals.active_updates), (50, 10));
 }

@@ -1,4 +1,5 @@
-//! Reset by subtraction: every engine computes the same, bounds hold, and only targets that say so have it.
+//! Reset by subtraction: every engine computes the same, bounds hold, and only targets that say so
+//! have it.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -181,7 +182,8 @@ fn a_target_without_it_refuses_it_by_name() {
     assert!(problem.to_string().contains("has SoftReset neurons, which loihi1-chip does not have"), "{problem}");
     assert!(compile(network, &chip(), &Options::default()).is_ok());
     let other = read(
-        "SoftReset(name: \"hidden\", shape: [3], du: 4096, dv: 0, vth_mant: 3), Loihi(name: \"out\", shape: [2], du: 1, dv: 1, vth_mant: 9)",
+        "SoftReset(name: \"hidden\", shape: [3], du: 4096, dv: 0, vth_mant: 3), Loihi(name: \"out\", shape: [2], du: \
+         1, dv: 1, vth_mant: 9)",
     );
     assert!(compile(quantise(&other).unwrap(), &chip(), &Options::default()).is_ok());
 }

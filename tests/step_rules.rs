@@ -1,4 +1,5 @@
-//! The rules of a timestep that are not arithmetic: when a spike arrives, who is held, what is reset, what is counted.
+//! The rules of a timestep that are not arithmetic: when a spike arrives, who is held, what is
+//! reset, what is counted.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -17,8 +18,8 @@ use nsim::ir::spikes::Engine;
 
 const FIRST: CompartmentId = CompartmentId(0);
 
-/// Runs every engine over (step, channel) input spikes and returns what `f` sees after each step, once it is sure that
-/// all engines see the same.
+/// Runs every engine over (step, channel) input spikes and returns what `f` sees after each step,
+/// once it is sure that all engines see the same.
 fn watch<T: PartialEq + std::fmt::Debug>(
     network: &Quantised,
     steps: u32,
@@ -196,8 +197,8 @@ fn a_compartment_is_active_unless_nothing_can_move_it() {
     // Arrivals that cancel are six events and move nothing.
     let cancelled = totals(&[(2, 0), (2, 1)]);
     assert_eq!((cancelled.synaptic_events, cancelled.active_updates, cancelled.spikes), (6, 10, 0));
-    // The plain one is active in step 2 and, since u is not zero at its start, in step 3; the one that spikes also in
-    // steps 4 and 5, while its refractory period runs.
+    // The plain one is active in step 2 and, since u is not zero at its start, in step 3; the one
+    // that spikes also in steps 4 and 5, while its refractory period runs.
     let moved = totals(&[(2, 0)]);
     assert_eq!((moved.synaptic_events, moved.active_updates, moved.spikes), (3, 16, 1));
 }

@@ -1,4 +1,5 @@
-//! `nsim sweep`: its rows are those of the single commands, and ending it at any moment changes nothing.
+//! `nsim sweep`: its rows are those of the single commands, and ending it at any moment changes
+//! nothing.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -229,7 +230,8 @@ fn what_no_variant_can_be_run_with_ends_the_sweep() {
     }
 }
 
-/// The network with other neurons in the populations whose spikes go nowhere, which are alike where they were.
+/// The network with other neurons in the populations whose spikes go nowhere, which are alike where
+/// they were.
 fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {
     let last: Vec<_> = last_populations(network).collect();
     let mut parts = network.parts().clone();

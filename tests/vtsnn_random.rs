@@ -1,5 +1,5 @@
-//! The two-modality network of the VT-SNN paper with random weights: every spike of ten samples, as nengo-loihi, lava
-//! and brian2-loihi all give them.
+//! The two-modality network of the VT-SNN paper with random weights: every spike of ten samples, as
+//! nengo-loihi, lava and brian2-loihi all give them.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

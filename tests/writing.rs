@@ -1,9 +1,11 @@
-//! Faults of the disk, injected into every command that writes or reads files: what it writes is absent, old or complete, and
-//! never of two generations side by side; what it prints is right, or its status says that it failed.
+//! Faults of the disk, injected into every command that writes or reads files: what it writes is
+//! absent, old or complete, and never of two generations side by side; what it prints is right, or
+//! its status says that it failed.
 //!
-//! A command runs without a fault once for the old files and once for the new ones, and names its operations on the file
-//! system. Then it runs with a fault in each of them, in an empty folder and on the old files, and once more without. Some
-//! operations are left out to save time; `NSIM_FAULTS=all` takes every one.
+//! A command runs without a fault once for the old files and once for the new ones, and names its
+//! operations on the file system. Then it runs with a fault in each of them, in an empty folder and
+//! on the old files, and once more without. Some operations are left out to save time;
+//! `NSIM_FAULTS=all` takes every one.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -34,7 +36,8 @@ const WRITING: [Case; 51] = [
     case("map i/GEN.ron --plot m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
     case("map i/GEN.ron -o deep/er/m.ron --plot m.png --pareto p.pdf", "a", "b"),
-    // These are large enough for the cache: what it holds is old or complete, and no fault in it is one of the command.
+    // These are large enough for the cache: what it holds is old or complete, and no fault in it is
+    // one of the command.
     case("map i/GEN.ron", "large-a", "large-b"),
     case("map i/GEN.ron -o m.ron", "large-a", "large-a"),
     case("map i/GEN.ron -o -", "a", "b"),
@@ -392,8 +395,8 @@ impl Expected {
                 if is_old { &mut olds } else { &mut news }.push(name.as_str());
             }
         }
-        // A folder of recordings may hold both while it says that it is unfinished; pictures, histories, documents and
-        // checkpoints are files on their own, as are the runs of a study.
+        // A folder of recordings may hold both while it says that it is unfinished; pictures,
+        // histories, documents and checkpoints are files on their own, as are the runs of a study.
         let unfinished = there.contains_key("s/.nsim-unfinished") && !there.contains_key("s/dataset.ron");
         let apart = |name: &&str| {
             [".svg", ".csv", ".st", ".md", ".png", ".pdf"].iter().any(|end| name.ends_with(end))
@@ -445,7 +448,8 @@ impl Expected {
         if matches!(ran.status, Some(2 | 3)) {
             let left = there.keys().find(|name| name.ends_with(".tmp"));
             assert!(left.is_none() || kind == "broken", "{what} leaves {left:?}");
-            // What it could not replace is still there; a disk that is broken for good cannot be helped.
+            // What it could not replace is still there; a disk that is broken for good cannot be
+            // helped.
             let lost = self.before.keys().find(|name| !there.contains_key(*name));
             let unfinished = there.contains_key("s/.nsim-unfinished");
             assert!(lost.is_none() || unfinished || kind == "broken", "{what} loses {lost:?}");

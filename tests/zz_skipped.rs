@@ -1,7 +1,9 @@
-//! The last test file to run (files run by name): says once more, together, which tests were skipped for want of recordings.
+//! The last test file to run (files run by name): says once more, together, which tests were
+//! skipped for want of recordings.
 //!
-//! A passing test is silent, and cargo starts a process for each file, so this one does not ask the others: it reads their
-//! source, finds the folder that each test asks `common::data` for, and looks whether it is there.
+//! A passing test is silent, and cargo starts a process for each file, so this one does not ask the
+//! others: it reads their source, finds the folder that each test asks `common::data` for, and
+//! looks whether it is there.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -13,7 +15,8 @@ use std::path::{Path, PathBuf};
 
 use syn::visit::{self, Visit};
 
-/// The folders of recordings that tests ask for; one that is not listed is a slip of the pen and would be skipped for ever.
+/// The folders of recordings that tests ask for; one that is not listed is a slip of the pen and
+/// would be skipped for ever.
 const FOLDERS: [&str; 9] =
     ["cases", "silicon", "neuron", "vtsnn-random", "ev-containers", "oxford-slayer", "netx", "nir", "events"];
 

@@ -1,4 +1,5 @@
-//! Lists the stored results of the paper's tables, so that the program carries each file that lies in their folder.
+//! Lists the stored results of the paper's tables, so that the program carries each file that lies
+//! in their folder.
 
 use std::path::Path;
 

@@ -1,7 +1,8 @@
 //! How far the integers of a network are from what was trained, and why: `nsim agree`.
 //!
-//! Input: a network, spikes, and what it is held against. Output: an [`Agreement`], whose figures are those of the command line. Left
-//! out on purpose: comparisons with recordings and other models, which the command line has.
+//! Input: a network, spikes, and what it is held against. Output: an [`Agreement`], whose figures
+//! are those of the command line. Left out on purpose: comparisons with recordings and other
+//! models, which the command line has.
 
 use nsim::agree::attribution::attribute;
 use nsim::agree::compare::{Counterpart, Deployed, compare, output_layer};
@@ -101,7 +102,8 @@ impl Agreement {
 
 #[pymethods]
 impl Agreement {
-    /// The share of samples that both networks put in the same class; None where neither has classes.
+    /// The share of samples that both networks put in the same class; None where neither has
+    /// classes.
     #[getter]
     fn class_agreement(&self) -> Option<f64> {
         self.json["class_agreement"].as_f64()

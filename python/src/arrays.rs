@@ -63,7 +63,8 @@ impl<'py> Array<'py> {
             (b'c', _) => ("complex numbers", "take one part of them: array.real, array.imag or numpy.abs(array)"),
             (b'O', _) => (
                 "Python objects",
-                "rows of one length, of numbers of at most 64 bits and without None, make an array; a sparse array has array.toarray()",
+                "rows of one length, of numbers of at most 64 bits and without None, make an array; a sparse array \
+                 has array.toarray()",
             ),
             (b'V', _) if dtype.has_fields() => (
                 "records of several fields",

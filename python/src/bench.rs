@@ -1,7 +1,7 @@
 //! How long a timestep of a mapping takes to simulate.
 //!
-//! Input: a mapping, a sample that is shown over and over. Output: what [`nsim::energy::measure`] measures, as `nsim bench step` does of
-//! its standard networks.
+//! Input: a mapping, a sample that is shown over and over. Output: what [`nsim::energy::measure`]
+//! measures, as `nsim bench step` does of its standard networks.
 
 use std::time::Duration;
 

@@ -1,6 +1,7 @@
 //! A network in integers, searched for on samples: `nsim convert`.
 //!
-//! Input: a network with real numbers, spikes. Output: a [`Conversion`], whose figures and whose model are those of the command line.
+//! Input: a network with real numbers, spikes. Output: a [`Conversion`], whose figures and whose
+//! model are those of the command line.
 
 use nsim::files::model_builder::ModelBuilder;
 use nsim::files::shipped;
@@ -34,7 +35,8 @@ pub struct Conversion {
 }
 
 impl Conversion {
-    /// Converts a network for a target; `built` makes the network that the written model would give.
+    /// Converts a network for a target; `built` makes the network that the written model would
+    /// give.
     pub fn new(
         py: Python<'_>,
         (name, network): (&str, &nsim::files::network::Network),
@@ -95,7 +97,8 @@ impl Conversion {
         self.network.clone_ref(py)
     }
 
-    /// The share of the held-out samples (of those searched on, where none were held out) that both networks put in the same class.
+    /// The share of the held-out samples (of those searched on, where none were held out) that both
+    /// networks put in the same class.
     #[getter]
     fn class_agreement(&self) -> Option<f64> {
         let held_out = self.json["held_out"]["class_agreement"].as_f64();
@@ -114,7 +117,8 @@ impl Conversion {
         to_python(py, &self.json["layers"])
     }
 
-    /// Writes the model file that `nsim convert -o` writes, and its arrays beside it; with `force` in the place of files that are there.
+    /// Writes the model file that `nsim convert -o` writes, and its arrays beside it; with `force`
+    /// in the place of files that are there.
     ///
     /// Gives the names of the files.
     #[pyo3(signature = (path, *, force=false))]

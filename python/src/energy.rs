@@ -156,7 +156,8 @@ impl Energy {
         self.total("latency_us")
     }
 
-    /// The rows of the table, a dictionary each: power in mW, latency in us, energy in uJ, the bounds of its interval.
+    /// The rows of the table, a dictionary each: power in mW, latency in us, energy in uJ, the
+    /// bounds of its interval.
     #[getter]
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.report.json()["rows"])

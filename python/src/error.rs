@@ -16,7 +16,8 @@ pyo3::create_exception!(
     nsim,
     Error,
     PyException,
-    "What nsim cannot do: `code` names the problem, `place` is FILE:LINE:COLUMN or None, `help` says what to change or is None; \
+    "What nsim cannot do: `code` names the problem, `place` is FILE:LINE:COLUMN or None, `help` says what to change \
+     or is None; \
      `reasons` has a dictionary for each problem."
 );
 

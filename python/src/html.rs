@@ -1,7 +1,7 @@
 //! Tables for notebooks, and data frames.
 //!
-//! Input: rows as the reports' JSON has them, and which columns to show. Output: one HTML table. Text is escaped: names come from users'
-//! files.
+//! Input: rows as the reports' JSON has them, and which columns to show. Output: one HTML table.
+//! Text is escaped: names come from users' files.
 
 use pyo3::prelude::*;
 use serde_json::Value;

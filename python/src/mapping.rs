@@ -179,30 +179,36 @@ impl Mapping {
         &network.populations()[network.parts().output].name
     }
 
-    /// The projections of one copy in integers, a dictionary each: `source`, `target`, `weights`, `exponent`, `delay` in timesteps,
-    /// `factor` (what a spike multiplies weights by) and, of convolutions and pools, `window`.
+    /// The projections of one copy in integers, a dictionary each: `source`, `target`, `weights`,
+    /// `exponent`, `delay` in timesteps, `factor` (what a spike multiplies weights by) and, of
+    /// convolutions and pools, `window`.
     ///
-    /// `weights` are `[target, source]`, or a kernel `[C', C / groups, kh, kw]`; a spike adds `weight * 2 ** (6 + exponent)`.
+    /// `weights` are `[target, source]`, or a kernel `[C', C / groups, kh, kw]`; a spike adds
+    /// `weight * 2 ** (6 + exponent)`.
     fn projections<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         projections::dictionaries(py, &self.0.compiled().one)
     }
 
-    /// The mapping as `nsim map -o` writes it, which `Network.map(mapping=FILE)` and `nsim run --mapping` take.
+    /// The mapping as `nsim map -o` writes it, which `Network.map(mapping=FILE)` and
+    /// `nsim run --mapping` take.
     fn to_ron(&self, py: Python<'_>) -> PyResult<String> {
         mapping_text(&self.0.compiled().mapping_file()).map_err(|problem| raised(py, problem))
     }
 
     /// Runs samples on the simulated cores: `nsim run --engine fast`.
     ///
-    /// `spikes` is an array `[channels.., T]` or `[samples, channels.., T]` in which a number other than zero is a spike, a dictionary from
-    /// input populations to such arrays, a source or a list of sources as `--input` takes them, or None for the model's own scene. With
-    /// `time_first` arrays are `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the samples, `samples` is
-    /// (first, end), `seed` that of a scene, `early_exit` 'certain' or a margin in spikes, `probe` a list of POPULATION.spikes, .u, .v
-    /// or .v_register to record. The first run of a mapping warns of what stands out in it (`nsim.Warning`); `Run.warnings` has what stands
-    /// out in any.
+    /// `spikes` is an array `[channels.., T]` or `[samples, channels.., T]` in which a number other
+    /// than zero is a spike, a dictionary from input populations to such arrays, a source or a list
+    /// of sources as `--input` takes them, or None for the model's own scene. With `time_first`
+    /// arrays are `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the
+    /// samples, `samples` is (first, end), `seed` that of a scene, `early_exit` 'certain' or a
+    /// margin in spikes, `probe` a list of POPULATION.spikes, .u, .v or .v_register to record. The
+    /// first run of a mapping warns of what stands out in it (`nsim.Warning`); `Run.warnings` has
+    /// what stands out in any.
     #[pyo3(
         signature = (spikes=None, **options),
-        text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, early_exit=None, \
+        text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, \
+                          early_exit=None, \
                           probe=())"
     )]
     fn run(
@@ -216,14 +222,17 @@ impl Mapping {
         Run::new(py, &self.0, shown, &keywords)
     }
 
-    /// What the mapping costs for these samples: `nsim energy`, compared with the `baselines` that are named.
+    /// What the mapping costs for these samples: `nsim energy`, compared with the `baselines` that
+    /// are named.
     ///
-    /// Energies are in uJ and latencies in us, of a timestep and one copy. `spikes` and its keywords are those of `run`; the others are the
-    /// options of `nsim energy`.
+    /// Energies are in uJ and latencies in us, of a timestep and one copy. `spikes` and its
+    /// keywords are those of `run`; the others are the options of `nsim energy`.
     #[pyo3(
         signature = (spikes=None, **options),
-        text_signature = "($self, spikes=None, *, deployment=None, mode='offline', convention='physical', constants=None, \
-                          transport='queued', host=None, streams='one', reset_words=0, accounting='profiler', early_exit=None, baselines=(), labels=None, \
+        text_signature = "($self, spikes=None, *, deployment=None, mode='offline', convention='physical', \
+                          constants=None, \
+                          transport='queued', host=None, streams='one', reset_words=0, accounting='profiler', \
+                          early_exit=None, baselines=(), labels=None, \
                           samples=None, repeat=1, seed=None, time_first=False)"
     )]
     fn energy(
@@ -238,13 +247,17 @@ impl Mapping {
         Energy::new(py, &self.0, &plan, spikes, &keywords)
     }
 
-    /// How long a timestep takes to simulate on one thread, measured for about so many `seconds` while the first sample is shown over and over.
+    /// How long a timestep takes to simulate on one thread, measured for about so many `seconds`
+    /// while the first sample is shown over and over.
     ///
-    /// Gives a dictionary: `us_per_timestep` (the median of the repeats), `fastest_us`, `spread_us` (between the quartiles), `repeats`, `steps`
-    /// of each, and `spikes_in`, `spikes`, `synaptic_events`, `compartment_updates` of a timestep. With `skip=False` no work is left out.
+    /// Gives a dictionary: `us_per_timestep` (the median of the repeats), `fastest_us`, `spread_us`
+    /// (between the quartiles), `repeats`, `steps` of each, and `spikes_in`, `spikes`,
+    /// `synaptic_events`, `compartment_updates` of a timestep. With `skip=False` no work is left
+    /// out.
     #[pyo3(
         signature = (spikes=None, **options),
-        text_signature = "($self, spikes=None, *, seconds=1.0, skip=True, labels=None, samples=None, repeat=1, seed=None, time_first=False)"
+        text_signature = "($self, spikes=None, *, seconds=1.0, skip=True, labels=None, samples=None, repeat=1, \
+                          seed=None, time_first=False)"
     )]
     fn bench<'py>(
         &self,
@@ -255,7 +268,8 @@ impl Mapping {
         bench(py, &self.0, spikes, &Keywords::new(options)?)
     }
 
-    /// Writes a page that shows what the mapping does and costs, to be opened in a browser: `nsim report`.
+    /// Writes a page that shows what the mapping does and costs, to be opened in a browser:
+    /// `nsim report`.
     ///
     /// The keywords are those of `energy`; `force` replaces a file that is there. Gives the path.
     #[pyo3(

@@ -1,9 +1,10 @@
 //! Networks from objects in memory: arrays of weights, or the bytes of a NIR graph.
 //!
-//! Input: populations and projections as dictionaries whose keys are the fields of a model file, with NumPy arrays or SciPy's
-//! sparse arrays as weights. Output: the [`Network`] that a model file with the same values gives, since both are built by
-//! [`ModelBuilder`] and checked by the front end. Errors: `usage` for a dictionary that cannot be read, `model.*` and `import.*`
-//! from the library.
+//! Input: populations and projections as dictionaries whose keys are the fields of a model file,
+//! with NumPy arrays or SciPy's sparse arrays as weights. Output: the [`Network`] that a model file
+//! with the same values gives, since both are built by [`ModelBuilder`] and checked by the front
+//! end. Errors: `usage` for a dictionary that cannot be read, `model.*` and `import.*` from the
+//! library.
 
 use std::path::Path;
 

@@ -90,12 +90,14 @@ impl Network {
 
 #[pymethods]
 impl Network {
-    /// A network of populations and projections, dictionaries whose keys are the fields of a model file.
+    /// A network of populations and projections, dictionaries whose keys are the fields of a model
+    /// file.
     ///
-    /// A population has `name`, `shape` (a number, `[n]` or `[channels, height, width]`) and `kind` ('Input', 'Loihi' and the other kinds
-    /// of neurons); parameters such as `du`, `dv`, `vth_mant` are a number or an array with one for each neuron. A projection has
-    /// `from`, `to` and `weights`: `[target, source]`, a kernel `[C', C / groups, kh, kw]` or a SciPy sparse array `[target, source]`.
-    /// `timestep_ms` is in ms.
+    /// A population has `name`, `shape` (a number, `[n]` or `[channels, height, width]`) and `kind`
+    /// ('Input', 'Loihi' and the other kinds of neurons); parameters such as `du`, `dv`, `vth_mant`
+    /// are a number or an array with one for each neuron. A projection has `from`, `to` and
+    /// `weights`: `[target, source]`, a kernel `[C', C / groups, kh, kw]` or a SciPy sparse array
+    /// `[target, source]`. `timestep_ms` is in ms.
     #[new]
     #[pyo3(signature = (name, populations, projections, *, output, timestep_ms=1.0, classes=Vec::new()))]
     fn new(
@@ -156,7 +158,8 @@ impl Network {
     /// them.
     #[pyo3(
         signature = (target=None, **options),
-        text_signature = "($self, target='nahuku-32', *, copies=1, deployment='spread', strategy='multilevel', objective='cores', seed=0, mapping=None)"
+        text_signature = "($self, target='nahuku-32', *, copies=1, deployment='spread', strategy='multilevel', \
+                          objective='cores', seed=0, mapping=None)"
     )]
     fn map(&self, py: Python<'_>, target: Option<PathBuf>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Mapping> {
         let keywords = Keywords::new(options)?;
@@ -171,9 +174,12 @@ impl Network {
     /// figures are of one. `spikes` and the other keywords are those of `Mapping.energy`.
     #[pyo3(
         signature = (spikes=None, *, target=None, copies=None, **options),
-        text_signature = "($self, spikes=None, *, target='nahuku-32', copies=None, deployment='spread', mode='offline', \
-                          convention='physical', constants=None, transport='queued', host=None, streams='one', reset_words=0, \
-                          accounting='profiler', early_exit=None, baselines=(), labels=None, samples=None, repeat=1, seed=None, time_first=False)"
+        text_signature = "($self, spikes=None, *, target='nahuku-32', copies=None, deployment='spread', \
+                          mode='offline', \
+                          convention='physical', constants=None, transport='queued', host=None, streams='one', \
+                          reset_words=0, \
+                          accounting='profiler', early_exit=None, baselines=(), labels=None, samples=None, repeat=1, \
+                          seed=None, time_first=False)"
     )]
     fn energy(
         &self,
@@ -188,7 +194,8 @@ impl Network {
         Energy::new(py, mapping.shared(), &plan, spikes, &keywords)
     }
 
-    /// Writes a page that shows what the network does and costs, to be opened in a browser: `nsim report`.
+    /// Writes a page that shows what the network does and costs, to be opened in a browser:
+    /// `nsim report`.
     ///
     /// The keywords are those of `energy`; `force` replaces a file that is there. Gives the path.
     #[pyo3(
@@ -210,15 +217,20 @@ impl Network {
         energy::report(py, (mapping.shared(), &plan), spikes, &keywords, (path, force))
     }
 
-    /// Where and why the integers on the cores disagree with the network that was trained: `nsim agree`.
+    /// Where and why the integers on the cores disagree with the network that was trained:
+    /// `nsim agree`.
     ///
-    /// `against` is 'srm', 'cuba' or 'golden', by default what was trained; `conversion` 'search' or 'analytic' is how spike response
-    /// neurons become integers, the search on `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only so many timesteps of each sample;
-    /// `attribution` finds the causes, on `attribution_samples` (100). `spikes` and its keywords are those of `Mapping.run`.
+    /// `against` is 'srm', 'cuba' or 'golden', by default what was trained; `conversion` 'search'
+    /// or 'analytic' is how spike response neurons become integers, the search on
+    /// `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only so many
+    /// timesteps of each sample; `attribution` finds the causes, on `attribution_samples` (100).
+    /// `spikes` and its keywords are those of `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
-        text_signature = "($self, spikes=None, *, target='nahuku-32', against=None, conversion='search', calibrate=None, calibration_samples=60, \
-                          delayed_copies=None, steps=None, attribution=True, attribution_samples=100, labels=None, samples=None, \
+        text_signature = "($self, spikes=None, *, target='nahuku-32', against=None, conversion='search', \
+                          calibrate=None, calibration_samples=60, \
+                          delayed_copies=None, steps=None, attribution=True, attribution_samples=100, labels=None, \
+                          samples=None, \
                           repeat=1, seed=None, time_first=False)"
     )]
     fn agree(
@@ -234,13 +246,17 @@ impl Network {
 
     /// The network in integers, searched for on samples: `nsim convert`.
     ///
-    /// The search takes `calibration_samples` (60) of the sources `calibrate`: by default the scene with another seed, or the first half of
-    /// `spikes`. `fine_tune` then trains for so many epochs as the training file `training` says (by default the one that ships under the
-    /// model's name), on the sources `train`. `spikes`, on which the result is judged, and its keywords are those of `Mapping.run`.
+    /// The search takes `calibration_samples` (60) of the sources `calibrate`: by default the scene
+    /// with another seed, or the first half of `spikes`. `fine_tune` then trains for so many epochs
+    /// as the training file `training` says (by default the one that ships under the model's name),
+    /// on the sources `train`. `spikes`, on which the result is judged, and its keywords are those
+    /// of `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
-        text_signature = "($self, spikes=None, *, target='nahuku-32', calibrate=None, calibration_samples=60, delayed_copies=None, \
-                          fine_tune=0, training=None, train=None, labels=None, samples=None, repeat=1, seed=None, time_first=False)"
+        text_signature = "($self, spikes=None, *, target='nahuku-32', calibrate=None, calibration_samples=60, \
+                          delayed_copies=None, \
+                          fine_tune=0, training=None, train=None, labels=None, samples=None, repeat=1, seed=None, \
+                          time_first=False)"
     )]
     fn convert(
         &self,
@@ -254,7 +270,8 @@ impl Network {
         Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?, built)
     }
 
-    /// Writes the network as a model file, and its arrays beside it; with `force` in the place of files that are there.
+    /// Writes the network as a model file, and its arrays beside it; with `force` in the place of
+    /// files that are there.
     ///
     /// Gives the names of the files.
     #[pyo3(signature = (path, *, force=false))]

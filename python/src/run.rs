@@ -218,8 +218,8 @@ impl Run {
         spikes.to_pyarray(py).call_method1("reshape", (-1, 3))
     }
 
-    /// What a probe recorded, `[samples, compartments, T]`, int32: spikes are 0 or 1, `u` and `v` the registers of one copy after each
-    /// timestep.
+    /// What a probe recorded, `[samples, compartments, T]`, int32: spikes are 0 or 1, `u` and `v`
+    /// the registers of one copy after each timestep.
     fn probe<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let Some(index) = self.probes.iter().position(|known| known == name) else {
             let known = self.probes.join(", ");
@@ -237,7 +237,8 @@ impl Run {
         Ok(PyArray1::from_vec(py, numbers).reshape([outcomes.len(), compartments, steps])?.into_any())
     }
 
-    /// The metrics of NeuroBench's harness, as `nsim run --neurobench` gives them; the samples run once more.
+    /// The metrics of NeuroBench's harness, as `nsim run --neurobench` gives them; the samples run
+    /// once more.
     fn neurobench<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         if self.early_exit.is_some() {
             return Err(usage("NeuroBench counts whole samples".into(), "run without early_exit="));
@@ -272,7 +273,8 @@ impl Run {
         self.run.wall_s
     }
 
-    /// Populations, a row each, as a data frame of pandas, or of polars where only that is installed.
+    /// Populations, a row each, as a data frame of pandas, or of polars where only that is
+    /// installed.
     fn table<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frame(py, &self.with_report(&self.detail(), |report| report.json())["populations"])
     }

@@ -10,7 +10,8 @@ use nsim::machine::Image;
 use nsim::session::samples::{Division, laid_out};
 use self_cell::self_cell;
 
-/// The program laid out for one thread; none where threads share a sample, as its image depends on their number.
+/// The program laid out for one thread; none where threads share a sample, as its image depends on
+/// their number.
 type LaidOut<'p> = Option<Image<'p>>;
 
 self_cell!(

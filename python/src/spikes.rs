@@ -1,8 +1,11 @@
-//! Spikes from Python: NumPy arrays, events, sources as `--input` takes them, or the model's own scene.
+//! Spikes from Python: NumPy arrays, events, sources as `--input` takes them, or the model's own
+//! scene.
 //!
-//! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a dictionary from populations to arrays,
-//! text, or nothing. A number other than zero is a spike. Output: samples and the order in which they run. Contiguous arrays of `uint8`
-//! and `bool` are read in place. Invariant: what samples take is bounded before they are made. Errors: `input.*`, `usage`.
+//! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a
+//! dictionary from populations to arrays, text, or nothing. A number other than zero is a spike.
+//! Output: samples and the order in which they run. Contiguous arrays of `uint8` and `bool` are
+//! read in place. Invariant: what samples take is bounded before they are made. Errors: `input.*`,
+//! `usage`.
 
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::PopulationSpikes;

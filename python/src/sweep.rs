@@ -1,7 +1,8 @@
 //! Parts of sweeps, and the table that parts make together.
 //!
-//! Input: the text of a sweep and the path that messages name. Output: tables as CSV, the bytes that `nsim sweep` writes. Each row
-//! is the library's; who runs which part is for Python, so that any engine for clusters can do it. Errors: `sweep.*`.
+//! Input: the text of a sweep and the path that messages name. Output: tables as CSV, the bytes
+//! that `nsim sweep` writes. Each row is the library's; who runs which part is for Python, so that
+//! any engine for clusters can do it. Errors: `sweep.*`.
 
 use std::path::PathBuf;
 

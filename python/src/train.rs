@@ -1,7 +1,7 @@
 //! Trains networks: `nsim train`.
 //!
-//! Input: a training file, labelled spikes. Output: a [`Training`], whose figures, digest and model are those of the command line. Left
-//! out on purpose: studies, of which each training is a call.
+//! Input: a training file, labelled spikes. Output: a [`Training`], whose figures, digest and model
+//! are those of the command line. Left out on purpose: studies, of which each training is a call.
 
 use std::path::PathBuf;
 
@@ -67,14 +67,16 @@ fn bounded(keywords: &Keywords<'_>, name: &str, least: u32, most: u32) -> PyResu
 
 /// Trains a network with SLAYER: `nsim train`.
 ///
-/// `config` is the path or the text of a training file. `train` and `test` are a source or a list of sources as `nsim run --input` takes
-/// them, a pair (spikes, labels) of arrays as `Mapping.run` takes them, or None for what the training file names. `seed` and `epochs` stand
-/// in for the file's, `set` is a dictionary of other fields and values; `folds` also cross-validates; `checkpoint` is a file from
-/// which an interrupted training goes on.
+/// `config` is the path or the text of a training file. `train` and `test` are a source or a list
+/// of sources as `nsim run --input` takes them, a pair (spikes, labels) of arrays as `Mapping.run`
+/// takes them, or None for what the training file names. `seed` and `epochs` stand in for the
+/// file's, `set` is a dictionary of other fields and values; `folds` also cross-validates;
+/// `checkpoint` is a file from which an interrupted training goes on.
 #[pyfunction]
 #[pyo3(
     signature = (config, **options),
-    text_signature = "(config, *, train=None, test=None, seed=None, epochs=None, set=None, folds=None, checkpoint=None, time_first=False)"
+    text_signature = "(config, *, train=None, test=None, seed=None, epochs=None, set=None, folds=None, \
+                      checkpoint=None, time_first=False)"
 )]
 pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>>) -> PyResult<Training> {
     let keywords = Keywords::new(options)?;
@@ -171,7 +173,8 @@ impl Training {
         self.trained.folds.clone()
     }
 
-    /// Of the output spikes on the test samples (without any, the training samples), as `Run.digest` is.
+    /// Of the output spikes on the test samples (without any, the training samples), as
+    /// `Run.digest` is.
     #[getter]
     fn digest(&self) -> &str {
         &self.trained.digest
@@ -188,7 +191,8 @@ impl Training {
         history_csv(&self.trained.state.history)
     }
 
-    /// Writes the model file that `nsim train -o` writes, and its weights beside it; with `force` in the place of files that are there.
+    /// Writes the model file that `nsim train -o` writes, and its weights beside it; with `force`
+    /// in the place of files that are there.
     ///
     /// Gives the names of the files.
     #[pyo3(signature = (path, *, force=false))]

@@ -54,7 +54,8 @@ pub fn format_asked() -> Format {
     if apart || words.iter().any(|word| word == "--format=json") { Format::Json } else { Format::Text }
 }
 
-/// Says what clap says of a command line, as an object when that is the format that it asks for; returns the exit status.
+/// Says what clap says of a command line, as an object when that is the format that it asks for;
+/// returns the exit status.
 #[must_use]
 pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
     // Help and version are answers; anything else is wrong usage.
@@ -177,7 +178,8 @@ mod tests {
         let text = text(&error, false);
         assert_eq!(
             text,
-            "error[model.range]: m.ron:2:7: decay 5000 is too much\n  |\n2 |   du: 5000,\n  |       ^^^^\n  help: less\n"
+            "error[model.range]: m.ron:2:7: decay 5000 is too much\n  |\n2 |   du: 5000,\n  |       ^^^^\n  help: \
+             less\n"
         );
     }
 

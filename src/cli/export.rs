@@ -1,7 +1,7 @@
 //! `nsim export MODEL -o FILE.nir`: a model in a form that other tools read.
 //!
-//! Input: a model of any kind that nsim reads. Output: a NIR file, and notes on what other tools will not see of the
-//! model. nsim itself reads it back without loss.
+//! Input: a model of any kind that nsim reads. Output: a NIR file, and notes on what other tools
+//! will not see of the model. nsim itself reads it back without loss.
 
 use std::path::PathBuf;
 
@@ -34,7 +34,8 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// When the model cannot be read, is one that no command would run, or has parts that NIR has no form for.
+/// When the model cannot be read, is one that no command would run, or has parts that NIR has no
+/// form for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if args.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("nir")) {
         return Err(Error::Usage(format!("-o {}: models are exported as .nir", args.output.display())));

@@ -1,7 +1,8 @@
 //! `nsim import FILE`: a model of another tool, described and written as one of nsim's own.
 //!
-//! Input: a file and what it does not say. Output: what was read and by which conventions, and with `-o` the model as
-//! RON with its arrays beside it. The model is lowered before it is written: what cannot be one is refused here.
+//! Input: a file and what it does not say. Output: what was read and by which conventions, and with
+//! `-o` the model as RON with its arrays beside it. The model is lowered before it is written: what
+//! cannot be one is refused here.
 
 use std::path::{Path, PathBuf};
 
@@ -58,8 +59,12 @@ pub struct Args {
     /// [default: euler]
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&DECAYS))]
     decay: Option<DecayRule>,
-    /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it (inclusive, as in SLAYER 2)
-    #[arg(long, value_name = "HOW", value_parser = one_of_named(&[("strict", ThresholdTest::Strict), ("inclusive", ThresholdTest::Inclusive)]))]
+    /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it
+    /// (inclusive, as in SLAYER 2)
+    #[arg(
+        long, value_name = "HOW",
+        value_parser = one_of_named(&[("strict", ThresholdTest::Strict), ("inclusive", ThresholdTest::Inclusive)])
+    )]
     threshold: Option<ThresholdTest>,
     /// What of the output decides: spikes, or its potential, the greatest, the sum or the last
     /// [default: spikes, or the potential of an output that never spikes]
@@ -114,7 +119,8 @@ impl Args {
 /// Runs the command.
 ///
 /// # Errors
-/// When the file cannot be read, is of no kind that is imported, or holds what nsim has no counterpart for.
+/// When the file cannot be read, is of no kind that is imported, or holds what nsim has no
+/// counterpart for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
     if !changes::of_process().is_empty() {
@@ -136,7 +142,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-/// Places an error of the imported model in the foreign file: the user did not write the text of the model.
+/// Places an error of the imported model in the foreign file: the user did not write the text of
+/// the model.
 fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
     move |mut problem| {
         problem.place = None;

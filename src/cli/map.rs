@@ -62,26 +62,33 @@ pub struct MapArgs {
     pub copies: Option<u32>,
     /// Where copies go: each on chips of its own and then more on each chip, or on as few cores as
     /// they fit
-    #[arg(long, default_value = "spread", value_parser = one_of(&CopyPlacement::ALL, CopyPlacement::name), conflicts_with = "mapping")]
+    #[arg(
+        long, default_value = "spread",
+        value_parser = one_of(&CopyPlacement::ALL, CopyPlacement::name), conflicts_with = "mapping"
+    )]
     pub deployment: CopyPlacement,
     /// What to minimise: cores, energy or latency
     #[arg(long, default_value = "cores", value_parser = one_of(&Objective::ALL, Objective::name))]
     pub objective: Objective,
     /// How compartments are assigned to cores: sequential, greedy or multilevel
-    #[arg(help_heading = "Mapping", long, default_value = "multilevel", value_parser = one_of(&Strategy::ALL, Strategy::name), conflicts_with = "mapping")]
+    #[arg(
+        help_heading = "Mapping", long, default_value = "multilevel",
+        value_parser = one_of(&Strategy::ALL, Strategy::name), conflicts_with = "mapping"
+    )]
     pub strategy: Strategy,
-    /// Keep cores in the order of the partition instead of placing those that communicate close together
+    /// Keep cores in the order of the partition instead of placing those that communicate close
+    /// together
     #[arg(help_heading = "Mapping", long, conflicts_with = "mapping")]
     pub unplaced: bool,
-    /// Seconds by the clock that mapping may take, such as 0.5; 0 for the quickest mapping there is [default: a fixed amount of
-    /// work, so that the result is the same on any machine]
+    /// Seconds by the clock that mapping may take, such as 0.5; 0 for the quickest mapping there is
+    /// [default: a fixed amount of work, so that the result is the same on any machine]
     #[arg(help_heading = "Mapping", long, value_name = "S", value_parser = milliseconds)]
     pub time_budget: Option<u32>,
     /// Seed of randomised strategies
     #[arg(help_heading = "Mapping", long, default_value_t = 0, conflicts_with = "mapping")]
     pub seed: u64,
-    /// Input spikes from which firing rates are measured, as --input of nsim run takes them; `scene` for the model's own
-    /// [default: one assumed rate for all]
+    /// Input spikes from which firing rates are measured, as --input of nsim run takes them;
+    /// `scene` for the model's own [default: one assumed rate for all]
     #[arg(help_heading = "Mapping", long, value_name = "SOURCE")]
     pub profile: Vec<String>,
     /// Compare several mappings and draw cores, energy and step time, with the Pareto front
@@ -98,7 +105,8 @@ pub struct MapArgs {
 /// Runs `nsim map`.
 ///
 /// # Errors
-/// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting is an answer.
+/// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting
+/// is an answer.
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
@@ -132,7 +140,8 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let (compiled, pruned) = match mapping.as_ref() {
         Some(file) => {
             let mapped = compile::load(front, &target, &options, file, form);
-            // A stored mapping stays what it is; what it costs follows the rates that are asked for.
+            // A stored mapping stays what it is; what it costs follows the rates that are asked
+            // for.
             let mapped = mapped.map(|mapped| Mapping { rates: rates.copies(options.copies), ..mapped });
             let mapped = mapped.map_err(|error| args.job.with_mapping_file(error));
             let pruned = mapped.as_ref().ok().and_then(|mapped| mapped.one.pruned().cloned());

@@ -1,7 +1,9 @@
-//! The command line: one file a subcommand turns what was typed into a validated job, calls the library, and writes.
+//! The command line: one file a subcommand turns what was typed into a validated job, calls the
+//! library, and writes.
 //!
-//! stdout carries the result, stderr everything else. Exit status: 0 done; 1 the answer is no; 2 wrong usage; 3 an input
-//! cannot be read or is not supported; 4 a fault of nsim itself; 130 and 143 ended by SIGINT, SIGTERM.
+//! stdout carries the result, stderr everything else. Exit status: 0 done; 1 the answer is no; 2
+//! wrong usage; 3 an input cannot be read or is not supported; 4 a fault of nsim itself; 130 and
+//! 143 ended by SIGINT, SIGTERM.
 
 pub mod agree;
 pub mod args;
@@ -48,7 +50,8 @@ EXIT STATUS:
 /// What options that every command has stand under in help, behind its own.
 const EVERYWHERE: &str = "Options of every command";
 
-/// Maps trained spiking networks onto simulated Loihi cores, runs them bit for bit, and reports energy and latency.
+/// Maps trained spiking networks onto simulated Loihi cores, runs them bit for bit, and reports
+/// energy and latency.
 #[derive(Debug, Parser)]
 #[command(name = "nsim", version, about, after_help = AFTER_HELP, disable_help_subcommand = true)]
 struct Cli {
@@ -63,8 +66,9 @@ struct Cli {
     /// Replace existing files
     #[arg(long, global = true, help_heading = EVERYWHERE)]
     force: bool,
-    /// Change a field of the model, the target or its constants, such as populations.hidden.vth_mant=60,
-    /// target.limits.axons_out=8192 or constants.injection_time=0.4us
+    /// Change a field of the model, the target or its constants, such as
+    /// populations.hidden.vth_mant=60, target.limits.axons_out=8192 or
+    /// constants.injection_time=0.4us
     #[arg(long, global = true, help_heading = EVERYWHERE, value_name = "PATH=VALUE", action = clap::ArgAction::Append)]
     set: Vec<String>,
     /// Neither read nor write the cache of mappings
@@ -183,8 +187,9 @@ fn with_shipped_names(command: clap::Command) -> clap::Command {
     })
 }
 
-/// The script of completions for a shell. Bash, zsh and fish complete shipped names and names of files; what is generated for the others
-/// completes nothing else where it knows names, so that they are not told any.
+/// The script of completions for a shell. Bash, zsh and fish complete shipped names and names of
+/// files; what is generated for the others completes nothing else where it knows names, so that
+/// they are not told any.
 fn completions(shell: clap_complete::Shell) -> String {
     use clap_complete::Shell::{Bash, Fish, Zsh};
     let mut command = match shell {
@@ -196,7 +201,8 @@ fn completions(shell: clap_complete::Shell) -> String {
     let mut script = String::from_utf8_lossy(&script).into_owned();
     for names in [shipped::MODELS, shipped::TARGETS, shipped::CONSTANTS] {
         let list = names.iter().map(|file| file.name).collect::<Vec<_>>().join(" ");
-        // A list in parentheses is all that zsh completes; a list that is added leaves room for files.
+        // A list in parentheses is all that zsh completes; a list that is added leaves room for
+        // files.
         script = script.replace(&format!(":({list})"), &format!(":{{compadd -- {list}; _files}}"));
         let first = names.first().map_or("", |file| file.name);
         // `-f` is fish's word for no files.
@@ -215,8 +221,8 @@ pub fn main() -> ExitCode {
     run_line(std::env::args_os())
 }
 
-/// Runs one command, the program's name before it, and returns its exit status. Threads, log and signals are the process's,
-/// so that a process can run one command only.
+/// Runs one command, the program's name before it, and returns its exit status. Threads, log and
+/// signals are the process's, so that a process can run one command only.
 #[must_use]
 pub fn run_line(line: impl IntoIterator<Item = OsString>) -> ExitCode {
     let (line, asked) = (line.into_iter().collect(), diagnostics::format_asked());

@@ -33,11 +33,13 @@ pub fn typed() -> Vec<String> {
     typed
 }
 
-/// Checks the files that a command is to write, before it works: that they may be written, that pictures are named for
-/// what they are, and that stdout carries one thing. Returns whether that is one of the files, and not the result.
+/// Checks the files that a command is to write, before it works: that they may be written, that
+/// pictures are named for what they are, and that stdout carries one thing. Returns whether that is
+/// one of the files, and not the result.
 ///
 /// # Errors
-/// [`Error::Usage`] for a picture of another kind, `-` beside JSON or CSV, and two files on stdout; `write.*`.
+/// [`Error::Usage`] for a picture of another kind, `-` beside JSON or CSV, and two files on stdout;
+/// `write.*`.
 pub fn check_files<'a>(
     files: impl IntoIterator<Item = &'a PathBuf>,
     pictures: impl IntoIterator<Item = &'a PathBuf>,
@@ -133,7 +135,8 @@ pub fn allow_busy(shown: bool) {
     BUSY_IS_SHOWN.store(shown, Ordering::Relaxed);
 }
 
-/// A stage without countable parts: from its second second on a line on stderr says what it does, until this is dropped.
+/// A stage without countable parts: from its second second on a line on stderr says what it does,
+/// until this is dropped.
 #[derive(Debug)]
 pub struct Busy(ProgressBar);
 
@@ -212,7 +215,8 @@ pub fn warn_of_debug_build(environment: &Environment) {
     }
 }
 
-/// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section shows.
+/// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section
+/// shows.
 ///
 /// # Errors
 /// [`Error`] when the document has no such section or cannot be written.

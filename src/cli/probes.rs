@@ -33,13 +33,15 @@ pub enum ProbeFormat {
 /// What is recorded, and where it goes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ProbeArgs {
-    /// Record POPULATION.spikes, .u, .v or .v_register into -o; spikes when it says no more than a name, which may have * and ?
+    /// Record POPULATION.spikes, .u, .v or .v_register into -o; spikes when it says no more than a
+    /// name, which may have * and ?
     #[arg(long, value_name = "POP[.WHAT]", requires = "output")]
     pub probe: Vec<String>,
     /// How probes are written
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "npy")]
     pub probe_format: ProbeFormat,
-    /// Folder for probes, `POP.WHAT.npy` each, [samples, compartments, T], or with the ending of --probe-format
+    /// Folder for probes, `POP.WHAT.npy` each, [samples, compartments, T], or with the ending of
+    /// --probe-format
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
 }
@@ -137,8 +139,8 @@ impl ProbeArgs {
     /// The probes of a network and the samples that they record.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a probe that there is not, is given twice, or takes too much memory; `run.probe-pruned` and
-    /// `run.probe-shape`.
+    /// [`Error::Usage`] for a probe that there is not, is given twice, or takes too much memory;
+    /// `run.probe-pruned` and `run.probe-shape`.
     pub fn probes(&self, network: &Quantised, samples: &[&Sample]) -> Result<Vec<NamedProbe>> {
         let found = self.probe.iter().map(|text| named_probes(network, text)).collect::<Result<Vec<_>, _>>()?;
         let probes: Vec<NamedProbe> = found.into_iter().flatten().collect();
@@ -216,7 +218,8 @@ impl ProbeArgs {
     }
 }
 
-/// The pattern and the quantity of a probe; all of the text is a pattern unless it ends in a quantity.
+/// The pattern and the quantity of a probe; all of the text is a pattern unless it ends in a
+/// quantity.
 fn parts(text: &str) -> (&str, Option<Quantity>) {
     let quantity = |what: &str| Quantity::ALL.iter().find(|(_, name)| *name == what).map(|(quantity, _)| *quantity);
     match text.rsplit_once('.') {
@@ -225,7 +228,8 @@ fn parts(text: &str) -> (&str, Option<Quantity>) {
     }
 }
 
-/// The probes that an argument asks for: one for each population that fits its pattern and has such a register.
+/// The probes that an argument asks for: one for each population that fits its pattern and has such
+/// a register.
 fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
     let (pattern, asked) = parts(text);
     let quantity = asked.unwrap_or(Quantity::Spikes);
@@ -263,7 +267,8 @@ fn check_room(probes: &[NamedProbe], samples: &[&Sample]) -> Result<()> {
     let rows: u64 = probes.iter().map(|named| u64::from(named.count())).sum();
     if rows.saturating_mul(steps) > MOST_PROBED {
         return Err(Error::Usage(format!(
-            "the probes would record {rows} compartments over {steps} steps, more than {MOST_PROBED} numbers; choose fewer --samples"
+            "the probes would record {rows} compartments over {steps} steps, more than {MOST_PROBED} numbers; choose \
+             fewer --samples"
         )));
     }
     let equal = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());

@@ -39,7 +39,8 @@ pub enum EngineChoice {
     Fast,
     /// The slow reference interpreter of the quantised network.
     Golden,
-    /// The network in real numbers: spike response neurons as they were trained, current-based ones without integers.
+    /// The network in real numbers: spike response neurons as they were trained, current-based ones
+    /// without integers.
     Reference,
 }
 
@@ -79,19 +80,24 @@ pub struct Args {
     /// Which engine [default: fast; reference for a model with spike response neurons]
     #[arg(long, value_enum)]
     engine: Option<EngineChoice>,
-    /// Whether the reference engine uses exact spike response kernels, or truncates them as SLAYER does
-    #[arg(long, default_value = "exact", value_parser = one_of_named(&[("exact", Kernel::Exact), ("truncated", Kernel::Truncated)]))]
+    /// Whether the reference engine uses exact spike response kernels, or truncates them as SLAYER
+    /// does
+    #[arg(
+        long, default_value = "exact",
+        value_parser = one_of_named(&[("exact", Kernel::Exact), ("truncated", Kernel::Truncated)])
+    )]
     kernel: Kernel,
     /// Skip work that cannot change the result
     #[arg(long, value_enum, default_value = "on")]
     skip: Switch,
-    /// End a sample as soon as one output leads by MARGIN spikes, or (certain) can no longer be overtaken
+    /// End a sample as soon as one output leads by MARGIN spikes, or (certain) can no longer be
+    /// overtaken
     #[arg(long, value_name = "MARGIN|certain")]
     early_exit: Option<Rule>,
     #[command(flatten)]
     probes: ProbeArgs,
-    /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part, under the
-    /// target's first constants
+    /// A row for each timestep of each sample: spikes by population, events, messages, hops, time
+    /// and energy by part, under the target's first constants
     #[arg(long, value_name = "FILE.csv|npy|parquet")]
     steps: Option<PathBuf>,
     /// Also say the metrics of NeuroBench's harness, which takes a second run
@@ -204,7 +210,8 @@ fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &job
     let seconds: f64 = stages.iter().filter(|(stage, _)| ["partition", "place"].contains(stage)).map(|(_, s)| s).sum();
     if seconds > wall_s.max(SHORT_S) {
         tracing::warn!(
-            "mapping took {seconds:.1} s and running {wall_s:.1} s: nsim map {} --target {} -o FILE keeps the mapping, --mapping FILE \
+            "mapping took {seconds:.1} s and running {wall_s:.1} s: nsim map {} --target {} -o FILE keeps the \
+             mapping, --mapping FILE \
              takes it",
             job.model,
             job.target

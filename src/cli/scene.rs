@@ -39,7 +39,10 @@ pub struct Args {
     /// slip or container, with parameters as NAME?key=value&..
     pub name: String,
     /// How many samples
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(nsim_scene::MOST_SAMPLES)))]
+    #[arg(
+        long, value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=i64::from(nsim_scene::MOST_SAMPLES))
+    )]
     pub samples: Option<u32>,
     /// Seed of the random numbers
     #[arg(long)]
@@ -168,7 +171,8 @@ impl Facts {
     }
 }
 
-/// Says when recordings of an earlier scene lie beside those of this one: a run on the folder would take them for samples.
+/// Says when recordings of an earlier scene lie beside those of this one: a run on the folder would
+/// take them for samples.
 fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
     let written: BTreeSet<PathBuf> =
         entries.iter().flat_map(|entry| entry.files.values()).map(|file| folder.join(&file.value)).collect();
@@ -188,7 +192,8 @@ fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
     }
 }
 
-/// Writes a sample's arrays of bytes, `[78, 2, T]` and `[63, 50, T]` or, by polarity, `[2, 63, 50, T]`, and says where they are.
+/// Writes a sample's arrays of bytes, `[78, 2, T]` and `[63, 50, T]` or, by polarity,
+/// `[2, 63, 50, T]`, and says where they are.
 fn store(
     folder: &write::Folder,
     sample: u32,

@@ -1,6 +1,7 @@
 //! `nsim sweep`: many variants of a run in one table.
 //!
-//! A table that is written to a file has a journal beside it until it is finished: a sweep that was ended goes on where it was.
+//! A table that is written to a file has a journal beside it until it is finished: a sweep that was
+//! ended goes on where it was.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;

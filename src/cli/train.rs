@@ -62,8 +62,8 @@ pub struct Args {
     /// Save the state here every tenth epoch and on Ctrl-C, and resume from it if the file exists
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Train every combination of --seeds, --folds and --set, save each result in this folder, and resume an interrupted
-    /// study
+    /// Train every combination of --seeds, --folds and --set, save each result in this folder, and
+    /// resume an interrupted study
     #[arg(long, value_name = "DIR", conflicts_with_all = ["output", "log", "checkpoint", "seed"])]
     study: Option<PathBuf>,
     /// Seeds of a study

@@ -132,7 +132,8 @@ fn each_remedy_of_a_mapping_makes_it_fit() {
         .replace("[[30, 0, 20, 2], [0, 40, -10, 8]]", "Uniform(low: -120, high: 120, step: 2, seed: 2)");
     let wide = write(folder.path(), "wide.ron", &wide);
     let bits = "Network(name: \"bits\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [40]),
-         Loihi(name: \"out\", shape: [64], du: 1024, dv: 128, vth_mant: 10)], projections: [Dense(from: [\"in\"], to: \"out\",
+         Loihi(name: \"out\", shape: [64], du: 1024, dv: 128, vth_mant: 10)], projections: [Dense(from: [\"in\"], to: \
+                       \"out\",
          weights: Uniform(low: -120, high: 120, step: 2, seed: 1))], output: \"out\")";
     let bits = write(folder.path(), "bits.ron", bits);
     let small = write(folder.path(), "small.ron", MODEL);
@@ -247,7 +248,8 @@ fn options_in_advice_are_those_of_the_command_or_of_one_that_it_names() {
     let events = write(folder.path(), "e.csv", "t,x,y,p\n0.1,1,1,1\n0.2,1,1,0\n");
     let yaml = write(folder.path(), "n.yml", "neuron:\n  type: LOIHI\n");
     let fan_out = "Network(name: \"f\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [1]),
-         Loihi(name: \"a\", shape: [1], du: 1, dv: 1, vth_mant: 1), Loihi(name: \"b\", shape: [9000], du: 1, dv: 1, vth_mant: 1)],
+         Loihi(name: \"a\", shape: [1], du: 1, dv: 1, vth_mant: 1), Loihi(name: \"b\", shape: [9000], du: 1, dv: 1, \
+                       vth_mant: 1)],
          projections: [Dense(from: [\"in\"], to: \"a\", weights: [[2]]),
          Dense(from: [\"a\"], to: \"b\", weights: Uniform(low: 2, high: 2, step: 2, seed: 1))], output: \"b\")";
     let fan_out = write(folder.path(), "fan.ron", fan_out);

@@ -253,7 +253,8 @@ fn probes_are_written_once_and_replaced_only_by_force() {
     assert_eq!(object(&arguments, 0)["timesteps"], 10);
     let trace = nsim::files::npy::read(&folder.path().join("traces/hidden.v.npy")).unwrap();
     assert_eq!(trace.shape(), [1, 4, 10]);
-    // u(0) = 20 * 64 and v(0) = u(0) exceed the threshold of 640 only for compartment 0 and, at 12 * 64, compartment 3.
+    // u(0) = 20 * 64 and v(0) = u(0) exceed the threshold of 640 only for compartment 0 and, at
+    // 12 * 64, compartment 3.
     assert_eq!([trace.real(0), trace.real(10), trace.real(20), trace.real(30)], [0.0, 128.0, 0.0, 0.0]);
     assert_eq!(said(&arguments).0, 3, "the files exist");
     assert_eq!(said(&[arguments.as_slice(), &["--force"]].concat()).0, 0);

@@ -4,7 +4,8 @@ use serde_json::Value;
 
 use crate::{MODEL, nsim, object, said, write};
 
-/// Bytes on stdin are an array or an event list by what they are; a file may have a name like a population's argument.
+/// Bytes on stdin are an array or an event list by what they are; a file may have a name like a
+/// population's argument.
 #[test]
 fn spikes_come_through_a_pipe_and_from_oddly_named_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -125,8 +126,16 @@ fn folds_of_a_data_set_are_sources() {
 fn a_clock_goes_beside_recordings() {
     let folder = tempfile::tempdir().unwrap();
     let text = MODEL
-        .replace("Input(name: \"in\", shape: [3]),", "Input(name: \"in\", shape: [3]), Input(name: \"phase\", shape: [2]),")
-        .replace("    Dense(from: [\"hidden\"]", "    Dense(from: [\"phase\"], to: \"hidden\", weights: [[8, 2], [0, 4], [6, 0], [2, 2]]), Dense(from: [\"hidden\"]");
+        .replace(
+            "Input(name: \"in\", shape: [3]),",
+            "Input(name: \"in\", shape: [3]), Input(name: \"phase\", shape: \
+                                                      [2]),",
+        )
+        .replace(
+            "    Dense(from: [\"hidden\"]",
+            "    Dense(from: [\"phase\"], to: \"hidden\", weights: [[8, 2], [0, \
+                                                  4], [6, 0], [2, 2]]), Dense(from: [\"hidden\"]",
+        );
     let model = write(folder.path(), "m.ron", &text);
     let spikes = write(folder.path(), "touch.csv", "# steps: 7\n0,0\n2,1\n5,2\n");
     let clock = write(folder.path(), "clock.csv", "# steps: 7\n0,0\n1,0\n2,0\n3,1\n4,1\n5,1\n6,1\n");

@@ -1,12 +1,13 @@
-//! The memory of a test, measured in a process of its own: other tests of a binary run in threads of the same process.
+//! The memory of a test, measured in a process of its own: other tests of a binary run in threads
+//! of the same process.
 
 use std::process::Command;
 
 /// Set in the process that runs one test alone, to the name of the test.
 const ALONE: &str = "NSIM_TEST_ALONE";
 
-/// Runs the body of a test in a process that runs nothing else, and passes it what measures the growth of that process.
-/// `test` is the name of the calling test.
+/// Runs the body of a test in a process that runs nothing else, and passes it what measures the
+/// growth of that process. `test` is the name of the calling test.
 ///
 /// # Panics
 /// When the body does.
@@ -28,7 +29,8 @@ pub struct Growth {
 }
 
 impl Growth {
-    /// KiB by which the process's peak has grown since the body began; none, and a word about it, where no /proc says so.
+    /// KiB by which the process's peak has grown since the body began; none, and a word about it,
+    /// where no /proc says so.
     pub fn kib(&self) -> Option<u64> {
         let grown = self.before_kib.zip(peak_kib()).map(|(before, after)| after - before);
         match grown {

@@ -1,6 +1,8 @@
-//! What several integration tests share: the engines that they run over, networks built by hand, recorded data.
+//! What several integration tests share: the engines that they run over, networks built by hand,
+//! recorded data.
 
-// Each test file is a crate of its own and uses a part of this; a helper of tests may unwrap as they do.
+// Each test file is a crate of its own and uses a part of this; a helper of tests may unwrap as
+// they do.
 #![allow(dead_code, clippy::unwrap_used)]
 
 pub mod drive;
@@ -27,8 +29,9 @@ use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 
-/// Every engine that must give the same answers, ready to begin: the interpreter, and the machine on as few cores as
-/// possible, with every core limit but the number of compartments out of the way.
+/// Every engine that must give the same answers, ready to begin: the interpreter, and the machine
+/// on as few cores as possible, with every core limit but the number of compartments out of the
+/// way.
 pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
     let chip = load_target("loihi1-chip").unwrap();
     let mut limits = chip.limits().clone();
@@ -49,7 +52,8 @@ pub fn data_root() -> PathBuf {
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from)
 }
 
-/// A folder of recorded data; without it a message and nothing, or a failure where `NSIM_REQUIRE_DATA` is 1.
+/// A folder of recorded data; without it a message and nothing, or a failure where
+/// `NSIM_REQUIRE_DATA` is 1.
 pub fn data(folder: &str) -> Option<PathBuf> {
     let path = data_root().join(folder);
     if path.is_dir() {
@@ -72,7 +76,8 @@ pub fn recordings(folder: &Path, parts: &[&str]) -> Vec<Sample> {
         .collect()
 }
 
-/// Says something that is seen even when the test passes: the harness keeps what `println!` prints to itself.
+/// Says something that is seen even when the test passes: the harness keeps what `println!` prints
+/// to itself.
 pub fn say(text: &str) {
     use std::io::Write;
     writeln!(std::io::stderr().lock(), "{text}").unwrap();

@@ -1,4 +1,5 @@
-//! Random small networks over the whole language: every kind of projection, sign, exponent, delay, field and semantics.
+//! Random small networks over the whole language: every kind of projection, sign, exponent, delay,
+//! field and semantics.
 
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
 use nsim::ir::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits, WeightExponent};

@@ -1,9 +1,11 @@
-//! The whole command line on generated and mutated input: whatever it is given, it ends with a status of its contract.
+//! The whole command line on generated and mutated input: whatever it is given, it ends with a
+//! status of its contract.
 //!
-//! Input: the number of a case, from which files and arguments are drawn. A model, a training file or a data set is made by
-//! a grammar whose numbers are often at or beyond a limit; or a stored file of any kind has bytes, digits or pieces of it
-//! changed. Output: a status of 0 to 3 within a bound on time and a bound on memory, without a panic. `NSIM_FUZZ=A..B` runs
-//! other cases than the default ones; a failure names the number of its case and leaves its files.
+//! Input: the number of a case, from which files and arguments are drawn. A model, a training file
+//! or a data set is made by a grammar whose numbers are often at or beyond a limit; or a stored
+//! file of any kind has bytes, digits or pieces of it changed. Output: a status of 0 to 3 within a
+//! bound on time and a bound on memory, without a panic. `NSIM_FUZZ=A..B` runs other cases than the
+//! default ones; a failure names the number of its case and leaves its files.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -19,10 +21,12 @@ use rayon::prelude::*;
 
 /// Cases of the normal tests; `.ci/nightly` runs ten times as many.
 const CASES: u64 = 1_000;
-/// What one may take of a processor, and by the clock: machines that run tests beside other work are slow.
+/// What one may take of a processor, and by the clock: machines that run tests beside other work
+/// are slow.
 const LONGEST: Duration = Duration::from_secs(20);
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
-/// Memory that one may take: so much, so many times its input, and so many bytes a weight that its model draws from a seed.
+/// Memory that one may take: so much, so many times its input, and so many bytes a weight that its
+/// model draws from a seed.
 const MOST_KIB: u64 = 256 << 10;
 const MOST_TIMES: u64 = 32;
 const MOST_DRAWN: u64 = 48;
@@ -385,7 +389,8 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
                 let paths =
                     ["populations.p0.vth_mant", "target.limits.axons_in", "options.seed", "model", "input", "x"];
                 let text = format!(
-                    "Sweep(model: {model:?}, input: [{source:?}], samples: \"0..1\", list: [{{{:?}: {}}}], grid: [(paths: [{:?}], \
+                    "Sweep(model: {model:?}, input: [{source:?}], samples: \"0..1\", list: [{{{:?}: {}}}], grid: \
+                     [(paths: [{:?}], \
                      values: [{}, \"certain\"])])",
                     draw.one(&paths),
                     draw.number(),
@@ -452,7 +457,8 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     arguments
 }
 
-/// How many weights the models of a folder draw from seeds: what they cost follows from shapes, not from the file's size.
+/// How many weights the models of a folder draw from seeds: what they cost follows from shapes, not
+/// from the file's size.
 fn drawn(folder: &Path) -> u64 {
     use nsim::files::network::{ProjectionDesc, Source};
     let weights = |name: &str| {
@@ -478,7 +484,8 @@ fn drawn(folder: &Path) -> u64 {
     ["m.ron", "input.ron"].iter().filter_map(|name| weights(name)).sum()
 }
 
-/// Processor time of a process: the 14th and 15th field of `/proc/PID/stat`, in hundredths of a second (proc(5)).
+/// Processor time of a process: the 14th and 15th field of `/proc/PID/stat`, in hundredths of a
+/// second (proc(5)).
 fn busy(process: u32) -> Duration {
     let text = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
     // The second field, the name in parentheses, may hold spaces.

@@ -1,5 +1,6 @@
-//! Files that are damaged, hostile or wrong: each is refused with the code, the words and the line that tell its user
-//! what to mend; none panics, none takes more memory than a small multiple of what it is.
+//! Files that are damaged, hostile or wrong: each is refused with the code, the words and the line
+//! that tell its user what to mend; none panics, none takes more memory than a small multiple of
+//! what it is.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

@@ -1,4 +1,5 @@
-//! The kinds of mutations: each changes one thing of a program, drawn at random, and says who should notice first.
+//! The kinds of mutations: each changes one thing of a program, drawn at random, and says who
+//! should notice first.
 
 use nsim::check::verify::Violation;
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
@@ -201,7 +202,8 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("a list without synapses", |p, d| {
         let (core, list) = list(p, d, |list| !list.is_empty())?;
         edit(&mut p.cores[core].inputs.lists, |lists| lists[list].clear());
-        // Its delays may have been the only long ones of the core, whose formats then have bits too many.
+        // Its delays may have been the only long ones of the core, whose formats then have bits too
+        // many.
         Some(Breaks(|v| matches!(v, Violation::EmptyAxon { .. } | Violation::Format { .. })))
     }),
     ("two lists swapped", |p, d| {
@@ -528,7 +530,8 @@ fn population<'a>(parts: &'a mut Parts, draw: &mut Draw) -> Option<&'a mut Popul
     Some(&mut axons[chosen])
 }
 
-/// The messages of all channels or of a core's compartments, and any of the lists that something is true of.
+/// The messages of all channels or of a core's compartments, and any of the lists that something is
+/// true of.
 fn messages<'a>(
     parts: &'a mut Parts,
     draw: &mut Draw,

@@ -1,10 +1,12 @@
-//! Random programs with one random thing changed: whatever changes what a program means is rejected, by whom it should be.
+//! Random programs with one random thing changed: whatever changes what a program means is
+//! rejected, by whom it should be.
 //!
-//! Three judges look at a program, each at what the one before let pass: `Program::new` (its tables are closed), `verify` (it
-//! keeps the target's limits and formats) and the equivalence checker (it says what its network says). Each kind of mutation
-//! states the verdict of the first two, with the rule that is broken. The verdict of the third is not stated but computed: a
-//! slow decoder written here says what the original and the mutated program mean, and the checker has to accept exactly those
-//! that mean the same, and name the first difference of the others.
+//! Three judges look at a program, each at what the one before let pass: `Program::new` (its tables
+//! are closed), `verify` (it keeps the target's limits and formats) and the equivalence checker (it
+//! says what its network says). Each kind of mutation states the verdict of the first two, with the
+//! rule that is broken. The verdict of the third is not stated but computed: a slow decoder written
+//! here says what the original and the mutated program mean, and the checker has to accept exactly
+//! those that mean the same, and name the first difference of the others.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -102,7 +104,8 @@ fn difference(good: &Parts, meant: &Meaning, mutated: &Parts) -> Result<(), Diff
     }
 }
 
-/// The shipped chip with room for what is not tested here, so that a mutation breaks the rule that it is meant to break.
+/// The shipped chip with room for what is not tested here, so that a mutation breaks the rule that
+/// it is meant to break.
 fn roomy(compartments: u32, packing: Packing) -> Target {
     let chip = load_target("loihi1-chip").unwrap();
     let mut limits = chip.limits().clone();

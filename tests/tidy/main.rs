@@ -1,6 +1,8 @@
-//! Rules of the source tree: which crate may use which, cycles, sizes, module docs, names, and paths that documents name.
+//! Rules of the source tree: which crate may use which, cycles, sizes, module docs, names, and
+//! paths that documents name.
 //!
-//! Each rule prints all its violations. Exceptions are named in the lists below; one that is no longer needed fails too.
+//! Each rule prints all its violations. Exceptions are named in the lists below; one that is no
+//! longer needed fails too.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
@@ -264,7 +266,8 @@ fn boards_are_named_in_their_files_only() {
     files(&root().join("mapping/targets"), "ron", &mut targets);
     let mut names: BTreeSet<String> = BTreeSet::new();
     for stem in targets.iter().map(|path| path.file_stem().unwrap().to_string_lossy().to_lowercase()) {
-        // The family's name says as much as the board's; "tiny" and "loihi1" are words of their own.
+        // The family's name says as much as the board's; "tiny" and "loihi1" are words of their
+        // own.
         let family = stem.split('-').next().unwrap().to_string();
         names.extend((!["tiny", "loihi1"].contains(&family.as_str())).then_some(family));
         names.extend((stem != "tiny").then_some(stem));

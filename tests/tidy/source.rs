@@ -1,8 +1,9 @@
 //! A crate's source files as a graph: which file names something of which other file.
 //!
-//! Input: `src`, from `lib.rs` and `main.rs` along the `mod` declarations. Output: every [`SourceFile`] with the paths that its
-//! code names, resolved to files. Read are `use` trees, paths in expressions, types, patterns and attributes' strings, and
-//! the tokens of macro calls; a path begins with `crate`, `self`, `super`, or a child module. A re-export counts as the file
+//! Input: `src`, from `lib.rs` and `main.rs` along the `mod` declarations. Output: every
+//! [`SourceFile`] with the paths that its code names, resolved to files. Read are `use` trees,
+//! paths in expressions, types, patterns and attributes' strings, and the tokens of macro calls; a
+//! path begins with `crate`, `self`, `super`, or a child module. A re-export counts as the file
 //! that holds the `pub use`: who names it depends on all that this file depends on.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -76,7 +77,8 @@ impl Sources {
         for (file, syntax) in files.iter_mut().zip(&syntax) {
             let (here, test) = (file.module.clone(), file.test);
             let mut reader = Reader { modules: &modules, here, test, renamed: BTreeMap::new(), file };
-            // The first reading finds the modules that `use` brings into scope, the second the paths through them.
+            // The first reading finds the modules that `use` brings into scope, the second the
+            // paths through them.
             reader.visit_file(syntax);
             reader.file.forget();
             reader.visit_file(syntax);

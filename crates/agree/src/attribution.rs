@@ -3,11 +3,11 @@
 //! The ladder begins at the network as its tool runs it ([`as_trained`]) and is climbed twice:
 //! *forward*, one cause after the other; and *reversed*, the last cause first. What a cause adds to
 //! the disagreement depends on what was switched on before it; its share is the mean of the two,
-//! and their difference the interaction. Where causes give back what others take, means are negative or
-//! beyond the whole, and there are no shares. *Alone* a cause brings back what the machine gains
-//! with real numbers in its place: by this one is blamed, since it is what one change can gain.
-//! Disagreement is 1 minus the coincidence factor of all spikes of all layers against the trained
-//! network's.
+//! and their difference the interaction. Where causes give back what others take, means are
+//! negative or beyond the whole, and there are no shares. *Alone* a cause brings back what the
+//! machine gains with real numbers in its place: by this one is blamed, since it is what one change
+//! can gain. Disagreement is 1 minus the coincidence factor of all spikes of all layers against the
+//! trained network's.
 
 use rayon::prelude::*;
 
@@ -69,7 +69,8 @@ pub struct LayerLoss {
     pub spikes: (u64, u64),
     /// 1 minus the coincidence of the machine's layer with the trained one's.
     pub disagreement: f64,
-    /// What each cause adds to that, the mean of climbing forward and reversed, in the order of the forward ladder.
+    /// What each cause adds to that, the mean of climbing forward and reversed, in the order of the
+    /// forward ladder.
     pub causes: Vec<(Cause, f64)>,
     /// What the machine's layer would gain without each cause.
     pub alone: Vec<(Cause, f64)>,

@@ -1,4 +1,5 @@
-//! The causes by which the machine differs from a trained network, and the sets of them that are switched on.
+//! The causes by which the machine differs from a trained network, and the sets of them that are
+//! switched on.
 
 use nsim_ir::base::names::named_variants;
 
@@ -10,13 +11,15 @@ pub enum Cause {
     Pipeline,
     /// The response and refractory kernels without end instead of cut.
     Untruncated,
-    /// Decaying current and voltage instead of the alpha kernel: one step earlier, and a step longer at the end.
+    /// Decaying current and voltage instead of the alpha kernel: one step earlier, and a step
+    /// longer at the end.
     Kernel,
     /// A hard reset and a refractory period instead of the refractory kernel, or of a subtraction.
     HardReset,
     /// Decays in 4096ths.
     Decays,
-    /// The thresholds and synapses onto itself that a search chose instead of those of the analysis.
+    /// The thresholds and synapses onto itself that a search chose instead of those of the
+    /// analysis.
     Calibration,
     /// Integer weights, thresholds and biases.
     Weights,

@@ -1,7 +1,8 @@
 //! The deployed network beside its counterpart, layer by layer.
 //!
-//! Input: both networks, samples. Output: spikes and potentials compared per layer, classes compared per sample.
-//! Errors: recordings of another number of samples, a program whose sums could leave their integers.
+//! Input: both networks, samples. Output: spikes and potentials compared per layer, classes
+//! compared per sample. Errors: recordings of another number of samples, a program whose sums could
+//! leave their integers.
 
 use rayon::prelude::*;
 
@@ -91,7 +92,8 @@ pub struct Agreement {
     pub layers: Vec<LayerRow>,
     /// The classes of the two; `None` when those of the first are not known.
     pub classes: Option<ClassTally>,
-    /// Share of right classes of the counterpart and of the deployed network, when samples have labels.
+    /// Share of right classes of the counterpart and of the deployed network, when samples have
+    /// labels.
     pub accuracy: Option<(f64, f64)>,
 }
 
@@ -177,8 +179,8 @@ impl std::fmt::Debug for Side<'_> {
     }
 }
 
-/// Compares two networks whose populations of compartments have the same names and sizes, in whatever order. The shift of each
-/// layer is measured on the first samples.
+/// Compares two networks whose populations of compartments have the same names and sizes, in
+/// whatever order. The shift of each layer is measured on the first samples.
 ///
 /// # Errors
 /// `agree.populations` when the second lacks a population of the first or has it in another size.

@@ -1,12 +1,15 @@
-//! A ladder of networks from the trained one to the machine, each differing from the last in one thing.
+//! A ladder of networks from the trained one to the machine, each differing from the last in one
+//! thing.
 //!
-//! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output: [`Trace`]s of the network with
-//! any set of the [`Cause`]s switched on. One simulation (`state`, `links`) serves all rungs: potentials and thresholds are in register units
-//! throughout, so that two rungs differ in their causes alone. Tests hold both ends: with no cause it spikes as `reference`
-//! does (spike response kernels cut), with all causes it equals the machine bit for bit.
+//! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output:
+//! [`Trace`]s of the network with any set of the [`Cause`]s switched on. One simulation (`state`,
+//! `links`) serves all rungs: potentials and thresholds are in register units throughout, so that
+//! two rungs differ in their causes alone. Tests hold both ends: with no cause it spikes as
+//! `reference` does (spike response kernels cut), with all causes it equals the machine bit for
+//! bit.
 //!
-//! Arithmetic is in doubles. With all causes, every number is an integer below 2^53 and every product one of 24 by 13 bits,
-//! so that the doubles hold exactly what the chip's registers hold.
+//! Arithmetic is in doubles. With all causes, every number is an integer below 2^53 and every
+//! product one of 24 by 13 bits, so that the doubles hold exactly what the chip's registers hold.
 
 use std::sync::OnceLock;
 
@@ -76,7 +79,8 @@ pub struct Ladder {
     test: ThresholdTest,
     reset: Option<Reset>,
     timestep_ms: f64,
-    /// The converted network without what a search chose, made when a rung first needs it, and with it.
+    /// The converted network without what a search chose, made when a rung first needs it, and with
+    /// it.
     rounded: OnceLock<Quantised>,
     calibrated: Quantised,
     causes: Vec<Cause>,
@@ -169,7 +173,8 @@ impl Ladder {
         self
     }
 
-    /// Whether what comes in is copied: an alpha kernel needs no copies, only current and voltage with decays of their own do.
+    /// Whether what comes in is copied: an alpha kernel needs no copies, only current and voltage
+    /// with decays of their own do.
     fn copied(&self, rung: Rung) -> bool {
         let single = self.fits.iter().flatten().all(|fit| fit.copies == [(0, 1.0)]);
         single || rung.has(Cause::Kernel) && rung.has(Cause::Decays)
@@ -296,7 +301,8 @@ impl Ladder {
         &self.causes
     }
 
-    /// The steps by which a rung answers later than the trained network: negative, it answers earlier.
+    /// The steps by which a rung answers later than the trained network: negative, it answers
+    /// earlier.
     #[must_use]
     pub fn shift(&self, rung: Rung) -> i32 {
         -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))

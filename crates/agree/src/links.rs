@@ -1,7 +1,8 @@
 //! Synapses of a rung of the ladder: who spikes, what that adds, and when.
 //!
-//! Input: spikes of a population. Output: weights added to what arrives at another. Delayed copies between the same two
-//! populations are one link, whose weights from one source follow one another, so that a spike reads memory in order.
+//! Input: spikes of a population. Output: weights added to what arrives at another. Delayed copies
+//! between the same two populations are one link, whose weights from one source follow one another,
+//! so that a spike reads memory in order.
 
 use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;

@@ -1,16 +1,18 @@
 //! How far two networks' spikes and potentials lie apart.
 //!
-//! Input: spike trains as ascending steps, potentials relative to their thresholds. Output: sums that can be added over
-//! neurons and samples in any grouping that keeps their order, and from them the figures. All times are timesteps.
+//! Input: spike trains as ascending steps, potentials relative to their thresholds. Output: sums
+//! that can be added over neurons and samples in any grouping that keeps their order, and from them
+//! the figures. All times are timesteps.
 //!
-//! - *Coincidence factor* (Kistler, Gerstner, van Hemmen 1997; Jolivet, Lewis, Gerstner 2004): (N_coinc - p N_a) /
-//!   ((N_a + N_b) / 2) / (1 - p), with p the chance that a train of b's rate nu without memory has a spike within +-Delta of
-//!   a given step: `1 - (1 - nu)^(2 Delta + 1)`, which for low rates is their 2 nu Delta. 1 means equal, 0 chance. Delta is
-//!   2 steps, or less where nu (2 Delta + 1) would pass 1/2: at such rates any train coincides with any other.
-//! - *van Rossum distance* (2001): of the trains filtered with a decaying exponential of 10 steps; a spike too many is worth
-//!   the square root of 1/2.
-//! - *Victor-Purpura distance* (1996): the cheapest way to turn one train into the other, where adding or removing a spike
-//!   costs 1 and moving it 1/10 a step.
+//! - *Coincidence factor* (Kistler, Gerstner, van Hemmen 1997; Jolivet, Lewis, Gerstner 2004):
+//!   (N_coinc - p N_a) / ((N_a + N_b) / 2) / (1 - p), with p the chance that a train of b's rate nu
+//!   without memory has a spike within +-Delta of a given step: `1 - (1 - nu)^(2 Delta + 1)`, which
+//!   for low rates is their 2 nu Delta. 1 means equal, 0 chance. Delta is 2 steps, or less where nu
+//!   (2 Delta + 1) would pass 1/2: at such rates any train coincides with any other.
+//! - *van Rossum distance* (2001): of the trains filtered with a decaying exponential of 10 steps;
+//!   a spike too many is worth the square root of 1/2.
+//! - *Victor-Purpura distance* (1996): the cheapest way to turn one train into the other, where
+//!   adding or removing a spike costs 1 and moving it 1/10 a step.
 
 /// Time constant of van Rossum's filter, and the inverse of Victor and Purpura's cost, in steps.
 pub const TAU: f64 = 10.0;
@@ -94,20 +96,23 @@ impl TrainSums {
         self.victor_purpura / self.pairs.max(1) as f64
     }
 
-    /// Root of the mean squared difference of potentials, in thresholds; none when no potentials were compared.
+    /// Root of the mean squared difference of potentials, in thresholds; none when no potentials
+    /// were compared.
     #[must_use]
     pub fn potential_rmse(&self) -> Option<f64> {
         (self.potentials > 0).then(|| (self.squares / self.potentials as f64).sqrt())
     }
 
-    /// Differences of counts relative to all spikes: 0 for equal counts, 1 when no neuron of one spikes in the other.
+    /// Differences of counts relative to all spikes: 0 for equal counts, 1 when no neuron of one
+    /// spikes in the other.
     #[must_use]
     pub fn count_error(&self) -> f64 {
         self.count_differences as f64 / (self.spikes_a + self.spikes_b).max(1) as f64
     }
 }
 
-/// Coincidences beyond chance, and what they could be at most (the factor's numerator and denominator).
+/// Coincidences beyond chance, and what they could be at most (the factor's numerator and
+/// denominator).
 #[must_use]
 pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
     let rate = b.len() as f64 / f64::from(steps.max(1));
@@ -118,7 +123,8 @@ pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
         b.get(from).is_some_and(|&y| y <= x + delta)
     };
     let found = a.iter().filter(near).count() as f64;
-    // A train that spikes in every step leaves nothing to chance and nothing beyond it: count it as it is.
+    // A train that spikes in every step leaves nothing to chance and nothing beyond it: count it as
+    // it is.
     let chance = (1.0 - libm::pow(1.0 - rate, window(delta))).min(0.999);
     let mean = (a.len() + b.len()) as f64 / 2.0;
     (found - chance * a.len() as f64, mean * (1.0 - chance))

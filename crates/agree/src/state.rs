@@ -1,7 +1,8 @@
 //! A population of a rung of the ladder while it runs.
 //!
-//! Input: what arrives in a step, in register units. Output: spikes and potentials. Arithmetic is in doubles, with the rounding,
-//! wrapping and clipping of the chip's registers where the rung has integer state.
+//! Input: what arrives in a step, in register units. Output: spikes and potentials. Arithmetic is
+//! in doubles, with the rounding, wrapping and clipping of the chip's registers where the rung has
+//! integer state.
 
 use super::causes::{Cause, Rung};
 use nsim_ir::arithmetic::ThresholdTest;
@@ -48,12 +49,14 @@ pub(super) struct State {
     hard: bool,
     u: Vec<f64>,
     v: Vec<f64>,
-    /// With truncated kernels: the response's taps, the inputs of the past, and what resets and biases left.
+    /// With truncated kernels: the response's taps, the inputs of the past, and what resets and
+    /// biases left.
     taps: Vec<f64>,
     past: Vec<Vec<f64>>,
     newest: usize,
     left: Vec<f64>,
-    /// The refractory kernel relative to the threshold: decay, factor, taps when truncated, and its state.
+    /// The refractory kernel relative to the threshold: decay, factor, taps when truncated, and its
+    /// state.
     nu: Alpha,
     nu_taps: Vec<f64>,
     nu_first: Vec<f64>,

@@ -25,7 +25,8 @@ pub struct Trace {
     pub steps: u32,
     /// For each compartment the steps in which it spiked, ascending.
     pub trains: Vec<Vec<u32>>,
-    /// `[compartment][step]`, the potential after each step in thresholds; empty when none were kept.
+    /// `[compartment][step]`, the potential after each step in thresholds; empty when none were
+    /// kept.
     pub potentials: Vec<f32>,
     /// What decides.
     pub decision: ReadOut,
@@ -34,7 +35,8 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Runs a sample through an engine and keeps what it does; `potential` reads a compartment's in thresholds.
+    /// Runs a sample through an engine and keeps what it does; `potential` reads a compartment's in
+    /// thresholds.
     pub fn record<E: Engine>(
         engine: &mut E,
         sample: &Sample,
@@ -128,7 +130,8 @@ pub struct Divergence {
     pub potential_b: Option<f64>,
 }
 
-/// Both potentials around a divergence, in thresholds, from so many steps before it to so many after.
+/// Both potentials around a divergence, in thresholds, from so many steps before it to so many
+/// after.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Around {
     /// The first step, in the first network's time.
@@ -177,7 +180,8 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Adds a sample: layer `layer` of both, where the second answers `shift` steps later than the first.
+    /// Adds a sample: layer `layer` of both, where the second answers `shift` steps later than the
+    /// first.
     pub fn add(&mut self, sample: usize, layer: &Layer, a: &Trace, b: &Trace, shift: i32) {
         let steps = a.steps.min(b.steps);
         // Steps of the first that have a counterpart in the second.
@@ -204,7 +208,8 @@ impl Comparison {
                         *at += usize::from(here);
                         here
                     };
-                    // Where one spikes, the other's convention decides what is read: a reset, or the peak.
+                    // Where one spikes, the other's convention decides what is read: a reset, or
+                    // the peak.
                     let (a_spikes, b_spikes) = (spiked(&own, &mut i), spiked(&other, &mut j));
                     if !a_spikes
                         && !b_spikes
@@ -245,8 +250,8 @@ fn first_difference(a: &[u32], b: &[u32]) -> Option<u32> {
     }
 }
 
-/// The constant delay by which the second's spikes of a layer come later, of those within +-4 steps: the one at which most
-/// spikes coincide, the smallest on a tie.
+/// The constant delay by which the second's spikes of a layer come later, of those within +-4
+/// steps: the one at which most spikes coincide, the smallest on a tie.
 #[must_use]
 pub fn measured_shift(layer: &Layer, pairs: &[(&Trace, &Trace)]) -> i32 {
     let coincident = |shift: i32| {

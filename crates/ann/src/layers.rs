@@ -1,14 +1,15 @@
 //! Layers whose weights a seed draws.
 //!
-//! Input: sizes, a seed, activations. Output: activations. Weights and offsets begin uniformly within 1 / sqrt(fan-in), as PyTorch's
-//! layers do.
+//! Input: sizes, a seed, activations. Output: activations. Weights and offsets begin uniformly
+//! within 1 / sqrt(fan-in), as PyTorch's layers do.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
 use candle_nn::VarMap;
 
 use nsim_ir::base::rng;
 
-/// Steps of a kernel of a convolution in time, and of its sides where there is more than one row or column.
+/// Steps of a kernel of a convolution in time, and of its sides where there is more than one row or
+/// column.
 const REACH: usize = 3;
 
 /// Draws weights by the order in which they are asked for.
@@ -69,8 +70,8 @@ impl Dense {
     }
 }
 
-/// A convolution over time, rows and columns, of three in each, which takes every second place. Where there is one row, its kernels
-/// have one.
+/// A convolution over time, rows and columns, of three in each, which takes every second place.
+/// Where there is one row, its kernels have one.
 pub struct Convolution {
     /// `[to, 3 x from, rows, columns]`: the steps of a kernel one after the other.
     weights: Tensor,
@@ -124,9 +125,11 @@ impl Convolution {
         Ok(Convolution { weights: weights.draw(&format!("{name}.weight"), &kernel, fan_in)?, offset })
     }
 
-    /// `[samples, steps, from, rows, columns]` to `[samples, steps / 2, to, rows / 2, columns / 2]`, rounded up.
+    /// `[samples, steps, from, rows, columns]` to
+    /// `[samples, steps / 2, to, rows / 2, columns / 2]`, rounded up.
     ///
-    /// The crate has convolutions over planes: the steps that a kernel sees are laid side by side as channels, which is the same sum.
+    /// The crate has convolutions over planes: the steps that a kernel sees are laid side by side
+    /// as channels, which is the same sum.
     ///
     /// # Errors
     /// Those of the crate.

@@ -1,12 +1,16 @@
-//! Networks without spikes, trained on the same samples: what Taunyazov et al. 2020 compare spiking networks with.
+//! Networks without spikes, trained on the same samples: what Taunyazov et al. 2020 compare spiking
+//! networks with.
 //!
-//! Input: labelled samples, a kind of network, settings. Output: its accuracy on samples that it was not trained on, its parameters,
-//! operations and time a sample. The same seed gives the same network on the same machine: initial weights and the order of samples are
-//! functions of it; sums are floating-point numbers, whose last digits another processor may round otherwise.
+//! Input: labelled samples, a kind of network, settings. Output: its accuracy on samples that it
+//! was not trained on, its parameters, operations and time a sample. The same seed gives the same
+//! network on the same machine: initial weights and the order of samples are functions of it; sums
+//! are floating-point numbers, whose last digits another processor may round otherwise.
 //!
-//! The paper names MLP-GRU (Cho et al. 2014) and CNN-3D (Gandarias et al. 2019), trained with cross-entropy, and prints neither their
-//! sizes nor their kernels; those are chosen here: each sense has an encoder of [`HIDDEN`] units as the spiking networks have. Adam
-//! takes the place of RMSProp. Errors: those of the deep-learning crate (`candle`), such as a tensor that memory does not hold.
+//! The paper names MLP-GRU (Cho et al. 2014) and CNN-3D (Gandarias et al. 2019), trained with
+//! cross-entropy, and prints neither their sizes nor their kernels; those are chosen here: each
+//! sense has an encoder of [`HIDDEN`] units as the spiking networks have. Adam takes the place of
+//! RMSProp. Errors: those of the deep-learning crate (`candle`), such as a tensor that memory does
+//! not hold.
 
 pub mod layers;
 pub mod networks;

@@ -1,8 +1,9 @@
 //! MLP-GRU and CNN-3D.
 //!
-//! Input: spikes of each sense. Output: a number for each class. MLP-GRU: in each timestep each sense goes through a dense layer, both
-//! together into gated recurrent units, whose last state is read out. CNN-3D: events are summed in [`BINS`] bins of time; each sense
-//! goes through two convolutions and a dense layer, both together into the readout.
+//! Input: spikes of each sense. Output: a number for each class. MLP-GRU: in each timestep each
+//! sense goes through a dense layer, both together into gated recurrent units, whose last state is
+//! read out. CNN-3D: events are summed in [`BINS`] bins of time; each sense goes through two
+//! convolutions and a dense layer, both together into the readout.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
 use candle_nn::VarBuilder;

@@ -2,31 +2,38 @@
 //!
 //! The rule, for a network N and a program P with the same numbers of channels and compartments:
 //!
-//! 1. *Parameters.* For every compartment n, with (c, s) = seat(n): `P.cores[c].ids[s] = n`, and the neuron's fields and
-//!    start step at (c, s) are those that N gives n.
-//! 2. *Synapses.* For every source s, let R(s) be the multiset of (target, format, weight, delay) over all synapses of all
-//!    projections from s in N, and D(s) the multiset of (`ids[slot]`, format, weight, delay) over all synapses of all lists
-//!    that the messages of s lead to in P, where the messages of a compartment are those of its seat. Then R(s) = D(s).
-//!    The format is exponent, sign mode and bits; so the scaled weights are equal too.
-//! 3. *Nothing else.* Every input axon of P is the end of exactly one message. (`Program::new` holds programs to it; with
-//!    2 it follows that no synapse of P is reached by a source that N does not have.)
+//! 1. *Parameters.* For every compartment n, with (c, s) = seat(n): `P.cores[c].ids[s] = n`, and
+//!    the neuron's fields and start step at (c, s) are those that N gives n.
+//! 2. *Synapses.* For every source s, let R(s) be the multiset of (target, format, weight, delay)
+//!    over all synapses of all projections from s in N, and D(s) the multiset of (`ids[slot]`,
+//!    format, weight, delay) over all synapses of all lists that the messages of s lead to in P,
+//!    where the messages of a compartment are those of its seat. Then R(s) = D(s). The format is
+//!    exponent, sign mode and bits; so the scaled weights are equal too.
+//! 3. *Nothing else.* Every input axon of P is the end of exactly one message. (`Program::new`
+//!    holds programs to it; with 2 it follows that no synapse of P is reached by a source that N
+//!    does not have.)
 //! 4. *Payloads.* A spike of a source carries in P what it carries in N.
-//! 5. *Frame.* First compartments and sizes of populations, output population, semantics, threshold test and reset agree.
+//! 5. *Frame.* First compartments and sizes of populations, output population, semantics, threshold
+//!    test and reset agree.
 //!
-//! *Parts.* P may be held in part, by one of several processes that run it together. Then N stands for its synapses to compartments
-//! whose cores are held, and the parts of all processes together are proven by each proving its own.
+//! *Parts.* P may be held in part, by one of several processes that run it together. Then N stands
+//! for its synapses to compartments whose cores are held, and the parts of all processes together
+//! are proven by each proving its own.
 //!
-//! *Copies.* N may be so many equal copies that share nothing, copy after copy. Copy k is proven from copy j < k, which 1 and 2
-//! have been checked for, when
+//! *Copies.* N may be so many equal copies that share nothing, copy after copy. Copy k is proven
+//! from copy j < k, which 1 and 2 have been checked for, when
 //!
-//! a. the populations and projections of k in N are those of j, their units numbered k - j copies later;
-//! b. each source of k sends as many messages as that of j, to the same axons of cores each of which is that of j *later*: it holds the
-//!    same lists, equal formats and parameters, and the compartments k - j copies later, slot by slot, at their seats.
+//! a. the populations and projections of k in N are those of j, their units numbered k - j copies
+//! later; b. each source of k sends as many messages as that of j, to the same axons of cores each
+//! of which is that of j *later*: it holds the same lists, equal formats and parameters, and the
+//! compartments k - j copies later, slot by slot, at their seats.
 //!
-//! By b., D of a source of k is D of that of j with targets k - j copies later, by a. so is R, and parameters are equal.
+//! By b., D of a source of k is D of that of j with targets k - j copies later, by a. so is R, and
+//! parameters are equal.
 //!
-//! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing of the stages between.
-//! Sources are compared a piece at a time, of `synapses_of_piece` on average; memory is that of a piece for each thread.
+//! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing
+//! of the stages between. Sources are compared a piece at a time, of `synapses_of_piece` on
+//! average; memory is that of a piece for each thread.
 
 use std::ops::Range;
 
@@ -44,8 +51,9 @@ use nsim_ir::quantised::{Population, Projection, Quantised, Units};
 /// Sources that are decoded together at most: their numbers within a piece have 16 bits.
 const MOST_SOURCES: u64 = 1 << 16;
 
-/// Synapses of the sources that are decoded together, on average. On each core they are to be so many that what is loaded of its
-/// tables is read from end to end; beyond that they should stay in a processor's cache.
+/// Synapses of the sources that are decoded together, on average. On each core they are to be so
+/// many that what is loaded of its tables is read from end to end; beyond that they should stay in
+/// a processor's cache.
 fn synapses_of_piece(cores: usize) -> u64 {
     (64 * cores as u64).clamp(1 << 16, 1 << 20)
 }
@@ -71,8 +79,8 @@ pub enum Difference {
     },
 }
 
-/// One synapse as both sides encode it, in one number, so that sorting is quick: target (27 bits), exponent (5), sign mode
-/// (2), bits (4), delay (6), weight (10).
+/// One synapse as both sides encode it, in one number, so that sorting is quick: target (27 bits),
+/// exponent (5), sign mode (2), bits (4), delay (6), weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct SynapseCode(u64);
 
@@ -221,10 +229,12 @@ fn name_of(units: &Units, index: u32) -> String {
     }
 }
 
-/// Whether two lists are equal as multisets: how often each number occurs in one, in a table of open addresses.
+/// Whether two lists are equal as multisets: how often each number occurs in one, in a table of
+/// open addresses.
 #[derive(Default)]
 struct Tally {
-    /// Number, the comparison by count in which it stands here, and how often it occurs; a power of two of them.
+    /// Number, the comparison by count in which it stands here, and how often it occurs; a power of
+    /// two of them.
     slots: Vec<(u64, u32, u32)>,
     comparison: u32,
 }
@@ -268,8 +278,9 @@ impl Tally {
     }
 }
 
-/// R(s) and D(s) of consecutive sources. Their messages are followed core by core: the lists of a million sources lie all
-/// over the memory of tens of thousands of cores, those of a piece side by side on each of them.
+/// R(s) and D(s) of consecutive sources. Their messages are followed core by core: the lists of a
+/// million sources lie all over the memory of tens of thousands of cores, those of a piece side by
+/// side on each of them.
 #[derive(Default)]
 struct Decoder {
     /// Where the messages to each core end.
@@ -281,7 +292,8 @@ struct Decoder {
     meant: Vec<SynapseCode>,
     /// Of the formats of a core.
     formats: Vec<SynapseCode>,
-    /// Where the next synapse of each source goes among the decoded, which have room for as many as are meant.
+    /// Where the next synapse of each source goes among the decoded, which have room for as many as
+    /// are meant.
     next: Vec<usize>,
     decoded: Vec<SynapseCode>,
     tally: Tally,
@@ -349,7 +361,8 @@ impl Decoder {
         }
     }
 
-    /// The first source of the piece for which they are not equal, and how many synapses the network gives it.
+    /// The first source of the piece for which they are not equal, and how many synapses the
+    /// network gives it.
     fn first_that_differs(&mut self) -> Option<(u32, usize)> {
         for (source, &next) in self.next.iter().enumerate() {
             let range = self.first[source]..self.first[source + 1];

@@ -1,21 +1,25 @@
 //! Proof that relays carry every spike where it was meant to go, when it was meant to arrive.
 //!
-//! The rule, for a network N, a network M and the steps L(p) by which the spikes of each population p of N come later in M:
+//! The rule, for a network N, a network M and the steps L(p) by which the spikes of each population
+//! p of N come later in M:
 //!
-//! 1. *Frame.* M begins with the populations of N: names, shapes, units and payloads are the same, but for start steps, which
-//!    are L(p) later; L is 0 for inputs. Output, semantics (the chip's), threshold test and reset agree.
-//! 2. *Relays.* The compartments behind these forget everything in a step, have no bias and no payload, and start no later
-//!    than what reaches them. Exactly one synapse leads to each; its scaled weight is above the relay's threshold and below
-//!    the 2^21 at which an accumulator wraps, and its source sends no graded spikes. So a relay spikes in the step in which
-//!    its synapse brings a spike, and in no other.
-//! 3. *Synapses.* For a source s of a population p of N let R(s) be the multiset of (target in q, format, weight,
-//!    d + L(q) - L(p)) over its synapses in N, and D(s) that of (target, format, weight, d + e) over all synapses of M to
-//!    compartments of N that begin at s or at a relay that s reaches, where e is the sum over the relays on the way of one and the
-//!    delay of the synapse to it. Then R(s) = D(s).
+//! 1. *Frame.* M begins with the populations of N: names, shapes, units and payloads are the same,
+//!    but for start steps, which are L(p) later; L is 0 for inputs. Output, semantics (the chip's),
+//!    threshold test and reset agree.
+//! 2. *Relays.* The compartments behind these forget everything in a step, have no bias and no
+//!    payload, and start no later than what reaches them. Exactly one synapse leads to each; its
+//!    scaled weight is above the relay's threshold and below the 2^21 at which an accumulator
+//!    wraps, and its source sends no graded spikes. So a relay spikes in the step in which its
+//!    synapse brings a spike, and in no other.
+//! 3. *Synapses.* For a source s of a population p of N let R(s) be the multiset of (target in q,
+//!    format, weight, d + L(q) - L(p)) over its synapses in N, and D(s) that of (target, format,
+//!    weight, d + e) over all synapses of M to compartments of N that begin at s or at a relay that
+//!    s reaches, where e is the sum over the relays on the way of one and the delay of the synapse
+//!    to it. Then R(s) = D(s).
 //! 4. *Nothing else.* Every relay is reached by a source of N.
 //!
-//! With 1 to 4 the spikes of p in M are those in N, L(p) steps later, by induction over steps. The checker enumerates the
-//! synapses of both networks and calls nothing of what made M.
+//! With 1 to 4 the spikes of p in M are those in N, L(p) steps later, by induction over steps. The
+//! checker enumerates the synapses of both networks and calls nothing of what made M.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -56,7 +60,8 @@ pub enum Unfaithful {
     Unreached(CompartmentId),
 }
 
-/// A synapse as its source means it: target, format, weight, and the steps from its spike to its arrival but one.
+/// A synapse as its source means it: target, format, weight, and the steps from its spike to its
+/// arrival but one.
 type Meant = (u32, SynapseFormat, i16, i64);
 
 /// Checks the rule.
@@ -190,7 +195,8 @@ impl Walk<'_> {
         Ok(())
     }
 
-    /// Whether a compartment spikes when a spike of this population arrives over this weight, and otherwise never.
+    /// Whether a compartment spikes when a spike of this population arrives over this weight, and
+    /// otherwise never.
     fn passes_on(&self, from: &Population, relays: &Population, index: u32, weight: i32) -> bool {
         let Units::Compartments { neurons, start_step, .. } = &relays.units else { return false };
         let neuron = neurons.get(index);

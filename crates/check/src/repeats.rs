@@ -1,7 +1,9 @@
-//! Which copies of a program are another copy's over again: the rule *Copies* of [`crate::equivalence`].
+//! Which copies of a program are another copy's over again: the rule *Copies* of
+//! [`crate::equivalence`].
 //!
-//! Input: a network of equal copies and a program for it. Output: for each copy whether it is proven from one before it, which is not
-//! itself proven from another. Nothing is assumed of how either was made: the network's copies are compared too.
+//! Input: a network of equal copies and a program for it. Output: for each copy whether it is
+//! proven from one before it, which is not itself proven from another. Nothing is assumed of how
+//! either was made: the network's copies are compared too.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -41,7 +43,8 @@ pub fn proven(network: &Quantised, program: &Program, copies: u32) -> Vec<bool> 
     }
     let cores = Cores::new(program, sizes);
     for copy in 1..copies {
-        // Copies alike sit on cores alike, so the seat of the first compartment says which copy to compare with.
+        // Copies alike sit on cores alike, so the seat of the first compartment says which copy to
+        // compare with.
         let core = program.seats()[CompartmentId(copy * compartments)].core;
         let (first, later) = cores.of[core];
         let Some(like) = copy.checked_sub(later).filter(|_| first != core) else { continue };
@@ -52,7 +55,8 @@ pub fn proven(network: &Quantised, program: &Program, copies: u32) -> Vec<bool> 
     proven
 }
 
-/// For each core the first that it repeats, and how many copies later; itself where it repeats none.
+/// For each core the first that it repeats, and how many copies later; itself where it repeats
+/// none.
 struct Cores {
     of: IdVec<CoreId, (CoreId, u32)>,
 }
@@ -82,7 +86,8 @@ impl Cores {
     }
 }
 
-/// Whether a core has the lists, formats and parameters of another and its compartments so many numbers later, at their seats.
+/// Whether a core has the lists, formats and parameters of another and its compartments so many
+/// numbers later, at their seats.
 fn is_later(program: &Program, (core, image): (CoreId, &CoreImage), like: &CoreImage, more: u32) -> bool {
     let seat = |slot: usize, id: &CompartmentId| program.seats()[*id] == Seat { core, slot: slot as u16 };
     image.inputs.is_same(&like.inputs)

@@ -1,19 +1,22 @@
 //! Whether a mapping that was counted from geometry is right, judged by some of its cores.
 //!
-//! No program is written of such a network, only the tables of one core of each kind of box. The rule:
+//! No program is written of such a network, only the tables of one core of each kind of box. The
+//! rule:
 //!
 //! 1. every compartment is on exactly one core (the constructor of [`Partition`]);
 //! 2. the synapses counted for all cores add up to the network's;
 //! 3. the tables of a sampled core keep the rules of [`verify`](crate::verify);
-//! 4. its compartments have the network's parameters, and its input axons lead to exactly the synapses that the network's
-//!    sources have on it, enumerated source by source;
-//! 5. its tables use what was counted, and so do the output axons of its compartments, followed synapse by synapse to the
-//!    cores of their targets.
+//! 4. its compartments have the network's parameters, and its input axons lead to exactly the
+//!    synapses that the network's sources have on it, enumerated source by source;
+//! 5. its tables use what was counted, and so do the output axons of its compartments, followed
+//!    synapse by synapse to the cores of their targets.
 //!
-//! Boxes of one kind have the same patterns of rows, columns and channels, hence the same tables but for weights; output
-//! axons also depend on where a box is, and are compared for the sampled cores only. Where they are counted by position they
-//! depend on the tables of the cores that are reached, too: those of a core that reaches sampled cores only are found from
-//! their tables, and are no more than was counted; of others it is known that they are no more than one for each compartment.
+//! Boxes of one kind have the same patterns of rows, columns and channels, hence the same tables
+//! but for weights; output axons also depend on where a box is, and are compared for the sampled
+//! cores only. Where they are counted by position they depend on the tables of the cores that are
+//! reached, too: those of a core that reaches sampled cores only are found from their tables, and
+//! are no more than was counted; of others it is known that they are no more than one for each
+//! compartment.
 
 use std::collections::{BTreeSet, HashMap};
 use std::ops::RangeInclusive;
@@ -97,7 +100,8 @@ fn check_parameters(network: &Quantised, partition: &Partition, sampled: &Sample
     }
 }
 
-/// Compares the list of every input axon with the network's synapses on the core, of every source that may have any.
+/// Compares the list of every input axon with the network's synapses on the core, of every source
+/// that may have any.
 fn check_synapses(network: &Quantised, partition: &Partition, sampled: &SampledCore) -> Result<(), String> {
     let SampledCore { core, image, sources } = sampled;
     if image.inputs.len() != sources.len() {
@@ -161,8 +165,8 @@ fn check_synapses(network: &Quantised, partition: &Partition, sampled: &SampledC
     }
 }
 
-/// The sources that may reach any of these targets: of a window, all channels at the positions under and between the
-/// targets; otherwise all.
+/// The sources that may reach any of these targets: of a window, all channels at the positions
+/// under and between the targets; otherwise all.
 fn sources_that_may_reach(connectivity: &Connectivity, targets: &[u32], sources: u32) -> Vec<u32> {
     let (Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. }) = connectivity else {
         return (0..sources).collect();
@@ -185,10 +189,11 @@ fn sources_that_may_reach(connectivity: &Connectivity, targets: &[u32], sources:
 
 /// What a core's compartments send.
 struct Outputs {
-    /// Output axon slots together, with one output axon for each compartment and core reached, the longest that there may be.
+    /// Output axon slots together, with one output axon for each compartment and core reached, the
+    /// longest that there may be.
     each: u64,
-    /// With the same one for compartments that send to the same population axons only; none where a core is reached whose tables are
-    /// not known.
+    /// With the same one for compartments that send to the same population axons only; none where a
+    /// core is reached whose tables are not known.
     by_position: Option<u64>,
     /// The most output axons of a compartment.
     most: u32,

@@ -1,20 +1,22 @@
 //! Rules for a finished program, checked on its own tables.
 //!
-//! Input: a [`Program`] and a target. Output: nothing, or the first [`Violation`]. Nothing is taken from the stages that
-//! made the program: every count is recomputed from what the machine would read. `Program::new` has checked that tables
-//! are closed; beyond that, of every core (each bullet is a variant of [`Violation`]):
+//! Input: a [`Program`] and a target. Output: nothing, or the first [`Violation`]. Nothing is taken
+//! from the stages that made the program: every count is recomputed from what the machine would
+//! read. `Program::new` has checked that tables are closed; beyond that, of every core (each bullet
+//! is a variant of [`Violation`]):
 //!
 //! - the mesh is the target's (`Mesh`), and no two cores stand at one place of it (`Site`);
 //! - an output axon table names each destination core once, in ascending order (`Multicast`);
 //! - a list that is selected is not empty, one that is not is (`EmptyAxon`);
-//! - population axons have atoms, bases and numbers that messages and tables can hold, tables are the same or apart, no two
-//!   sources are the same atom of one, and a source is the same atom on every core (`Population`);
-//! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the core's index and delay
-//!   widths or none (`Format`);
-//! - in a list the synapses of one format are consecutive, and two groups do not differ in density or delay alone
-//!   (`Scattered`);
-//! - the slots of a dense group follow each other; those of a sparse group ascend and fit its index, and a
-//!   group with runs leaves out no more slots than they hold (`Slots`);
+//! - population axons have atoms, bases and numbers that messages and tables can hold, tables are
+//!   the same or apart, no two sources are the same atom of one, and a source is the same atom on
+//!   every core (`Population`);
+//! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the
+//!   core's index and delay widths or none (`Format`);
+//! - in a list the synapses of one format are consecutive, and two groups do not differ in density
+//!   or delay alone (`Scattered`);
+//! - the slots of a dense group follow each other; those of a sparse group ascend and fit its
+//!   index, and a group with runs leaves out no more slots than they hold (`Slots`);
 //! - a group with delay bits has a delay, and each delay fits (`Delay`);
 //! - weights are multiples of their format's least step, in its range (`Weight`);
 //! - every resource of [`CoreUsage`] is within its limit (`Excess`).
@@ -38,7 +40,8 @@ use nsim_ir::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
 
 use crate::words::{Layout, RUNS, delay_slots};
 
-/// Bases of pop16 axons are multiples of this, and all bases are below the end (nengo-loihi e564f66 `hardware/builder.py`).
+/// Bases of pop16 axons are multiples of this, and all bases are below the end (nengo-loihi e564f66
+/// `hardware/builder.py`).
 const BASE_STEP: u16 = 4;
 const BASE_END: u16 = 256;
 /// Bits that the number of an axon and its atom have together where every population axon is pop16.
@@ -218,7 +221,8 @@ fn verify_messages(
     }
 }
 
-/// Whether a population axon is a pop32 axon: more atoms than a pop16 axon has, or a base that it cannot have.
+/// Whether a population axon is a pop32 axon: more atoms than a pop16 axon has, or a base that it
+/// cannot have.
 pub(super) fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
     match limits.output_axons {
         OutputAxons::PerCompartment => false,
@@ -294,7 +298,8 @@ fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<
     }
 }
 
-/// Words of a core's lists, those of a table as many times the longest as it has lists; and the most of one list.
+/// Words of a core's lists, those of a table as many times the longest as it has lists; and the
+/// most of one list.
 fn words_of(inputs: &Stored, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) {
     let widest = of_lists.iter().copied().max().unwrap_or(0);
     let discrete =
@@ -326,8 +331,8 @@ fn verify_core(
     }
 }
 
-/// Output axon slots of a core, from the messages of its compartments. By position, compartments whose messages all go to
-/// population axons have one list of them where they go to the same ones.
+/// Output axon slots of a core, from the messages of its compartments. By position, compartments
+/// whose messages all go to population axons have one list of them where they go to the same ones.
 fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits: &Limits) -> u64 {
     let by_position = match limits.output_axons {
         OutputAxons::PerPosition { more_slots, .. } if populations => Some(more_slots),
@@ -423,7 +428,8 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
                 && group.iter().all(|s| u32::from(s.slot) < 1 << bits)
         }
     };
-    // A run holds the number of slots left out, so no slot occurs twice and no gap is wider than a run can hold.
+    // A run holds the number of slots left out, so no slot occurs twice and no gap is wider than a
+    // run can hold.
     let holds = |bits: u8| {
         group.windows(2).all(|pair| {
             u32::from(pair[1].slot).checked_sub(u32::from(pair[0].slot) + 1).is_some_and(|gap| gap < 1 << bits)

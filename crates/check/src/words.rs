@@ -1,14 +1,16 @@
 //! Words of synapse memory that lists take, counted again from the layout of an entry.
 //!
-//! Input: a core's size, longest delay and limits, then the format and size of each group of synapses. Output: words of
-//! 64 bits. This is a second count, synapse by synapse, of what the compiler's packing says in closed form; the two
-//! share no code, so a mistake in one is found by the other.
+//! Input: a core's size, longest delay and limits, then the format and size of each group of
+//! synapses. Output: words of 64 bits. This is a second count, synapse by synapse, of what the
+//! compiler's packing says in closed form; the two share no code, so a mistake in one is found by
+//! the other.
 //!
-//! An entry holds up to so many synapses: a header of 4 bits for the format and 6 for the count (nengo-loihi e564f66
-//! `builder/validate.py`, `bits_per_axon`), then perhaps the index of its first slot, then the synapses. A synapse has its
-//! weight, its delay where its group has one, and its slot: nothing where slots follow each other, the slots left out
-//! where they ascend, an index otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first
-//! slot wherever there is no index, and a word more where the last one has 0 or at least 59 bits.
+//! An entry holds up to so many synapses: a header of 4 bits for the format and 6 for the count
+//! (nengo-loihi e564f66 `builder/validate.py`, `bits_per_axon`), then perhaps the index of its
+//! first slot, then the synapses. A synapse has its weight, its delay where its group has one, and
+//! its slot: nothing where slots follow each other, the slots left out where they ascend, an index
+//! otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first slot
+//! wherever there is no index, and a word more where the last one has 0 or at least 59 bits.
 
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::program::CoreFormat;
@@ -53,7 +55,8 @@ impl Layout {
         Layout { index, delay, per_entry, nxtf }
     }
 
-    /// Words of a group of so many synapses of a format, in the list of a discrete axon or in a table of a population axon.
+    /// Words of a group of so many synapses of a format, in the list of a discrete axon or in a
+    /// table of a population axon.
     pub fn words(&self, format: CoreFormat, synapses: u32, in_table: bool) -> u32 {
         let slot = match (format.index_bits, format.skip_bits) {
             (None, _) => 0,
@@ -62,7 +65,8 @@ impl Layout {
         };
         let delay = if format.delay_bits > 0 { self.delay } else { 0 };
         let each = u32::from(format.synapse.bits.get()) + u32::from(delay) + u32::from(slot);
-        // The first slot is stored where synapses only tell how far it is to the next, or nothing that a table could add to.
+        // The first slot is stored where synapses only tell how far it is to the next, or nothing
+        // that a table could add to.
         let first = match format.index_bits {
             None => in_table || self.nxtf,
             Some(_) => format.skip_bits.is_some(),

@@ -13,7 +13,8 @@ pub enum CompileError {
     #[error(transparent)]
     Input(#[from] Diagnostic),
     /// The network does not fit, for all of these reasons.
-    #[error("the network does not fit the target: {}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; also "))]
+    #[error("the network does not fit the target: \
+             {}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; also "))]
     DoesNotFit(Vec<Reason>),
     /// The compiler has contradicted itself.
     #[error("{0}")]

@@ -8,12 +8,12 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Limits, OutputAxons};
 
-/// Synapses, of all copies, above which a network of layers is mapped by its kernels: the tables of twice as many take two
-/// gigabytes, and building them several more.
+/// Synapses, of all copies, above which a network of layers is mapped by its kernels: the tables of
+/// twice as many take two gigabytes, and building them several more.
 pub const MOST_WRITTEN: u64 = 1 << 28;
 
-/// Synapses, of all copies, above which a network that is mapped by its kernels is not run: its messages and rows of weights take
-/// a byte or two for each.
+/// Synapses, of all copies, above which a network that is mapped by its kernels is not run: its
+/// messages and rows of weights take a byte or two for each.
 pub const MOST_RUN: u64 = 1 << 32;
 
 /// How far the synapses of a network are expanded.
@@ -21,14 +21,14 @@ pub const MOST_RUN: u64 = 1 << 32;
 pub enum Form {
     /// Every synapse is written into a program.
     Written,
-    /// Kernels stay kernels: layers are cut into boxes and counted from their geometry. A program is written only where the
-    /// network is run, once for all boxes alike ([`crate::emit::boxes`]).
+    /// Kernels stay kernels: layers are cut into boxes and counted from their geometry. A program
+    /// is written only where the network is run, once for all boxes alike ([`crate::emit::boxes`]).
     Symbolic,
 }
 
 impl Form {
-    /// The form of so many copies of a network: symbolic when it has more than [`MOST_WRITTEN`] synapses and consists of
-    /// layers, so that it can be.
+    /// The form of so many copies of a network: symbolic when it has more than [`MOST_WRITTEN`]
+    /// synapses and consists of layers, so that it can be.
     #[must_use]
     pub fn for_network(one: &Quantised, copies: u32) -> Form {
         let synapses = one.synapses().saturating_mul(u64::from(copies));
@@ -38,8 +38,9 @@ impl Form {
         }
     }
 
-    /// The target as mappings of this form are counted on it: where sources without places are gathered in population axons, boxes
-    /// have an output axon for each compartment, because geometry tells of windows only which positions share a table.
+    /// The target as mappings of this form are counted on it: where sources without places are
+    /// gathered in population axons, boxes have an output axon for each compartment, because
+    /// geometry tells of windows only which positions share a table.
     #[must_use]
     pub fn counted_on<'t>(self, network: &Quantised, target: &'t Target) -> Cow<'t, Target> {
         if self == Form::Written || !network.parts().gathers {
@@ -60,7 +61,8 @@ impl Form {
         }
     }
 
-    /// Refuses to run a network whose program would take too much memory even where its kernels are written once.
+    /// Refuses to run a network whose program would take too much memory even where its kernels are
+    /// written once.
     ///
     /// # Errors
     /// `map.described`.
@@ -77,8 +79,10 @@ impl Form {
 fn too_many(what: &str, one: &Quantised, copies: u32, most: u64) -> Diagnostic {
     let synapses = one.synapses().saturating_mul(u64::from(copies));
     let message = format!("{what} of {} written out: {synapses} synapses, more than {most}", one.parts().name);
-    let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run and nsim energy run it up \
-                to 2^32 synapses, nsim run --engine reference one copy of it in real numbers; for all else make it smaller, or \
+    let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run and nsim energy \
+                run it up \
+                to 2^32 synapses, nsim run --engine reference one copy of it in real numbers; for all else make it \
+                smaller, or \
                 map fewer copies";
     Diagnostic::new("map.described", message).help(help)
 }

@@ -1,6 +1,7 @@
 //! Which cores of a mapping hold copies that share no core with others.
 //!
-//! Input: a mapping of several copies. Output: its [`CoreGroups`], so that one group of each kind can be run for all.
+//! Input: a mapping of several copies. Output: its [`CoreGroups`], so that one group of each kind
+//! can be run for all.
 
 use petgraph::unionfind::UnionFind;
 

@@ -1,10 +1,13 @@
 //! What a cache keeps of a mapping, and under which key.
 //!
-//! Input: what is compiled, for what and how; a mapping. Output: a key that two compilations share only if they are of the same content,
-//! options and program; the compartments and the place of each core as bytes, and back. Everything else is computed again from these,
-//! verified and checked, so that a mapping from a cache is the one that compiling afresh gives, and no byte need be believed.
+//! Input: what is compiled, for what and how; a mapping. Output: a key that two compilations share
+//! only if they are of the same content, options and program; the compartments and the place of
+//! each core as bytes, and back. Everything else is computed again from these, verified and
+//! checked, so that a mapping from a cache is the one that compiling afresh gives, and no byte need
+//! be believed.
 //!
-//! Errors: bytes that are cut, changed or of another network are no mapping; a caller then compiles.
+//! Errors: bytes that are cut, changed or of another network are no mapping; a caller then
+//! compiles.
 
 use std::hash::{Hash, Hasher};
 
@@ -30,7 +33,8 @@ use nsim_ir::quantised::{Parts, Population, Projection, Quantised, Units};
 const MAGIC: &[u8; 8] = b"nsim-m01";
 /// Bytes of the digest at the end.
 const DIGEST: usize = 32;
-/// Synapses of a network below which mapping for few cores takes no longer than looking for an entry.
+/// Synapses of a network below which mapping for few cores takes no longer than looking for an
+/// entry.
 const SMALL: u64 = 20_000;
 
 /// The compartments of each core and its site.
@@ -57,8 +61,8 @@ impl Key {
     }
 }
 
-/// The key of a mapping, or `None` where none is kept: mappings of small networks, of kernels and by the clock. `build` stands for the
-/// program that compiles.
+/// The key of a mapping, or `None` where none is kept: mappings of small networks, of kernels and
+/// by the clock. `build` stands for the program that compiles.
 #[must_use]
 pub fn key(
     front: &Front,
@@ -146,7 +150,8 @@ pub fn places_to_bytes(partition: &Partition, placement: &Placement, placed: &'s
     bytes
 }
 
-/// Compartments and places from bytes, with the name of the placement; `None` when they are damaged.
+/// Compartments and places from bytes, with the name of the placement; `None` when they are
+/// damaged.
 fn from_bytes(bytes: &[u8]) -> Option<(OnSites, &'static str)> {
     let (content, digest) = bytes.split_at_checked(bytes.len().checked_sub(DIGEST)?)?;
     let (magic, rest) = content.split_at_checked(MAGIC.len() + 1)?;

@@ -1,8 +1,9 @@
 //! From a network to a program for the cores of a target.
 //!
 //! Input: a [`Network`], a [`Target`], [`Options`]. Output: a [`Mapping`], or every reason why the
-//! network does not fit. Its limits have been verified and its synapses compared with the network's by code that shares
-//! nothing with the stages that made it. [`map()`] makes one mapping; [`explore::map`] compares several for an objective.
+//! network does not fit. Its limits have been verified and its synapses compared with the network's
+//! by code that shares nothing with the stages that made it. [`map()`] makes one mapping;
+//! [`explore::map`] compares several for an objective.
 
 #[cfg(test)]
 mod copies_tests;
@@ -56,7 +57,8 @@ pub fn map(
     unchecked.check(target)
 }
 
-/// A network on the cores of a target, by one partition and one placement; the first half of [`map()`].
+/// A network on the cores of a target, by one partition and one placement; the first half of
+/// [`map()`].
 ///
 /// # Errors
 /// [`CompileError`].
@@ -79,8 +81,8 @@ pub fn place(
     partitioned.place(target, options)
 }
 
-/// The mapping that a file says, checked as any other. The network is pruned as it was for the file, whose copies
-/// `options` must have.
+/// The mapping that a file says, checked as any other. The network is pruned as it was for the
+/// file, whose copies `options` must have.
 ///
 /// # Errors
 /// [`CompileError`].

@@ -1,8 +1,9 @@
 //! A network on the cores of a target: the compiler's result.
 //!
-//! A [`Mapping`] exists only once its limits have been verified and its synapses compared with the network's, all of them
-//! or those of a sample ([`Checked`]). One with a program is a [`Compiled`] and can run; one of a network that is mapped by
-//! its kernels has boxes instead, from which everything but single synapses can be counted.
+//! A [`Mapping`] exists only once its limits have been verified and its synapses compared with the
+//! network's, all of them or those of a sample ([`Checked`]). One with a program is a [`Compiled`]
+//! and can run; one of a network that is mapped by its kernels has boxes instead, from which
+//! everything but single synapses can be counted.
 
 use crate::error::CompileError;
 use crate::form::Form;
@@ -26,8 +27,8 @@ pub enum Synapses {
 /// How the checker compared a mapping with its network.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Checked {
-    /// `whole`: every synapse of every core. `pattern`: every synapse of one copy of each kind, and that the others are the
-    /// same again. `sampled`: every synapse of some cores.
+    /// `whole`: every synapse of every core. `pattern`: every synapse of one copy of each kind, and
+    /// that the others are the same again. `sampled`: every synapse of some cores.
     pub how: &'static str,
     /// The share of the cores whose synapses are known to be the network's.
     pub share: f64,

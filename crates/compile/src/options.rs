@@ -56,7 +56,8 @@ named_variants!(CopyPlacement { Spread = "spread", Packed = "packed" });
 /// How much may be spent on looking for a better partition and placement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
-    /// What a reference machine does in so many seconds, counted in work, so that the result is the same on every machine.
+    /// What a reference machine does in so many seconds, counted in work, so that the result is the
+    /// same on every machine.
     Work(u32),
     /// What this machine does until then.
     Within {
@@ -124,12 +125,13 @@ pub struct Options {
     pub objective: Objective,
     /// Seed of strategies that draw; recorded in any case.
     pub seed: u64,
-    /// Whether cores are placed near those they exchange messages with; otherwise in the order of the partition.
+    /// Whether cores are placed near those they exchange messages with; otherwise in the order of
+    /// the partition.
     pub place: bool,
     /// What may be spent on looking for a better partition and placement.
     pub effort: Effort,
-    /// Synapses of a core at most, as far as tiles and boxes decide: a kernel is stored once, so limits of memory alone do not bound
-    /// a core's work. None: as many as its limits allow.
+    /// Synapses of a core at most, as far as tiles and boxes decide: a kernel is stored once, so
+    /// limits of memory alone do not bound a core's work. None: as many as its limits allow.
     pub most_synapses: Option<u64>,
     /// For which of the processes that run it together the program is written.
     pub share: Share,

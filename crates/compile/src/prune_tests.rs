@@ -109,7 +109,8 @@ fn a_loop_that_nothing_starts_is_silent_and_one_with_a_bias_is_not() {
         counts(&prune(&builder.build(), &Plan::fixed()).unwrap())
     };
     assert_eq!(looped(0), [0, 0, 3, 0, 12]);
-    // 128 / 4096 decay of v: a bias of 160 ends at (160 - 1) * 32 + 1 = 5089 <= 80 * 64, one of 161 at 5121 > 80 * 64.
+    // 128 / 4096 decay of v: a bias of 160 ends at (160 - 1) * 32 + 1 = 5089 <= 80 * 64, one of 161
+    // at 5121 > 80 * 64.
     assert_eq!(looped(160), [0, 0, 3, 0, 12]);
     assert_eq!(looped(161), [0; 5]);
 }

@@ -1,6 +1,7 @@
 //! Why a network does not fit its target, and what to change.
 //!
-//! Input: what a population, a core or the whole network needs of a resource, and the limit. Output: a [`Reason`].
+//! Input: what a population, a core or the whole network needs of a resource, and the limit.
+//! Output: a [`Reason`].
 
 use std::fmt;
 
@@ -51,8 +52,10 @@ impl fmt::Display for Reason {
 }
 
 /// What to do where the input axons of a population that channels reach are too many.
-const MERGE_INPUTS: &str = "every input channel that reaches a core takes one input axon there: merge polarities (halves \
-    the channels), prune inputs that never fire, pool more before this population, or split the fan-in over intermediate \
+const MERGE_INPUTS: &str = "every input channel that reaches a core takes one input axon there: merge polarities \
+                            (halves \
+    the channels), prune inputs that never fire, pool more before this population, or split the fan-in over \
+    intermediate \
     populations";
 
 impl Reason {

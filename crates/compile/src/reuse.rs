@@ -1,9 +1,11 @@
-//! The mapping of a network as that of another one, which differs in the parameters of its neurons alone.
+//! The mapping of a network as that of another one, which differs in the parameters of its neurons
+//! alone.
 //!
-//! Input: a compiled network, another network. Output: what compiling that afresh would give, at a fraction of the time. The compiler sees
-//! of neurons only their kinds and which of them share a profile on a core; where these and everything else are equal it makes
-//! the same cores, and the tables of synapses can be taken over. Limits are verified again, and parameters compared with the
-//! network's; synapses were, when they were written.
+//! Input: a compiled network, another network. Output: what compiling that afresh would give, at a
+//! fraction of the time. The compiler sees of neurons only their kinds and which of them share a
+//! profile on a core; where these and everything else are equal it makes the same cores, and the
+//! tables of synapses can be taken over. Limits are verified again, and parameters compared with
+//! the network's; synapses were, when they were written.
 
 use std::collections::HashMap;
 use std::hash::Hash;

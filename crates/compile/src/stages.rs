@@ -1,7 +1,7 @@
 //! The stages of the compiler: what each hands to the next.
 //!
-//! A [`Front`] is partitioned, a [`Partitioned`] network placed, a [`Placed`] one emitted, an [`Unchecked`] mapping checked.
-//! Comparing mappings begins again at any of them.
+//! A [`Front`] is partitioned, a [`Partitioned`] network placed, a [`Placed`] one emitted, an
+//! [`Unchecked`] mapping checked. Comparing mappings begins again at any of them.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -43,7 +43,8 @@ use nsim_quantise::copies::copies;
 use nsim_quantise::prune::{Plan, prune};
 use nsim_quantise::relays::{Relayed, relayed};
 
-/// Synapses of a network up to which it is tried without relays first: larger ones would be partitioned twice for long.
+/// Synapses of a network up to which it is tried without relays first: larger ones would be
+/// partitioned twice for long.
 const TRIED: u64 = 1 << 24;
 
 /// Measures stages.
@@ -114,18 +115,20 @@ impl Front {
     /// The network without what the plan makes superfluous.
     ///
     /// # Errors
-    /// [`CompileError::Fault`] when the plan is of another network, or the network has been pruned already.
+    /// [`CompileError::Fault`] when the plan is of another network, or the network has been pruned
+    /// already.
     pub fn prune(mut self, plan: &Plan) -> Result<Front> {
         self.one = self.clock.stage("prune", || prune(&self.one, plan)).map_err(CompileError::fault)?;
         Ok(self)
     }
 
-    /// The network with relays where compartments have more targets than output axons, unless it maps without; proved to
-    /// spike alike. Populations then have notes that say how many relays, and how many steps later their spikes come.
+    /// The network with relays where compartments have more targets than output axons, unless it
+    /// maps without; proved to spike alike. Populations then have notes that say how many relays,
+    /// and how many steps later their spikes come.
     ///
     /// # Errors
-    /// [`CompileError::Input`] when delays leave no time for relays, or the network was pruned; [`CompileError::DoesNotFit`]
-    /// when relays cannot help.
+    /// [`CompileError::Input`] when delays leave no time for relays, or the network was pruned;
+    /// [`CompileError::DoesNotFit`] when relays cannot help.
     pub fn relay(mut self, target: &Target) -> Result<Front> {
         if self.one.pruned().is_some() {
             let refused = Diagnostic::new("map.relays", "a pruned network cannot be given relays");
@@ -153,7 +156,8 @@ impl Front {
         Ok(self)
     }
 
-    /// Lets sources be gathered in population axons where a compartment has more of them than a core has input axons.
+    /// Lets sources be gathered in population axons where a compartment has more of them than a
+    /// core has input axons.
     fn gather(&mut self, target: &Target) -> Result<()> {
         let mut parts = Parts { gathers: true, ..self.one.parts().clone() };
         let gathered = Quantised::new(parts.clone()).map_err(CompileError::fault)?;
@@ -197,7 +201,8 @@ impl Front {
         Ok(Partitioned { one, all, partition, boxes, rates: rates.copies(options.copies), clock })
     }
 
-    /// Compartments on the cores that a saved mapping says, of the network pruned as it was for the mapping.
+    /// Compartments on the cores that a saved mapping says, of the network pruned as it was for the
+    /// mapping.
     ///
     /// # Errors
     /// [`CompileError::Input`] when the mapping is of another network, target or number of copies;
@@ -219,7 +224,8 @@ impl Front {
         })
     }
 
-    /// Compartments on these cores at these sites, which were found for this network, target and options before.
+    /// Compartments on these cores at these sites, which were found for this network, target and
+    /// options before.
     ///
     /// # Errors
     /// [`CompileError`] when they are of another network or target.
@@ -268,7 +274,8 @@ impl Front {
                 let message = "the mapping is of the whole network, not of a pruned one";
                 Err(Diagnostic::new("mapping.pruned", message).into())
             }
-            // What was pruned in another way has other compartments, which the file's cores will show.
+            // What was pruned in another way has other compartments, which the file's cores will
+            // show.
             (None, None) | (Some(_), Some(_)) => Ok(self),
         }
     }
@@ -290,7 +297,8 @@ fn has_kinds(network: &Quantised, target: &Target) -> Result<()> {
             return Err(Diagnostic::new("map.neuron-kind", message)
                 .help(match kind {
                     NeuronKind::SoftReset => {
-                        "nsim convert makes it reset to zero and measures the loss; or choose a target with these neuron_kinds"
+                        "nsim convert makes it reset to zero and measures the loss; or choose a target with these \
+                         neuron_kinds"
                     }
                     _ => "choose a target with these neuron_kinds",
                 })
@@ -365,8 +373,8 @@ fn dealt(network: &Quantised, partition: &Partition, placement: &Placement, shar
     })
 }
 
-/// The mapping with its program, which is written here if it was mapped by its kernels, and then verified and checked: every
-/// synapse of one core of each pattern.
+/// The mapping with its program, which is written here if it was mapped by its kernels, and then
+/// verified and checked: every synapse of one core of each pattern.
 ///
 /// # Errors
 /// [`CompileError::Fault`].
@@ -408,7 +416,8 @@ fn by_patterns(
     Ok(program)
 }
 
-/// A network on the cores of the board that another process has placed, of which this one holds a part.
+/// A network on the cores of the board that another process has placed, of which this one holds a
+/// part.
 #[derive(Debug)]
 pub struct PlacedPart {
     /// The network, one copy, with the synapses to compartments that are held.
@@ -434,7 +443,8 @@ impl PlacedPart {
         (self.all.populations().len() / self.one.populations().len().max(1)) as u32
     }
 
-    /// The program that is held, verified and checked. The network that is kept with it has no projections: they are in the program.
+    /// The program that is held, verified and checked. The network that is kept with it has no
+    /// projections: they are in the program.
     ///
     /// # Errors
     /// [`CompileError::Fault`].
@@ -461,7 +471,8 @@ impl PlacedPart {
     }
 }
 
-/// How a program was compared with its network, once its limits have been verified and all of it compared.
+/// How a program was compared with its network, once its limits have been verified and all of it
+/// compared.
 fn checked_whole(
     network: &Quantised,
     program: &Program,
@@ -500,7 +511,8 @@ impl Placed {
         dealt(all, partition, placement, share)
     }
 
-    /// The program, verified and checked, of a network that has been dealt out, if there are several processes.
+    /// The program, verified and checked, of a network that has been dealt out, if there are
+    /// several processes.
     ///
     /// # Errors
     /// [`CompileError::Fault`].

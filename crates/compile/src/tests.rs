@@ -1,4 +1,5 @@
-//! The compiler as a whole: what fits, what does not and why, and that wrong programs are found out.
+//! The compiler as a whole: what fits, what does not and why, and that wrong programs are found
+//! out.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -477,11 +478,13 @@ fn a_random_network_of_6_4_million_synapses_keeps_every_limit_of_768_chips() {
     let most = compiled.partition.usage().iter().map(|used| used[Resource::AxonsOut]).max().unwrap();
     let cores = compiled.partition.cores();
     println!("{cores} cores, {:?}", compiled.seconds);
-    // 64 targets on nearly 64 cores, most of them off chip: 4,096 / 128 compartments a core at worst.
+    // 64 targets on nearly 64 cores, most of them off chip: 4,096 / 128 compartments a core at
+    // worst.
     assert!(most <= 4096 && cores <= 3_125, "{cores} cores, {most} slots");
 }
 
-/// A convolution of 16 x 14 positions, 8 channels to 8 in a kernel of 3 x 3, to a layer that sees half of it, and pools it.
+/// A convolution of 16 x 14 positions, 8 channels to 8 in a kernel of 3 x 3, to a layer that sees
+/// half of it, and pools it.
 fn layers() -> Quantised {
     let mut net = Builder::new();
     let of = |channels, height, width| Shape::Volume(channels, height, width);
@@ -508,7 +511,8 @@ fn layers() -> Quantised {
 #[test]
 fn a_kernel_is_stored_once() {
     for packing in [Packing::Nengo, Packing::Nxtf] {
-        // 7 x 8 positions with their 8 channels are a core: its kernel has 576 weights, its lists 8 x 3,380 synapses.
+        // 7 x 8 positions with their 8 channels are a core: its kernel has 576 weights, its lists 8
+        // x 3,380 synapses.
         let limits = Limits { packing, ..limits().with(Resource::Compartments, 512) };
         let compiled = compiled(layers(), limits.clone());
         for (core, image) in compiled.program.cores().enumerate() {
@@ -531,7 +535,8 @@ fn a_kernel_is_stored_once() {
 
 #[test]
 fn output_axons_are_counted_by_position_and_the_verifier_counts_the_same() {
-    // 16 x 14 positions of 8 channels, which are pooled 2 x 2 channel by channel: the channels of a position go to one core.
+    // 16 x 14 positions of 8 channels, which are pooled 2 x 2 channel by channel: the channels of a
+    // position go to one core.
     let roomy = limits().with(Resource::Compartments, 512);
     let apart = Limits { output_axons: OutputAxons::PerCompartment, ..roomy.clone() };
     let slots =
@@ -553,7 +558,8 @@ fn output_axons_are_counted_by_position_and_the_verifier_counts_the_same() {
 
 #[test]
 fn more_sources_than_a_program_can_number_take_several_cores() {
-    // 128 channels at 20 x 33 positions are 84,480 sources of 18 x 31 compartments, on one core but for their numbers.
+    // 128 channels at 20 x 33 positions are 84,480 sources of 18 x 31 compartments, on one core but
+    // for their numbers.
     let mut builder = Builder::new();
     let input = builder.input_shape("in", Shape::Volume(128, 20, 33));
     let out = builder.loihi_with("out", Shape::Volume(1, 18, 31), neurons());
@@ -620,8 +626,8 @@ fn population_axons_that_no_chip_has_are_found_out() {
 
 #[test]
 fn as_many_weights_are_stored_as_nengo_loihi_stores() {
-    // (source, filters, kernel, step), then lists, weights in them and axons of nengo-loihi 1.1's `conv2d_loihi_weights` for
-    // the convolution without padding, channels last, on one core.
+    // (source, filters, kernel, step), then lists, weights in them and axons of nengo-loihi 1.1's
+    // `conv2d_loihi_weights` for the convolution without padding, channels last, on one core.
     type Layer = ((u32, u32, u32), u32, (u32, u32), (u32, u32));
     let layers: [(Layer, [usize; 3]); 5] = [
         (((4, 10, 9), 8, (3, 3), (1, 1)), [30, 3_456, 90]),
@@ -640,7 +646,8 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
         let weights = i64::from(source.0 * filters * kernel.0 * kernel.1);
         let kernel = (0..weights).map(|i| ((i * 37 + i / 128) % 128 * 2) as i16 - 128).collect();
         net.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
-        // Position by position, channels last, as a tile stands; lists of the same length in and outside of tables.
+        // Position by position, channels last, as a tile stands; lists of the same length in and
+        // outside of tables.
         let (network, board) = (net.build(), nsim_testing::target(1, 1, limits()));
         let order = tiles::cell(target, target, (0, 0, 0), false);
         let members = IdVec::from(vec![order.into_iter().map(CompartmentId).collect::<Vec<_>>()]);

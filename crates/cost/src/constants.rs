@@ -1,7 +1,8 @@
 //! A preset of constants in integers.
 //!
-//! Input: decimal numbers in pJ, ns, us and mW. Output: integers in fJ, ps and nW. The conversion is exact: a number with
-//! more digits than its integer unit can hold is refused, not rounded, so that the file's value is the one charged.
+//! Input: decimal numbers in pJ, ns, us and mW. Output: integers in fJ, ps and nW. The conversion
+//! is exact: a number with more digits than its integer unit can hold is refused, not rounded, so
+//! that the file's value is the one charged.
 
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::units::{Femtojoules, Nanowatts, Picoseconds};
@@ -49,7 +50,8 @@ macro_rules! integer {
 
 macro_rules! cost_table {
     ($($(#[$doc:meta])* $field:ident: $unit:ident $(= $default:literal)?,)*) => {
-        /// A preset of constants, ready to be multiplied with counts. The fields mean what those of [`Constants`] do.
+        /// A preset of constants, ready to be multiplied with counts. The fields mean what those of
+        /// [`Constants`] do.
         #[derive(Debug, Clone, PartialEq, Eq)]
         pub struct CostTable {
             name: String,
@@ -62,8 +64,9 @@ macro_rules! cost_table {
             /// Converts a preset.
             ///
             /// # Errors
-            /// A diagnostic at the first constant that is negative, too large, or has more digits than fJ, ps or nW can
-            /// hold, and when there is no barrier time or the times are not in ascending order of tiles.
+            /// A diagnostic at the first constant that is negative, too large, or has more digits
+            /// than fJ, ps or nW can hold, and when there is no barrier time or the times are not
+            /// in ascending order of tiles.
             pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
                 let preset = constants.name.as_str();
                 let barrier = constants.barrier.iter();
@@ -72,7 +75,8 @@ macro_rules! cost_table {
                 if barrier.is_empty() || barrier.windows(2).any(|pair| pair[0].0 >= pair[1].0) {
                     return Err(Diagnostic::new(
                         "target.barrier",
-                        format!("preset {preset}: barrier times must be given in ascending order of tiles, at least one"),
+                        format!("preset {preset}: barrier times must be given in ascending order of tiles, at least \
+                                 one"),
                     ));
                 }
                 $(let $field = scaled(preset, stringify!($field), &constants.$field)?.into();)*
@@ -124,8 +128,8 @@ impl CostTable {
         }
     }
 
-    /// Equation (10): the time of a barrier over so many tiles, linear between the preset's entries (rounded down to a
-    /// picosecond), constant before the first and after the last.
+    /// Equation (10): the time of a barrier over so many tiles, linear between the preset's entries
+    /// (rounded down to a picosecond), constant before the first and after the last.
     #[must_use]
     pub fn barrier(&self, tiles: u64) -> Picoseconds {
         let after = self.barrier.partition_point(|&(at, _)| at < tiles);
@@ -161,8 +165,9 @@ pub(crate) fn scaled(preset: &str, field: &str, constant: &Constant) -> Result<u
     })
 }
 
-/// `value * 10^places`, rounded to a whole number, when that is from 0 to 10^15. The shortest decimal that reads back as
-/// `value` is what the file said, up to 15 digits, so no binary rounding enters.
+/// `value * 10^places`, rounded to a whole number, when that is from 0 to 10^15. The shortest
+/// decimal that reads back as `value` is what the file said, up to 15 digits, so no binary rounding
+/// enters.
 fn decimal(value: f64, places: usize) -> Option<u64> {
     if !(0.0..=1e15).contains(&value) {
         return None;
@@ -224,7 +229,8 @@ pub(crate) mod tests {
             (op(1_700, 2_100), op(3_000, 4_100), op(4_000, 6_500))
         );
         let sana = table("sanafe-calibrated");
-        // SANA-FE src/pipeline.hpp adds the costs up: idle 51.2 pJ, updated 72.8 pJ / 9.7 ns, spiking 142.1 pJ / 39.7 ns.
+        // SANA-FE src/pipeline.hpp adds the costs up: idle 51.2 pJ, updated 72.8 pJ / 9.7 ns,
+        // spiking 142.1 pJ / 39.7 ns.
         assert_eq!((sana.compartment_energy, sana.compartment_time), op(51_200, 6_000));
         assert_eq!(sana.compartment_energy + sana.compartment_active_energy, Femtojoules(72_800));
         assert_eq!(sana.compartment_energy + sana.compartment_active_energy + sana.spike_energy, Femtojoules(142_100));

@@ -233,7 +233,8 @@ pub struct Case<'a> {
     pub errors: &'a [ClassError],
     /// The preset by the status of its constants.
     pub by_status: Option<&'a ByStatus>,
-    /// Copies whose activity was counted: 1 when one copy stands for all, else the copies of the mapping.
+    /// Copies whose activity was counted: 1 when one copy stands for all, else the copies of the
+    /// mapping.
     pub copies_counted: u32,
     /// Where the copies are.
     pub deployment: &'a Deployment,
@@ -278,7 +279,8 @@ pub struct Estimate {
     pub rows: Vec<EnergyRow>,
     /// Powers of all copies together.
     pub job: JobPower,
-    /// Dynamic energy of the neuron cores by part, in pJ a timestep and copy; `None` without timesteps.
+    /// Dynamic energy of the neuron cores by part, in pJ a timestep and copy; `None` without
+    /// timesteps.
     pub breakdown_pj: Option<Vec<(&'static str, f64)>>,
     /// Energy of the timesteps, all power of the `total` row included, physical: its mean is that
     /// row's energy. `None` without timesteps, and when the meter did not keep it for this preset
@@ -586,7 +588,8 @@ impl Case<'_> {
 /// Power, latency and energy.
 ///
 /// # Panics
-/// When the meter has no such preset or has not seen the steps of the activity: a mistake of the caller.
+/// When the meter has no such preset or has not seen the steps of the activity: a mistake of the
+/// caller.
 #[must_use]
 pub fn estimate(case: &Case<'_>) -> Estimate {
     assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
@@ -665,7 +668,8 @@ pub(crate) mod tests {
         }
     }
 
-    /// A run whose meter keeps the distribution under the first preset and the price of this deployment.
+    /// A run whose meter keeps the distribution under the first preset and the price of this
+    /// deployment.
     fn run_priced(
         steps: &[StepActivity],
         tables: Vec<CostTable>,
@@ -711,7 +715,8 @@ pub(crate) mod tests {
 
     #[test]
     fn the_published_convention_reproduces_the_paper_s_columns_from_its_power_and_latency() {
-        // VT-SNN, appendix, both tables: total power, latency, energy per timestep, energy-delay product.
+        // VT-SNN, appendix, both tables: total power, latency, energy per timestep, energy-delay
+        // product.
         let rows = [
             ("21.3", None, "0.14", None),
             ("12.4", None, "0.08", None),
@@ -839,8 +844,8 @@ pub(crate) mod tests {
 
     #[test]
     fn hand_computed_rows() {
-        // Two steps of one core: 100 compartments visited; in the second, 10 active ones fire a message each within the
-        // tile, and 50 dense events.
+        // Two steps of one core: 100 compartments visited; in the second, 10 active ones fire a
+        // message each within the tile, and 50 dense events.
         let mut quiet = StepActivity::new(1);
         quiet.cores.as_mut_slice()[0].visited = 100;
         let mut busy = StepActivity::new(1);

@@ -5,8 +5,8 @@
 //! the rows of the report. Sums are exact, so no order of adding changes them. The equations are
 //! numbered in `docs/energy.md`.
 //!
-//! Not modelled: temperature, voltage and the measurement chain, which the sources do not separate; of the host all that
-//! is not done for each spike, step or value.
+//! Not modelled: temperature, voltage and the measurement chain, which the sources do not separate;
+//! of the host all that is not done for each spike, step or value.
 
 pub mod constants;
 pub mod deployment;

@@ -1,9 +1,11 @@
-//! Energy and time of the steps of a run, for every preset at once, in memory that does not grow with the run.
+//! Energy and time of the steps of a run, for every preset at once, in memory that does not grow
+//! with the run.
 //!
-//! Input: the counts of each timestep, and whether its sample was decided before. Output: exact sums of energy and time,
-//! over all steps and over those until the decision; where asked for, the distribution of a step's energy and sums by the
-//! step's number in its sample. Invariant: a meter is a function of the multiset of its samples, so that meters of samples
-//! that ran in parallel give the same figures whatever the order in which they are merged.
+//! Input: the counts of each timestep, and whether its sample was decided before. Output: exact
+//! sums of energy and time, over all steps and over those until the decision; where asked for, the
+//! distribution of a step's energy and sums by the step's number in its sample. Invariant: a meter
+//! is a function of the multiset of its samples, so that meters of samples that ran in parallel
+//! give the same figures whatever the order in which they are merged.
 //!
 //! The distribution is of the whole energy of a step, so its [`StepPrice`] has to be known before.
 
@@ -58,7 +60,8 @@ impl StepSums {
 pub struct Lane {
     /// All of them.
     pub whole: StepSums,
-    /// Those of each sample up to and with the one that decided it; all of a sample that is never decided.
+    /// Those of each sample up to and with the one that decided it; all of a sample that is never
+    /// decided.
     pub until_decided: StepSums,
 }
 
@@ -124,7 +127,8 @@ pub struct MeterSettings {
     pub timing: Timing,
     /// Length of a timestep of the model.
     pub timestep: Picoseconds,
-    /// The preset, an index into `tables`, and the price under which the distribution of a step's energy is kept.
+    /// The preset, an index into `tables`, and the price under which the distribution of a step's
+    /// energy is kept.
     pub distribution: Option<(usize, StepPrice)>,
     /// The preset under which sums by the step's number in its sample are kept.
     pub by_step: Option<usize>,
@@ -170,7 +174,8 @@ impl StepMeter {
         StepMeter::new(self.settings.clone())
     }
 
-    /// Adds a timestep that happened so many times in a row; `decided` when its sample was decided before.
+    /// Adds a timestep that happened so many times in a row; `decided` when its sample was decided
+    /// before.
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
         let MeterSettings { tables, timing, routes, timestep, distribution, by_step } = &*self.settings;
         let step_times = routes.step_times(step, tables, *timing, &mut self.memory);
@@ -217,7 +222,8 @@ impl StepMeter {
         StepCost { energy: energy_of_counts(sum, hops, table).total(), time, hops, slowest: slowest(step, table) }
     }
 
-    /// Adds a step by what it costs, as [`Self::add`] adds it by what it did, of a sample that is not decided before.
+    /// Adds a step by what it costs, as [`Self::add`] adds it by what it did, of a sample that is
+    /// not decided before.
     ///
     /// # Panics
     /// When the meter is not of sums under one preset alone: a mistake of the caller.
@@ -292,20 +298,22 @@ impl StepMeter {
         &self.distribution
     }
 
-    /// Sums over all samples by the step's number in its sample; empty unless the settings ask for it.
+    /// Sums over all samples by the step's number in its sample; empty unless the settings ask for
+    /// it.
     #[must_use]
     pub fn by_step(&self) -> &[StepSums] {
         &self.by_step
     }
 
-    /// The same with these steps in which each core was the slowest, where it saw other cores than there are.
+    /// The same with these steps in which each core was the slowest, where it saw other cores than
+    /// there are.
     #[must_use]
     pub fn with_slowest_steps(self, slowest: Vec<u64>) -> Self {
         StepMeter { slowest, ..self }
     }
 
-    /// Steps in which each core was the slowest under the first preset, the first of several that were: in all as many as steps.
-    /// Empty before the first step.
+    /// Steps in which each core was the slowest under the first preset, the first of several that
+    /// were: in all as many as steps. Empty before the first step.
     #[must_use]
     pub fn slowest_steps(&self) -> &[u64] {
         &self.slowest

@@ -1,7 +1,7 @@
 //! Energy and time of counts: equations (1) to (11) of `docs/energy.md`.
 //!
-//! Energy is linear in the counts, so the energy of a run is the exact sum over its steps. Time is not linear (a step lasts
-//! as long as its slowest core) and needs the counts of each step.
+//! Energy is linear in the counts, so the energy of a run is the exact sum over its steps. Time is
+//! not linear (a step lasts as long as its slowest core) and needs the counts of each step.
 
 use crate::constants::CostTable;
 use nsim_ir::activity::{Activity, CoreCounts, HopCounts, StepActivity};
@@ -180,7 +180,8 @@ pub(crate) mod tests {
             .remove(0)
     }
 
-    /// Two cores: one visits 3 compartments of which 2 are active and 1 fires to both cores; 5 dense events on the other.
+    /// Two cores: one visits 3 compartments of which 2 are active and 1 fires to both cores; 5
+    /// dense events on the other.
     fn step() -> StepActivity {
         let mut step = StepActivity::new(2);
         step.cores.as_mut_slice()[0] =

@@ -1,13 +1,15 @@
 //! Order statistics of a long series in bounded memory: a histogram with logarithmic buckets.
 //!
-//! Input: numbers from 0 on, in any order and any number of parts. Output: least and greatest, exact, and any quantile by
-//! nearest rank within a relative error of 2^-10 (0.1 %). Invariants: the histogram of a series is a function of the
-//! multiset of its numbers, so neither the order of adding nor that of merging changes a figure.
+//! Input: numbers from 0 on, in any order and any number of parts. Output: least and greatest,
+//! exact, and any quantile by nearest rank within a relative error of 2^-10 (0.1 %). Invariants:
+//! the histogram of a series is a function of the multiset of its numbers, so neither the order of
+//! adding nor that of merging changes a figure.
 //!
-//! A bucket holds the numbers that share the exponent and the upper `BITS` bits of the mantissa: 512 buckets an octave,
-//! each at most 2^-9 of its lower end wide. Its middle stands for all of them, which is at most 2^-10 away. The bucket is
-//! cut out of the number's bits, so that no logarithm can round differently on another machine. Buckets that are in use
-//! cost some 20 bytes each; numbers within a factor of 1000 of each other fall into 5,100 buckets at most.
+//! A bucket holds the numbers that share the exponent and the upper `BITS` bits of the mantissa:
+//! 512 buckets an octave, each at most 2^-9 of its lower end wide. Its middle stands for all of
+//! them, which is at most 2^-10 away. The bucket is cut out of the number's bits, so that no
+//! logarithm can round differently on another machine. Buckets that are in use cost some 20 bytes
+//! each; numbers within a factor of 1000 of each other fall into 5,100 buckets at most.
 
 use std::collections::BTreeMap;
 
@@ -78,7 +80,8 @@ impl Quantiles {
         self.count
     }
 
-    /// The least number that so many percent do not exceed, within 2^-10 of its value; none of nothing.
+    /// The least number that so many percent do not exceed, within 2^-10 of its value; none of
+    /// nothing.
     #[must_use]
     pub fn percentile(&self, percent: u32) -> Option<f64> {
         let (least, greatest) = self.ends?;

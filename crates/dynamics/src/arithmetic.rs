@@ -1,7 +1,7 @@
 //! The operations by which the hardware scales and narrows integers.
 //!
-//! They are named after what they do at the edge: [`wrap`] (two's complement), [`clip`] (saturate), [`decay`] (multiply and
-//! round toward zero). Equation numbers refer to `docs/semantics.md`.
+//! They are named after what they do at the edge: [`wrap`] (two's complement), [`clip`] (saturate),
+//! [`decay`] (multiply and round toward zero). Equation numbers refer to `docs/semantics.md`.
 
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, WEIGHT_SHIFT, WeightExponent};
 use nsim_ir::program::{CoreFormat, Synapse};
@@ -29,8 +29,9 @@ pub const fn clip(x: i64, low: i64, high: i64) -> i64 {
     }
 }
 
-/// Equation (3): `sign(x) * ((|x| * (4096 - d)) >> 12)`, which rounds toward zero. Exact for any 32-bit `x`.
-/// Source: recorded chip voltages (slayerPytorch `test/test_files/Loihi`), 0 differences over four traces.
+/// Equation (3): `sign(x) * ((|x| * (4096 - d)) >> 12)`, which rounds toward zero. Exact for any
+/// 32-bit `x`. Source: recorded chip voltages (slayerPytorch `test/test_files/Loihi`), 0
+/// differences over four traces.
 #[inline]
 #[must_use]
 pub const fn decay(x: i64, d: Decay) -> i64 {
@@ -38,8 +39,9 @@ pub const fn decay(x: i64, d: Decay) -> i64 {
     if x < 0 { -kept } else { kept }
 }
 
-/// Equation (1): what one spike over a synapse of weight `w` adds to the accumulator: `w * 2^(6 + exponent)`. For a
-/// negative exponent each weight is rounded toward zero to a multiple of 64 (nengo-loihi `discretize.py`).
+/// Equation (1): what one spike over a synapse of weight `w` adds to the accumulator:
+/// `w * 2^(6 + exponent)`. For a negative exponent each weight is rounded toward zero to a multiple
+/// of 64 (nengo-loihi `discretize.py`).
 #[inline]
 #[must_use]
 pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {
@@ -61,8 +63,8 @@ pub fn scaled(format: SynapseFormat, weight: i16) -> i32 {
     scaled_weight(weight, format.exponent)
 }
 
-/// What a binary spike adds over a synapse, in units of 64, on a core with these formats. It fits 16 bits: |w| <= 256 and
-/// the exponent is at most 7.
+/// What a binary spike adds over a synapse, in units of 64, on a core with these formats. It fits
+/// 16 bits: |w| <= 256 and the exponent is at most 7.
 #[inline]
 #[must_use]
 pub fn units(synapse: &Synapse, formats: &[CoreFormat]) -> i32 {

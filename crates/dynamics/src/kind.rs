@@ -1,8 +1,9 @@
 //! The terms in which a neuron kind is described.
 //!
-//! A [`Kind`] is data and functions over a compartment's parameters. What an update reads and writes has one form for all
-//! kinds ([`Fields`], [`Registers`], [`Effect`]), because the machine stores the registers of all compartments side by side:
-//! two words and a counter. A kind that needs more state has to widen [`Registers`] first.
+//! A [`Kind`] is data and functions over a compartment's parameters. What an update reads and
+//! writes has one form for all kinds ([`Fields`], [`Registers`], [`Effect`]), because the machine
+//! stores the registers of all compartments side by side: two words and a counter. A kind that
+//! needs more state has to widen [`Registers`] first.
 
 use std::num::NonZeroU32;
 
@@ -28,21 +29,26 @@ pub struct Kind {
     pub summary: &'static str,
     /// Its state between two steps.
     pub state: &'static [StateField],
-    /// The integer that its spikes carry if its population gives one; `None` where they are always binary.
+    /// The integer that its spikes carry if its population gives one; `None` where they are always
+    /// binary.
     pub emits: Option<Field>,
     /// The arithmetics that it is defined in.
     pub semantics: &'static [Semantics],
-    /// A compartment from the integers of `NeuronKind::parameters`, in that order, each within its range.
+    /// A compartment from the integers of `NeuronKind::parameters`, in that order, each within its
+    /// range.
     pub neuron: fn(&[i64]) -> Result<Neuron, OutOfRange>,
     /// What its updates read; `start_step` is the step before which it is held at zero.
     pub fields: fn(neuron: &Neuron, start_step: u32, Semantics, ThresholdTest) -> Fields,
     /// An upper bound on v for ever; `None` when there is none.
     pub greatest_voltage: fn(&Neuron, Semantics, Arrivals) -> Option<i64>,
-    /// The least number of steps from a spike to the next when no reset falls between them; `None` when there is no next.
+    /// The least number of steps from a spike to the next when no reset falls between them; `None`
+    /// when there is no next.
     pub shortest_interval: fn(&Neuron, Semantics) -> Option<NonZeroU32>,
-    /// Equation (8): what the chip's voltage register reads after an update; the last argument says whether it spiked.
+    /// Equation (8): what the chip's voltage register reads after an update; the last argument says
+    /// whether it spiked.
     pub voltage_register: fn(&Neuron, Semantics, &Registers, bool) -> i32,
-    /// The dynamics in real numbers, from a model's parameters: of this compartment, at so many ms a timestep.
+    /// The dynamics in real numbers, from a model's parameters: of this compartment, at so many ms
+    /// a timestep.
     pub model: fn(&NeuronParameters, u32, f64) -> RealForm,
 }
 
@@ -61,7 +67,8 @@ pub struct Fields {
     pub vmin: i32,
     /// Upper clip of v.
     pub vmax: i32,
-    /// Steps from one spike to the next possible one; 0 only in SLAYER's semantics, where it means never.
+    /// Steps from one spike to the next possible one; 0 only in SLAYER's semantics, where it means
+    /// never.
     pub refractory: u8,
     /// The step before which the compartment is held at zero.
     pub start_step: u32,
@@ -107,7 +114,8 @@ impl Fields {
         if self.refractory == 0 { hold } else { hold.saturating_sub(1) }
     }
 
-    /// Rule (13): whether an update with these arrivals would leave the compartment as it is, and silent.
+    /// Rule (13): whether an update with these arrivals would leave the compartment as it is, and
+    /// silent.
     #[inline]
     #[must_use]
     pub fn at_rest(&self, r: &Registers, arrived: i32) -> bool {
@@ -167,8 +175,9 @@ impl Arrivals {
     }
 }
 
-/// Current-based dynamics in real numbers: `u(t) = keep_u u(t - 1) + x(t)`, `v(t) = keep_v v(t - 1) + u(t) + bias`, a spike
-/// above the threshold, then v = 0 until `refractory` steps after it, or v less the threshold.
+/// Current-based dynamics in real numbers: `u(t) = keep_u u(t - 1) + x(t)`,
+/// `v(t) = keep_v v(t - 1) + u(t) + bias`, a spike above the threshold, then v = 0 until
+/// `refractory` steps after it, or v less the threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RealForm {
     /// What remains of the current after a step, 0..=1.

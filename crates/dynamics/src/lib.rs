@@ -1,11 +1,13 @@
 //! One description of each neuron kind, which everything but the golden interpreter takes it from.
 //!
-//! A kind's file states its state fields and their widths, its scalar update, when it is at rest, the bounds on its state
-//! that pruning and early exit need, what it emits, and the same dynamics in real numbers. The names and ranges of its
-//! parameters are in [`nsim_ir::neurons`], where the reader of model files finds them. `golden` computes each kind again
-//! from `docs/semantics.md`, and the machine's vector form is held against the scalar update here.
+//! A kind's file states its state fields and their widths, its scalar update, when it is at rest,
+//! the bounds on its state that pruning and early exit need, what it emits, and the same dynamics
+//! in real numbers. The names and ranges of its parameters are in [`nsim_ir::neurons`], where the
+//! reader of model files finds them. `golden` computes each kind again from `docs/semantics.md`,
+//! and the machine's vector form is held against the scalar update here.
 //!
-//! To add a kind: its file, [`kind`] and [`update`] here, its table in `desc::neurons`, its arithmetic in `golden`.
+//! To add a kind: its file, [`kind`] and [`update`] here, its table in `desc::neurons`, its
+//! arithmetic in `golden`.
 
 pub mod arithmetic;
 mod integrate_fire;
@@ -62,7 +64,8 @@ pub fn may_spike(neuron: &Neuron, semantics: Semantics, test: ThresholdTest, arr
     (kind(neuron.kind).greatest_voltage)(neuron, semantics, arrivals).is_none_or(|v| v >= fires_from)
 }
 
-/// The least number of steps from a spike to the next when no reset falls between them; `None` when there is no next.
+/// The least number of steps from a spike to the next when no reset falls between them; `None` when
+/// there is no next.
 #[must_use]
 pub fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZeroU32> {
     (kind(neuron.kind).shortest_interval)(neuron, semantics)

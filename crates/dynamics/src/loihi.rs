@@ -1,31 +1,36 @@
 //! The current-based leaky integrate-and-fire compartment of Loihi 1, in three arithmetics.
 //!
-//! State: current u and voltage v of 24 bits, and the refractory counter. Each step, with q the sum of the arrivals:
-//! `u = decay(u, du) + q`, `v = decay(v, dv) + u + bias`; above the threshold it spikes, and v is held at 0 until the
-//! refractory period is over. A spike carries the payload
-//! of its population, or nothing. `docs/semantics.md` numbers the equations and says where each
+//! State: current u and voltage v of 24 bits, and the refractory counter. Each step, with q the sum
+//! of the arrivals: `u = decay(u, du) + q`, `v = decay(v, dv) + u + bias`; above the threshold it
+//! spikes, and v is held at 0 until the refractory period is over. A spike carries the payload of
+//! its population, or nothing. `docs/semantics.md` numbers the equations and says where each
 //! arithmetic narrows a value:
 //!
 //! - *Hardware*: q wraps at 22 bits, u and u + bias at 24, v is clipped to vmin and vmax.
 //! - *Lava*: lava's fixed-point LIF process. A negative exponent shifts the sum q, which never
 //!   wraps; u wraps once into (-2^23, 2^23]; v is clipped to the whole field; no refractory period.
-//! - *Slayer*: SLAYER's Loihi kernel. The magnitude of a product keeps its low 32 bits, sums have 32 bits, there is no bias
-//!   and no clip, step 0 is skipped, and a refractory period of 0 silences the compartment after its first spike.
+//! - *Slayer*: SLAYER's Loihi kernel. The magnitude of a product keeps its low 32 bits, sums have
+//!   32 bits, there is no bias and no clip, step 0 is skipped, and a refractory period of 0
+//!   silences the compartment after its first spike.
 //!
-//! *Arrivals* are summed in units of 64: every scaled weight is a multiple of 64 (equation 1), so the sum of a step fits 32
-//! bits for any fan-in that a core can hold, and the accumulator's wrap to 22 bits is the truncation of that sum to 16.
+//! *Arrivals* are summed in units of 64: every scaled weight is a multiple of 64 (equation 1), so
+//! the sum of a step fits 32 bits for any fan-in that a core can hold, and the accumulator's wrap
+//! to 22 bits is the truncation of that sum to 16.
 //!
-//! *Bounds.* Decay (3) is monotone and odd. From u = 0 (at the start, after a reset, while held) and with arrivals of at
-//! most H >= 0, u never exceeds any X >= 0 with `decay(X) + H <= X`: if u <= X, the next u is at most decay(X) + H <= X. The
-//! least such X is `ceiling`. The sum L of the negative weights bounds u from below in the same way, and what then enters v
-//! bounds v. v returns to 0 at resets, so a negative input bounds v by itself. Upper and lower bound are both needed,
+//! *Bounds.* Decay (3) is monotone and odd. From u = 0 (at the start, after a reset, while held)
+//! and with arrivals of at most H >= 0, u never exceeds any X >= 0 with `decay(X) + H <= X`: if u
+//! <= X, the next u is at most decay(X) + H <= X. The least such X is `ceiling`. The sum L of the
+//! negative weights bounds u from below in the same way, and what then enters v bounds v. v returns
+//! to 0 at resets, so a negative input bounds v by itself. Upper and lower bound are both needed,
 //! because a value that leaves its field on one side may come back on the other:
 //!
-//! - *Hardware*: no claim when L or H leaves the 22 bits of the accumulator (2), a bound on u the 24 bits of u (4), or that
-//!   bound with the bias the 24 bits of (5). v is clipped to vmin and vmax (6), which bounds it whatever wraps before.
-//! - *Lava*: no claim when a bound on u reaches -2^23 or 2^23, where u wraps. v is clipped to the whole field.
-//! - *Slayer*: no claim when the magnitude of a bound times its decay factor reaches 2^32, where the product loses bits,
-//!   or a bound leaves 32 bits.
+//! - *Hardware*: no claim when L or H leaves the 22 bits of the accumulator (2), a bound on u the
+//!   24 bits of u (4), or that bound with the bias the 24 bits of (5). v is clipped to vmin and
+//!   vmax (6), which bounds it whatever wraps before.
+//! - *Lava*: no claim when a bound on u reaches -2^23 or 2^23, where u wraps. v is clipped to the
+//!   whole field.
+//! - *Slayer*: no claim when the magnitude of a bound times its decay factor reaches 2^32, where
+//!   the product loses bits, or a bound leaves 32 bits.
 
 use std::num::NonZeroU32;
 
@@ -183,7 +188,8 @@ fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZeroU32
     }
 }
 
-/// The least X >= 0 with `decay(X) + drive <= X`; `None` when there is none. `drive` has at most 32 bits.
+/// The least X >= 0 with `decay(X) + drive <= X`; `None` when there is none. `drive` has at most 32
+/// bits.
 ///
 /// For X >= 0 the condition is `drive <= ceil(X d / 4096)`, that is `X d > 4096 (drive - 1)`.
 fn ceiling(drive: i64, decay: Decay) -> Option<i64> {
@@ -239,7 +245,8 @@ fn greatest_voltage(neuron: &Neuron, semantics: Semantics, arrivals: Arrivals) -
     }
 }
 
-/// Without rounding, wrapping or, where the threshold is real, limits: a real threshold has no register units to clip in.
+/// Without rounding, wrapping or, where the threshold is real, limits: a real threshold has no
+/// register units to clip in.
 fn model(p: &NeuronParameters, index: u32, timestep_ms: f64) -> RealForm {
     let keep = |field: &str, time: &str| match p.get(time) {
         Some(tau) => libm::exp(-1.0 / (tau.each.get(index) / timestep_ms)),
@@ -248,7 +255,8 @@ fn model(p: &NeuronParameters, index: u32, timestep_ms: f64) -> RealForm {
     RealForm { keep_u: keep("du", "tau_u_ms"), keep_v: keep("dv", "tau_v_ms"), ..threshold_and_reset(p, index) }
 }
 
-/// What all kinds with the chip's threshold and reset share; nothing remains of current and voltage.
+/// What all kinds with the chip's threshold and reset share; nothing remains of current and
+/// voltage.
 pub(super) fn threshold_and_reset(p: &NeuronParameters, index: u32) -> RealForm {
     let power = |name: &str, factor: f64, more: f64| libm::exp2(more + factor * p.value(name, index));
     let real = p.get("vth").map(|threshold| threshold.each.get(index));

@@ -1,13 +1,15 @@
-//! Reset by subtraction: a spike takes the threshold from the voltage, and nothing is held afterwards.
+//! Reset by subtraction: a spike takes the threshold from the voltage, and nothing is held
+//! afterwards.
 //!
-//! State: current u and voltage v, both of 24 bits. Each step is that of the Loihi compartment in the chip's arithmetic, the only
-//! one in which the kind is defined, but for what follows a spike: `v = v - 64 vth`, in the step of the spike, and no refractory
-//! period. At a spike v is at least 64 vth, so that what is left is not negative. A spike carries the payload of its population, or
+//! State: current u and voltage v, both of 24 bits. Each step is that of the Loihi compartment in
+//! the chip's arithmetic, the only one in which the kind is defined, but for what follows a spike:
+//! `v = v - 64 vth`, in the step of the spike, and no refractory period. At a spike v is at least
+//! 64 vth, so that what is left is not negative. A spike carries the payload of its population, or
 //! nothing. Loihi 1 has no such compartment; a chip says that it has one (`neuron_kinds`).
 //!
-//! *Bounds.* What is left after a spike lies between 0 and the voltage before it. So a bound X >= 0 on v with
-//! `decay(X) + drive <= X` holds as it does for a hard reset, and the bounds are those of the Loihi compartment. The next spike may
-//! come in the next step.
+//! *Bounds.* What is left after a spike lies between 0 and the voltage before it. So a bound X >= 0
+//! on v with `decay(X) + drive <= X` holds as it does for a hard reset, and the bounds are those of
+//! the Loihi compartment. The next spike may come in the next step.
 
 use super::kind::{Effect, Fields, Kind, RealForm, Registers};
 use super::loihi;

@@ -1,7 +1,8 @@
 //! Which synapses a source has, one after the other.
 //!
-//! Input: a connectivity and the index of a source within its population. Output: its synapses as (target within its
-//! population, weight mantissa). The golden interpreter, which is compared with this, has its own enumeration.
+//! Input: a connectivity and the index of a source within its population. Output: its synapses as
+//! (target within its population, weight mantissa). The golden interpreter, which is compared with
+//! this, has its own enumeration.
 
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
@@ -9,15 +10,16 @@ use nsim_ir::quantised::connectivity::Connectivity;
 
 /// The synapses of a source.
 pub trait Enumerate {
-    /// Calls `f(target, weight)` for every synapse of a source, in ascending order of targets except for `Random`.
-    /// Indices are within the populations.
+    /// Calls `f(target, weight)` for every synapse of a source, in ascending order of targets
+    /// except for `Random`. Indices are within the populations.
     fn for_each_from(&self, source: u32, f: impl FnMut(u32, i16));
 
-    /// Calls `f(target, weight)` for every synapse of a source whose target is wanted, in the order of
-    /// [`Enumerate::for_each_from`].
+    /// Calls `f(target, weight)` for every synapse of a source whose target is wanted, in the order
+    /// of [`Enumerate::for_each_from`].
     fn for_each_wanted(&self, source: u32, wanted: impl Fn(u32) -> bool, f: impl FnMut(u32, i16));
 
-    /// Calls `f(target)` for every synapse of a source, in the order of [`Enumerate::for_each_from`].
+    /// Calls `f(target)` for every synapse of a source, in the order of
+    /// [`Enumerate::for_each_from`].
     fn for_each_target(&self, source: u32, f: impl FnMut(u32));
 
     /// Number of synapses of a source.
@@ -119,7 +121,8 @@ impl Enumerate for Connectivity {
     }
 }
 
-/// Calls `f(y, x, ky, kx)` for every output position whose window covers this source, and its place in the window.
+/// Calls `f(y, x, ky, kx)` for every output position whose window covers this source, and its place
+/// in the window.
 pub fn for_each_position(window: &Window, source: u32, mut f: impl FnMut(u32, u32, u32, u32)) {
     let within = source % (window.source.1 * window.source.2);
     let (sy, sx) = (within / window.source.2, within % window.source.2);

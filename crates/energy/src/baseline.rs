@@ -1,6 +1,7 @@
 //! Other hardware's rows of the energy table, and the workloads for which they hold.
 //!
-//! A measured row holds for one network only: for any other, [`Baseline::row`] returns the reason instead of a row.
+//! A measured row holds for one network only: for any other, [`Baseline::row`] returns the reason
+//! instead of a row.
 
 use crate::published::baseline::{BaselineFile, DenseLayer};
 use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
@@ -89,7 +90,8 @@ impl Work {
         Work { projections: projections.collect(), layers: layers.map(|population| population.shape.len()).collect() }
     }
 
-    /// Seconds of a window of so many steps at a peak rate and bandwidth, without overheads: equation (18).
+    /// Seconds of a window of so many steps at a peak rate and bandwidth, without overheads:
+    /// equation (18).
     fn roofline_s(&self, steps: f64, gflops: f64, gb_s: f64) -> f64 {
         let bound = |operations: f64, bytes: f64| (operations / (gflops * 1e9)).max(bytes / (gb_s * 1e9));
         let products: f64 = self
@@ -100,7 +102,8 @@ impl Work {
                 bound(2.0 * synapses * steps, 4.0 * (synapses + (from + to) * steps))
             })
             .sum();
-        // Six operations a neuron and step: two decays, two sums, a comparison, a reset; read once, written once.
+        // Six operations a neuron and step: two decays, two sums, a comparison, a reset; read once,
+        // written once.
         let neurons: f64 =
             self.layers.iter().map(|&size| f64::from(size) * steps).map(|n| bound(6.0 * n, 8.0 * n)).sum();
         products + neurons
@@ -123,8 +126,9 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// The same held to real time, as (19): hardware that takes a whole window waits for it and then computes; else each
-    /// step is taken as it comes. Dynamic power is drawn while it computes, or all the time when it does not fall idle.
+    /// The same held to real time, as (19): hardware that takes a whole window waits for it and
+    /// then computes; else each step is taken as it comes. Dynamic power is drawn while it
+    /// computes, or all the time when it does not fall idle.
     #[must_use]
     pub fn in_real_time(self, timestep_us: f64, window: bool, falls_idle: bool) -> Figures {
         let latency_us = if window { timestep_us + self.latency_us } else { timestep_us.max(self.latency_us) };
@@ -167,7 +171,8 @@ impl Baseline {
     /// A baseline from its file.
     ///
     /// # Errors
-    /// A diagnostic where the file is malformed, a figure is negative, or static and dynamic power are not the total.
+    /// A diagnostic where the file is malformed, a figure is negative, or static and dynamic power
+    /// are not the total.
     pub fn parse(source: &SourceText) -> Result<Self, Diagnostic> {
         let file: BaselineFile = parse(source, "baseline.syntax")?;
         for row in &file.rows {
@@ -277,8 +282,8 @@ impl Baseline {
         }
     }
 
-    /// Its row for a workload that it was not measured on, from what bounds it; `None` when the file does not say, or
-    /// samples differ in length.
+    /// Its row for a workload that it was not measured on, from what bounds it; `None` when the
+    /// file does not say, or samples differ in length.
     #[must_use]
     pub fn modelled(
         &self,
@@ -299,8 +304,9 @@ impl Baseline {
         Some(figures.row(&self.file.hardware, convention, steps))
     }
 
-    /// The time of so many samples that are passed together, in us, and the power meanwhile, from what bounds it; `None` when
-    /// the file does not say. Weights are read and layers are started once for all of them.
+    /// The time of so many samples that are passed together, in us, and the power meanwhile, from
+    /// what bounds it; `None` when the file does not say. Weights are read and layers are started
+    /// once for all of them.
     #[must_use]
     pub fn modelled_batch(&self, work: &Work, steps: u32, batch: u32) -> Option<Figures> {
         self.windows(work, f64::from(steps.max(1)) * f64::from(batch.max(1)))

@@ -1,11 +1,13 @@
 //! The same network on this machine's processor: dense over the window, and event by event.
 //!
-//! Input: a network, its samples, and how long a measurement may take. Output: microseconds a timestep with the
-//! spread of the repeats. *Dense* does what a framework on a CPU or GPU does with a window of binned spikes: one f32
-//! matrix product for each projection and whole sample, then the neurons step by step, without the chip's truncation.
-//! *Event-driven* is nsim's own machine, one copy, one thread, which is exact and leaves out what is at rest.
+//! Input: a network, its samples, and how long a measurement may take. Output: microseconds a
+//! timestep with the spread of the repeats. *Dense* does what a framework on a CPU or GPU does with
+//! a window of binned spikes: one f32 matrix product for each projection and whole sample, then the
+//! neurons step by step, without the chip's truncation. *Event-driven* is nsim's own machine, one
+//! copy, one thread, which is exact and leaves out what is at rest.
 //!
-//! One thread and one sample at a time (batch 1), as a robot's controller would run it; loading files is not timed.
+//! One thread and one sample at a time (batch 1), as a robot's controller would run it; loading
+//! files is not timed.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -68,7 +70,8 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
     }
 }
 
-/// Samples from the first on, as many as have about this many timesteps together: enough to be measured on.
+/// Samples from the first on, as many as have about this many timesteps together: enough to be
+/// measured on.
 #[must_use]
 pub fn enough<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
     let mut sum = 0;
@@ -168,7 +171,8 @@ impl Dense {
         Ok(Dense { layers, inputs, output: network.parts().output.index() })
     }
 
-    /// Passes one sample through, layer by layer over the whole window; returns the spikes of each output.
+    /// Passes one sample through, layer by layer over the whole window; returns the spikes of each
+    /// output.
     #[must_use]
     pub fn pass(&self, sample: &Sample) -> Vec<u32> {
         let steps = sample.steps() as usize;
@@ -289,7 +293,8 @@ mod tests {
 
     fn network(populations: &str, projections: &str) -> Quantised {
         let text = format!(
-            "Network(name: \"n\", timestep_ms: 1.0, populations: [Input(name: \"a\", shape: [3]), Input(name: \"b\", shape: [2]), \
+            "Network(name: \"n\", timestep_ms: 1.0, populations: [Input(name: \"a\", shape: [3]), Input(name: \"b\", \
+             shape: [2]), \
              {populations}], projections: [{projections}], output: \"out\")"
         );
         let network =
@@ -312,7 +317,8 @@ mod tests {
     fn without_decays_to_truncate_the_window_fires_as_the_chip_does() {
         // No memory of current, no leak: every number is whole in both.
         let network = network(
-            "Loihi(name: \"hidden\", shape: [4], du: 4096, dv: 0, vth_mant: 10, refractory: 3, bias_mant: 5, bias_exp: 2), \
+            "Loihi(name: \"hidden\", shape: [4], du: 4096, dv: 0, vth_mant: 10, refractory: 3, bias_mant: 5, \
+             bias_exp: 2), \
              Loihi(name: \"out\", shape: [2], du: 4096, dv: 0, vth_mant: 12, refractory: 1, start_step: 4)",
             "Dense(from: [\"a\"], to: \"hidden\", weights: [[20, 0, 4], [2, 30, 6], [0, 8, 40], [12, -6, 2]]), \
              Dense(from: [\"b\"], to: \"hidden\", weights: [[2, 2], [4, -8], [6, 2], [-2, 8]], delay: 2), \

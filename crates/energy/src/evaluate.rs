@@ -141,7 +141,8 @@ pub fn evaluate(
     let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
     let metered = workload.metered(vec![table], &deployment, options.transport);
     let metered = MeterSettings { distribution: Some((0, price)), ..metered };
-    // Copies see the same samples and decide alike; the outputs that are watched are those of the first.
+    // Copies see the same samples and decide alike; the outputs that are watched are those of the
+    // first.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;

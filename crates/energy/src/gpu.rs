@@ -1,8 +1,8 @@
 //! A command on a GPU, timed, with the board's power.
 //!
-//! Input: a command that passes the same samples through a GPU, and a way to read the board's power. Output: time and
-//! power. Idle is measured first, for which nothing else may use the board. What happens on the GPU is the command's
-//! business: nsim computes nothing there.
+//! Input: a command that passes the same samples through a GPU, and a way to read the board's
+//! power. Output: time and power. Idle is measured first, for which nothing else may use the board.
+//! What happens on the GPU is the command's business: nsim computes nothing there.
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -33,7 +33,8 @@ struct Said {
     seconds: f64,
 }
 
-/// Watches power at idle, then runs a command and watches on. `timesteps` counts unless the command says better.
+/// Watches power at idle, then runs a command and watches on. `timesteps` counts unless the command
+/// says better.
 ///
 /// # Errors
 /// Why the command or the power could not be measured.

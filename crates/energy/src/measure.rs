@@ -1,9 +1,10 @@
 //! Steps of a machine, timed.
 //!
-//! Input: an engine, a period of input, and how long it may take. Output: the median time of a step, the spread of
-//! the repeats, and what a step did. The input is repeated without a break, so the network stays in the state that it
-//! settles in; nothing but steps is timed. Every step is a call of [`Engine::step`]: steps that a run would jump over
-//! as a whole (`drive::run_sample`) are computed here, since a jump costs the same however long it is.
+//! Input: an engine, a period of input, and how long it may take. Output: the median time of a
+//! step, the spread of the repeats, and what a step did. The input is repeated without a break, so
+//! the network stays in the state that it settles in; nothing but steps is timed. Every step is a
+//! call of [`Engine::step`]: steps that a run would jump over as a whole (`drive::run_sample`) are
+//! computed here, since a jump costs the same however long it is.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -24,7 +25,8 @@ pub enum Budget {
 pub const LEAST_REPEATS: usize = 9;
 /// Repeats above which more would only cost memory.
 const MOST_REPEATS: usize = 201;
-/// Steps after which a standard network has settled: 1.25 time constants of the slowest decay, 32 steps.
+/// Steps after which a standard network has settled: 1.25 time constants of the slowest decay, 32
+/// steps.
 const SETTLING: u64 = 40;
 /// The least time of a repeat: far above the resolution of the clock.
 const LEAST_REPEAT: Duration = Duration::from_millis(2);
@@ -34,7 +36,8 @@ const LEAST_REPEAT: Duration = Duration::from_millis(2);
 pub struct StepTiming {
     /// Microseconds of a step: the median of the repeats.
     pub us_per_timestep: f64,
-    /// Microseconds of a step in the fastest repeat: what a machine shared with others comes nearest to being alone in.
+    /// Microseconds of a step in the fastest repeat: what a machine shared with others comes
+    /// nearest to being alone in.
     pub fastest: f64,
     /// Microseconds between the first and the third quartile of the repeats.
     pub spread: f64,
@@ -54,8 +57,9 @@ impl StepTiming {
     }
 }
 
-/// So many steps from this one on, with the period's input over and over; returns the step that comes next. It is a
-/// function of its own so that a profiler can count what it, and nothing else, does.
+/// So many steps from this one on, with the period's input over and over; returns the step that
+/// comes next. It is a function of its own so that a profiler can count what it, and nothing else,
+/// does.
 #[inline(never)]
 pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) -> u64 {
     let length = period.steps().max(1);
@@ -76,15 +80,16 @@ pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> St
     measure_agreed(engine, period, budget, |number| number)
 }
 
-/// The same for an engine of which several processes each run a part: they agree on the number of steps before they run them. `agreed`
-/// makes one number of those that they propose.
+/// The same for an engine of which several processes each run a part: they agree on the number of
+/// steps before they run them. `agreed` makes one number of those that they propose.
 pub fn measure_agreed<E: Engine>(
     engine: &mut E,
     period: &Sample,
     budget: Budget,
     mut agreed: impl FnMut(u64) -> u64,
 ) -> StepTiming {
-    // So many steps never come: nothing is near the end, where deliveries would no longer be counted.
+    // So many steps never come: nothing is near the end, where deliveries would no longer be
+    // counted.
     engine.begin(u32::MAX);
     let (mut at, size, repeats) = match budget {
         Budget::Steps(count) => (0, count.max(1), 1),

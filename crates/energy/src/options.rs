@@ -136,7 +136,8 @@ impl DeploymentArg {
 /// The target with the preset that is asked for in front, and that preset in integers.
 ///
 /// # Errors
-/// [`Error::Usage`] for a preset that the target does not name, [`Error::Input`] for a constant that no integer holds.
+/// [`Error::Usage`] for a preset that the target does not name, [`Error::Input`] for a constant
+/// that no integer holds.
 pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, CostTable)> {
     let presets = target.constants();
     let chosen = match preset {
@@ -184,8 +185,8 @@ impl DeploymentSource {
     /// Loads what is named.
     ///
     /// # Errors
-    /// [`Error::Usage`] when the paper's deployment is asked for and no scenario ships for the model, [`Error::Input`]
-    /// when a file cannot be used.
+    /// [`Error::Usage`] when the paper's deployment is asked for and no scenario ships for the
+    /// model, [`Error::Input`] when a file cannot be used.
     pub fn load(arg: &DeploymentArg, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self> {
         let path = match (arg, shipped) {
             (DeploymentArg::Mapped(_), _) => return Ok(DeploymentSource::Mapped),
@@ -201,7 +202,8 @@ impl DeploymentSource {
             }
             (DeploymentArg::Paper, None) => {
                 return Err(Error::Usage(format!(
-                    "--deployment paper: no scenario ships for {model}; use spread, packed, CORES,CHIPS,X86, or the file of a \
+                    "--deployment paper: no scenario ships for {model}; use spread, packed, CORES,CHIPS,X86, or the \
+                     file of a \
                      scenario or of a saved mapping"
                 )));
             }

@@ -129,7 +129,8 @@ fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<
             // The fastest repeat is the one that other programs disturbed least.
             let figures = figures(timed.fastest, power, one, mode, window);
             let source = format!(
-                "one thread of {here}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us apart{}; {}",
+                "one thread of {here}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us \
+                 apart{}; {}",
                 timed.repeats,
                 timed.timesteps,
                 timed.us_per_timestep,

@@ -1,9 +1,11 @@
-//! What this machine draws while it computes: from its energy counters where they can be read, else as stated.
+//! What this machine draws while it computes: from its energy counters where they can be read, else
+//! as stated.
 //!
-//! Input: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and start again at
-//! `max_energy_range_uj`. Output: milliwatts idle and on top. The counters are of whole packages: what else runs is
-//! counted too. Root alone may read them since Linux 5.10; why they could not be read is kept. Where nothing is stated
-//! either, a package is assumed, of which each thread stands for its share.
+//! Input: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and start
+//! again at `max_energy_range_uj`. Output: milliwatts idle and on top. The counters are of whole
+//! packages: what else runs is counted too. Root alone may read them since Linux 5.10; why they
+//! could not be read is kept. Where nothing is stated either, a package is assumed, of which each
+//! thread stands for its share.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -43,7 +45,8 @@ impl Rapl {
         folders.sort();
         let mut zones = Vec::new();
         for folder in folders {
-            // Domains within a package (core, uncore, dram) and other controllers of it would be counted twice.
+            // Domains within a package (core, uncore, dram) and other controllers of it would be
+            // counted twice.
             let name = std::fs::read_to_string(folder.join("name")).unwrap_or_default();
             let controller = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
             if !name.starts_with("package-") || !controller.starts_with("intel-rapl:") {
@@ -67,8 +70,8 @@ impl Rapl {
         self.zones.iter().map(|zone| number(&zone.counter)).collect()
     }
 
-    /// The energy between two readings in uJ. A counter that is less than before has started again, once: a package of
-    /// 100 W takes three quarters of an hour for the common range of 262 kJ.
+    /// The energy between two readings in uJ. A counter that is less than before has started again,
+    /// once: a package of 100 W takes three quarters of an hour for the common range of 262 kJ.
     #[must_use]
     pub fn between(&self, before: &[u64], after: &[u64]) -> u64 {
         let spent = |((zone, &before), &after): ((&Zone, &u64), &u64)| match after.checked_sub(before) {
@@ -79,7 +82,8 @@ impl Rapl {
     }
 }
 
-/// What a whole package is assumed to draw, how many threads share it when it is busy, and how many of them compute.
+/// What a whole package is assumed to draw, how many threads share it when it is busy, and how many
+/// of them compute.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PackagePower {
     /// At idle.
@@ -93,7 +97,8 @@ pub struct PackagePower {
 }
 
 impl PackagePower {
-    /// A desktop processor's package for this machine, of which so many threads compute, for when nothing says better.
+    /// A desktop processor's package for this machine, of which so many threads compute, for when
+    /// nothing says better.
     #[must_use]
     pub fn assumed(used: usize) -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -146,7 +151,8 @@ pub struct Power {
 }
 
 impl PowerMeter {
-    /// What is stated; else counters if they can be read, after watching them at idle for a while; else an assumed package.
+    /// What is stated; else counters if they can be read, after watching them at idle for a while;
+    /// else an assumed package.
     #[must_use]
     pub fn new(tree: &Path, stated: Option<(f64, f64)>, assumed: PackagePower, idle: Duration) -> Self {
         let counted = || -> Result<PowerMeter, String> {
@@ -204,7 +210,8 @@ impl PowerMeter {
                 format!("power {}, {} W idle and {} W busy", FigureSource::Stated.name(), idle_mw / 1e3, busy_mw / 1e3)
             }
             PowerMeter::Assumed { package: PackagePower { idle_mw, busy_mw, threads, used }, why } => format!(
-                "power {}, {used} of {threads} threads that share a package of {} W idle and {} W busy, since {why}; no ratio is \
+                "power {}, {used} of {threads} threads that share a package of {} W idle and {} W busy, since {why}; \
+                 no ratio is \
                  taken to it; --cpu-watts IDLE,BUSY states it",
                 FigureSource::Assumed.name(),
                 idle_mw / 1e3,

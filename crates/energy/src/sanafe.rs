@@ -1,14 +1,18 @@
-//! A mapped program and a sample as files for SANA-FE 2.2, so that its energy and time can be checked against nsim's.
+//! A mapped program and a sample as files for SANA-FE 2.2, so that its energy and time can be
+//! checked against nsim's.
 //!
-//! Input: a compiled network, constants, one sample. Output: an architecture and a network with its mapping, in YAML.
-//! Energies and times are written as whole femtojoules and picoseconds, so both programs charge the same.
+//! Input: a compiled network, constants, one sample. Output: an architecture and a network with its
+//! mapping, in YAML. Energies and times are written as whole femtojoules and picoseconds, so both
+//! programs charge the same.
 //!
-//! Mapping of terms: a core is a core of the same tile, tiles counted column by column; compartments are
-//! `leaky_integrate_fire` in 64ths of the chip's voltage, which SANA-FE truncates to a 64th as the chip does, so voltages
-//! agree bit for bit; its current is not truncated, so spikes are the same for certain when `du` is 4096 and may differ
-//! otherwise. Input channels are `input` neurons on one more core at the corner of their chip, where only the route
-//! through the mesh is charged. SANA-FE delivers a step after sending: inputs of step t without delay are sent in step t - 1,
-//! and where step 0 has some a step goes before all others; inputs of delay 1 are sent in their own step.
+//! Mapping of terms: a core is a core of the same tile, tiles counted column by column;
+//! compartments are `leaky_integrate_fire` in 64ths of the chip's voltage, which SANA-FE truncates
+//! to a 64th as the chip does, so voltages agree bit for bit; its current is not truncated, so
+//! spikes are the same for certain when `du` is 4096 and may differ otherwise. Input channels are
+//! `input` neurons on one more core at the corner of their chip, where only the route through the
+//! mesh is charged. SANA-FE delivers a step after sending: inputs of step t without delay are sent
+//! in step t - 1, and where step 0 has some a step goes before all others; inputs of delay 1 are
+//! sent in their own step.
 //!
 //! Not exported: what x86 cores do (a phase of its own in nsim), static power, and limits of the
 //! voltage. What the format cannot say is refused: other delays, periodic resets, held starts,
@@ -202,8 +206,10 @@ impl Export<'_> {
     fn architecture(&self) -> String {
         let ((width, height), table) = (self.size(), self.table);
         let mut out = format!(
-            "# {} for SANA-FE 2.2, constants {}; written by nsim energy --export-sanafe.\narchitecture:\n  name: nsim\n  attributes: \
-             {{topology: mesh, width: {width}, height: {height}, link_buffer_size: {}, sync_model: fixed, latency_sync: {}}}\n  \
+            "# {} for SANA-FE 2.2, constants {}; written by nsim energy --export-sanafe.\narchitecture:\n  name: \
+             nsim\n  attributes: \
+             {{topology: mesh, width: {width}, height: {height}, link_buffer_size: {}, sync_model: fixed, \
+             latency_sync: {}}}\n  \
              tile:\n",
             self.compiled.target,
             table.name(),
@@ -282,8 +288,10 @@ impl Export<'_> {
         let _ = write!(
             out,
             "        - name: {name}\n          attributes: {{buffer_position: soma, buffer_inside_unit: false, \
-             max_neurons_supported: {neurons}}}\n          axon_in:\n            - {{name: in, attributes: {{energy_message_in: \
-             {}, latency_message_in: {}}}}}\n          soma:\n{somas}          dendrite:\n            - {{name: dendrite, \
+             max_neurons_supported: {neurons}}}\n          axon_in:\n            - {{name: in, attributes: \
+             {{energy_message_in: \
+             {}, latency_message_in: {}}}}}\n          soma:\n{somas}          dendrite:\n            - {{name: \
+             dendrite, \
              attributes: {{model: accumulator, energy_update: 0.0, latency_update: 0.0}}}}\n          synapse:\n{}{}          \
              axon_out:\n            - {{name: out, attributes: {{energy_message_out: {}, latency_message_out: {}}}}}\n",
             joules(table.axon_in_energy),
@@ -299,10 +307,14 @@ impl Export<'_> {
         let (program, leads, delay) = (self.program(), self.leads(), self.input_delay());
         let steps = self.sample.steps() as usize + usize::from(leads);
         let mut out = format!(
-            "# {} for SANA-FE 2.2; written by nsim energy --export-sanafe.\n# run: timesteps={steps} leading={} mixed={}\n\
-             # Run it for so many timesteps; of those, `leading` go before nsim's first. Synaptic events of the last timestep's\n\
-             # spikes are charged by SANA-FE and not by nsim, whose samples end before they arrive. `mixed` compartments are\n\
-             # reached by dense and sparse lists and charged here as if all were of one kind.\nnetwork:\n  name: nsim\n  groups:\n",
+            "# {} for SANA-FE 2.2; written by nsim energy --export-sanafe.\n# run: timesteps={steps} leading={} \
+             mixed={}\n\
+             # Run it for so many timesteps; of those, `leading` go before nsim's first. Synaptic events of the last \
+             timestep's\n\
+             # spikes are charged by SANA-FE and not by nsim, whose samples end before they arrive. `mixed` \
+             compartments are\n\
+             # reached by dense and sparse lists and charged here as if all were of one kind.\nnetwork:\n  name: \
+             nsim\n  groups:\n",
             self.compiled.one.parts().name,
             u32::from(leads),
             mixed(program),

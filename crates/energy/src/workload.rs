@@ -30,7 +30,8 @@ pub struct Workload<'j> {
     pub target: &'j Target,
     /// Copies of the network on the target.
     pub copies: u32,
-    /// What all copies see: they share nothing, input channels included, so each sees the whole sample.
+    /// What all copies see: they share nothing, input channels included, so each sees the whole
+    /// sample.
     given: Vec<Sample>,
     /// Numbers of the samples that are run, in run order.
     order: Vec<usize>,
@@ -114,7 +115,8 @@ impl<'j> Workload<'j> {
         Detail { cores, sums, warnings, ranks: run.ranks.clone() }
     }
 
-    /// What a mean step is expected to cost, by the target's own constants, at the rates of the run.
+    /// What a mean step is expected to cost, by the target's own constants, at the rates of the
+    /// run.
     ///
     /// # Errors
     /// A constant that no integer holds.

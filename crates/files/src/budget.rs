@@ -1,11 +1,14 @@
-//! What reading may cost: the sizes of files, the lengths of recordings, and what a file may make of its own size.
+//! What reading may cost: the sizes of files, the lengths of recordings, and what a file may make
+//! of its own size.
 //!
-//! Input: the size, then each claim of bytes and items before they are made. Output: nothing, or [`Exceeded`]. Files name
-//! the same bytes many times, compress them, or name a place far behind all others: what they claim bears no relation to what
-//! they are. A budget is taken from before anything of a claimed size is allocated, and never given back.
+//! Input: the size, then each claim of bytes and items before they are made. Output: nothing, or
+//! [`Exceeded`]. Files name the same bytes many times, compress them, or name a place far behind
+//! all others: what they claim bears no relation to what they are. A budget is taken from before
+//! anything of a claimed size is allocated, and never given back.
 
-/// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while it is read, since each
-/// entry keeps its place for messages: this keeps the largest well within a gibibyte. Larger arrays belong beside the file.
+/// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while
+/// it is read, since each entry keeps its place for messages: this keeps the largest well within a
+/// gibibyte. Larger arrays belong beside the file.
 pub const MOST_TEXT: u64 = 32 << 20;
 /// The most bytes of an event list in text.
 pub const MOST_EVENT_TEXT: u64 = 256 << 20;
@@ -24,8 +27,9 @@ pub const MOST_FIXED: u64 = 64 << 20;
 /// Bytes that a file may cost in addition, for each byte of its own.
 pub const MOST_RATIO: u64 = 12;
 
-/// Bytes that packets may decompress to, and so many in addition for each byte that was read. Events are 16 bytes of which 8
-/// hardly change, which no compression makes a hundred times smaller.
+/// Bytes that packets may decompress to, and so many in addition for each byte that was read.
+/// Events are 16 bytes of which 8 hardly change, which no compression makes a hundred times
+/// smaller.
 const PACKETS_FIXED: u64 = 32 << 20;
 const PACKETS_RATIO: u64 = 64;
 

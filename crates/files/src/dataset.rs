@@ -1,7 +1,8 @@
-//! The mirror of a data-set manifest (`dataset.ron`): which files hold the recordings of which sample, or of all samples
-//! together, and what is known about each.
+//! The mirror of a data-set manifest (`dataset.ron`): which files hold the recordings of which
+//! sample, or of all samples together, and what is known about each.
 //!
-//! `io::spikes::manifest` reads the files that it names, and checks that labels, folds and files agree.
+//! `io::spikes::manifest` reads the files that it names, and checks that labels, folds and files
+//! agree.
 
 use std::collections::BTreeMap;
 
@@ -47,10 +48,12 @@ pub struct DataSet {
     /// Names of the classes, by label.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub classes: Vec<String>,
-    /// How recordings are read, `key=value&..` as after an input's `?`, by the names that `populations` lists.
+    /// How recordings are read, `key=value&..` as after an input's `?`, by the names that
+    /// `populations` lists.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub options: BTreeMap<String, Spanned<String>>,
-    /// The recordings of all samples together, in place of `samples`: an array or a folder for each population.
+    /// The recordings of all samples together, in place of `samples`: an array or a folder for each
+    /// population.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub recordings: BTreeMap<String, Spanned<String>>,
     /// The samples, in run order.
@@ -59,7 +62,8 @@ pub struct DataSet {
     /// For each fold of a cross-validation, the samples that it tests on.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub folds: Vec<Spanned<Vec<u32>>>,
-    /// For each fold of a cross-validation, text files that list its samples with their labels; in place of `folds`.
+    /// For each fold of a cross-validation, text files that list its samples with their labels; in
+    /// place of `folds`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub splits: Vec<Spanned<SplitEntry>>,
     /// The seed that made the data, when it is synthetic.

@@ -1,7 +1,8 @@
 //! How the numbers of a file's arrays are stored: kind and bytes.
 //!
-//! Input: bytes, in either order. Output: a [`Number`], or the [`Numbers`] of a whole array. A model holds integers of the
-//! hardware's width and finite reals; others are refused with their index.
+//! Input: bytes, in either order. Output: a [`Number`], or the [`Numbers`] of a whole array. A
+//! model holds integers of the hardware's width and finite reals; others are refused with their
+//! index.
 
 use std::fmt::Display;
 

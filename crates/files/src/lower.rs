@@ -1,8 +1,8 @@
 //! `Network` -> [`Graph`]: names become nodes, arrays are checked against their shapes.
 //!
-//! Input: a parsed model with its arrays. Output: a graph whose endpoints exist, whose array sizes agree with its
-//! populations and whose delays are in range; or the first thing that is not so, with its place in the model file. What
-//! a number means to the hardware is left to `quantise`.
+//! Input: a parsed model with its arrays. Output: a graph whose endpoints exist, whose array sizes
+//! agree with its populations and whose delays are in range; or the first thing that is not so,
+//! with its place in the model file. What a number means to the hardware is left to `quantise`.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -163,7 +163,8 @@ impl Lowering<'_> {
 
     fn population(&self, desc: &Spanned<PopulationDesc>) -> Result<Population, Diagnostic> {
         let name = desc.value.name();
-        // '@' and '#' separate copies and indices in reports, '=' and '.' stand in arguments that name populations.
+        // '@' and '#' separate copies and indices in reports, '=' and '.' stand in arguments that
+        // name populations.
         if name.is_empty() || name.contains(|c: char| c.is_whitespace() || is_unprintable(c) || "@#=./\\:".contains(c))
         {
             let message = format!("'{}' cannot be a population's name", name.value);

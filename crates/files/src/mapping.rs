@@ -23,7 +23,8 @@ pub fn load_mapping(path: &Path) -> Result<MappingFile> {
     })
 }
 
-/// A mapping from its text. A checksum that is not its own stays in it, for [`check_unchanged`](nsim_ir::mapping::check_unchanged).
+/// A mapping from its text. A checksum that is not its own stays in it, for
+/// [`check_unchanged`](nsim_ir::mapping::check_unchanged).
 ///
 /// # Errors
 /// `mapping.syntax`; `mapping.copies` for none.

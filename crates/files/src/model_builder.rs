@@ -1,9 +1,10 @@
 //! Builds a model and writes it as a model file.
 //!
-//! Input: populations and projections with their arrays, from a reader of foreign files or any other maker of models.
-//! Output: the text of a RON model with one safetensors file beside it, or the [`Network`] that reading the two would give.
-//! A network is always built through the text, so that one that was imported on the fly equals one that was written and
-//! read again. Whether it makes sense is for `compile::frontend::lower`.
+//! Input: populations and projections with their arrays, from a reader of foreign files or any
+//! other maker of models. Output: the text of a RON model with one safetensors file beside it, or
+//! the [`Network`] that reading the two would give. A network is always built through the text, so
+//! that one that was imported on the fly equals one that was written and read again. Whether it
+//! makes sense is for `compile::frontend::lower`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -78,7 +79,8 @@ pub struct PopulationBuilder {
     pub kind: NeuronKind,
     /// Parameters of compartments by the names that model files use, in order.
     pub loihi: Option<Vec<(&'static str, Parameter)>>,
-    /// Parameters of spike response neurons by the names that model files use; without either, it is an input.
+    /// Parameters of spike response neurons by the names that model files use; without either, it
+    /// is an input.
     pub srm: Option<[(&'static str, f64); 4]>,
     /// The step before which it is held at zero.
     pub start_step: u32,
@@ -453,7 +455,8 @@ fn value_of(network: &Network, value: &ParameterValue) -> Result<Parameter> {
     }
 }
 
-/// Tensors as the bytes of a safetensors file, each in the least type that holds its numbers exactly.
+/// Tensors as the bytes of a safetensors file, each in the least type that holds its numbers
+/// exactly.
 fn serialise(tensors: &BTreeMap<String, Tensor>) -> Result<Vec<u8>, safetensors::SafeTensorError> {
     let mut stored: Vec<(&String, Dtype, Vec<u8>)> = Vec::new();
     for (key, tensor) in tensors {
@@ -585,7 +588,8 @@ impl Writer<'_> {
                 let weights = self.array(&key, weights.clone());
                 let _ = write!(
                     out,
-                    ", weights: {weights}, stride: {stride:?}, padding: {padding:?}, dilation: {dilation:?}, groups: {groups}"
+                    ", weights: {weights}, stride: {stride:?}, padding: {padding:?}, dilation: {dilation:?}, groups: \
+                     {groups}"
                 );
                 if padding_after != padding {
                     let _ = write!(out, ", padding_after: {padding_after:?}");

@@ -1,8 +1,8 @@
 //! The mirror of a model file (`models/*.ron`; `docs/formats.md` describes each field).
 //!
-//! [`NetworkFile`] is what the RON says. [`Network`] is the same with every array that it refers to read; `io::model`
-//! makes it. Ranges that a single field has are left to `compile::frontend::lower`, which knows the population and can point at
-//! the value.
+//! [`NetworkFile`] is what the RON says. [`Network`] is the same with every array that it refers to
+//! read; `io::model` makes it. Ranges that a single field has are left to
+//! `compile::frontend::lower`, which knows the population and can point at the value.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -29,8 +29,8 @@ pub enum Source {
     InPlace(Tensor, Vec<Span>),
     /// An array in another file.
     File(ArrayRef),
-    /// Seeded uniform numbers in `low..=high`, for untrained networks and benches: `low`, `low + step`, .. with a `step`,
-    /// any real number without.
+    /// Seeded uniform numbers in `low..=high`, for untrained networks and benches: `low`,
+    /// `low + step`, .. with a `step`, any real number without.
     Uniform {
         /// The least value.
         low: f64,
@@ -61,7 +61,8 @@ impl From<NamedSource> for Source {
     }
 }
 
-/// Weights: `[[..], ..]` in place (`[target][source]`), `Npy(..)`, `Safetensors(..)` or `Uniform(..)`.
+/// Weights: `[[..], ..]` in place (`[target][source]`), `Npy(..)`, `Safetensors(..)` or
+/// `Uniform(..)`.
 #[derive(Debug, Clone)]
 pub struct Weights {
     /// Where they come from.
@@ -108,7 +109,8 @@ impl<'de> Deserialize<'de> for Weights {
     }
 }
 
-/// A parameter of a population: one number for all, a list with one entry a compartment, or a source of such a list.
+/// A parameter of a population: one number for all, a list with one entry a compartment, or a
+/// source of such a list.
 #[derive(Debug, Clone)]
 pub struct Parameter {
     /// Its value.
@@ -303,8 +305,8 @@ impl<'de> Visitor<'de> for KindFields {
     }
 }
 
-/// A projection's mirror: the fields that every kind has, and its own. (`serde(flatten)` would buffer the values and lose
-/// their places.)
+/// A projection's mirror: the fields that every kind has, and its own. (`serde(flatten)` would
+/// buffer the values and lose their places.)
 macro_rules! projection_desc {
     ($(#[$doc:meta])* $name:ident, $written:literal { $($own:tt)* }) => {
         $(#[$doc])*
@@ -363,8 +365,8 @@ projection_desc!(
     }
 );
 projection_desc!(
-    /// A two-dimensional convolution (cross-correlation with the kernel as stored) from one population `[C, H, W]` to one
-    /// `[C', H', W']`.
+    /// A two-dimensional convolution (cross-correlation with the kernel as stored) from one
+    /// population `[C, H, W]` to one `[C', H', W']`.
     Conv2dDesc, "Conv2d" {
         /// `[C'][C / groups][kh][kw]`.
         pub weights: Weights,
@@ -381,8 +383,8 @@ projection_desc!(
     }
 );
 projection_desc!(
-    /// Sum pooling from one population `[C, H, W]` to one `[C, H', W']`: each position of a window reaches its channel's
-    /// compartment with the same weight.
+    /// Sum pooling from one population `[C, H, W]` to one `[C, H', W']`: each position of a window
+    /// reaches its channel's compartment with the same weight.
     SumPool2dDesc, "SumPool2d" {
         /// Window (y, x).
         pub kernel: Spanned<(u64, u64)>,
@@ -397,8 +399,8 @@ projection_desc!(
     }
 );
 projection_desc!(
-    /// Random synapses: each source reaches `fan_out` targets, drawn independently (a target may be drawn twice), with
-    /// weights drawn from the multiples of the least step in `low..=high`.
+    /// Random synapses: each source reaches `fan_out` targets, drawn independently (a target may be
+    /// drawn twice), with weights drawn from the multiples of the least step in `low..=high`.
     RandomDesc, "Random" {
         /// Synapses of each source.
         pub fan_out: Spanned<u64>,

@@ -1,8 +1,9 @@
 //! NumPy's `.npy` files.
 //!
-//! Input: a file's bytes. Output: an [`Array`], whose header has been held against the bytes that are there, and from
-//! it a [`Tensor`] in C order or the indices of its non-zero numbers. Object, complex, text, date and structured arrays
-//! are refused by name; `.npz` archives are not read. Also writes `u1`, `i4` and `f8` arrays as they come.
+//! Input: a file's bytes. Output: an [`Array`], whose header has been held against the bytes that
+//! are there, and from it a [`Tensor`] in C order or the indices of its non-zero numbers. Object,
+//! complex, text, date and structured arrays are refused by name; `.npz` archives are not read.
+//! Also writes `u1`, `i4` and `f8` arrays as they come.
 
 use std::fmt::Display;
 use std::io::Write;
@@ -77,7 +78,8 @@ fn remedy(dtype: &DType) -> String {
         DType::Plain(plain) => plain.type_char(),
         // NumPy converts no record of several fields into a number.
         DType::Record(fields) => {
-            // Fields of events, by what their reader takes for a time; of other names none is printed.
+            // Fields of events, by what their reader takes for a time; of other names none is
+            // printed.
             let plain = |name: &&str| name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
             let names = || fields.iter().map(|field| field.name.as_str()).filter(plain);
             let time = names().find(|name| is_time(name));
@@ -91,7 +93,8 @@ fn remedy(dtype: &DType) -> String {
             let columns: Vec<String> =
                 [time].into_iter().chain(places).map(|name| format!("array['{name}']")).collect();
             return format!(
-                "events are read as text: numpy.savetxt('events.csv', numpy.column_stack([{}]), fmt='%.17g', delimiter=',', \
+                "events are read as text: numpy.savetxt('events.csv', numpy.column_stack([{}]), fmt='%.17g', \
+                 delimiter=',', \
                  header='{}', comments=''); of times in other units the header says _s, _ms or _ns",
                 columns.join(", "),
                 header.join(",")
@@ -110,8 +113,9 @@ fn remedy(dtype: &DType) -> String {
     format!("save it as integers or floating-point numbers: {way}")
 }
 
-/// Checks the header's length, its nesting and the sizes that it claims, and returns where the numbers begin. The parser
-/// behind it checks none of these: it recurses, allocates and multiplies as the header says.
+/// Checks the header's length, its nesting and the sizes that it claims, and returns where the
+/// numbers begin. The parser behind it checks none of these: it recurses, allocates and multiplies
+/// as the header says.
 fn check_header(path: &Path, bytes: &[u8]) -> Result<usize> {
     let problem = |code, message: String| Err(Diagnostic::new(code, message).in_file(path));
     if !bytes.starts_with(NPY_MAGIC) {
@@ -167,7 +171,8 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<usize> {
             return problem("npy.format", format!("the header has brackets deeper than {DEEPEST_HEADER}"));
         }
     }
-    // Every number of an array takes at least a byte; an array with an empty axis has none, however long the others are.
+    // Every number of an array takes at least a byte; an array with an empty axis has none, however
+    // long the others are.
     let there = (bytes.len() - start - length) as u64;
     if numbers > if empty { u64::from(u32::MAX) } else { there } {
         return problem(
@@ -364,8 +369,8 @@ impl Array {
     }
 }
 
-/// Writes an array in C order as its numbers come; their number must be the product of the shape. The type is that of the
-/// numbers, such as `u1`, `i4` and `f8`.
+/// Writes an array in C order as its numbers come; their number must be the product of the shape.
+/// The type is that of the numbers, such as `u1`, `i4` and `f8`.
 ///
 /// # Errors
 /// When the output cannot be written, or the numbers do not fill the shape.
@@ -379,9 +384,11 @@ pub fn write<T: npyz::AutoSerialize>(
     writer.finish()
 }
 
-/// Writes an array of bytes in C order that is there as a whole; its length must be the product of the shape.
+/// Writes an array of bytes in C order that is there as a whole; its length must be the product of
+/// the shape.
 ///
-/// The header is that of version 1.0 (NumPy, `numpy/lib/format.py`): padded so that the numbers begin at a multiple of 64.
+/// The header is that of version 1.0 (NumPy, `numpy/lib/format.py`): padded so that the numbers
+/// begin at a multiple of 64.
 ///
 /// # Errors
 /// When the output cannot be written, or the numbers do not fill the shape.
@@ -464,7 +471,8 @@ mod tests {
 
     #[test]
     fn fortran_order_is_transposed() {
-        // numpy.asfortranarray([[[0,1,2],[3,4,5]], [[6,7,8],[9,10,11]]]): the first axis runs fastest.
+        // numpy.asfortranarray([[[0,1,2],[3,4,5]], [[6,7,8],[9,10,11]]]): the first axis runs
+        // fastest.
         let data = [0, 6, 3, 9, 1, 7, 4, 10, 2, 8, 5, 11];
         let tensor = parse(file("'|u1'", "True", "(2, 2, 3)", &data)).unwrap();
         assert_eq!(tensor.numbers(), &Numbers::Integers((0..12).collect()));
@@ -574,7 +582,8 @@ mod tests {
 
     #[test]
     fn non_zero_numbers_are_those_of_the_tensor() {
-        // Every type, lengths around whole words, sparse and dense, both orders of bytes and of axes.
+        // Every type, lengths around whole words, sparse and dense, both orders of bytes and of
+        // axes.
         let types = [
             "|b1", "|i1", "|u1", "<i2", ">i2", "<u2", "<i4", ">i4", "<u4", "<i8", ">i8", "<u8", "<f2", ">f2", "<f4",
             ">f4", "<f8", ">f8",
@@ -586,7 +595,8 @@ mod tests {
                     let mut data = vec![0u8; rows * columns * size];
                     for k in 0..rows * columns {
                         if unit(case as u64, 1, k as u64) < 0.3 {
-                            // A small number of either kind: one that floats read as neither zero nor infinite.
+                            // A small number of either kind: one that floats read as neither zero
+                            // nor infinite.
                             let at = if dtype.starts_with('>') { k * size + size - 1 } else { k * size };
                             data[at] = 1;
                         }

@@ -1,7 +1,7 @@
 //! One tensor of a safetensors file.
 //!
-//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are left out. What all keys together may
-//! take is bounded by the file's size ([`Budget`]).
+//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are left out.
+//! What all keys together may take is bounded by the file's size ([`Budget`]).
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -84,7 +84,8 @@ impl TensorFile {
     /// One tensor.
     ///
     /// # Errors
-    /// `safetensors.key` with the keys that exist, `safetensors.dtype`, `safetensors.value` with the index.
+    /// `safetensors.key` with the keys that exist, `safetensors.dtype`, `safetensors.value` with
+    /// the index.
     pub fn tensor(&self, key: &str) -> Result<Tensor> {
         let view = self.view()?;
         let Ok(tensor) = view.tensor(key) else {

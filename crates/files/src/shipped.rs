@@ -1,7 +1,8 @@
-//! The files that the program carries: models, targets, chips, constants, measurements and scenarios, so that it works
-//! from any folder.
+//! The files that the program carries: models, targets, chips, constants, measurements and
+//! scenarios, so that it works from any folder.
 //!
-//! One table for each kind; a new file is one more line. The error for an unknown name lists the known ones.
+//! One table for each kind; a new file is one more line. The error for an unknown name lists the
+//! known ones.
 
 use std::path::Path;
 
@@ -160,7 +161,8 @@ impl Shipped {
     }
 }
 
-/// Whether an argument is a path: it is `-`, it contains `/` or `.`, or there is such a file; otherwise it is a name.
+/// Whether an argument is a path: it is `-`, it contains `/` or `.`, or there is such a file;
+/// otherwise it is a name.
 #[must_use]
 pub fn is_path(argument: &str) -> bool {
     let path = Path::new(argument);

@@ -1,8 +1,8 @@
 //! Synapses as arrays of one entry each, for networks too large to be listed in a model file.
 //!
 //! Input: the arrays that a `Sparse` projection names. Output: its synapses, each index within its
-//! populations and each delay an integer. Sources are given one by one, or as the place where each source's synapses
-//! begin (compressed rows). Errors point at the array and name the entry.
+//! populations and each delay an integer. Sources are given one by one, or as the place where each
+//! source's synapses begin (compressed rows). Errors point at the array and name the entry.
 
 use serde::Deserialize;
 
@@ -16,7 +16,8 @@ use nsim_ir::tensor::{ArrayRef, Tensor};
 pub struct SynapseArrays {
     /// Index within the concatenated sources.
     pub source: Option<Spanned<ArrayRef>>,
-    /// Instead of `source`: for each source the entry at which its synapses begin, and then the number of synapses.
+    /// Instead of `source`: for each source the entry at which its synapses begin, and then the
+    /// number of synapses.
     pub first: Option<Spanned<ArrayRef>>,
     /// Index within the target population.
     pub target: Spanned<ArrayRef>,
@@ -46,11 +47,12 @@ impl SynapseArrays {
         [&self.target, &self.weight].into_iter().chain(optional)
     }
 
-    /// The synapses, in the order of the arrays, between so many sources and so many targets; `text` is the model's.
+    /// The synapses, in the order of the arrays, between so many sources and so many targets;
+    /// `text` is the model's.
     ///
     /// # Errors
-    /// `model.synapse-arrays` when their lengths differ or sources are given twice or not at all; `model.synapse-index` for
-    /// what is no index.
+    /// `model.synapse-arrays` when their lengths differ or sources are given twice or not at all;
+    /// `model.synapse-index` for what is no index.
     pub fn read<'n>(
         &'n self,
         arrays: impl Fn(&'n ArrayRef) -> &'n Tensor,

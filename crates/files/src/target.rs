@@ -1,8 +1,8 @@
 //! Target files with the chip and the constants that they name.
 //!
-//! Comes in: a path or the name of a shipped target. Goes out: a [`Target`]. Parts of a target that is a file are looked
-//! for beside it, then in the folders that the project keeps them in relative to it (`../chips`, `../constants`), then
-//! among the shipped ones.
+//! Comes in: a path or the name of a shipped target. Goes out: a [`Target`]. Parts of a target that
+//! is a file are looked for beside it, then in the folders that the project keeps them in relative
+//! to it (`../chips`, `../constants`), then among the shipped ones.
 
 use std::path::Path;
 
@@ -262,14 +262,16 @@ pub(crate) mod tests {
             (
                 "ns",
                 "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time \
-                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time link_chip_time",
+                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time \
+                    link_chip_time",
             ),
             ("messages", "link_buffer"),
             ("us", "injection_time turn_time"),
             ("mW", "core_static_power x86_clock_power"),
         ];
         let mut text = String::from(
-            "Constants(name: \"c\", notes: \"\", barrier: [(tiles: 1, time: (value: 0.1, unit: us, source: \"s\", status: assumed))],\n",
+            "Constants(name: \"c\", notes: \"\", barrier: [(tiles: 1, time: (value: 0.1, unit: us, source: \"s\", \
+             status: assumed))],\n",
         );
         for (unit, names) in units {
             for (i, name) in names.split_whitespace().enumerate() {
@@ -404,7 +406,8 @@ pub(crate) mod tests {
         };
         let wide = write(
             "wide.ron",
-            "// Not a base: this is a remark.\nTarget(base: \"loihi1-chip\", cores_per_chip: 256, limits: (axons_out: 8192))",
+            "// Not a base: this is a remark.\nTarget(base: \"loihi1-chip\", cores_per_chip: 256, limits: (axons_out: \
+             8192))",
         )
         .unwrap();
         let plain = load_target("loihi1-chip").unwrap();

@@ -1,7 +1,7 @@
 //! Files as bytes and as text, with a bound on their size.
 //!
-//! Input: a path, `-` for stdin. Output: the content, or a diagnostic that says what stands at the path instead: no
-//! file, a folder, a Git-LFS pointer, a binary file.
+//! Input: a path, `-` for stdin. Output: the content, or a diagnostic that says what stands at the
+//! path instead: no file, a folder, a Git-LFS pointer, a binary file.
 
 use std::fs::Metadata;
 use std::io::{ErrorKind, Read};
@@ -41,7 +41,8 @@ pub fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
     diagnostic.in_file(path)
 }
 
-/// Whether a path names a descriptor that is open already, such as the pipe of a shell's `<(command)`.
+/// Whether a path names a descriptor that is open already, such as the pipe of a shell's
+/// `<(command)`.
 fn is_descriptor(path: &Path) -> bool {
     ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|open| path.starts_with(open))
 }
@@ -51,7 +52,8 @@ pub fn not_regular(path: &Path) -> Diagnostic {
     Diagnostic::new("io.not-regular", "this is a pipe, a socket or a device, not a regular file").in_file(path)
 }
 
-/// Opens a regular file, or a descriptor: nobody may ever write to a named pipe, and a device may have no end.
+/// Opens a regular file, or a descriptor: nobody may ever write to a named pipe, and a device may
+/// have no end.
 ///
 /// # Errors
 /// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
@@ -83,7 +85,8 @@ pub fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<()> {
 /// The bytes of a file of at most `limit` bytes.
 ///
 /// # Errors
-/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`, `io.too-large`, `io.lfs-pointer`.
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`, `io.too-large`,
+/// `io.lfs-pointer`.
 pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let too_large = |size: String| {

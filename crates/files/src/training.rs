@@ -79,7 +79,8 @@ pub enum NeuronDesc {
         tau_u_ms: TimesDesc,
         /// Time constant of the voltage.
         tau_v_ms: TimesDesc,
-        /// Mantissa units that a trained weight of 1 counts; the threshold mantissa follows from it.
+        /// Mantissa units that a trained weight of 1 counts; the threshold mantissa follows from
+        /// it.
         weight_scale: f64,
         /// The projection's weight exponent.
         #[serde(default)]
@@ -87,7 +88,8 @@ pub enum NeuronDesc {
         /// Refractory period in timesteps.
         #[serde(default = "one_step")]
         refractory: i64,
-        /// Threshold in the units of the trained weights, when a neuron's response to a weight of 1 peaks at 1.
+        /// Threshold in the units of the trained weights, when a neuron's response to a weight of 1
+        /// peaks at 1.
         theta: f64,
         /// How credit is assigned.
         #[serde(default)]
@@ -102,7 +104,8 @@ fn one_step() -> i64 {
 /// How far errors reach through a neuron's own spikes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub enum CreditDesc {
-    /// As SLAYER assigns it: the error at a step is correlated with the response kernel, as if no spike lay between.
+    /// As SLAYER assigns it: the error at a step is correlated with the response kernel, as if no
+    /// spike lay between.
     #[default]
     Slayer,
     /// The correlation ends at the neuron's own spikes, which erase the voltage.
@@ -120,7 +123,8 @@ pub enum LossDesc {
         /// Desired spikes of every other class.
         wrong: f64,
     },
-    /// The weighted spike-count loss, omega(t) = beta t^2 + gamma with t from 0 to 1 over the sample.
+    /// The weighted spike-count loss, omega(t) = beta t^2 + gamma with t from 0 to 1 over the
+    /// sample.
     Weighted {
         /// Desired spikes of the right class.
         right: f64,
@@ -197,13 +201,15 @@ pub struct TrainingFile {
     pub loss: Spanned<LossDesc>,
     /// The optimiser.
     pub optimiser: Spanned<OptimiserDesc>,
-    /// Multiple of the weights added to the gradient (l2), or taken off the weights when `decoupled`.
+    /// Multiple of the weights added to the gradient (l2), or taken off the weights when
+    /// `decoupled`.
     #[serde(default)]
     pub weight_decay: f64,
     /// Added to the gradient with the sign of each weight (l1).
     #[serde(default)]
     pub l1: f64,
-    /// Probability with which a unit of a hidden layer is left out of a sample; what is left counts the more.
+    /// Probability with which a unit of a hidden layer is left out of a sample; what is left counts
+    /// the more.
     #[serde(default)]
     pub dropout: f64,
     /// Whether decay is taken off the weights directly.
@@ -221,7 +227,8 @@ pub struct TrainingFile {
     pub epochs: u32,
     /// The seed of initial weights, order and variations.
     pub seed: u64,
-    /// Share that the running mean of the weights keeps at each step; the mean is deployed. 0: the weights are.
+    /// Share that the running mean of the weights keeps at each step; the mean is deployed. 0: the
+    /// weights are.
     #[serde(default)]
     pub averaging: f64,
     /// Augmentation of the training samples.

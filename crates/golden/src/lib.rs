@@ -1,11 +1,13 @@
-//! The slow, obvious interpreter of a [`Quantised`] network, which the fast machine is compared with.
+//! The slow, obvious interpreter of a [`Quantised`] network, which the fast machine is compared
+//! with.
 //!
-//! Input: a network in integers and the input spikes of each step. Output, through [`Engine`]: the spikes, the registers
-//! and the counts of each step, for all three named semantics. It is written from `docs/semantics.md` alone. It imports the
-//! plain data of a network, and `base::rng`, which defines random synapses; it imports no rule, and `tests/tidy`
-//! lists what it may use. It enumerates synapses from their targets, keeps the spikes of the past and looks back at them
-//! instead of filling a delay ring, finds refractory steps by the time since the last spike instead of a counter, and
-//! divides and takes remainders where the machine shifts and masks.
+//! Input: a network in integers and the input spikes of each step. Output, through [`Engine`]: the
+//! spikes, the registers and the counts of each step, for all three named semantics. It is written
+//! from `docs/semantics.md` alone. It imports the plain data of a network, and `base::rng`, which
+//! defines random synapses; it imports no rule, and `tests/tidy` lists what it may use. It
+//! enumerates synapses from their targets, keeps the spikes of the past and looks back at them
+//! instead of filling a delay ring, finds refractory steps by the time since the last spike instead
+//! of a counter, and divides and takes remainders where the machine shifts and masks.
 //!
 //! There are no cores, threads or skipped work. A step visits every synapse.
 
@@ -23,8 +25,8 @@ use nsim_ir::quantised::{Neuron, Projection, Quantised, Reset, SpikeSource, Unit
 use nsim_ir::source_counts::LeftField;
 use nsim_ir::spikes::Engine;
 
-/// The greatest number of steps from a spike to the update that it enters: delay field 62, and one step between
-/// compartments.
+/// The greatest number of steps from a spike to the update that it enters: delay field 62, and one
+/// step between compartments.
 const LONGEST_WAY: usize = 63;
 
 /// A synapse as its target sees it.
@@ -145,7 +147,8 @@ impl Golden {
         &self.left_fields
     }
 
-    /// What the source's spike of this many steps before the one that is being computed carried, if it spiked then.
+    /// What the source's spike of this many steps before the one that is being computed carried, if
+    /// it spiked then.
     fn carried(&self, source: SpikeSource, ago: u32) -> Option<i64> {
         let (history, index) = match source {
             SpikeSource::Channel(channel) => (&self.channel_history, channel.index()),
@@ -154,7 +157,8 @@ impl Golden {
         history.get(ago as usize)?[index]
     }
 
-    /// Events of spikes that are still on their way and arrive before the sample's end; none once it is over.
+    /// Events of spikes that are still on their way and arrive before the sample's end; none once
+    /// it is over.
     fn events_in_flight(&self) -> u64 {
         let arrives = |synapse: &Synapse, ago: u32| {
             let spiked_in = self.done - 1 - ago;
@@ -173,7 +177,8 @@ impl Golden {
         events
     }
 
-    /// The sum of all that arrives at a compartment in this step, and the number of synapses that it arrives over.
+    /// The sum of all that arrives at a compartment in this step, and the number of synapses that
+    /// it arrives over.
     fn arrivals(&self, compartment: CompartmentId) -> (i64, u64) {
         let (mut sum, mut events) = (0, 0);
         for synapse in &self.compartments[compartment].incoming {
@@ -257,7 +262,8 @@ impl Engine for Golden {
             inputs[channel.index()] = Some(self.channel_payloads[channel.index()]);
         }
         self.channel_history.push_front(inputs);
-        // Nothing of this step's own row is read: a compartment's spike is on its way for a step at least.
+        // Nothing of this step's own row is read: a compartment's spike is on its way for a step at
+        // least.
         self.compartment_history.push_front(vec![None; self.compartments.len()]);
         self.channel_history.truncate(LONGEST_WAY + 1);
         self.compartment_history.truncate(LONGEST_WAY + 1);
@@ -304,7 +310,8 @@ impl Engine for Golden {
     }
 
     fn totals(&self) -> Totals {
-        // Rule (12): an event counts with the spike that causes it, if the sample is long enough for it to arrive.
+        // Rule (12): an event counts with the spike that causes it, if the sample is long enough
+        // for it to arrive.
         let synaptic_events = self.totals.synaptic_events + self.events_in_flight();
         Totals { synaptic_events, ..self.totals }
     }
@@ -351,7 +358,8 @@ fn bias(semantics: Semantics, neuron: &Neuron) -> i64 {
     }
 }
 
-/// Rule (10): whether a population with this start step returns to zero before the update of `step`.
+/// Rule (10): whether a population with this start step returns to zero before the update of
+/// `step`.
 fn resets(reset: Reset, start_step: u32, step: u32) -> bool {
     let since = i64::from(step) - i64::from(start_step) - i64::from(reset.offset);
     since >= 0 && since % i64::from(reset.interval) == 0
@@ -437,7 +445,8 @@ fn integrate_and_fire(neuron: &Neuron, threshold: ThresholdTest, state: &mut Sta
     }
 }
 
-/// A step of a compartment with reset by subtraction: equations (2) to (6), and (7a) in place of (7).
+/// A step of a compartment with reset by subtraction: equations (2) to (6), and (7a) in place of
+/// (7).
 fn soft_reset(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64) -> Outcome {
     let arrived = wrap(sum, 21);
     let current = decay(state.u, neuron.du) + arrived;
@@ -513,8 +522,8 @@ fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
     all
 }
 
-/// (source, target, weight) of every synapse of a projection, indices within the populations; the definitions of
-/// `docs/semantics.md`, projections.
+/// (source, target, weight) of every synapse of a projection, indices within the populations; the
+/// definitions of `docs/semantics.md`, projections.
 fn connections(projection: &Projection, sources: u32) -> Vec<(u32, u32, i64)> {
     let mut all = Vec::new();
     match &projection.connectivity {
@@ -580,7 +589,8 @@ fn over_outputs(window: &Window, mut f: impl FnMut((u32, u32, u32), u32)) {
     }
 }
 
-/// Calls `f((ky, kx), (sy, sx))` for every place of the window at an output position that lies on the source.
+/// Calls `f((ky, kx), (sy, sx))` for every place of the window at an output position that lies on
+/// the source.
 fn over_window(window: &Window, (y, x): (u32, u32), mut f: impl FnMut((u32, u32), (u32, u32))) {
     let place = |out: u32, stride: u32, k: u32, dilation: u32, padding: u32, size: u32| {
         let at = i64::from(out) * i64::from(stride) + i64::from(k) * i64::from(dilation) - i64::from(padding);
@@ -666,7 +676,8 @@ mod tests {
                 (draw(7, 1, 2), draw(8, 1, 2)),
             );
             let source = (groups * draw(9, 1, 2), draw(10, 1, 6), draw(11, 1, 6));
-            // The size of a convolution's output, as every framework has it; none when the window is larger.
+            // The size of a convolution's output, as every framework has it; none when the window
+            // is larger.
             let after = (draw(13, 0, 2), draw(14, 0, 2));
             let size = |n: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
                 Some((n + padding).checked_sub(dilation * (kernel - 1) + 1)? / stride + 1)

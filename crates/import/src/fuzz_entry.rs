@@ -1,7 +1,8 @@
-//! What the fuzz targets of `tests/fuzz` and the tests of their corpora run: each parser on any bytes.
+//! What the fuzz targets of `tests/fuzz` and the tests of their corpora run: each parser on any
+//! bytes.
 //!
-//! Input: bytes. Output: nothing; a parser may refuse them, and may not panic or take memory beyond its bound. Models
-//! that are read are turned into the text and back, as an import does.
+//! Input: bytes. Output: nothing; a parser may refuse them, and may not panic or take memory beyond
+//! its bound. Models that are read are turned into the text and back, as an import does.
 
 use std::path::Path;
 

@@ -1,8 +1,8 @@
 //! Model files with every array that they refer to.
 //!
-//! Input: a path or the name of a shipped model. Output: a [`Network`]. A problem with an array is reported at the
-//! place in the model file that names it, together with what is wrong with the array's file. Whether the numbers make
-//! sense is for `compile::frontend::lower`.
+//! Input: a path or the name of a shipped model. Output: a [`Network`]. A problem with an array is
+//! reported at the place in the model file that names it, together with what is wrong with the
+//! array's file. Whether the numbers make sense is for `compile::frontend::lower`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,11 +16,12 @@ use nsim_files::{changes, npy, safetensors};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::tensor::Tensor;
 
-/// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported as `nsim import` without options
-/// would.
+/// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported as
+/// `nsim import` without options would.
 ///
 /// # Errors
-/// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names them.
+/// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names
+/// them.
 pub fn load_model(argument: &str) -> Result<Network> {
     load_model_with(argument, None)
 }
@@ -51,7 +52,8 @@ pub fn agreeing(network: Network, dt_ms: Option<f64>) -> Result<Network> {
         .help(format!("leave --dt out, or change the model: --set timestep_ms={dt}")))
 }
 
-/// Loads a model from its text; arrays are looked for beside the path of `source`, or among the shipped ones.
+/// Loads a model from its text; arrays are looked for beside the path of `source`, or among the
+/// shipped ones.
 ///
 /// # Errors
 /// As [`load_model`].
@@ -66,7 +68,8 @@ fn network_of(source: SourceText, origin: Origin) -> Result<Network> {
     Network::new(file, source, arrays)
 }
 
-/// A model whose arrays are tensors of one safetensors file in memory, by whatever name the model refers to it.
+/// A model whose arrays are tensors of one safetensors file in memory, by whatever name the model
+/// refers to it.
 ///
 /// # Errors
 /// `model.syntax`; of tensors, at the place that names them.
@@ -112,7 +115,8 @@ impl Unchanged {
         array_refs(self.network.file()).iter().map(|(reference, _)| self.network.array(reference).len() as u64).sum()
     }
 
-    /// The model as [`load_model`] would read it now, under the changes of the process and of the thread.
+    /// The model as [`load_model`] would read it now, under the changes of the process and of the
+    /// thread.
     ///
     /// # Errors
     /// As [`load_model`].

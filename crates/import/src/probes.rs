@@ -1,8 +1,9 @@
 //! What probes recorded, in forms that other tools read.
 //!
-//! Input: numbers `[samples][compartments][steps]` of one register of one population. Output: CSV with a row for each
-//! spike or each number, NIR data (spikes as events, other registers on a grid of time), or Parquet with CSV's columns (with
-//! the feature `parquet`). NumPy arrays are written in [`nsim_files::npy`].
+//! Input: numbers `[samples][compartments][steps]` of one register of one population. Output: CSV
+//! with a row for each spike or each number, NIR data (spikes as events, other registers on a grid
+//! of time), or Parquet with CSV's columns (with the feature `parquet`). NumPy arrays are written
+//! in [`nsim_files::npy`].
 
 use std::path::Path;
 
@@ -27,7 +28,8 @@ pub struct Trace<'a> {
 }
 
 impl Trace<'_> {
-    /// Writes rows `sample,timestep,channel` for spikes, `sample,timestep,compartment,value` for other registers.
+    /// Writes rows `sample,timestep,channel` for spikes, `sample,timestep,compartment,value` for
+    /// other registers.
     ///
     /// # Errors
     /// As [`write::Batch::add`].
@@ -64,7 +66,8 @@ impl Trace<'_> {
         Err(Diagnostic::new("write.too-large", message).help("choose fewer --samples, or --probe-format npy"))
     }
 
-    /// Writes a file of NIR data, with the population as its node and the register as its observable.
+    /// Writes a file of NIR data, with the population as its node and the register as its
+    /// observable.
     ///
     /// # Errors
     /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
@@ -91,9 +94,10 @@ impl Trace<'_> {
         batch.add(path, |out| out.write_all(&bytes))
     }
 
-    /// Writes a Parquet file with the columns of [`Self::csv`]: `sample`, `timestep` and `channel` or `compartment` as
-    /// 32-bit integers, `value` as a double. Registers are integers of at most 24 bits, which doubles hold exactly. The
-    /// number of timesteps and the register stand in the file's metadata as `steps` and `register`.
+    /// Writes a Parquet file with the columns of [`Self::csv`]: `sample`, `timestep` and `channel`
+    /// or `compartment` as 32-bit integers, `value` as a double. Registers are integers of at most
+    /// 24 bits, which doubles hold exactly. The number of timesteps and the register stand in the
+    /// file's metadata as `steps` and `register`.
     ///
     /// # Errors
     /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
@@ -126,7 +130,8 @@ impl Trace<'_> {
         let message = match self.register {
             "spikes" => "message spikes { required int32 sample; required int32 timestep; required int32 channel; }",
             _ => {
-                "message trace { required int32 sample; required int32 timestep; required int32 compartment; required double value; }"
+                "message trace { required int32 sample; required int32 timestep; required int32 compartment; required \
+                 double value; }"
             }
         };
         let entries = [("population", self.population.to_string()), ("register", self.register.to_string())];

@@ -1,7 +1,9 @@
-//! What happened in a run, as counts. Energy and time are pure functions of these and a target (`cost`).
+//! What happened in a run, as counts. Energy and time are pure functions of these and a target
+//! (`cost`).
 //!
-//! Counts are of the mapped program, whatever the simulator skipped. True of every [`Activity`]: copies of messages sent
-//! equal copies received; merging is addition, so neither order nor threads can change a total.
+//! Counts are of the mapped program, whatever the simulator skipped. True of every [`Activity`]:
+//! copies of messages sent equal copies received; merging is addition, so neither order nor threads
+//! can change a total.
 
 use std::ops::AddAssign;
 
@@ -38,11 +40,13 @@ pub struct Totals {
     pub spikes_in: u64,
     /// Compartments that fired.
     pub spikes: u64,
-    /// Synapses reached by spikes, inputs' included; deliveries that fall after the end are not counted.
+    /// Synapses reached by spikes, inputs' included; deliveries that fall after the end are not
+    /// counted.
     pub synaptic_events: u64,
     /// Compartments times steps.
     pub compartment_updates: u64,
-    /// Of those, the ones not at rest: u, v, the accumulator or the bias was not zero, or a refractory period ran.
+    /// Of those, the ones not at rest: u, v, the accumulator or the bias was not zero, or a
+    /// refractory period ran.
     pub active_updates: u64,
 }
 
@@ -249,8 +253,8 @@ impl Activity {
     /// Adds a timestep that happened `times` times over.
     ///
     /// # Panics
-    /// When the step is of a program with another number of cores, or when messages sent and received differ: a fault of
-    /// the machine.
+    /// When the step is of a program with another number of cores, or when messages sent and
+    /// received differ: a fault of the machine.
     pub fn add_steps(&mut self, step: &StepActivity, times: u64) {
         assert_eq!(self.cores.len(), step.cores.len(), "a step of another program");
         let (mut sent, mut received) = (step.messages_from_inputs, 0);
@@ -290,7 +294,8 @@ impl Activity {
         self.steps += other.steps;
     }
 
-    /// As many steps of these cores, whose counts, links crossed and input spikes follow from this run of some of them.
+    /// As many steps of these cores, whose counts, links crossed and input spikes follow from this
+    /// run of some of them.
     #[must_use]
     pub fn on_cores(&self, cores: IdVec<CoreId, CoreCounts>, hops: HopCounts, spikes_in: u64) -> Self {
         let mut all = Activity { cores, hops, spikes_in, messages_from_inputs: 0, steps: self.steps };

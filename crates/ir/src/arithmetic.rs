@@ -59,7 +59,8 @@ named_variants!(ReadOut {
     LastV = "last_v",
 });
 
-/// u and v of each population return to zero before the updates of steps `start_step + offset + k * interval`.
+/// u and v of each population return to zero before the updates of steps
+/// `start_step + offset + k * interval`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ResetDesc {

@@ -1,7 +1,7 @@
 //! Which process of several holds which cores of a program.
 //!
-//! Processes are *ranks*, numbered from 0. Input: the rank of each core. True of every [`Dealt`]: each core has one rank, below
-//! their number.
+//! Processes are *ranks*, numbered from 0. Input: the rank of each core. True of every [`Dealt`]:
+//! each core has one rank, below their number.
 
 use crate::base::id::{CoreId, IdVec};
 use crate::base::shared::Shared;
@@ -13,7 +13,8 @@ pub struct Share {
     pub rank: u32,
     /// How many there are.
     pub ranks: u32,
-    /// Whether it holds the tables of all cores, although it runs its own only: what prices a run needs every message.
+    /// Whether it holds the tables of all cores, although it runs its own only: what prices a run
+    /// needs every message.
     pub whole: bool,
 }
 
@@ -29,7 +30,8 @@ pub struct Dealt {
     pub ranks: u32,
     /// The rank of each core.
     pub owners: Shared<IdVec<CoreId, u32>>,
-    /// The only rank of whose cores there are tables and to whose cores there are messages; `None` where there are all.
+    /// The only rank of whose cores there are tables and to whose cores there are messages; `None`
+    /// where there are all.
     pub held: Option<u32>,
 }
 

@@ -1,7 +1,8 @@
 //! How often sources spike, for weighing traffic.
 //!
-//! In come counts of a profile run, or one rate that is assumed for all; out goes a whole number for each source, in
-//! messages of [`UNIT`] steps: integers, so that sums are the same in any order.
+//! In come counts of a profile run, or one rate that is assumed for all; out goes a whole number
+//! for each source, in messages of [`UNIT`] steps: integers, so that sums are the same in any
+//! order.
 
 use crate::base::id::Id;
 use crate::quantised::{Quantised, SpikeSource};
@@ -9,8 +10,8 @@ use crate::source_counts::SourceCounts;
 
 /// Steps that a rate counts the spikes of.
 pub const UNIT: f64 = 1e6;
-/// What a source that never spiked in a profile run counts nonetheless, a spike in a million steps: it decides only
-/// between what is otherwise equal.
+/// What a source that never spiked in a profile run counts nonetheless, a spike in a million steps:
+/// it decides only between what is otherwise equal.
 const LEAST: u64 = 1;
 
 /// Rates of all sources: channels first, then compartments.
@@ -41,7 +42,8 @@ impl Rates {
         Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
     }
 
-    /// From what was counted in so many steps of one network, or of several copies that all did the same.
+    /// From what was counted in so many steps of one network, or of several copies that all did the
+    /// same.
     ///
     /// # Panics
     /// When the counts are of fewer channels or compartments than the network has.
@@ -71,7 +73,8 @@ impl Rates {
         })
     }
 
-    /// The same for so many copies of the network: channels of all copies first, then their compartments.
+    /// The same for so many copies of the network: channels of all copies first, then their
+    /// compartments.
     #[must_use]
     pub fn copies(&self, copies: u32) -> Rates {
         match self {

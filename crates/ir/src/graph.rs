@@ -1,8 +1,8 @@
 //! Populations and projections with real parameters: the model as it was meant, before any integer.
 //!
-//! Made by `compile::frontend::lower`. True of every [`Graph`]: names are unique, endpoints exist, shapes and array sizes agree,
-//! delays are in range, and there is one output population of compartments. Whether numbers fit their hardware
-//! fields is for `compile::frontend::quantise`.
+//! Made by `compile::frontend::lower`. True of every [`Graph`]: names are unique, endpoints exist,
+//! shapes and array sizes agree, delays are in range, and there is one output population of
+//! compartments. Whether numbers fit their hardware fields is for `compile::frontend::quantise`.
 
 use std::fmt;
 use std::sync::Arc;
@@ -16,11 +16,11 @@ use crate::neurons::NeuronKind;
 use crate::spanned::Spanned;
 use crate::tensor::{Numbers, Tensor};
 
-/// The most channels or compartments that a network may have: above it, no target could hold them (768 chips of
-/// 131,072 compartments are 100,663,296).
+/// The most channels or compartments that a network may have: above it, no target could hold them
+/// (768 chips of 131,072 compartments are 100,663,296).
 pub const MOST_UNITS: u64 = 1 << 27;
-/// The most channels of an input population: four times those of the largest event cameras, with both polarities. Each has
-/// lists of its own, whether or not anything comes of it.
+/// The most channels of an input population: four times those of the largest event cameras, with
+/// both polarities. Each has lists of its own, whether or not anything comes of it.
 pub const MOST_CHANNELS: u64 = 1 << 24;
 /// The most synapses that a projection may have.
 pub const MOST_SYNAPSES: u64 = 1 << 32;
@@ -115,7 +115,8 @@ impl<T: Copy> PerCompartment<T> {
         }
     }
 
-    /// Changes every value, stopping at the first failure; `f` gets the compartment, `None` when it is for all.
+    /// Changes every value, stopping at the first failure; `f` gets the compartment, `None` when it
+    /// is for all.
     ///
     /// # Errors
     /// The first error of `f`.
@@ -155,7 +156,8 @@ pub struct NeuronParameters {
     pub given: Vec<(&'static str, Values)>,
     /// The step before which the population is held at zero.
     pub start_step: u32,
-    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all weights.
+    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all
+    /// weights.
     pub greatest_input: Option<f64>,
 }
 
@@ -166,7 +168,8 @@ impl NeuronParameters {
         self.given.iter().find(|(given, _)| *given == name).map(|(_, values)| values)
     }
 
-    /// A parameter of one compartment, its default where the file gives none, 0 where there is no default.
+    /// A parameter of one compartment, its default where the file gives none, 0 where there is no
+    /// default.
     #[must_use]
     pub fn value(&self, name: &str, index: u32) -> f64 {
         match self.get(name) {
@@ -219,7 +222,8 @@ pub struct Population {
 }
 
 impl Population {
-    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary spikes.
+    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary
+    /// spikes.
     #[must_use]
     pub fn spike_factor(&self) -> f64 {
         self.payload.map_or(1.0, |payload| payload.get().into())
@@ -248,7 +252,8 @@ pub struct Window {
 /// How the sources of a projection reach its targets.
 #[derive(Debug, Clone)]
 pub enum ProjectionKind {
-    /// All to all: `[target][column]`; the projection's sources are the columns from `first_source`.
+    /// All to all: `[target][column]`; the projection's sources are the columns from
+    /// `first_source`.
     Dense {
         /// Weights of all columns of the declaration.
         weights: Arc<Tensor>,
@@ -296,8 +301,8 @@ impl ProjectionKind {
         matches!(self, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. })
     }
 
-    /// The same with other weights; `f` gets each with its target, or with its output channel where a kernel is shared.
-    /// A pool's weight and random ones stay.
+    /// The same with other weights; `f` gets each with its target, or with its output channel where
+    /// a kernel is shared. A pool's weight and random ones stay.
     #[must_use]
     pub fn map_weights(&self, f: impl Fn(usize, f64) -> f64) -> ProjectionKind {
         let tensor = |weights: &Arc<Tensor>| {

@@ -1,9 +1,10 @@
 //! Cores that exchange messages with no others, and how often each such group is on the board.
 //!
-//! Input: a program, and which of its cores belong together. Output: a program of the first group of each kind, and where every
-//! group is. Groups of a kind hold the same copies of a network in the same slots, so that what one does when all copies see the
-//! same sample, each of them does; only their places differ. True of every [`CoreGroups`]: each core of the whole program is in
-//! one group, and the groups of a kind have as many cores.
+//! Input: a program, and which of its cores belong together. Output: a program of the first group
+//! of each kind, and where every group is. Groups of a kind hold the same copies of a network in
+//! the same slots, so that what one does when all copies see the same sample, each of them does;
+//! only their places differ. True of every [`CoreGroups`]: each core of the whole program is in one
+//! group, and the groups of a kind have as many cores.
 
 use std::collections::HashMap;
 use std::ops::Range;

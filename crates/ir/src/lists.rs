@@ -1,9 +1,10 @@
 //! Lists of numbers in a RON text, read in one pass.
 //!
-//! A model may hold megabytes of weights, and RON's parser scans a list once for each enclosing value with a position. Long
-//! lists therefore bypass it: [`blank`] replaces their contents by spaces, byte for byte, and RON parses that text;
-//! [`numbers`] and [`triples`] then read each list from the original text. Both accept what RON accepts (comments,
-//! underscores, trailing commas, signs, other bases) except a type suffix (`1.0f32`).
+//! A model may hold megabytes of weights, and RON's parser scans a list once for each enclosing
+//! value with a position. Long lists therefore bypass it: [`blank`] replaces their contents by
+//! spaces, byte for byte, and RON parses that text; [`numbers`] and [`triples`] then read each list
+//! from the original text. Both accept what RON accepts (comments, underscores, trailing commas,
+//! signs, other bases) except a type suffix (`1.0f32`).
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -58,7 +59,8 @@ impl<'a> Cursor<'a> {
         &self.text[self.at..]
     }
 
-    /// Skips a comment that begins here and returns whether there was one. An unclosed one extends to the end of the text.
+    /// Skips a comment that begins here and returns whether there was one. An unclosed one extends
+    /// to the end of the text.
     fn comment(&mut self) -> bool {
         let bytes = self.text.as_bytes();
         match bytes.get(self.at..self.at + 2) {
@@ -100,7 +102,8 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Skips a string, a raw string or a character that begins here and returns whether there was one.
+    /// Skips a string, a raw string or a character that begins here and returns whether there was
+    /// one.
     fn quoted(&mut self) -> bool {
         let bytes = self.text.as_bytes();
         match bytes.get(self.at) {
@@ -182,7 +185,8 @@ impl<'a> Cursor<'a> {
     }
 }
 
-/// The text with the contents of each list that is the value of one of these fields replaced by spaces, except line breaks.
+/// The text with the contents of each list that is the value of one of these fields replaced by
+/// spaces, except line breaks.
 ///
 /// # Errors
 /// For such a list whose brackets do not close.
@@ -257,7 +261,8 @@ fn number(token: &str) -> Option<f64> {
     if matches!(token.trim_start_matches(['+', '-']), "inf" | "NaN") {
         return token.parse().ok();
     }
-    // Rust also reads "nan" and "infinity", which are not RON; it does not read underscores, which are.
+    // Rust also reads "nan" and "infinity", which are not RON; it does not read underscores, which
+    // are.
     let begins = digits.first().is_some_and(|byte| byte.is_ascii_digit() || *byte == b'.');
     let plain = if token.contains('_') { Cow::Owned(token.replace('_', "")) } else { Cow::Borrowed(token) };
     begins.then(|| plain.parse().ok())?
@@ -371,7 +376,8 @@ pub fn numbers(text: &str, span: Span, deepest: usize) -> Result<NumberList, Lis
 /// Source, target and weight of a synapse.
 pub type Triple = (u64, u64, f64);
 
-/// Reads the list of (whole number, whole number, number) that stands at `span`, each with its place.
+/// Reads the list of (whole number, whole number, number) that stands at `span`, each with its
+/// place.
 ///
 /// # Errors
 /// As [`numbers`].

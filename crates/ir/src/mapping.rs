@@ -1,7 +1,9 @@
-//! The mirror of a saved mapping (`nsim map -o`): which compartments sit on which core of which chip.
+//! The mirror of a saved mapping (`nsim map -o`): which compartments sit on which core of which
+//! chip.
 //!
-//! It is small and for people to read: runs and strides of compartments by population, or boxes of layers; no synapses. Loading one
-//! compiles the model again with this partition and placement, so nothing in it needs to be believed.
+//! It is small and for people to read: runs and strides of compartments by population, or boxes of
+//! layers; no synapses. Loading one compiles the model again with this partition and placement, so
+//! nothing in it needs to be believed.
 
 use crate::base::diagnostic::Diagnostic;
 use serde::{Deserialize, Serialize};
@@ -35,8 +37,8 @@ pub struct MappedCore {
     pub holds: Vec<Run>,
 }
 
-/// Runs as a file has them: one of a population as `first` and `count`, several as `at`: `5` is a compartment, `5+3` three from
-/// it on, `5+3*4` every fourth.
+/// Runs as a file has them: one of a population as `first` and `count`, several as `at`: `5` is a
+/// compartment, `5+3` three from it on, `5+3*4` every fourth.
 mod strides {
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -152,13 +154,13 @@ pub struct MappedLayer {
     pub population: String,
     /// Channels, rows and columns of a box; boxes at the end of the layer may be smaller.
     pub size: (u32, u32, u32),
-    /// The cores of its boxes: channels of a place after each other, places of a row of boxes from west to east, then those
-    /// of the next row from east to west, and so on to and fro.
+    /// The cores of its boxes: channels of a place after each other, places of a row of boxes from
+    /// west to east, then those of the next row from east to west, and so on to and fro.
     pub places: Vec<OnChip>,
 }
 
-/// What was left out of the model before it was mapped. Together with the model it says which compartments and synapses
-/// there are to map.
+/// What was left out of the model before it was mapped. Together with the model it says which
+/// compartments and synapses there are to map.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Pruned")]
 pub struct PrunedFile {
@@ -195,8 +197,8 @@ pub struct MappingFile {
     /// Instead of cores: layers in boxes, of a network that is mapped by its kernels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub layers: Vec<MappedLayer>,
-    /// SHA-256 of the other fields; a file that was written by hand has none. Once read, one that is
-    /// not that of the other fields.
+    /// SHA-256 of the other fields; a file that was written by hand has none. Once read, one that
+    /// is not that of the other fields.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub checksum: Option<String>,
 }

@@ -1,8 +1,8 @@
 //! Neuron kinds as model files name them, and the parameters that each takes.
 //!
-//! A parameter is an integer of the hardware; some may be given as a real number instead, under another name. The reader,
-//! `compile::frontend` and every table of parameters go by [`NeuronKind::parameters`]; what a kind does is in
-//! `nsim_dynamics`.
+//! A parameter is an integer of the hardware; some may be given as a real number instead, under
+//! another name. The reader, `compile::frontend` and every table of parameters go by
+//! [`NeuronKind::parameters`]; what a kind does is in `nsim_dynamics`.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,8 @@ pub enum NeuronKind {
     Loihi,
     /// Integrate-and-fire: no memory in the current, no leak of the voltage.
     If,
-    /// Decaying current and voltage; a spike subtracts the threshold from the voltage instead of clearing it.
+    /// Decaying current and voltage; a spike subtracts the threshold from the voltage instead of
+    /// clearing it.
     SoftReset,
 }
 

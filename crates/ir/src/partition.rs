@@ -1,7 +1,7 @@
 //! Compartments on logical cores.
 //!
-//! True of every [`Partition`]: each compartment sits on exactly one core in exactly one slot, and each core's use of
-//! every resource is within the target's limits.
+//! True of every [`Partition`]: each compartment sits on exactly one core in exactly one slot, and
+//! each core's use of every resource is within the target's limits.
 
 use std::ops::{Index, IndexMut};
 
@@ -87,7 +87,8 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Cores with their compartments in slot order, and what each core uses (from `compile::resources::exact`).
+    /// Cores with their compartments in slot order, and what each core uses (from
+    /// `compile::resources::exact`).
     ///
     /// # Errors
     /// [`PartitionError`] when a compartment has not exactly one seat or a core exceeds a limit.

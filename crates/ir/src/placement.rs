@@ -1,8 +1,8 @@
 //! Logical cores on physical ones, and the routes of messages between them.
 //!
-//! Chips stand on a rectangular board and tiles on a rectangular mesh; a message goes east or west first, then north or
-//! south (dimension order, as Loihi's mesh does: Davies et al. 2018). True of every [`Placement`]: one to one, inside the
-//! mesh.
+//! Chips stand on a rectangular board and tiles on a rectangular mesh; a message goes east or west
+//! first, then north or south (dimension order, as Loihi's mesh does: Davies et al. 2018). True of
+//! every [`Placement`]: one to one, inside the mesh.
 
 use crate::base::id::{CoreId, IdVec};
 use crate::hardware::Target;
@@ -136,7 +136,8 @@ impl Route {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PlacementError {
     /// Outside the mesh.
-    #[error("{core} is placed on chip {} tile ({}, {}) core {}, which the target does not have", site.chip, site.x, site.y, site.core)]
+    #[error("{core} is placed on chip {} tile ({}, {}) core {}, which the target does not \
+             have", site.chip, site.x, site.y, site.core)]
     Outside {
         /// The logical core.
         core: CoreId,

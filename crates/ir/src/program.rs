@@ -1,8 +1,9 @@
 //! What the machine runs: one closed image for each core, and nothing by name.
 //!
-//! A spike of a compartment sends one message to each core that holds a target of it; there the message's input axon
-//! selects a list of synapses. Input channels do the same from outside. Input axons whose lists differ by a shift of all
-//! their slots can be members of population axons and select one stored list ([`PopulationAxon`]). True of every
+//! A spike of a compartment sends one message to each core that holds a target of it; there the
+//! message's input axon selects a list of synapses. Input channels do the same from outside. Input
+//! axons whose lists differ by a shift of all their slots can be members of population axons and
+//! select one stored list ([`PopulationAxon`]). True of every
 //! [`Program`]: every table is closed (each message meets an existing axon, each synapse an existing compartment), no axon
 //! is reached by two sources, and every stored list is selected.
 //! That it equals its `Quantised` network is for `compile::check::equivalence` to prove.
@@ -55,12 +56,14 @@ pub struct CoreFormat {
     pub delay_bits: u8,
     /// Bits of its target indices; `None` for a dense list, whose targets follow each other.
     pub index_bits: Option<u8>,
-    /// Bits of the slots left out before each synapse, in a list that has an index for its first one only.
+    /// Bits of the slots left out before each synapse, in a list that has an index for its first
+    /// one only.
     pub skip_bits: Option<u8>,
 }
 
-/// A core's entry for several sources, distinguished by the atom that their messages carry: the channels at one position of
-/// a population. Population axons that are given the same table store it once, each with another base.
+/// A core's entry for several sources, distinguished by the atom that their messages carry: the
+/// channels at one position of a population. Population axons that are given the same table store
+/// it once, each with another base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PopulationAxon {
     /// The list of atom 0; those of the other atoms follow it.
@@ -112,8 +115,9 @@ pub struct Stored {
     pub lists: Csr<Synapse>,
     /// Population axons; few, or none.
     pub populations: Vec<PopulationAxon>,
-    /// Input axons up to the last that is a member of a population axon; those after it are discrete and have the last
-    /// lists, in order. So a core without population axons has none here, and axon i has list i.
+    /// Input axons up to the last that is a member of a population axon; those after it are
+    /// discrete and have the last lists, in order. So a core without population axons has none
+    /// here, and axon i has list i.
     pub axons: Vec<InputAxon>,
     /// Input axons after these.
     pub plain: u32,
@@ -195,7 +199,8 @@ impl Stored {
         })
     }
 
-    /// Every synapse, with the slot that it leads to; one that several sources share, once for each.
+    /// Every synapse, with the slot that it leads to; one that several sources share, once for
+    /// each.
     pub fn synapses(&self) -> impl Iterator<Item = Synapse> {
         self.iter().flat_map(Selected::synapses)
     }
@@ -209,8 +214,8 @@ impl Stored {
         }
     }
 
-    /// Whether every axon selects a list, each list of a discrete axon is selected by it alone, each axon's atom is in the
-    /// table of its population, and slots are below a number.
+    /// Whether every axon selects a list, each list of a discrete axon is selected by it alone,
+    /// each axon's atom is in the table of its population, and slots are below a number.
     fn is_closed(&self, slots: usize) -> bool {
         let most = |lists: Range<usize>| lists.flat_map(|list| self.lists.get(list)).map(|s| s.slot).max();
         if self.plain as usize > self.lists.len() {
@@ -265,13 +270,15 @@ pub struct CoreImage {
     pub ids: Vec<CompartmentId>,
     /// Formats of its synapses.
     pub formats: Vec<CoreFormat>,
-    /// Input axons and the synapses that they select; equal cores of several copies may hold the same.
+    /// Input axons and the synapses that they select; equal cores of several copies may hold the
+    /// same.
     pub inputs: Shared<Stored>,
     /// Messages that a spike sends, by slot, in ascending order of cores.
     pub axons_out: Csr<AxonTarget>,
 }
 
-/// Consecutive sources whose spikes all carry the same integer. Sources are numbered channels first, then compartments.
+/// Consecutive sources whose spikes all carry the same integer. Sources are numbered channels
+/// first, then compartments.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Graded {
     /// The sources.
@@ -287,8 +294,8 @@ pub struct Compartments {
     pub first: CompartmentId,
     /// How many.
     pub count: u32,
-    /// Positions of its shape over space, at least 1: compartments are numbered channel by channel, so that channel c at
-    /// position p is number `c * positions + p`.
+    /// Positions of its shape over space, at least 1: compartments are numbered channel by channel,
+    /// so that channel c at position p is number `c * positions + p`.
     pub positions: u32,
 }
 
@@ -353,7 +360,8 @@ impl Marks {
 }
 
 impl Parts {
-    /// What of a core points nowhere; its lists are known to be closed when they have been `seen` before.
+    /// What of a core points nowhere; its lists are known to be closed when they have been `seen`
+    /// before.
     fn not_closed(&self, core: CoreId, seen: bool, marks: &Marks) -> Option<&'static str> {
         let image = &self.cores[core];
         let slots = image.compartments.len();
@@ -385,7 +393,8 @@ impl Parts {
         (!reach).then_some("an output axon leads nowhere or shares its input axon")
     }
 
-    /// Whether the lists of each core are those of a core before it, which has as many slots and formats.
+    /// Whether the lists of each core are those of a core before it, which has as many slots and
+    /// formats.
     fn seen_before(&self) -> IdVec<CoreId, bool> {
         let mut known = HashSet::new();
         let key = |image: &CoreImage| (image.inputs.address(), image.compartments.len(), image.formats.len());
@@ -408,7 +417,8 @@ impl Program {
     /// A program from its parts.
     ///
     /// # Errors
-    /// [`NotClosed`] when a message, a synapse, a seat or a site leads nowhere, or two sources share an axon.
+    /// [`NotClosed`] when a message, a synapse, a seat or a site leads nowhere, or two sources
+    /// share an axon.
     pub fn new(parts: Parts) -> Result<Self, NotClosed> {
         let wrong = |core: CoreId, what: &str| Err(NotClosed(format!("{core}: {what}")));
         let marks = Marks::new(&parts);
@@ -473,8 +483,8 @@ impl Program {
         self.parts.dealt.as_ref().and_then(|dealt| dealt.held)
     }
 
-    /// What a rank holds of a program that is dealt out: the tables of its cores and the messages that go to them. All else, such
-    /// as the seats of compartments, every rank has.
+    /// What a rank holds of a program that is dealt out: the tables of its cores and the messages
+    /// that go to them. All else, such as the seats of compartments, every rank has.
     ///
     /// # Errors
     /// [`NotClosed`] when the program is not dealt out, or is a part already.

@@ -1,13 +1,13 @@
 //! The resources of a core: what each is called, and how much of each a core has.
 //!
-//! Input: the `limits` of a chip file. Output: [`Limits`], a table by [`Resource`], with the pools that resources share and
-//! the rules by which axons and synapses take of them.
-//! Invariants: every resource has a limit, its own or the most that its pools leave it.
-//! Errors: a resource that has neither a limit nor a pool; a pool that nothing draws on.
+//! Input: the `limits` of a chip file. Output: [`Limits`], a table by [`Resource`], with the pools
+//! that resources share and the rules by which axons and synapses take of them. Invariants: every
+//! resource has a limit, its own or the most that its pools leave it. Errors: a resource that has
+//! neither a limit nor a pool; a pool that nothing draws on.
 //!
-//! A resource is described once, in the table of [`Resource`]: files, messages, reports and counts take their names, their
-//! order and their number from it. To add one, add a row here, count it where the counter makes a table of uses, and give
-//! it a limit in the chip files.
+//! A resource is described once, in the table of [`Resource`]: files, messages, reports and counts
+//! take their names, their order and their number from it. To add one, add a row here, count it
+//! where the counter makes a table of uses, and give it a limit in the chip files.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -25,16 +25,18 @@ pub enum Packing {
     Nxtf,
 }
 
-/// What an output axon is counted for. A population axon of a core serves the sources at one position (its atoms).
+/// What an output axon is counted for. A population axon of a core serves the sources at one
+/// position (its atoms).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub enum OutputAxons {
     /// For each compartment and destination core.
     #[default]
     PerCompartment,
-    /// For each destination core and position whose compartments on the core send to population axons only, and to the same
-    /// ones; for each compartment and destination core otherwise.
+    /// For each destination core and position whose compartments on the core send to population
+    /// axons only, and to the same ones; for each compartment and destination core otherwise.
     PerPosition {
-        /// Atoms that a population axon of the slots of a discrete one has at most (pop16); its base is a multiple of 4.
+        /// Atoms that a population axon of the slots of a discrete one has at most (pop16); its
+        /// base is a multiple of 4.
         atoms: u16,
         /// Slots that an output axon to any other population axon (pop32) takes more.
         more_slots: u32,
@@ -176,7 +178,8 @@ macro_rules! resources {
     };
 }
 
-const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core is on \
+const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core \
+                              is on \
     another chip): reduce the fan-out, or let `--relays` add compartments that carry spikes on";
 const WORDS_ADVICE: &str =
     "use fewer synapses, fewer weight bits, or no delays, or split the fan-in over intermediate populations";
@@ -209,7 +212,8 @@ resources! {
     /// Distinct threshold mantissas.
     ThresholdProfiles, threshold_profiles: "map.threshold-profiles", Some("thresholds"),
         "threshold profiles of its core", "let compartments share their threshold";
-    /// Dendritic accumulators: compartments times delay slots, a power of two above the longest delay.
+    /// Dendritic accumulators: compartments times delay slots, a power of two above the longest
+    /// delay.
     Accumulators, accumulators: "map.accumulators", Some("accumulators"), "dendritic accumulators of its core",
         "shorten the longest delay into this population: a compartment takes one accumulator for each step of it, \
          rounded up to a power of two";

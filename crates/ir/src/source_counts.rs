@@ -1,7 +1,8 @@
-//! How often each source of spikes fired over a run, and how often values left their fields, by compartment.
+//! How often each source of spikes fired over a run, and how often values left their fields, by
+//! compartment.
 //!
-//! Made by an engine, read by those who sum over populations. Merging is addition, so neither the order of samples nor
-//! threads can change a sum.
+//! Made by an engine, read by those who sum over populations. Merging is addition, so neither the
+//! order of samples nor threads can change a sum.
 
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec};
 

@@ -1,8 +1,9 @@
 //! RON with positions: [`parse`] reads a text into mirrors whose values know their place in it.
 //!
-//! RON lends slices of raw values. The offset of such a slice in the text is the place of the value; while a text is being
-//! parsed, its address is kept in a thread-local, since serde cannot pass context to nested values. A value that fails
-//! inside a raw slice reports its own position, not that of the slice's end.
+//! RON lends slices of raw values. The offset of such a slice in the text is the place of the
+//! value; while a text is being parsed, its address is kept in a thread-local, since serde cannot
+//! pass context to nested values. A value that fails inside a raw slice reports its own position,
+//! not that of the slice's end.
 
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
@@ -139,7 +140,8 @@ impl<T: Serialize> Serialize for Spanned<T> {
     }
 }
 
-/// A value that is a plain number, a list, or a named source of numbers, decided by its first character.
+/// A value that is a plain number, a list, or a named source of numbers, decided by its first
+/// character.
 pub enum Shape<'de> {
     /// `3`, `-0.5`
     Number(f64),
@@ -185,7 +187,8 @@ pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Re
     parse_blanked(source, source.text(), code)
 }
 
-/// Parses a text in which the inside of lists may have been blanked out byte for byte; [`list_at`] reads those.
+/// Parses a text in which the inside of lists may have been blanked out byte for byte; [`list_at`]
+/// reads those.
 pub fn parse_blanked<T: DeserializeOwned>(source: &SourceText, text: &str, code: &'static str) -> Result<T> {
     attempt(text, source.text()).map_err(|Malformed { span, message }| {
         let others = other_missing_fields::<T>(source.text(), text, &Malformed { span, message: message.clone() });
@@ -236,8 +239,8 @@ fn missing_field(message: &str) -> Option<(&str, &str)> {
     Some((field, rest.split_once("in `")?.1.split_once('`')?.0))
 }
 
-/// Fields that are missing besides the first, and where. RON ends at the first one, so that is filled in and the text is read
-/// again, until something else is wrong.
+/// Fields that are missing besides the first, and where. RON ends at the first one, so that is
+/// filled in and the text is read again, until something else is wrong.
 fn other_missing_fields<T: DeserializeOwned>(
     written: &str,
     text: &str,

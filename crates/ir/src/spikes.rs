@@ -49,7 +49,8 @@ impl Sample {
         Sample { label: None, first: vec![0; steps as usize + 1], channels: Vec::new() }
     }
 
-    /// A sample of `steps` timesteps from (step, channel) events in any order; an event given twice is one spike.
+    /// A sample of `steps` timesteps from (step, channel) events in any order; an event given twice
+    /// is one spike.
     ///
     /// # Errors
     /// [`SampleError`] for an event outside the sample.
@@ -57,8 +58,8 @@ impl Sample {
         if u32::try_from(events.len()).is_err() {
             return Err(SampleError::TooMany);
         }
-        // Recordings come channel by channel or step by step; either way a stable count over steps leaves each step's
-        // channels ascending, and little is left to sort.
+        // Recordings come channel by channel or step by step; either way a stable count over steps
+        // leaves each step's channels ascending, and little is left to sort.
         let mut next = vec![0u32; steps as usize + 1];
         for &(step, _) in events {
             *next.get_mut(step as usize + 1).ok_or(SampleError::Step { step, steps })? += 1;
@@ -103,8 +104,9 @@ impl Sample {
         Sample { label, ..self }
     }
 
-    /// The channels that spike in a step when each of so many copies of a network, one after the other, sees the sample:
-    /// ascending, each once. They are written to `shown` where there are several copies.
+    /// The channels that spike in a step when each of so many copies of a network, one after the
+    /// other, sees the sample: ascending, each once. They are written to `shown` where there are
+    /// several copies.
     pub fn at_copies<'s>(&'s self, step: u32, copies: Copies, shown: &'s mut Vec<ChannelId>) -> &'s [ChannelId] {
         let Copies { copies, channels } = copies;
         if copies == 1 {
@@ -239,25 +241,27 @@ impl<I: Id> Spike for GradedSpike<I> {
     }
 }
 
-/// An engine after a step: what probes, digests and comparisons read. `fast` and `golden` are chosen at run time.
+/// An engine after a step: what probes, digests and comparisons read. `fast` and `golden` are
+/// chosen at run time.
 pub trait Engine {
-    /// Clears state, spikes in flight and everything counted; the coming sample has this many steps.
+    /// Clears state, spikes in flight and everything counted; the coming sample has this many
+    /// steps.
     fn begin(&mut self, steps: u32);
-    /// One timestep with these input channels spiking (ascending, each once). Their spikes carry what the network says of their
-    /// population.
+    /// One timestep with these input channels spiking (ascending, each once). Their spikes carry
+    /// what the network says of their population.
     fn step(&mut self, channels: &[ChannelId]);
-    /// Passes over this many steps without input, if nothing at all would happen in them: then every register is and stays
-    /// zero, and counts are as if they had been computed. Otherwise does nothing and returns false. With 0 it only says whether
-    /// that is so.
+    /// Passes over this many steps without input, if nothing at all would happen in them: then
+    /// every register is and stays zero, and counts are as if they had been computed. Otherwise
+    /// does nothing and returns false. With 0 it only says whether that is so.
     fn rest(&mut self, steps: u32) -> bool {
         let _ = steps;
         false
     }
-    /// Compartments that spiked in the last step, each once, in any order: putting them into one costs time that most who
-    /// ask need not spend.
+    /// Compartments that spiked in the last step, each once, in any order: putting them into one
+    /// costs time that most who ask need not spend.
     fn spikes(&self) -> &[CompartmentId];
-    /// What each of [`Engine::spikes`] carries, in that order, 1 for a binary spike. Empty if all spikes of the network are binary,
-    /// and in engines of real numbers.
+    /// What each of [`Engine::spikes`] carries, in that order, 1 for a binary spike. Empty if all
+    /// spikes of the network are binary, and in engines of real numbers.
     fn payloads(&self) -> &[i32] {
         &[]
     }
@@ -275,8 +279,8 @@ pub trait Engine {
     fn potential(&self, compartment: CompartmentId) -> f64 {
         self.v(compartment).into()
     }
-    /// What a probe of the chip's voltage register reads: the refractory counter while it is running
-    /// (`docs/semantics.md`, probes), the membrane otherwise.
+    /// What a probe of the chip's voltage register reads: the refractory counter while it is
+    /// running (`docs/semantics.md`, probes), the membrane otherwise.
     fn v_register(&self, compartment: CompartmentId) -> i32;
     /// Waits for what other processes have to say of the last step, before it is counted.
     fn settle(&mut self) {}

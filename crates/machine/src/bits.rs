@@ -1,7 +1,7 @@
 //! Bit sets.
 //!
-//! Input: words of bits. Output: the numbers of the set bits. Sets are sparse and the population count is unpredictable, so
-//! avoid a branch per bit.
+//! Input: words of bits. Output: the numbers of the set bits. Sets are sparse and the population
+//! count is unpredictable, so avoid a branch per bit.
 
 /// The lowest `count` bits, all 64 from there on.
 #[inline(always)]
@@ -9,10 +9,12 @@ pub(crate) fn ones(count: usize) -> u64 {
     if count >= 64 { u64::MAX } else { (1 << count) - 1 }
 }
 
-/// Numbers that [`write_ones`] writes without looking how many bits are set; it needs this much room after the last one.
+/// Numbers that [`write_ones`] writes without looking how many bits are set; it needs this much
+/// room after the last one.
 pub(crate) const UNCHECKED: usize = 4;
 
-/// Writes `name` of each set bit's number, ascending, from `places[begin]` on; returns the index after the last.
+/// Writes `name` of each set bit's number, ascending, from `places[begin]` on; returns the index
+/// after the last.
 #[inline(always)]
 pub(crate) fn write_ones<T>(places: &mut [T], begin: usize, mut bits: u64, name: impl Fn(u32) -> T) -> usize {
     let end = begin + bits.count_ones() as usize;

@@ -1,13 +1,15 @@
 //! The machine: a `Program` run timestep by timestep in the chip's integers.
 //!
-//! Input: an [`Image`], which is a program laid out for the processor, and input spikes. Output: spikes, registers, and the counts
-//! of the mapped program. A [`Machine`] is the state of one run. Energy and time are computed from the counts (`cost`).
+//! Input: an [`Image`], which is a program laid out for the processor, and input spikes. Output:
+//! spikes, registers, and the counts of the mapped program. A [`Machine`] is the state of one run.
+//! Energy and time are computed from the counts (`cost`).
 //!
 //! - `layout/`: a program as an image: compartments in lanes, synapses in dense blocks and lists.
 //! - `deliver/`: spikes into the delay ring.
 //! - `update/`: compartments, sixteen at a time.
 //! - `count/`: what spikes cause on the chip.
-//! - `ranks/`: one program run by several processes, each of which holds a part and has a machine for it.
+//! - `ranks/`: one program run by several processes, each of which holds a part and has a machine
+//!   for it.
 
 mod bits;
 pub mod count;
@@ -47,8 +49,8 @@ impl Default for Settings {
     }
 }
 
-/// From so many events a skip block on, a step visits every skip block: marking an arrival costs about as much as adding it, and
-/// visiting a skip block at rest as much as a few dozen additions.
+/// From so many events a skip block on, a step visits every skip block: marking an arrival costs
+/// about as much as adding it, and visiting a skip block at rest as much as a few dozen additions.
 const VISIT_ALL_FROM: u64 = 8;
 
 /// The state of a run over an image.
@@ -111,8 +113,8 @@ impl<'i> Machine<'i> {
         }
     }
 
-    /// A machine at rest, of the part of a program that this process holds; all ranks make theirs at the same time. The spikes of
-    /// these compartments, if any, are shown to every rank.
+    /// A machine at rest, of the part of a program that this process holds; all ranks make theirs
+    /// at the same time. The spikes of these compartments, if any, are shown to every rank.
     ///
     /// # Panics
     /// When the image is of no part, or the ranks hold parts of different mappings.
@@ -144,7 +146,8 @@ impl<'i> Machine<'i> {
         self.counts.take(self.image, &mut self.shards, self.arch)
     }
 
-    /// Compartment updates of the sample so far that were left out because the compartment was at rest.
+    /// Compartment updates of the sample so far that were left out because the compartment was at
+    /// rest.
     #[must_use]
     pub fn skipped_updates(&self) -> u64 {
         let computed: u64 = self.shards.iter().map(|state| state.visited).sum();
@@ -335,14 +338,14 @@ impl Engine for Machine<'_> {
 
     // Phases of step t, on every shard:
     //
-    // - Deliver(t) adds what the input spikes of step t and the compartment spikes of step t - 1 reach to the sums of the step in
-    //   which it arrives: step t + delay field for both.
+    // - Deliver(t) adds what the input spikes of step t and the compartment spikes of step t - 1
+    //   reach to the sums of the step in which it arrives: step t + delay field for both.
     // - Update(t) takes the sums of step t through the compartments and collects who spiked.
     // - Exchange(t) puts the spikes of all shards into one list.
     //
-    // Deliver(t) precedes Update(t) on the same shard; Update(t) on every shard precedes Exchange(t): that is the barrier;
-    // Exchange(t) precedes Deliver(t + 1). Sums are exact and narrowed once, so neither order nor number of shards and threads can
-    // change a result.
+    // Deliver(t) precedes Update(t) on the same shard; Update(t) on every shard precedes
+    // Exchange(t): that is the barrier; Exchange(t) precedes Deliver(t + 1). Sums are exact and
+    // narrowed once, so neither order nor number of shards and threads can change a result.
     fn step(&mut self, channels: &[ChannelId]) {
         let left = self.steps.saturating_sub(self.step);
         self.deliver_and_update(channels, left);
@@ -417,7 +420,8 @@ impl Engine for Machine<'_> {
     }
 
     fn totals(&self) -> Totals {
-        // Events belong to the step of their spike, and are counted when they are delivered, a step later.
+        // Events belong to the step of their spike, and are counted when they are delivered, a step
+        // later.
         let left = self.steps.saturating_sub(self.step);
         let spikes = self.spikes.iter().chain(&self.remote);
         let sources = spikes.map(|spike| self.image.channels + spike.0);

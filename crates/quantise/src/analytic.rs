@@ -1,15 +1,20 @@
-//! Spike response neurons -> Loihi compartments, by analysis: the start from which `agree` searches on.
+//! Spike response neurons -> Loihi compartments, by analysis: the start from which `agree` searches
+//! on.
 //!
-//! Input: a graph with spike response populations. Output: the same graph with current-based ones in their place,
-//! which `quantise` brings into integers. Networks without spike response neurons pass through unchanged.
+//! Input: a graph with spike response populations. Output: the same graph with current-based ones
+//! in their place, which `quantise` brings into integers. Networks without spike response neurons
+//! pass through unchanged.
 //!
-//! With equal decays du = dv and r = 1 - du / 4096 a compartment answers a spike with `v(k) = (k + 1) r^k`, and the alpha
-//! kernel is `eps(k) = (e / tau) k r^k` with r = exp(-dt / tau): the same shape, one step earlier. So du = dv =
-//! `4096 (1 - exp(-dt / tau))` matches the time to peak, and a threshold of theta times the quotient of the two peaks
-//! matches the height. A converted population therefore answers one step earlier than the one it stands for, in every
-//! layer. What has no counterpart is the refractory kernel, whose place the hard reset takes; the period is 1.
+//! With equal decays du = dv and r = 1 - du / 4096 a compartment answers a spike with
+//! `v(k) = (k + 1) r^k`, and the alpha kernel is `eps(k) = (e / tau) k r^k` with r = exp(-dt /
+//! tau): the same shape, one step earlier. So du = dv = `4096 (1 - exp(-dt / tau))` matches the
+//! time to peak, and a threshold of theta times the quotient of the two peaks matches the height. A
+//! converted population therefore answers one step earlier than the one it stands for, in every
+//! layer. What has no counterpart is the refractory kernel, whose place the hard reset takes; the
+//! period is 1.
 //!
-//! The scale is free: weights and threshold are real here, and `quantise` takes the largest scale at which they fit.
+//! The scale is free: weights and threshold are real here, and `quantise` takes the largest scale
+//! at which they fit.
 
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, Delay, Refractory, SignMode};
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind, Projection, ProjectionKind, SrmParameters, Values};
@@ -27,17 +32,19 @@ pub struct Fit {
     pub refractory: Refractory,
     /// Threshold in the units of the weights.
     pub threshold: f64,
-    /// All that comes in arrives so often: each copy with its delay in steps and its factor of the weights.
+    /// All that comes in arrives so often: each copy with its delay in steps and its factor of the
+    /// weights.
     pub copies: Vec<(u32, f64)>,
-    /// Synapses of each compartment onto itself in the units of the weights: those of delay 0, 1, .., for each one weight for
-    /// all or one each.
+    /// Synapses of each compartment onto itself in the units of the weights: those of delay 0, 1,
+    /// .., for each one weight for all or one each.
     pub own: Vec<Vec<f64>>,
-    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all weights.
+    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all
+    /// weights.
     pub greatest_input: Option<f64>,
 }
 
-/// The greatest value of a compartment's answer to one spike of weight 1, current and voltage keeping these shares of
-/// themselves in a step.
+/// The greatest value of a compartment's answer to one spike of weight 1, current and voltage
+/// keeping these shares of themselves in a step.
 #[must_use]
 pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
     let (mut u, mut v) = (1.0, 1.0);
@@ -58,8 +65,8 @@ const ITERATED: u32 = 100_000;
 /// The step at which an answer is read that never falls.
 const LATEST: f64 = 1e7;
 
-/// The greatest value of an answer that rises for longer: `(a^x - b^x) / (a - b)`, or `x a^(x - 1)` where a = b, at the x
-/// where its derivative is 0.
+/// The greatest value of an answer that rises for longer: `(a^x - b^x) / (a - b)`, or `x a^(x - 1)`
+/// where a = b, at the x where its derivative is 0.
 fn late_peak(a: f64, b: f64) -> f64 {
     let endless = a >= 1.0 || b >= 1.0;
     if (a - b).abs() < 1e-12 {
@@ -83,7 +90,8 @@ pub fn real_keep(srm: &SrmParameters, timestep_ms: f64) -> f64 {
     libm::exp(-timestep_ms / srm.tau_sr_ms)
 }
 
-/// The threshold at which the peak of an answer is that of the alpha kernel, relative to the threshold.
+/// The threshold at which the peak of an answer is that of the alpha kernel, relative to the
+/// threshold.
 #[must_use]
 pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v: f64) -> f64 {
     // eps(k + 1) = (e r / tau) (k + 1) r^k.
@@ -115,7 +123,8 @@ pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) ->
     one * most / peak(keep_u, keep_v)
 }
 
-/// The threshold at which a constant input brings the potential as far as the alpha kernel does, relative to the threshold.
+/// The threshold at which a constant input brings the potential as far as the alpha kernel does,
+/// relative to the threshold.
 #[must_use]
 pub fn area_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v: f64) -> f64 {
     // The sum of eps(k) = (e / tau) k r^k is (e / tau) r / (1 - r)^2.
@@ -124,14 +133,16 @@ pub fn area_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v
     srm.theta / (area * (1.0 - keep_u) * (1.0 - keep_v))
 }
 
-/// Weights of the synapses of a compartment onto itself, of delay 0, 1, .., that give back what a spike's hard reset takes
-/// and bring the refractory response in its place.
+/// Weights of the synapses of a compartment onto itself, of delay 0, 1, .., that give back what a
+/// spike's hard reset takes and bring the refractory response in its place.
 ///
-/// A spike at step t leaves v(t) = 0 where the spike response neuron keeps its potential and adds nu(k), k steps later, nu(k) =
-/// -scale (k / tau_ref) exp(1 - k / tau_ref). With thresholds of 1 and g the voltage at a spike, the synapses have to bring the
-/// response `c(k) = g keep_v^k + nu(k)`. What arrives passes current and voltage, so that their weights are
-/// `w(z) = (1 - keep_u z) (1 - keep_v z) c(z)`, cut off after `count`. The voltage at a spike is above the threshold by up to the
-/// last step's input: `given_back` is its mean, which calibration finds. `refractory` scales nu.
+/// A spike at step t leaves v(t) = 0 where the spike response neuron keeps its potential and adds
+/// nu(k), k steps later, nu(k) = -scale (k / tau_ref) exp(1 - k / tau_ref). With thresholds of 1
+/// and g the voltage at a spike, the synapses have to bring the response
+/// `c(k) = g keep_v^k + nu(k)`. What arrives passes current and voltage, so that their weights are
+/// `w(z) = (1 - keep_u z) (1 - keep_v z) c(z)`, cut off after `count`. The voltage at a spike is
+/// above the threshold by up to the last step's input: `given_back` is its mean, which calibration
+/// finds. `refractory` scales nu.
 #[must_use]
 pub fn own_synapses(
     (srm, timestep_ms): (&SrmParameters, f64),
@@ -207,7 +218,8 @@ pub fn stands_for_reset(name: &str) -> bool {
     name.contains(ITSELF)
 }
 
-/// The network with Loihi compartments only, those of `fits` (in the order of the file) in place of spike response neurons.
+/// The network with Loihi compartments only, those of `fits` (in the order of the file) in place of
+/// spike response neurons.
 #[must_use]
 pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
     let kinds = graph.with_kinds(|node, population| match (&population.kind, &fits[node.index()]) {

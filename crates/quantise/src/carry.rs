@@ -1,16 +1,19 @@
 //! What rounding takes from a delayed copy of a weight is carried over to the next copy.
 //!
-//! Input: a population to which each source sends over several synapses of different delays, which together stand for one response
-//! kernel; real weights and their integers. Output: integers whose errors cancel. Rounded one by one, n copies leave errors that add
-//! up as sqrt(n); in a population with thousands of sources that is what moves its spikes.
+//! Input: a population to which each source sends over several synapses of different delays, which
+//! together stand for one response kernel; real weights and their integers. Output: integers whose
+//! errors cancel. Rounded one by one, n copies leave errors that add up as sqrt(n); in a population
+//! with thousands of sources that is what moves its spikes.
 //!
-//! In the order of the delays, what the integers so far left of a spike in current and voltage, `e_u` and `e_v`, decays as the
-//! registers do. With h(k) the voltage's response to a unit of input, the next weight w becomes the mantissa q nearest to
+//! In the order of the delays, what the integers so far left of a spike in current and voltage,
+//! `e_u` and `e_v`, decays as the registers do. With h(k) the voltage's response to a unit of
+//! input, the next weight w becomes the mantissa q nearest to
 //!
 //! `w + e_u + rho e_v`, `rho = sum over k of keep_v^k h(k) / sum over k of h(k)^2`,
 //!
-//! for which the squared error of the voltage would be least if no copy followed. With VT-SNN's spike response network (3,150
-//! sources, 16 copies) the coincidence of the layer `sight` rises from 0.859 to 0.926, with real weights it is 0.934.
+//! for which the squared error of the voltage would be least if no copy followed. With VT-SNN's
+//! spike response network (3,150 sources, 16 copies) the coincidence of the layer `sight` rises
+//! from 0.859 to 0.926, with real weights it is 0.934.
 
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::scaled;
@@ -23,12 +26,12 @@ use nsim_ir::quantised::{Neurons, Population, Projection, Units};
 /// Steps over which responses are summed.
 const SUMMED: usize = 2_000;
 
-/// A synapse of one source: its target, the place of its projection in the order of delays, its own place there, and its weight in
-/// register units.
+/// A synapse of one source: its target, the place of its projection in the order of delays, its own
+/// place there, and its weight in register units.
 type Synapse = (u32, usize, usize, f64);
 
-/// Rounds anew what enters each population whose input is copied ([`graph::NeuronParameters::greatest_input`]); `scales` are
-/// register units for a real unit.
+/// Rounds anew what enters each population whose input is copied
+/// ([`graph::NeuronParameters::greatest_input`]); `scales` are register units for a real unit.
 pub fn carry(
     graph: &Graph,
     populations: &IdVec<PopulationId, Population>,
@@ -182,7 +185,8 @@ mod tests {
     use nsim_ir::base::diagnostic::SourceText;
     use nsim_ir::base::fixed::Decay;
 
-    /// What a spike of each source leaves in the current after the last copy, less what real weights leave, in steps of a weight.
+    /// What a spike of each source leaves in the current after the last copy, less what real
+    /// weights leave, in steps of a weight.
     fn left(detail: Detail) -> Vec<f64> {
         let text = "Network(name: \"t\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [40]), \
             Srm(name: \"o\", shape: [3], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10)], projections: [\

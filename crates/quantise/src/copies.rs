@@ -1,8 +1,8 @@
 //! Several copies of a network that share nothing.
 //!
-//! Input: a network. Output: one with every population and projection as many times, copy after copy. Populations of
-//! copy k are named `name@k` from k = 1 on; input channels are copied too, so that each copy has its own input axons.
-//! Weights are shared in memory, which no chip sees.
+//! Input: a network. Output: one with every population and projection as many times, copy after
+//! copy. Populations of copy k are named `name@k` from k = 1 on; input channels are copied too, so
+//! that each copy has its own input axons. Weights are shared in memory, which no chip sees.
 
 use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::graph::MOST_UNITS;
@@ -17,7 +17,8 @@ pub fn copied_name(name: &str, k: u32) -> String {
 /// So many copies. The output population is that of copy 0.
 ///
 /// # Errors
-/// [`Inconsistent`] when there are none, more units than a network may have, or a name that a copy would take again.
+/// [`Inconsistent`] when there are none, more units than a network may have, or a name that a copy
+/// would take again.
 pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
     let units = u64::from(network.channels()).max(u64::from(network.compartments()));
     if n == 0 || units * u64::from(n) > MOST_UNITS {

@@ -1,22 +1,27 @@
 //! The scale of each population with a real threshold, and an exponent for each projection into it.
 //!
-//! Input: a graph. Output: the same graph where every projection whose file leaves the exponent open has one, and the scale
-//! S (register units for a real unit) of its target is said; `quantise` rounds what is left. A weight w with exponent e has the
-//! mantissa `w S / 2^(6 + e)`.
+//! Input: a graph. Output: the same graph where every projection whose file leaves the exponent
+//! open has one, and the scale S (register units for a real unit) of its target is said; `quantise`
+//! rounds what is left. A weight w with exponent e has the mantissa `w S / 2^(6 + e)`.
 //!
-//! - *Scale.* S0 is the greatest scale at which every weight fits with exponent 0. S is S0 doubled as often as these bounds
-//!   allow: the sum of all weights of a compartment, or the greatest input that a calibration foresees, stays within the 21
-//!   bits of a step's input and, held for ever, the current within 23 bits; the bias fits its field; the threshold is at most 2^16 register units, which leaves 128 thresholds below
-//!   zero before the voltage clips. The largest weights are rounded as with S0, thresholds and biases more finely, and what
-//!   the decays round away counts less.
-//! - *Exponents.* Each projection takes the least exponent at which its own weights fit, and at least the one whose step is 64
-//!   register units: below, the chip drops the low six bits.
-//! - *Groups.* Where the largest weight is more than [`HEAVY`] times the root mean square of its projection, one step for all
-//!   would be large for most weights. Such a projection, and any small one, is split into up to four by size, each with its
-//!   own exponent; no synapse is added. A recurrent NIR network (38 neurons, largest weight 11 times the root mean square) coincides with its
-//!   real numbers in 0.77 of its hidden spikes with one exponent for all, 0.89 with one a projection, 0.97 with groups.
+//! - *Scale.* S0 is the greatest scale at which every weight fits with exponent 0. S is S0 doubled
+//!   as often as these bounds allow: the sum of all weights of a compartment, or the greatest input
+//!   that a calibration foresees, stays within the 21 bits of a step's input and, held for ever,
+//!   the current within 23 bits; the bias fits its field; the threshold is at most 2^16 register
+//!   units, which leaves 128 thresholds below zero before the voltage clips. The largest weights
+//!   are rounded as with S0, thresholds and biases more finely, and what the decays round away
+//!   counts less.
+//! - *Exponents.* Each projection takes the least exponent at which its own weights fit, and at
+//!   least the one whose step is 64 register units: below, the chip drops the low six bits.
+//! - *Groups.* Where the largest weight is more than [`HEAVY`] times the root mean square of its
+//!   projection, one step for all would be large for most weights. Such a projection, and any small
+//!   one, is split into up to four by size, each with its own exponent; no synapse is added. A
+//!   recurrent NIR network (38 neurons, largest weight 11 times the root mean square) coincides
+//!   with its real numbers in 0.77 of its hidden spikes with one exponent for all, 0.89 with one a
+//!   projection, 0.97 with groups.
 //!
-//! Left alone: populations with an integer threshold, and those where a projection says its `weight_scale`.
+//! Left alone: populations with an integer threshold, and those where a projection says its
+//! `weight_scale`.
 
 use petgraph::graph::{DiGraph, NodeIndex};
 
@@ -28,7 +33,8 @@ use nsim_ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, Pr
 
 /// The quotient of largest weight and root mean square above which a projection is split.
 pub const HEAVY: f64 = 4.0;
-/// Synapses up to which a projection is split in any case: a bias that a compartment delivers, a small layer.
+/// Synapses up to which a projection is split in any case: a bias that a compartment delivers, a
+/// small layer.
 const SMALL: usize = 1 << 12;
 /// The most synapses of a projection that is split: they are listed one by one.
 const MOST_SPLIT: usize = 1 << 16;
@@ -90,7 +96,8 @@ fn factor(exponent: i64) -> f64 {
     libm::exp2((exponent + i64::from(WEIGHT_SHIFT)) as f64)
 }
 
-/// Its weights, each with its source and target where no two synapses share one, else with its output channel.
+/// Its weights, each with its source and target where no two synapses share one, else with its
+/// output channel.
 fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, Span)> {
     match &projection.kind {
         ProjectionKind::Dense { weights, rows } => {
@@ -113,7 +120,8 @@ fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, Span)> 
     }
 }
 
-/// The greatest sum of excitatory, and of inhibitory weights that one spike of every source can bring to a compartment.
+/// The greatest sum of excitatory, and of inhibitory weights that one spike of every source can
+/// bring to a compartment.
 fn greatest_sum(graph: &Graph, node: NodeIndex) -> f64 {
     let units = graph.population(node).shape.len() as usize;
     let (mut above, mut below) = (vec![0.0f64; units], vec![0.0f64; units]);
@@ -284,7 +292,8 @@ mod tests {
         let two = "Dense(from: [\"in\"], to: \"o\", weights: [[4.0, 3.0, 2.0]]), \
                    Dense(from: [\"in\"], to: \"o\", weights: [[0.4, 0.3, 0.2]])";
         let graph = graph("Loihi(name: \"o\", shape: [1], du: 4096, dv: 4096, vth: 1.0)", two);
-        // S0 = 254 * 64 / 4 = 4,064, doubled to 65,024 <= 2^16; 4.0 needs 2^4 more than exponent 0 gave.
+        // S0 = 254 * 64 / 4 = 4,064, doubled to 65,024 <= 2^16; 4.0 needs 2^4 more than exponent 0
+        // gave.
         assert_eq!(exponents(&graph), [4, 1], "all within two powers of two");
         let quantised = quantise(&graph).unwrap();
         let largest = quantised.projections().iter().map(|p| {

@@ -1,14 +1,18 @@
-//! [`Graph`] -> [`Quantised`]: every number becomes an integer that fits its hardware field, or is refused by name.
+//! [`Graph`] -> [`Quantised`]: every number becomes an integer that fits its hardware field, or is
+//! refused by name.
 //!
-//! A population is in one of two domains. With `vth_mant` its threshold, bias and incoming weights are the hardware's own
-//! integers (a projection may still give real weights with a `weight_scale`). With a real `vth` everything that comes in
-//! is real, and one scale S, in register units for a real unit, turns it into integers: a weight of a format with
-//! exponent e has mantissa `w S / 2^(6 + e)`, the threshold mantissa is `vth S / 64`, the bias `b S`. S and the exponents are
-//! those of [`super::exponents`], unless a `weight_scale` pins S or a projection says its exponent.
+//! A population is in one of two domains. With `vth_mant` its threshold, bias and incoming weights
+//! are the hardware's own integers (a projection may still give real weights with a
+//! `weight_scale`). With a real `vth` everything that comes in is real, and one scale S, in
+//! register units for a real unit, turns it into integers: a weight of a format with exponent e has
+//! mantissa `w S / 2^(6 + e)`, the threshold mantissa is `vth S / 64`, the bias `b S`. S and the
+//! exponents are those of [`super::exponents`], unless a `weight_scale` pins S or a projection says
+//! its exponent.
 //!
-//! Time constants become `4096 (1 - exp(-dt / tau))`, the exact decay of an exponential over one timestep. Weights are
-//! rounded to their format's least step as `weight_rounding` says (`docs/semantics.md`, weights); whatever that changed is
-//! left as a note. What it does not do: find better integers by search.
+//! Time constants become `4096 (1 - exp(-dt / tau))`, the exact decay of an exponential over one
+//! timestep. Weights are rounded to their format's least step as `weight_rounding` says
+//! (`docs/semantics.md`, weights); whatever that changed is left as a note. What it does not do:
+//! find better integers by search.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -107,7 +111,8 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
     Quantised::new(parts).map_err(|e| Diagnostic::new("model.inconsistent", e.to_string()).in_file(facts.source.path()))
 }
 
-/// Register units for a real unit of each population, in the order of the file; none where the model gives integers.
+/// Register units for a real unit of each population, in the order of the file; none where the
+/// model gives integers.
 ///
 /// # Errors
 /// As [`quantise`], for thresholds and scales.
@@ -197,7 +202,8 @@ impl Stage<'_> {
                 );
                 let span = self.graph.populations().nth(target.0 as usize).map_or(Span::default(), |(_, p)| p.span);
                 return Err(self.error("model.semantics", message, span).help(
-                    "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use semantics Hardware",
+                    "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use semantics \
+                     Hardware",
                 ));
             }
             if let Units::Compartments { neurons, .. } = &mut population.units {
@@ -261,7 +267,8 @@ impl Stage<'_> {
                 Ok::<(), Diagnostic>(())
             })?;
         }
-        // Without weights nothing limits the scale; a threshold of 1,024 mantissa units leaves room for a bias.
+        // Without weights nothing limits the scale; a threshold of 1,024 mantissa units leaves room
+        // for a bias.
         let free = if driven { largest } else { largest.min(1024.0 * 64.0 / greatest) };
         Ok(Some(pinned.unwrap_or(free)))
     }
@@ -393,7 +400,8 @@ impl Stage<'_> {
             let message = format!("projection {}: weight_scale {} is not above 0", projection.name, scale.value);
             return Err(self.error("model.weight-scale", message, scale.span));
         }
-        // Mantissa units for a unit of the weights as they are given; none when they are mantissas already.
+        // Mantissa units for a unit of the weights as they are given; none when they are mantissas
+        // already.
         let factor = match (scale, &projection.weight_scale) {
             (Some(scale), _) => Some(scale / (f64::from(format.exponent.get()) + f64::from(WEIGHT_SHIFT)).exp2()),
             (None, Some(scale)) => Some(scale.value),
@@ -657,8 +665,8 @@ mod tests {
         assert_eq!(scaled, [[128 << 9, -(254 << 7)], [254 << 9, 128 << 7]]);
         let Units::Compartments { neurons, .. } = &q.populations().as_slice()[1].units else { panic!() };
         let neuron = neurons.get(1);
-        // S = 254 * 64 * 2^3 register units, the last doubling at which 0.5 S is within 2^16: the threshold 0.5 S / 64 = 1,016;
-        // du = 4096 (1 - exp(-1 / tau)) = 1024.
+        // S = 254 * 64 * 2^3 register units, the last doubling at which 0.5 S is within 2^16: the
+        // threshold 0.5 S / 64 = 1,016; du = 4096 (1 - exp(-1 / tau)) = 1024.
         assert_eq!((neuron.vth.get(), neuron.du.get()), (1016, 1024));
         assert_eq!((neuron.bias_mant.get(), neuron.bias_exp.get()), (4064, 3));
     }
@@ -692,7 +700,8 @@ mod tests {
     #[test]
     fn windows_and_random_synapses_lower() {
         let text = "Network(name: \"t\", timestep_ms: 1.0, populations: [
-            Input(name: \"in\", shape: [2, 5, 5]), Loihi(name: \"pool\", shape: [2, 3, 2], du: 4096, dv: 4096, vth_mant: 1),
+            Input(name: \"in\", shape: [2, 5, 5]), Loihi(name: \"pool\", shape: [2, 3, 2], du: 4096, dv: 4096, \
+                          vth_mant: 1),
             Loihi(name: \"conv\", shape: [1, 2, 2], du: 4096, dv: 4096, vth_mant: 1),
             Loihi(name: \"o\", shape: [3], du: 4096, dv: 4096, vth_mant: 1)],
             projections: [SumPool2d(from: [\"in\"], to: \"pool\", kernel: (2, 2), padding: (1, 0), weight: 2),

@@ -1,26 +1,30 @@
-//! Relays: compartments that carry spikes on, for compartments that reach more targets than they have output axons.
+//! Relays: compartments that carry spikes on, for compartments that reach more targets than they
+//! have output axons.
 //!
-//! Input: a network and the most targets that one compartment may have. Output: the same network in which every compartment
-//! that had more sends to relays, which are populations of their own behind the others, so that all numbers of the
-//! original stay. What relays do not change is for [`check::relays`](nsim_check::relays) to prove, which shares
-//! nothing with this. Errors: delays that leave no time for relays; graded spikes, which a relay does not carry.
+//! Input: a network and the most targets that one compartment may have. Output: the same network in
+//! which every compartment that had more sends to relays, which are populations of their own behind
+//! the others, so that all numbers of the original stay. What relays do not change is for
+//! [`check::relays`](nsim_check::relays) to prove, which shares nothing with this. Errors: delays
+//! that leave no time for relays; graded spikes, which a relay does not carry.
 //!
-//! A relay is a compartment without memory that spikes in the step in which its only synapse brings a spike, whatever was
-//! before. It so takes a spike one step later: over a relay a synapse of delay d keeps d - 1. A projection of delay 0 keeps
-//! its synapses at their compartment while there is room beside the relays; otherwise delays are *padded*: with L(p) the
-//! steps by which spikes of population p come later (0 for inputs), a projection from p to q has the delay
+//! A relay is a compartment without memory that spikes in the step in which its only synapse brings
+//! a spike, whatever was before. It so takes a spike one step later: over a relay a synapse of
+//! delay d keeps d - 1. A projection of delay 0 keeps its synapses at their compartment while there
+//! is room beside the relays; otherwise delays are *padded*: with L(p) the steps by which spikes of
+//! population p come later (0 for inputs), a projection from p to q has the delay
 //!
 //! ```text
 //! d' = d + L(q) - L(p),   with d' >= 1 where relays need it, and d' >= 0.
 //! ```
 //!
-//! All spikes of q then come L(q) steps later and are otherwise the same; where q starts, and when it is reset, moves along.
-//! The least L are longest paths; around a circle the sum of delays stays what it is, so a circle without enough of it is
-//! refused.
+//! All spikes of q then come L(q) steps later and are otherwise the same; where q starts, and when
+//! it is reset, moves along. The least L are longest paths; around a circle the sum of delays stays
+//! what it is, so a circle without enough of it is refused.
 //!
-//! A compartment of n targets and a limit of m keeps m - r of them beside r = (n - m) / (m - 1) relays, rounded up. Relays
-//! that still have too many are treated in the same way: trees grow level by level. Targets go to relays in the order of
-//! compartments, so that those of a relay are neighbours in the order of the file.
+//! A compartment of n targets and a limit of m keeps m - r of them beside r = (n - m) / (m - 1)
+//! relays, rounded up. Relays that still have too many are treated in the same way: trees grow
+//! level by level. Targets go to relays in the order of compartments, so that those of a relay are
+//! neighbours in the order of the file.
 
 use std::ops::Range;
 
@@ -110,7 +114,8 @@ fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
             if all > most {
                 let wanted = (all - most).div_ceil(most - 1).min(most);
                 *relays = wanted as u32;
-                // At least two relays are a level of a tree; what cannot wait has to fit beside them.
+                // At least two relays are a level of a tree; what cannot wait has to fit beside
+                // them.
                 tight |= without_delay > most - wanted.min(most);
             }
         }
@@ -373,7 +378,8 @@ impl Division<'_> {
             }
             waiting.clear();
             if relays > 0 {
-                // What has no delay to spare stays; then as many of the others as there are axons left.
+                // What has no delay to spare stays; then as many of the others as there are axons
+                // left.
                 let can_wait = |synapse: &Synapse| self.can_wait[synapse.projection];
                 synapses.sort_unstable_by_key(|synapse| (can_wait(synapse), *synapse));
                 let all = synapses.iter().filter(|synapse| can_wait(synapse)).count();
@@ -402,7 +408,8 @@ impl Division<'_> {
     }
 }
 
-/// Divides the synapses of a population among its compartments and their relays; returns the synapses of the relays.
+/// Divides the synapses of a population among its compartments and their relays; returns the
+/// synapses of the relays.
 fn split(network: &Quantised, parts: &mut Parts, need: &Need, most: u32, relays: PopulationId) -> Connectivity {
     let outgoing: Vec<ProjectionId> = network.outgoing(need.of).to_vec();
     let division = Division {

@@ -1,8 +1,10 @@
-//! Current-based neurons with exponential current and voltage and a reset to zero or by subtraction: the Loihi neuron without its integers.
+//! Current-based neurons with exponential current and voltage and a reset to zero or by
+//! subtraction: the Loihi neuron without its integers.
 //!
 //! Comes in, each step, what arrived: weighted spikes. Goes out who spikes:
-//! `u(t) = (1 - du) u(t - 1) + x(t)`, `v(t) = (1 - dv) v(t - 1) + u(t) + b`, a spike above the threshold, then v = 0 and held
-//! there until `refractory` steps after it, or v less the threshold (`docs/semantics.md`, equations 2 to 7, without rounding, wrapping or bits).
+//! `u(t) = (1 - du) u(t - 1) + x(t)`, `v(t) = (1 - dv) v(t - 1) + u(t) + b`, a spike above the
+//! threshold, then v = 0 and held there until `refractory` steps after it, or v less the threshold
+//! (`docs/semantics.md`, equations 2 to 7, without rounding, wrapping or bits).
 
 use super::real::Real;
 use nsim_dynamics::RealForm;
@@ -62,8 +64,8 @@ impl<F: Real> Cuba<F> {
         self.held.fill(0);
     }
 
-    /// One timestep: `arrivals` is one sum of weighted spikes a neuron. Calls `spike` with each neuron that spikes,
-    /// ascending.
+    /// One timestep: `arrivals` is one sum of weighted spikes a neuron. Calls `spike` with each
+    /// neuron that spikes, ascending.
     pub fn step(&mut self, arrivals: &[F], mut spike: impl FnMut(u32)) {
         for (i, (neuron, &x)) in self.neurons.iter().zip(arrivals).enumerate() {
             let u = neuron.keep_u * self.current[i] + x;
@@ -115,7 +117,8 @@ mod tests {
     use super::*;
     use nsim_ir::base::rng;
 
-    /// v by the definition: the double sum over all arrivals since the last reset of v, and before it through u.
+    /// v by the definition: the double sum over all arrivals since the last reset of v, and before
+    /// it through u.
     fn direct(p: &RealForm, arrivals: &[f64]) -> (Vec<f64>, Vec<usize>) {
         let (mut out, mut spikes) = (Vec::new(), Vec::new());
         let mut free_from = 0; // the first step that counts in v

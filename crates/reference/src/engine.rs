@@ -1,10 +1,11 @@
 //! A network of real-valued neurons, step by step.
 //!
-//! [`Model`] is the network made ready, shared by all samples; [`Reference`] is the state of one run over it. Channels and
-//! compartments are numbered over the populations in the order of the file, as everywhere. Spikes travel as the machine's
-//! do (`docs/semantics.md`, 1 and 2): input spikes of step t arrive in the update of step t + d, compartments' in that of
-//! step t + 1 + d. Spike response neurons alone take one step more from an input, since SLAYER's kernels are 0 at t = 0: an
-//! input spike of step t counts from step t + 1 + d on, as another neuron's does.
+//! [`Model`] is the network made ready, shared by all samples; [`Reference`] is the state of one
+//! run over it. Channels and compartments are numbered over the populations in the order of the
+//! file, as everywhere. Spikes travel as the machine's do (`docs/semantics.md`, 1 and 2): input
+//! spikes of step t arrive in the update of step t + d, compartments' in that of step t + 1 + d.
+//! Spike response neurons alone take one step more from an input, since SLAYER's kernels are 0 at t
+//! = 0: an input spike of step t counts from step t + 1 + d on, as another neuron's does.
 
 use petgraph::graph::NodeIndex;
 
@@ -180,7 +181,8 @@ impl<F: Real> Model<F> {
         }
     }
 
-    /// Every synapse: those of a source after those of all before it, in the order in which its spike is delivered.
+    /// Every synapse: those of a source after those of all before it, in the order in which its
+    /// spike is delivered.
     pub fn for_each_synapse(&self, mut each: impl FnMut(Synapse<F>)) {
         for inputs_first in [true, false] {
             for (population, projections) in self.populations.iter().zip(&self.projections) {
@@ -226,7 +228,8 @@ pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
     }
 }
 
-/// What a weight of 1 adds to the current of its target: register units when the target's threshold is in them.
+/// What a weight of 1 adds to the current of its target: register units when the target's threshold
+/// is in them.
 fn weight_unit(graph: &Graph, target: NodeIndex, projection: &nsim_ir::graph::Projection) -> f64 {
     let PopulationKind::Neurons(parameters) = &graph.population(target).kind else { return 1.0 };
     match parameters.get("vth") {
@@ -282,7 +285,8 @@ impl<'m, F: Real> Reference<'m, F> {
         }
     }
 
-    /// The membrane potential after the last step: u of a spike response neuron, v of a current-based one.
+    /// The membrane potential after the last step: u of a spike response neuron, v of a
+    /// current-based one.
     #[must_use]
     pub fn potential(&self, compartment: CompartmentId) -> f64 {
         let (population, index) = self.model.at(compartment);
@@ -293,7 +297,8 @@ impl<'m, F: Real> Reference<'m, F> {
         }
     }
 
-    /// The synaptic current after the last step; a spike response neuron has none but its potential u.
+    /// The synaptic current after the last step; a spike response neuron has none but its potential
+    /// u.
     #[must_use]
     pub fn current(&self, compartment: CompartmentId) -> f64 {
         let (population, index) = self.model.at(compartment);

@@ -1,11 +1,12 @@
 //! Alpha kernels: `a(t) = m t / tau exp(1 - t / tau)`, with its peak m at t = tau.
 //!
-//! The spike response model of the paper (`u(t) = sum_i w_i (eps * s_i)(t) + (nu * o)(t)`, section III-B) leaves eps and
-//! nu open; the authors' configuration and SLAYER (Shrestha and Orchard, NeurIPS 2018; slayerPytorch `src/slayer.py`)
-//! take alpha kernels for both: eps with m = 1 and tau = tauSr, nu with m = -scaleRef theta and tau = tauRef.
+//! The spike response model of the paper (`u(t) = sum_i w_i (eps * s_i)(t) + (nu * o)(t)`, section
+//! III-B) leaves eps and nu open; the authors' configuration and SLAYER (Shrestha and Orchard,
+//! NeurIPS 2018; slayerPytorch `src/slayer.py`) take alpha kernels for both: eps with m = 1 and tau
+//! = tauSr, nu with m = -scaleRef theta and tau = tauRef.
 //!
-//! One timestep takes `k exp(-k dt / tau)` to `(k + 1) exp(-(k + 1) dt / tau)`, so that two coupled decays give the kernel
-//! exactly: [`Alpha::decay`] and [`Alpha::gain`] are what they need.
+//! One timestep takes `k exp(-k dt / tau)` to `(k + 1) exp(-(k + 1) dt / tau)`, so that two coupled
+//! decays give the kernel exactly: [`Alpha::decay`] and [`Alpha::gain`] are what they need.
 
 use nsim_ir::base::names::named_variants;
 
@@ -15,14 +16,16 @@ pub enum Kernel {
     /// Without end, by recursion.
     #[default]
     Exact,
-    /// Cut where SLAYER cuts it, by convolution: at the first t beyond tau at which it is below [`EPSILON`].
+    /// Cut where SLAYER cuts it, by convolution: at the first t beyond tau at which it is below
+    /// [`EPSILON`].
     Truncated,
 }
 
 named_variants!(Kernel { Exact = "exact", Truncated = "truncated" });
 
-/// Below this SLAYER cuts a kernel, its factor included (slayerPytorch `src/slayer.py`, `_calculateAlphaKernel`; with
-/// `fullRefKernel`, which is off by default, it keeps the refractory kernel to 0.0001).
+/// Below this SLAYER cuts a kernel, its factor included (slayerPytorch `src/slayer.py`,
+/// `_calculateAlphaKernel`; with `fullRefKernel`, which is off by default, it keeps the refractory
+/// kernel to 0.0001).
 pub const EPSILON: f64 = 0.01;
 
 /// An alpha kernel sampled at multiples of a timestep.
@@ -54,7 +57,8 @@ impl Alpha {
         self.peak * std::f64::consts::E / self.tau
     }
 
-    /// The kernel's values from 0 on, cut at the first beyond tau whose magnitude is below `epsilon`, and after `most`.
+    /// The kernel's values from 0 on, cut at the first beyond tau whose magnitude is below
+    /// `epsilon`, and after `most`.
     #[must_use]
     pub fn truncated(&self, epsilon: f64, most: u32) -> Vec<f64> {
         let values = (0..most).map(|k| (k, self.at(k)));
@@ -86,7 +90,8 @@ mod tests {
 
     #[test]
     fn slayer_cuts_the_paper_s_kernels_here() {
-        // tauSr 10: 77 values, the last at t = 76 (0.76 e^-6.6 = 0.0103 ..); tauRef 1, scaleRef 2, theta 10.
+        // tauSr 10: 77 values, the last at t = 76 (0.76 e^-6.6 = 0.0103 ..); tauRef 1, scaleRef 2,
+        // theta 10.
         let response = Alpha { peak: 1.0, tau: 10.0 }.truncated(EPSILON, 10_000);
         assert!(response.len() > 70 && response.len() < 80, "{}", response.len());
         assert!(response.last().is_some_and(|&last| last >= EPSILON));

@@ -1,10 +1,12 @@
-//! Spike response neurons: `u(t) = sum_i w_i (eps * s_i)(t) + (nu * o)(t)`, a spike where `u(t) >= theta`.
+//! Spike response neurons: `u(t) = sum_i w_i (eps * s_i)(t) + (nu * o)(t)`, a spike where
+//! `u(t) >= theta`.
 //!
-//! Comes in, each step, what arrived at each neuron: weighted spikes of the step before. Goes out who spikes. Kernels are
-//! 0 at t = 0, so that a spike of step t first counts in step t + 1, with eps(1) or nu(1).
+//! Comes in, each step, what arrived at each neuron: weighted spikes of the step before. Goes out
+//! who spikes. Kernels are 0 at t = 0, so that a spike of step t first counts in step t + 1, with
+//! eps(1) or nu(1).
 //!
-//! SLAYER compares with `>=` (slayerPytorch `src/cuda/spikeKernels.h`); the paper says that u exceeds the threshold. The
-//! two differ only where u equals theta to the last bit.
+//! SLAYER compares with `>=` (slayerPytorch `src/cuda/spikeKernels.h`); the paper says that u
+//! exceeds the threshold. The two differ only where u equals theta to the last bit.
 
 use std::collections::VecDeque;
 
@@ -59,7 +61,8 @@ pub enum Filter<F> {
     Truncated {
         /// The kernel from 1 step after the input on.
         taps: Vec<F>,
-        /// The inputs since the beginning, the newest first, as many as there are taps: what was never put in costs nothing.
+        /// The inputs since the beginning, the newest first, as many as there are taps: what was
+        /// never put in costs nothing.
         past: VecDeque<Vec<F>>,
         /// Inputs of a step.
         inputs: usize,
@@ -95,7 +98,8 @@ impl<F: Real> Filter<F> {
         }
     }
 
-    /// Takes the inputs of one step and adds to `to` what the kernel makes, one step later, of them and all before them.
+    /// Takes the inputs of one step and adds to `to` what the kernel makes, one step later, of them
+    /// and all before them.
     pub fn step(&mut self, inputs: &[F], to: &mut [F]) {
         match self {
             Filter::Exact { decay, gain, first, second } => {
@@ -153,8 +157,8 @@ impl<F: Real> Srm<F> {
         self.potential.fill(F::default());
     }
 
-    /// One timestep: `arrivals` are the weighted spikes of the step before, one sum a neuron. Calls `spike` with each
-    /// neuron that spikes, ascending.
+    /// One timestep: `arrivals` are the weighted spikes of the step before, one sum a neuron. Calls
+    /// `spike` with each neuron that spikes, ascending.
     pub fn step(&mut self, arrivals: &[F], mut spike: impl FnMut(u32)) {
         self.potential.fill(F::default());
         self.response.step(arrivals, &mut self.potential);
@@ -182,8 +186,8 @@ mod tests {
 
     const PAPER: Parameters = Parameters { tau_sr: 10.0, tau_ref: 1.0, scale_ref: 2.0, theta: 10.0 };
 
-    /// u by the definition: every past input and every own spike through its kernel, afresh in each step. `kernels` give
-    /// eps and nu; arrivals of step t are spikes of step t - 1.
+    /// u by the definition: every past input and every own spike through its kernel, afresh in each
+    /// step. `kernels` give eps and nu; arrivals of step t are spikes of step t - 1.
     fn direct(
         arrivals: &[f64],
         theta: f64,

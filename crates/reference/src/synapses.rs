@@ -63,7 +63,8 @@ impl<F: Real> Synapses<F> {
                 Synapses::Pool { window: *window, weight: F::from_f64(weight.value * factor) }
             }
             ProjectionKind::Random { fan_out, low, high, seed } => {
-                // `docs/semantics.md`, projections; weights are multiples of the format's least step.
+                // `docs/semantics.md`, projections; weights are multiples of the format's least
+                // step.
                 let bits = nsim_ir::base::fixed::WeightBits::new(projection.weight_bits.value);
                 let step = bits.map_or(1, |bits| i64::from(projection.sign.step(bits)));
                 let levels = ((high.value - low.value) / step + 1).max(1) as u64;

@@ -290,8 +290,10 @@ impl AgreeReport<'_> {
         let Some(attribution) = self.attribution else { return String::new() };
         let table = table_of(&attribution.shares, &SHARE_COLUMNS, 1);
         let intro = format!(
-            "why: disagreement {:.4} (1 - coincidence over all layers) over {}, from the trained network to the machine; each \
-             row is the network once its cause is switched on{}; without: the coincidence of the machine without this cause",
+            "why: disagreement {:.4} (1 - coincidence over all layers) over {}, from the trained network to the \
+             machine; each \
+             row is the network once its cause is switched on{}; without: the coincidence of the machine without this \
+             cause",
             attribution.disagreement,
             count(self.attribution_samples as u64, "sample"),
             match attribution.shares.iter().all(|share| share.share.is_some()) {
@@ -445,7 +447,8 @@ pub(super) fn lost_json(layer: &LayerLoss) -> Value {
     })
 }
 
-/// Both potentials around the first spike in which two networks part; none when they part nowhere, or have no potentials.
+/// Both potentials around the first spike in which two networks part; none when they part nowhere,
+/// or have no potentials.
 #[must_use]
 pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
     let parted = layers.iter().filter_map(|row| {

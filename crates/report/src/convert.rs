@@ -189,7 +189,8 @@ impl ConvertReport<'_> {
         );
         out += &markdown_of(&self.done.converted.stages, &STAGES);
         out += &format!(
-            "\nThe most that is left to gain, with real numbers in the place of one kind of integer (with none, on the same samples, \
+            "\nThe most that is left to gain, with real numbers in the place of one kind of integer (with none, on \
+             the same samples, \
              {}):\n\n",
             four(self.done.converted.attribution.machine.coincidence)
         );

@@ -1,6 +1,7 @@
 //! The result of `nsim inspect` as text, JSON (`nsim.inspect/1`) and CSV.
 //!
-//! Input: what was found in a file: its kind, facts about the whole, tables of its parts. Output: strings.
+//! Input: what was found in a file: its kind, facts about the whole, tables of its parts. Output:
+//! strings.
 
 use std::fmt::Write as _;
 

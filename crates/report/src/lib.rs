@@ -1,7 +1,7 @@
 //! Results as people and scripts read them: text, JSON, CSV.
 //!
-//! Input: finished results. Output: strings; writing them is the command line's. Nothing is computed here but the
-//! rounding of what is printed.
+//! Input: finished results. Output: strings; writing them is the command line's. Nothing is
+//! computed here but the rounding of what is printed.
 
 pub mod agree;
 pub mod bench;

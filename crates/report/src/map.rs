@@ -1,7 +1,8 @@
 //! The result of `nsim map`: whether and how a network fits its target.
 //!
-//! Input: a compiled program with its traffic, or the reasons why there is none. Output: the result object `nsim.map/1`, a
-//! table of cores, or text. The object of a network that does not fit has the same keys; unknown values are null.
+//! Input: a compiled program with its traffic, or the reasons why there is none. Output: the result
+//! object `nsim.map/1`, a table of cores, or text. The object of a network that does not fit has
+//! the same keys; unknown values are null.
 
 use std::fmt::Write;
 
@@ -52,7 +53,8 @@ pub enum Outcome<'a> {
     DoesNotFit(&'a [Reason]),
 }
 
-/// The seconds by the clock that were given, if any; a result is then that of a machine and a moment.
+/// The seconds by the clock that were given, if any; a result is then that of a machine and a
+/// moment.
 fn time_budget_s(options: &Options) -> Option<f64> {
     match options.effort {
         Effort::Work(_) => None,
@@ -373,8 +375,8 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
 /// Resources that have a column of their own in the table of cores; more do not fit on a line.
 const COLUMNS: usize = 4;
 
-/// A table of every core's use of the resources that are used most, in numbers and in hundredths of what there is; and the most
-/// of the others.
+/// A table of every core's use of the resources that are used most, in numbers and in hundredths of
+/// what there is; and the most of the others.
 fn table(compiled: &Mapping, target: &Target) -> String {
     let limits = target.limits();
     let (cores, usage) = (compiled.partition.cores(), compiled.partition.usage());

@@ -1,7 +1,8 @@
-//! The result of `nsim agree` with several model files: one table, a row for each layer of each network.
+//! The result of `nsim agree` with several model files: one table, a row for each layer of each
+//! network.
 //!
-//! Input: comparisons of networks in integers with the same trained network. Output: text, JSON and CSV. A layer in which neither
-//! network spikes is nothing to compare.
+//! Input: comparisons of networks in integers with the same trained network. Output: text, JSON and
+//! CSV. A layer in which neither network spikes is nothing to compare.
 
 use serde_json::{Value, json};
 

@@ -1,7 +1,8 @@
 //! A picture of two columns of a table.
 //!
-//! Input: a table, the names of two of its columns. Output: an SVG with a point for each row that has a number in both; nothing else is
-//! shown. Errors: `sweep.column` for a name that no column has, or one without numbers.
+//! Input: a table, the names of two of its columns. Output: an SVG with a point for each row that
+//! has a number in both; nothing else is shown. Errors: `sweep.column` for a name that no column
+//! has, or one without numbers.
 
 use crate::charts::plot::{Axis, Series, chart};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};

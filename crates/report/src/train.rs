@@ -78,7 +78,8 @@ impl TrainReport<'_> {
             }
         };
         format!(
-            "trained by nsim train, seed {}, {} epochs over {} samples, of which {train_accuracy:.4} are right{test}{folds}",
+            "trained by nsim train, seed {}, {} epochs over {} samples, of which {train_accuracy:.4} are \
+             right{test}{folds}",
             self.job.plan.seed, state.epoch, samples.0
         )
     }

@@ -1,14 +1,17 @@
 //! An event camera: brightness of pixels -> events on changes of its logarithm, pooled 4 x 4.
 //!
-//! Input: a view that says how bright a pixel is (natural logarithm) and which pixels may have changed. Output: the
-//! pooled channels that spike in a tick. A pixel sends an event when its brightness differs from that at its last
-//! event by the contrast threshold (Lichtsteiner, Posch and Delbruck, "A 128x128 120 dB 15 us latency asynchronous temporal
-//! contrast vision sensor", IEEE JSSC 2008), then rests for its refractory time; noise events come on top. A pooled unit
-//! sums the events of its 16 pixels within a tick and spikes from the first on: of both polarities together, or in a plane for each,
-//! as the recordings of Taunyazov et al. 2020 have them. A noise event is of either polarity.
+//! Input: a view that says how bright a pixel is (natural logarithm) and which pixels may have
+//! changed. Output: the pooled channels that spike in a tick. A pixel sends an event when its
+//! brightness differs from that at its last event by the contrast threshold (Lichtsteiner, Posch
+//! and Delbruck, "A 128x128 120 dB 15 us latency asynchronous temporal contrast vision sensor",
+//! IEEE JSSC 2008), then rests for its refractory time; noise events come on top. A pooled unit
+//! sums the events of its 16 pixels within a tick and spikes from the first on: of both polarities
+//! together, or in a plane for each, as the recordings of Taunyazov et al. 2020 have them. A noise
+//! event is of either polarity.
 //!
-//! Window, pooling and the order of the channels are VT-SNN's: 200 columns x 250 rows, 4 x 4 to 50 columns x 63 rows (the
-//! last row of units sees two rows of pixels), channel = row of units x 50 + column.
+//! Window, pooling and the order of the channels are VT-SNN's: 200 columns x 250 rows, 4 x 4 to 50
+//! columns x 63 rows (the last row of units sees two rows of pixels), channel = row of units x 50 +
+//! column.
 
 use super::draw::{Draws, Purpose};
 
@@ -22,7 +25,8 @@ pub const POOL: usize = 4;
 pub const POOLED_WIDTH: usize = WIDTH.div_ceil(POOL);
 /// Rows of pooled units.
 pub const POOLED_HEIGHT: usize = HEIGHT.div_ceil(POOL);
-/// Pooled units: the channels of the vision population, and of each plane of one with both polarities.
+/// Pooled units: the channels of the vision population, and of each plane of one with both
+/// polarities.
 pub const POOLED: usize = POOLED_WIDTH * POOLED_HEIGHT;
 
 /// The pooled unit of a pixel.
@@ -109,8 +113,9 @@ impl Camera {
         }
     }
 
-    /// One tick: looks at the pixels that `changed` names (any number of times each), where the view was `at_rest` and
-    /// is `now`; calls `spike` for each pooled unit that spikes, ascending, with the polarities of which it does.
+    /// One tick: looks at the pixels that `changed` names (any number of times each), where the
+    /// view was `at_rest` and is `now`; calls `spike` for each pooled unit that spikes, ascending,
+    /// with the polarities of which it does.
     pub fn step(
         &mut self,
         changed: &[u32],
@@ -193,7 +198,8 @@ mod tests {
         for y in 0..HEIGHT {
             for x in 0..WIDTH {
                 pixels[pooled(x, y)] += 1;
-                // Against the definition: unit (r, c) sees rows 4 r to 4 r + 3 and columns 4 c to 4 c + 3.
+                // Against the definition: unit (r, c) sees rows 4 r to 4 r + 3 and columns 4 c to 4
+                // c + 3.
                 let (row, column) = (pooled(x, y) / 50, pooled(x, y) % 50);
                 assert!((4 * row..4 * row + 4).contains(&y) && (4 * column..4 * column + 4).contains(&x));
             }
@@ -203,7 +209,8 @@ mod tests {
 
     #[test]
     fn events_follow_the_contrast_threshold_and_the_refractory_time() {
-        // A step of 0.7 is three events of 0.2; with 2 ms between them they come in steps 3, 5 and 7.
+        // A step of 0.7 is three events of 0.2; with 2 ms between them they come in steps 3, 5
+        // and 7.
         let mut camera = camera(&STILL);
         let pixel = (13 * WIDTH + 21) as u32;
         let mut spikes = Vec::new();

@@ -1,13 +1,16 @@
-//! The container scene: a gripper closes on one of four containers with one of five fill levels, lifts and holds it.
+//! The container scene: a gripper closes on one of four containers with one of five fill levels,
+//! lifts and holds it.
 //!
-//! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event camera in 325 bins
-//! of 20 ms. Task, containers, largest fills and times are those of Taunyazov et al. 2020, section V: the recording begins
-//! with the gripper about to close (2.0 s), the fingers touch the container at about 4 s, it is lifted by 5 cm from 6 s to
-//! 8 s and held until 8.5 s. Class = 5 container + fill level.
+//! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event
+//! camera in 325 bins of 20 ms. Task, containers, largest fills and times are those of Taunyazov et
+//! al. 2020, section V: the recording begins with the gripper about to close (2.0 s), the fingers
+//! touch the container at about 4 s, it is lifted by 5 cm from 6 s to 8 s and held until 8.5 s.
+//! Class = 5 container + fill level.
 //!
-//! Touch depends on stiffness (how fast the force grows), width (when the fingers make contact) and weight (how far the load
-//! moves the pressure, and sloshing). Vision depends on the outline and the label, the deformation of soft walls, how far the
-//! arm sinks, and the level in the clear bottle. No single cue separates all 20 classes: variation of the grasp blurs each.
+//! Touch depends on stiffness (how fast the force grows), width (when the fingers make contact) and
+//! weight (how far the load moves the pressure, and sloshing). Vision depends on the outline and
+//! the label, the deformation of soft walls, how far the arm sinks, and the level in the clear
+//! bottle. No single cue separates all 20 classes: variation of the grasp blurs each.
 //! `docs/scenes.md` lists every parameter with its source.
 
 use std::f64::consts::TAU;
@@ -55,7 +58,8 @@ struct Container {
     level: f32,
 }
 
-/// Widths and heights of common articles; stiffness in the paper's order (the carton softest, the tuna can most rigid).
+/// Widths and heights of common articles; stiffness in the paper's order (the carton softest, the
+/// tuna can most rigid).
 const CONTAINERS: [Container; 4] = [
     Container {
         name: "coffee-can",
@@ -347,7 +351,8 @@ impl Containers {
             vibration: draw(6, self.vibration),
             shake_mm: draw(7, self.shake_mm),
             tones: [tone(0), tone(2)],
-            // A half-full container sloshes most; a liquid in a width of 6 cm swings at about 3.5 Hz.
+            // A half-full container sloshes most; a liquid in a width of 6 cm swings at about 3.5
+            // Hz.
             slosh: (
                 0.3 * container.sloshes * 4.0 * fill.min(1.0) * (1.0 - fill.min(1.0)),
                 draw(8, (3.0, 4.0)),
@@ -403,15 +408,16 @@ impl Containers {
     }
 }
 
-/// The paper's binning: a channel spikes in a bin in which it has at least S_min events. Events come by tick.
+/// The paper's binning: a channel spikes in a bin in which it has at least S_min events. Events
+/// come by tick.
 fn binned(events: &[(u32, u32)], s_min: u32) -> Vec<(u32, u32)> {
     let mut bins: Vec<(u32, u32)> = events.iter().map(|&(tick, channel)| (tick * TICK_MS / BIN_MS, channel)).collect();
     bins.sort_unstable();
     bins.chunk_by(|a, b| a == b).filter(|same| same.len() >= s_min as usize).map(|same| same[0]).collect()
 }
 
-/// What the camera sees: from behind to before, the table, the container with its label and fill, the fingers. All edges
-/// are upright or level; places in px.
+/// What the camera sees: from behind to before, the table, the container with its label and fill,
+/// the fingers. All edges are upright or level; places in px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Picture {
     table: f32,
@@ -434,8 +440,8 @@ impl Picture {
     fn new(course: &Course, moment: &Moment, offset_mm: f64) -> Picture {
         let px = |mm: f64| (mm / PIXEL_MM) as f32;
         let (middle, grasp) = (100.0f32, 120.0f32);
-        // The camera hangs on the arm: what shakes and sinks with the arm is the world and what stands in it, until the
-        // container hangs on the fingers and moves with them.
+        // The camera hangs on the arm: what shakes and sinks with the arm is the world and what
+        // stands in it, until the container hangs on the fingers and moves with them.
         let arm = course.shake_mm * moment.shaking * moment.tone - 1e3 * moment.load_n / ARM_N_PER_M;
         let held = if moment.lift_mm > 0.3 { 0.2 } else { 1.0 };
         let swing = px(course.shake_mm * moment.shaking * moment.tone * held);

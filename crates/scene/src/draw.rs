@@ -1,6 +1,7 @@
 //! Draws for scenes: every number is a function of (seed, sample, purpose, index, step).
 //!
-//! Transcendental functions come from `libm`, which is the same code on every machine; those of the platform are not.
+//! Transcendental functions come from `libm`, which is the same code on every machine; those of the
+//! platform are not.
 
 use nsim_ir::base::rng;
 
@@ -73,8 +74,8 @@ impl Draws {
         low + (high - low) * self.unit(purpose, index, 0)
     }
 
-    /// Nearly normal with mean 0 and standard deviation 1: the sum of four uniform numbers of 16 bits, which stays within
-    /// 3.47 standard deviations.
+    /// Nearly normal with mean 0 and standard deviation 1: the sum of four uniform numbers of 16
+    /// bits, which stays within 3.47 standard deviations.
     #[inline]
     #[must_use]
     pub fn normal(self, purpose: Purpose, index: u32, step: u32) -> f64 {
@@ -112,7 +113,8 @@ mod tests {
             let mean = sum / f64::from(n);
             (mean, squares / f64::from(n) - mean * mean)
         };
-        // Standard errors over 100,000 draws: 0.003 of the mean, 0.0045 of a normal variance; bounds are five of them.
+        // Standard errors over 100,000 draws: 0.003 of the mean, 0.0045 of a normal variance;
+        // bounds are five of them.
         let (mean, variance) = moments(&|i| draws.normal(Purpose::Taxel, 0, i));
         assert!(mean.abs() < 0.016 && (variance - 1.0).abs() < 0.023, "{mean} {variance}");
         let (mean, variance) = moments(&|i| f64::from(draws.poisson(Purpose::Taxel, 1, i, 2.5)));

@@ -1,13 +1,16 @@
-//! A gripper that holds a box between two soft fingers and lifts it: forces on the contact and the box's rotation.
+//! A gripper that holds a box between two soft fingers and lifts it: forces on the contact and the
+//! box's rotation.
 //!
-//! Input: a [`Grasp`]. Output: a [`Motion`], the state at the end of each millisecond from the closing of the fingers
-//! on. The model: the fingers' skin is a spring for vertical load and for twist about the axis through the fingertips; the
-//! contact is a soft finger whose friction bears a torque up to a limit that a vertical load lowers (Howe and Cutkosky,
-//! "Practical force-motion models for sliding manipulation", IJRR 1996: an ellipse of force and torque). While the lift
-//! takes the weight from the table, the torque of gravity on a centre of mass beside the grasp grows with it; beyond the
-//! limit the box slides about the axis.
+//! Input: a [`Grasp`]. Output: a [`Motion`], the state at the end of each millisecond from the
+//! closing of the fingers on. The model: the fingers' skin is a spring for vertical load and for
+//! twist about the axis through the fingertips; the contact is a soft finger whose friction bears a
+//! torque up to a limit that a vertical load lowers (Howe and Cutkosky, "Practical force-motion
+//! models for sliding manipulation", IJRR 1996: an ellipse of force and torque). While the lift
+//! takes the weight from the table, the torque of gravity on a centre of mass beside the grasp
+//! grows with it; beyond the limit the box slides about the axis.
 //!
-//! Not modelled: translation slip, waves in the skin, tilt out of the plane, contact of a corner with the table.
+//! Not modelled: translation slip, waves in the skin, tilt out of the plane, contact of a corner
+//! with the table.
 
 /// Acceleration of gravity in m/s^2.
 pub const GRAVITY: f64 = 9.81;
@@ -33,7 +36,8 @@ pub struct Grasp {
     pub contact_m: f64,
     /// Stiffness of both skins against vertical load, N/m.
     pub shear_n_per_m: f64,
-    /// When the fingers touch the box, s; the force grows for `closing_s` from there. Time 0 begins the recording.
+    /// When the fingers touch the box, s; the force grows for `closing_s` from there. Time 0 begins
+    /// the recording.
     pub touch_s: f64,
     /// How long the fingers take to close, s.
     pub closing_s: f64,
@@ -46,15 +50,17 @@ pub struct Grasp {
 }
 
 impl Grasp {
-    /// Moment of inertia about the grasp axis, kg m^2: of a homogeneous plate, with the centre of mass moved.
+    /// Moment of inertia about the grasp axis, kg m^2: of a homogeneous plate, with the centre of
+    /// mass moved.
     #[must_use]
     pub fn inertia(&self) -> f64 {
         let (width, height) = self.size_m;
         self.mass_kg * ((width * width + height * height) / 12.0 + self.offset_m * self.offset_m)
     }
 
-    /// The largest torque that friction of both contacts bears under a vertical load, N m. A contact of Hertz's pressure
-    /// turns at 3 pi / 16 mu N a; the load takes its share by the ellipse.
+    /// The largest torque that friction of both contacts bears under a vertical load, N m. A
+    /// contact of Hertz's pressure turns at 3 pi / 16 mu N a; the load takes its share by the
+    /// ellipse.
     #[must_use]
     pub fn torque_limit(&self, friction: f64, grip_n: f64, load_n: f64) -> f64 {
         let force = 2.0 * friction * grip_n;
@@ -65,7 +71,8 @@ impl Grasp {
         force * self.contact_m * (3.0 * std::f64::consts::PI / 16.0) * (1.0 - part * part).sqrt()
     }
 
-    /// Stiffness of both skins against twist, N m/rad: of a disc that the skin shears everywhere alike, k a^2 / 2.
+    /// Stiffness of both skins against twist, N m/rad: of a disc that the skin shears everywhere
+    /// alike, k a^2 / 2.
     #[must_use]
     pub fn twist_stiffness(&self) -> f64 {
         self.shear_n_per_m * self.contact_m * self.contact_m / 2.0
@@ -97,7 +104,8 @@ pub struct GraspState {
     pub lift_m: f64,
     /// How far the box hangs below the fingers for the skins' softness, m.
     pub sag_m: f64,
-    /// Rotation of the box about the grasp axis since it was grasped, rad; positive with the right side down.
+    /// Rotation of the box about the grasp axis since it was grasped, rad; positive with the right
+    /// side down.
     pub angle_rad: f64,
     /// Its rate, rad/s.
     pub rate_rad_per_s: f64,
@@ -128,7 +136,8 @@ impl Motion {
 
 /// Follows a grasp from `before_ms` ahead of the recording for its length.
 ///
-/// Semi-implicit Euler steps of 0.25 ms: the skins' twist resonates below 20 Hz, so a period has hundreds of them.
+/// Semi-implicit Euler steps of 0.25 ms: the skins' twist resonates below 20 Hz, so a period has
+/// hundreds of them.
 #[must_use]
 pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
     let dt = 1e-3 / f64::from(SUBSTEPS);
@@ -212,8 +221,8 @@ mod tests {
 
     #[test]
     fn below_the_limit_of_friction_nothing_slides() {
-        // The lift is a blow: a torque that comes at once twists a spring twice as far as one that comes slowly. So half
-        // the limit is what holds however fast the lift.
+        // The lift is a blow: a torque that comes at once twists a spring twice as far as one that
+        // comes slowly. So half the limit is what holds however fast the lift.
         for ratio in [0.0, 0.1, 0.3, 0.49] {
             let grasp = grasp(ratio);
             let motion = follow(&grasp, 250, 600);
@@ -268,7 +277,8 @@ mod tests {
             });
             let energy: Vec<f64> = energy.collect();
             assert!(energy.len() > 100, "{ratio}: {}", energy.len());
-            // The integration's own error: the twist is a quarter of a millisecond older than the angle.
+            // The integration's own error: the twist is a quarter of a millisecond older than the
+            // angle.
             let slack = 2e-2 * energy.iter().fold(0.0f64, |most, e| most.max(e.abs()));
             assert!(energy.windows(2).all(|pair| pair[1] <= pair[0] + slack), "{ratio}");
             assert!(energy[energy.len() - 1] < energy[0]);

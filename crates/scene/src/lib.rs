@@ -1,8 +1,8 @@
 //! Synthetic stimuli: `scene:NAME?key=value&..`.
 //!
-//! Input: the network's input populations and a scene's parameters. Output: samples. Invariant: the same seed gives the
-//! same samples on every machine and at any number of threads. `docs/scenes.md` has the equations, the sources of the
-//! parameters and statistics of the recordings.
+//! Input: the network's input populations and a scene's parameters. Output: samples. Invariant: the
+//! same seed gives the same samples on every machine and at any number of threads. `docs/scenes.md`
+//! has the equations, the sources of the parameters and statistics of the recordings.
 
 pub mod camera;
 pub mod clock;
@@ -31,7 +31,8 @@ pub const SCENES: [(&str, &str); 4] = [
     (clock::NAME, "a channel for each part of a sample, for one population beside the sources of others (span)"),
     (
         "container",
-        "a gripper closes on one of four containers with one of five fills, and lifts it (samples, seed, and docs/scenes.md)",
+        "a gripper closes on one of four containers with one of five fills, and lifts it (samples, seed, and \
+         docs/scenes.md)",
     ),
     ("noise", "independent spikes at a fixed rate (samples, steps, seed, rate, POPULATION=rate)"),
     ("slip", "a gripper lifts a box, which rotates or does not (samples, seed, and docs/scenes.md)"),
@@ -134,7 +135,8 @@ impl Recorded {
         }
     }
 
-    /// What is recorded of a sample: a function of the parameters, the seed and the sample's number alone.
+    /// What is recorded of a sample: a function of the parameters, the seed and the sample's number
+    /// alone.
     #[must_use]
     pub fn recording(&self, sample: u32) -> Recording {
         match self {

@@ -1,7 +1,8 @@
 //! Onsets as the authors of the paper annotated them: from markers that cameras track.
 //!
-//! Input: a grasp's motion. Output: when the arm lifts and when the box turns, by the rule of Taunyazov et al. 2020 (appendix, "Ground-truth
-//! Slip detection"). Labels do not come from here: they are the outcome of the simulation.
+//! Input: a grasp's motion. Output: when the arm lifts and when the box turns, by the rule of
+//! Taunyazov et al. 2020 (appendix, "Ground-truth Slip detection"). Labels do not come from here:
+//! they are the outcome of the simulation.
 
 use super::draw::{Draws, Purpose};
 use super::gripper::Motion;
@@ -12,9 +13,11 @@ const FRAMES_PER_S: f64 = 120.0;
 const REST: u32 = 120;
 /// The part of them that a figure must exceed.
 const PART: f64 = 0.98;
-/// Standard deviation of a marker's height, mm; assumed: a tenth of a millimetre, which such trackers promise at a metre or two.
+/// Standard deviation of a marker's height, mm; assumed: a tenth of a millimetre, which such
+/// trackers promise at a metre or two.
 const HEIGHT_MM: f64 = 0.1;
-/// Standard deviation of the orientation of markers, rad; assumed: the above over markers 5 cm apart.
+/// Standard deviation of the orientation of markers, rad; assumed: the above over markers 5 cm
+/// apart.
 const ORIENTATION_RAD: f64 = 0.002;
 
 /// When things happen, in ms of the recording.
@@ -83,7 +86,8 @@ mod tests {
             let (grasp, motion) = slip.course(sample);
             let found = Annotated::new(&motion, Draws::new(slip.seed, sample));
             let lift_ms = found.lift_ms.unwrap();
-            // The arm needs some ms for what the markers resolve, and noise may be above 98 % in the frames before: two are 17 ms.
+            // The arm needs some ms for what the markers resolve, and noise may be above 98 % in
+            // the frames before: two are 17 ms.
             let since = lift_ms - 1e3 * grasp.lift_s;
             assert!((-17.0..35.0).contains(&since), "sample {sample}: {since}");
             if motion.onset_ms.is_some() {

@@ -1,7 +1,7 @@
 //! Independent spikes: each channel of a population spikes in each step with the same probability.
 //!
-//! For networks without recordings. A channel's spike is a function of (seed, sample and channel, step), so samples can be
-//! made in any order.
+//! For networks without recordings. A channel's spike is a function of (seed, sample and channel,
+//! step), so samples can be made in any order.
 
 use std::collections::BTreeMap;
 
@@ -26,8 +26,8 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// From `samples` (default 20, at most 100,000), `steps` (150, at most 100,000), `seed` (1), `rate` (0.01 spikes a
-    /// channel and step) and `POPULATION=rate` for single populations.
+    /// From `samples` (default 20, at most 100,000), `steps` (150, at most 100,000), `seed` (1),
+    /// `rate` (0.01 spikes a channel and step) and `POPULATION=rate` for single populations.
     ///
     /// # Errors
     /// A diagnostic for an unknown key or a value out of range.

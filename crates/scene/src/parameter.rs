@@ -1,7 +1,7 @@
 //! Values of scene parameters.
 //!
-//! Input: a key, its value as text and the range allowed. Output: a number, or a range of numbers. Errors:
-//! `scene.parameter`.
+//! Input: a key, its value as text and the range allowed. Output: a number, or a range of numbers.
+//! Errors: `scene.parameter`.
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
@@ -19,7 +19,8 @@ pub(super) fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
     })
 }
 
-/// A parameter that is drawn for each sample: `low..high`, or one value for all; both within a range.
+/// A parameter that is drawn for each sample: `low..high`, or one value for all; both within a
+/// range.
 pub(super) fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64>) -> Result<(f64, f64)> {
     let (low, high) = value.split_once("..").unwrap_or((value, value));
     let (low, high) = (parameter(key, low, range.clone())?, parameter(key, high, range)?);
@@ -36,14 +37,16 @@ pub(super) fn unknown(scene: &str, key: &str, keys: &[&str]) -> Diagnostic {
         .help(format!("parameters are: {}", keys.join(", ")))
 }
 
-/// Parses a scene's parameters: for each key how its value is read, its range, and the field that it sets.
+/// Parses a scene's parameters: for each key how its value is read, its range, and the field that
+/// it sets.
 macro_rules! parameters {
     ($name:literal, $scene:ident, $set:ident; $($key:ident = $read:ident($range:expr) => $field:expr,)*) => {
         impl $scene {
             /// The parameters that can be set.
             pub const KEYS: &[&str] = &[$(stringify!($key)),*];
 
-            /// Reads `scene:NAME?key=value&..`; a parameter that is drawn for each sample is a value or `low..high`.
+            /// Reads `scene:NAME?key=value&..`; a parameter that is drawn for each sample is a
+            /// value or `low..high`.
             ///
             /// # Errors
             /// `scene.parameter` for an unknown key or a value out of range.

@@ -1,13 +1,15 @@
-//! The slip scene: a gripper lifts a box whose centre of mass may lie beside the grasp, and it rotates or does not.
+//! The slip scene: a gripper lifts a box whose centre of mass may lie beside the grasp, and it
+//! rotates or does not.
 //!
-//! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event camera over
-//! 150 ms around the lift, its class (1 when the grasp slides, 0 when it holds) and when the sliding began. The task and
-//! its window are those of Taunyazov et al. 2020, section VI: objects that look and weigh the same, the grip strong enough
-//! to lift and too weak for an off-centre mass; 150 steps of 1 ms.
+//! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event
+//! camera over 150 ms around the lift, its class (1 when the grasp slides, 0 when it holds) and
+//! when the sliding began. The task and its window are those of Taunyazov et al. 2020, section VI:
+//! objects that look and weigh the same, the grip strong enough to lift and too weak for an
+//! off-centre mass; 150 steps of 1 ms.
 //!
-//! The camera looks along the grasp axis and moves with the gripper, so what moves in the picture is the table's edge while
-//! lifting, the box by the softness of the fingers, and the box when it rotates. `docs/scenes.md` lists every parameter with
-//! its source.
+//! The camera looks along the grasp axis and moves with the gripper, so what moves in the picture
+//! is the table's edge while lifting, the box by the softness of the fingers, and the box when it
+//! rotates. `docs/scenes.md` lists every parameter with its source.
 
 use std::f64::consts::TAU;
 
@@ -60,9 +62,11 @@ pub struct Slip {
     pub chatter: (f64, f64),
     /// Relative relief of the surface in the pressure.
     pub relief: (f64, f64),
-    /// Part of the skin's shear stress that a taxel senses beside the pressure; 0 leaves it at pressure.
+    /// Part of the skin's shear stress that a taxel senses beside the pressure; 0 leaves it at
+    /// pressure.
     pub shear: f64,
-    /// Width in which an edge goes from one brightness to the other in the picture: the blur of the lens, pixels.
+    /// Width in which an edge goes from one brightness to the other in the picture: the blur of the
+    /// lens, pixels.
     pub edge_px: f64,
     /// Amplitude of the flicker of the lamps at 100 Hz in the natural logarithm of brightness.
     pub flicker: f64,
@@ -159,8 +163,9 @@ impl Slip {
     }
 }
 
-/// The intended class of a sample: of each two consecutive samples one holds and one slides, in random order. With
-/// parameters far from the defaults the outcome, which is what is recorded, may differ.
+/// The intended class of a sample: of each two consecutive samples one holds and one slides, in
+/// random order. With parameters far from the defaults the outcome, which is what is recorded, may
+/// differ.
 #[must_use]
 pub fn label(seed: u64, sample: u32) -> u32 {
     (Draws::new(seed, sample / 2).bits(Purpose::Label, 0, 0) as u32 & 1) ^ (sample & 1)
@@ -300,8 +305,9 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
 
 /// The shear that load and twist put on the skin of a finger.
 ///
-/// The skin is a layer that shears in proportion to how far its surface is moved: down by the load, around by the twist.
-/// Where that exceeds what friction bears under the pressure there, the surface has slipped, at the rim of the contact first.
+/// The skin is a layer that shears in proportion to how far its surface is moved: down by the load,
+/// around by the twist. Where that exceeds what friction bears under the pressure there, the
+/// surface has slipped, at the rim of the contact first.
 struct Traction {
     /// Movement of the surface by the load, mm, and by the twist, rad.
     sag_mm: f64,
@@ -536,7 +542,8 @@ mod tests {
                 slides += label(seed, sample);
                 if let Some(onset) = motion.onset_ms {
                     assert!((25.0..75.0).contains(&onset), "{onset}");
-                    // Visible well before 100 ms: the box's corner is 56 mm away, so a degree moves it by more than a pixel.
+                    // Visible well before 100 ms: the box's corner is 56 mm away, so a degree moves
+                    // it by more than a pixel.
                     assert!(motion.recorded()[100].angle_rad.abs() > 0.02);
                 } else {
                     assert!(motion.states.iter().all(|state| state.angle_rad.abs() < 0.03));

@@ -1,24 +1,25 @@
 //! Fingertips with fast-adapting taxels: pressure under the skin -> events on changes of pressure.
 //!
-//! Input: the pressure on each taxel, one millisecond after the other. Output: on and off events. A taxel's
-//! pressure runs through the skin (a part of it creeps, so that a deformation takes 300 ms to recover), is compared with
-//! the value at its last event, which slowly follows; beyond a threshold either way it sends an event and is silent for
-//! its refractory time.
+//! Input: the pressure on each taxel, one millisecond after the other. Output: on and off events. A
+//! taxel's pressure runs through the skin (a part of it creeps, so that a deformation takes 300 ms
+//! to recover), is compared with the value at its last event, which slowly follows; beyond a
+//! threshold either way it sends an event and is silent for its refractory time.
 //!
-//! From Taunyazov et al. 2020, section III: 39 taxels a finger, radially arranged, denser at the centre; fast-adapting;
-//! recovery of about 300 ms; a fingertip of 37 x 21 mm. Assumed, for nobody has published them: the rings' radii, the
-//! thresholds, noise and refractory time.
+//! From Taunyazov et al. 2020, section III: 39 taxels a finger, radially arranged, denser at the
+//! centre; fast-adapting; recovery of about 300 ms; a fingertip of 37 x 21 mm. Assumed, for nobody
+//! has published them: the rings' radii, the thresholds, noise and refractory time.
 
 use super::draw::{Draws, Purpose};
 
 /// Taxels of a finger.
 pub const TAXELS: usize = 39;
 
-/// Taxels on each ring, the centre first, and the rings' radii in mm: 39 in all, denser at the centre.
+/// Taxels on each ring, the centre first, and the rings' radii in mm: 39 in all, denser at the
+/// centre.
 const RINGS: [(usize, f64); 5] = [(1, 0.0), (6, 1.6), (8, 3.3), (10, 5.3), (14, 8.0)];
 
-/// Places of a finger's taxels in mm: x along the finger's width, y along its length; rings are ellipses, as the fingertip
-/// is longer than wide.
+/// Places of a finger's taxels in mm: x along the finger's width, y along its length; rings are
+/// ellipses, as the fingertip is longer than wide.
 #[must_use]
 pub fn layout() -> Vec<(f64, f64)> {
     let mut places = Vec::with_capacity(TAXELS);
@@ -67,8 +68,9 @@ impl Default for Skin {
     }
 }
 
-/// Radius in mm and peak pressure in kPa of a contact under a normal force. By Hertz the radius grows with the cube root of
-/// the force and the pressure over the contact is an ellipsoid; `radius_m` is the radius under `nominal_n`.
+/// Radius in mm and peak pressure in kPa of a contact under a normal force. By Hertz the radius
+/// grows with the cube root of the force and the pressure over the contact is an ellipsoid;
+/// `radius_m` is the radius under `nominal_n`.
 #[must_use]
 pub fn hertz(grip_n: f64, radius_m: f64, nominal_n: f64) -> (f64, f64) {
     let radius = 1e3 * radius_m * libm::cbrt(grip_n / nominal_n);
@@ -114,7 +116,8 @@ pub struct Taxels {
 }
 
 impl Taxels {
-    /// So many taxels at rest. Thresholds belong to the fingers, not to the sample: they are drawn from the seed alone.
+    /// So many taxels at rest. Thresholds belong to the fingers, not to the sample: they are drawn
+    /// from the seed alone.
     #[must_use]
     pub fn new(skin: &Skin, draws: Draws, fingers: Draws, count: usize) -> Self {
         let taxel = |k| Taxel {

@@ -1,14 +1,17 @@
 //! One wire for all taxels: events as overlapping pulse signatures, decoded by correlation.
 //!
-//! This is the read-out of the NeuTouch finger (ACES; Taunyazov et al. 2020, section III): every taxel sends its own pattern
-//! of pulses asynchronously, patterns add on the wire, and a decoder correlates the signal with each pattern.
-//! Input: events by millisecond and channel. Output: the events that the decoder reports, and how many it missed or
-//! reported falsely. Not modelled: the shape of a pulse and delays along the wire.
+//! This is the read-out of the NeuTouch finger (ACES; Taunyazov et al. 2020, section III): every
+//! taxel sends its own pattern of pulses asynchronously, patterns add on the wire, and a decoder
+//! correlates the signal with each pattern. Input: events by millisecond and channel. Output: the
+//! events that the decoder reports, and how many it missed or reported falsely. Not modelled: the
+//! shape of a pulse and delays along the wire.
 //!
-//! A slot is 1 us. A signature has ten pulses in 1,000 slots, one in each 100, at places that the device is built with
-//! (assumed; the seed of a scene does not change them). An event starts anywhere in its millisecond, and each pulse is off by up to
-//! the jitter. In every slot the wire carries the number of pulses plus noise; half a pulse is the threshold. A channel is
-//! reported where nine of its ten pulses at least are within the jitter of their places, at most once in 1,000 slots.
+//! A slot is 1 us. A signature has ten pulses in 1,000 slots, one in each 100, at places that the
+//! device is built with (assumed; the seed of a scene does not change them). An event starts
+//! anywhere in its millisecond, and each pulse is off by up to the jitter. In every slot the wire
+//! carries the number of pulses plus noise; half a pulse is the threshold. A channel is reported
+//! where nine of its ten pulses at least are within the jitter of their places, at most once in
+//! 1,000 slots.
 
 use super::draw::{Draws, Purpose};
 use super::touch::TAXELS;
@@ -79,7 +82,8 @@ impl Wire {
         }
     }
 
-    /// Sends events, (ms, channel), of a recording of `end_ms` and decodes them again, in order of time and channel.
+    /// Sends events, (ms, channel), of a recording of `end_ms` and decodes them again, in order of
+    /// time and channel.
     #[must_use]
     pub fn carry(&self, events: &[(u32, u32)], channels: u32, end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, Carried) {
         let seen = self.seen(events, end_ms, draws);

@@ -1,8 +1,9 @@
 //! What each core did in a run, and what that cost.
 //!
-//! Input: a program, its activity, perhaps the meter that saw its steps. Output: a row for each core, in the program's order.
-//! Sums over the rows are the totals of the activity, and their energy is all that the cores and not the links between them
-//! spent, exactly: energy is linear in the counts.
+//! Input: a program, its activity, perhaps the meter that saw its steps. Output: a row for each
+//! core, in the program's order. Sums over the rows are the totals of the activity, and their
+//! energy is all that the cores and not the links between them spent, exactly: energy is linear in
+//! the counts.
 
 use nsim_cost::StepMeter;
 use nsim_cost::model::{Breakdown, core_time, energy_of_counts};

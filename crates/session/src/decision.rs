@@ -1,12 +1,13 @@
 //! When a sample is decided before its end.
 //!
-//! Input: a [`Rule`], a bound on the spikes that each output can still make, and the output spikes of each step.
-//! Output: whether the sample is decided. It establishes, for [`Rule::Certain`], that the class after the deciding step
-//! is the class of the whole sample whatever follows, and that no earlier step would have allowed to say so from the
-//! output spikes and the refractory periods alone. [`Rule::Margin`] promises nothing of the kind.
+//! Input: a [`Rule`], a bound on the spikes that each output can still make, and the output spikes
+//! of each step. Output: whether the sample is decided. It establishes, for [`Rule::Certain`], that
+//! the class after the deciding step is the class of the whole sample whatever follows, and that no
+//! earlier step would have allowed to say so from the output spikes and the refractory periods
+//! alone. [`Rule::Margin`] promises nothing of the kind.
 //!
-//! Left out on purpose: weights, potentials and the input to come. They could decide a sample earlier, but only by
-//! simulating it.
+//! Left out on purpose: weights, potentials and the input to come. They could decide a sample
+//! earlier, but only by simulating it.
 
 use std::fmt;
 use std::num::NonZeroU32;
@@ -18,7 +19,8 @@ use nsim_ir::quantised::{Quantised, Reset, Units};
 /// What decides a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rule {
-    /// The leading output has at least so many spikes more than every other; an only output, so many spikes.
+    /// The leading output has at least so many spikes more than every other; an only output, so
+    /// many spikes.
     Margin(NonZeroU32),
     /// No spikes that the refractory periods still allow can change the class.
     Certain,
@@ -49,7 +51,8 @@ impl fmt::Display for Rule {
 /// What bounds the spikes of a population, from `docs/semantics.md` (7), (9), (10), (11).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pace {
-    /// For each compartment the least number of steps from a spike to the next; `None` when the first spike is the last.
+    /// For each compartment the least number of steps from a spike to the next; `None` when the
+    /// first spike is the last.
     pub gaps: Vec<Option<NonZeroU32>>,
     /// The step before which all are held.
     pub start: u32,
@@ -93,8 +96,8 @@ impl Pace {
         }
     }
 
-    /// The most spikes of a compartment in the steps `from..steps` when it is not refractory from `free` on. To spike as
-    /// soon as possible is best: it never delays a later spike.
+    /// The most spikes of a compartment in the steps `from..steps` when it is not refractory from
+    /// `free` on. To spike as soon as possible is best: it never delays a later spike.
     fn most_spikes(&self, output: usize, free: Option<u64>, from: u64, steps: u64) -> u64 {
         let Some(free) = free else { return 0 };
         let from = from.max(u64::from(self.start)).max(free);
@@ -185,8 +188,8 @@ impl<'e> Decision<'e> {
         self.leader.map(|leader| leader as u32)
     }
 
-    /// Whether the sample is decided after the update of `step`, all of whose spikes have been told. Steps are asked for in
-    /// ascending order.
+    /// Whether the sample is decided after the update of `step`, all of whose spikes have been
+    /// told. Steps are asked for in ascending order.
     #[must_use]
     pub fn decided_after(&mut self, step: u32) -> bool {
         if u64::from(step) < self.open_until {
@@ -197,7 +200,8 @@ impl<'e> Decision<'e> {
         lacking == 0
     }
 
-    /// How many steps after the update of `step` at least until the sample can be decided, whatever spikes: 0 when it is.
+    /// How many steps after the update of `step` at least until the sample can be decided, whatever
+    /// spikes: 0 when it is.
     fn lacking(&self, step: u32) -> u64 {
         match self.exit.rule {
             Rule::Margin(margin) => {
@@ -212,11 +216,13 @@ impl<'e> Decision<'e> {
         }
     }
 
-    /// Certain is the leader that stays ahead although it never spikes again and another spikes as often as it can. That is
-    /// all that can happen to it: the others do not help each other, and its own spikes only help the leader.
+    /// Certain is the leader that stays ahead although it never spikes again and another spikes as
+    /// often as it can. That is all that can happen to it: the others do not help each other, and
+    /// its own spikes only help the leader.
     ///
-    /// All but one output must in the end have at most as many spikes to reach as the leader has. A step adds one to these at
-    /// most, and takes one at most from what an output can reach: who could have spiked in it and did not spikes once less.
+    /// All but one output must in the end have at most as many spikes to reach as the leader has. A
+    /// step adds one to these at most, and takes one at most from what an output can reach: who
+    /// could have spiked in it and did not spikes once less.
     fn lacking_certainty(&self, step: u32) -> u64 {
         let from = u64::from(step) + 1;
         let reach = |output: usize| {
@@ -239,10 +245,12 @@ impl<'e> Decision<'e> {
         if open { second.saturating_sub(ahead).div_ceil(2).max(1) } else { 0 }
     }
 
-    /// The first step of `begin..end` after which the sample is decided when no output spikes in any of them.
+    /// The first step of `begin..end` after which the sample is decided when no output spikes in
+    /// any of them.
     #[must_use]
     pub fn decided_in_silence(&self, begin: u32, end: u32) -> Option<u32> {
-        // What may still come only shrinks, so that once decided is decided in every step that follows.
+        // What may still come only shrinks, so that once decided is decided in every step that
+        // follows.
         let (mut open, mut decided) = (begin.max(self.open_until.min(end.into()) as u32), end);
         while open < decided {
             let middle = open + (decided - open) / 2;
@@ -326,7 +334,8 @@ mod tests {
 
     #[test]
     fn a_tie_goes_to_the_lower_index_and_so_does_certainty() {
-        // After step 2 two steps are left. Output 0 leads by two: output 1 can tie, which changes nothing.
+        // After step 2 two steps are left. Output 0 leads by two: output 1 can tie, which changes
+        // nothing.
         assert_eq!(decided_at(&exit(Rule::Certain, &[1, 1]), 5, &[&[0], &[0], &[]]), Some(2));
         // The other way round a tie would change the class.
         assert_eq!(decided_at(&exit(Rule::Certain, &[1, 1]), 5, &[&[1], &[1], &[], &[]]), Some(3));
@@ -334,7 +343,8 @@ mod tests {
 
     #[test]
     fn a_refractory_period_bounds_what_may_still_come() {
-        // Output 1 spiked in step 0 and may do so again in steps 5 and 10: twice more only in a sample of 11 steps.
+        // Output 1 spiked in step 0 and may do so again in steps 5 and 10: twice more only in a
+        // sample of 11 steps.
         let spikes: &[&[u32]] = &[&[1], &[0], &[0]];
         let one = |gap, steps| decided_at(&exit(Rule::Certain, &[1, gap]), steps, spikes);
         assert_eq!((one(5, 10), one(5, 11)), (Some(2), None));

@@ -6,7 +6,8 @@ use nsim_ir::base::diagnostic::Diagnostic;
 /// What a command's work returns.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Why a command could not do its work. "Does not fit" and "does not agree" are answers, not errors.
+/// Why a command could not do its work. "Does not fit" and "does not agree" are answers, not
+/// errors.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// An input cannot be read or is not supported: exit status 3.
@@ -41,7 +42,8 @@ impl From<Diagnostic> for Error {
 }
 
 impl From<CompileError> for Error {
-    /// A network that does not fit is an answer; a command that has no such answer reports an unusable input.
+    /// A network that does not fit is an answer; a command that has no such answer reports an
+    /// unusable input.
     fn from(error: CompileError) -> Self {
         match error {
             CompileError::Input(diagnostic) => diagnostic.into(),

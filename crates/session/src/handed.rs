@@ -1,9 +1,10 @@
 //! A program that several processes run together: the first maps, each makes its own part.
 //!
-//! Input: a network, or one on its places, on rank 0. Output: on each rank the part that it holds, verified and checked
-//! ([`nsim_compile::parcel`]). Invariant: the synapses of all parts together are as many as the network's. Errors: those of the
-//! compiler on rank 0; on the others [`CompileError::DoesNotFit`] without reasons where rank 0 has some, or a fault. A rank that waits for
-//! rank 0 is ended with it.
+//! Input: a network, or one on its places, on rank 0. Output: on each rank the part that it holds,
+//! verified and checked ([`nsim_compile::parcel`]). Invariant: the synapses of all parts together
+//! are as many as the network's. Errors: those of the compiler on rank 0; on the others
+//! [`CompileError::DoesNotFit`] without reasons where rank 0 has some, or a fault. A rank that
+//! waits for rank 0 is ended with it.
 
 use nsim_compile as compile;
 use nsim_compile::parcel;
@@ -15,7 +16,8 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_machine::ranks::transport::Ranks;
 
-/// The program of a network on its places, or rank 0's part of it; the other ranks are told theirs, with a note.
+/// The program of a network on its places, or rank 0's part of it; the other ranks are told theirs,
+/// with a note.
 ///
 /// # Errors
 /// [`CompileError::Fault`] when a check fails, here or of all parts together.
@@ -49,7 +51,8 @@ pub fn refuse(ranks: &Ranks) {
 /// The part of another rank than the first, and the note that came with it.
 ///
 /// # Errors
-/// [`CompileError::DoesNotFit`], without reasons, where rank 0 has said so; [`CompileError::Fault`] when a check fails.
+/// [`CompileError::DoesNotFit`], without reasons, where rank 0 has said so; [`CompileError::Fault`]
+/// when a check fails.
 pub fn receive(target: &Target, options: &Options, ranks: &Ranks) -> Result<Opened, CompileError> {
     let words = ranks.transport().given();
     let opened = parcel::open(words, target, options)?;

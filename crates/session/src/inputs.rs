@@ -1,8 +1,8 @@
 //! `--input` arguments -> the samples of a run.
 //!
-//! Each input population needs a source; a bare source serves the only input population, or all that it names. Sources of
-//! several populations are matched sample by sample: they must agree in number, steps and labels. A clock may serve one population
-//! beside the recordings of others.
+//! Each input population needs a source; a bare source serves the only input population, or all
+//! that it names. Sources of several populations are matched sample by sample: they must agree in
+//! number, steps and labels. A clock may serve one population beside the recordings of others.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -103,7 +103,8 @@ fn given(
                 continue;
             }
             (InputSource::Scene(_), _) => {
-                let message = "a scene drives all input populations and stands alone, but for a clock of one population: \
+                let message = "a scene drives all input populations and stands alone, but for a clock of one \
+                               population: \
                     POPULATION=scene:clock?span=STEPS";
                 return Err(Error::Usage(message.to_string()));
             }
@@ -224,7 +225,8 @@ impl Part {
     }
 }
 
-/// One `--input`. What stands before `=` is a population, unless there is none of this name and a file of the whole name.
+/// One `--input`. What stands before `=` is a population, unless there is none of this name and a
+/// file of the whole name.
 fn argument(network: &Quantised, text: &str) -> Result<InputArg, Diagnostic> {
     let argument = InputArg::parse(text)?;
     match &argument.population {
@@ -254,8 +256,8 @@ fn unknown(name: &str, inputs: &[&Population]) -> Error {
         .into()
 }
 
-/// What a network with some of the input populations of another sees of a sample of that one; `None` where the other has no input population
-/// of a name and size.
+/// What a network with some of the input populations of another sees of a sample of that one;
+/// `None` where the other has no input population of a name and size.
 #[must_use]
 pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Option<Sample> {
     let mut moved = Vec::new();
@@ -283,7 +285,8 @@ pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Optio
 /// One sample of all input populations, in their order, from one of each.
 ///
 /// # Errors
-/// `input.samples` and `input.disagree` where the populations do not match, `input.spikes` for a spike outside its sample.
+/// `input.samples` and `input.disagree` where the populations do not match, `input.spikes` for a
+/// spike outside its sample.
 pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Result<Vec<Sample>, Error> {
     let Some(count) = sources.first().map(Vec::len) else {
         return Ok(Vec::new());

@@ -68,7 +68,8 @@ pub struct Keep {
     pub output: Output,
     /// Probes; the steps that an early exit leaves off stay zero in them.
     pub probes: Vec<Probe>,
-    /// What decides a sample before its last step, and whether it ends then; its outputs are those of `output`.
+    /// What decides a sample before its last step, and whether it ends then; its outputs are those
+    /// of `output`.
     pub early_exit: Option<EarlyExit>,
 }
 
@@ -110,7 +111,8 @@ impl Outcome {
     }
 }
 
-/// Runs one sample; `after_step` sees the engine after each step, or after so many steps in which nothing happened.
+/// Runs one sample; `after_step` sees the engine after each step, or after so many steps in which
+/// nothing happened.
 pub fn run_sample<E: Engine + ?Sized>(
     engine: &mut E,
     sample: &Sample,
@@ -129,8 +131,8 @@ pub struct Passed {
     pub decided: bool,
 }
 
-/// Runs one sample on so many copies of its network; `after_step` sees the engine after each step, or after so many steps
-/// in which nothing happened.
+/// Runs one sample on so many copies of its network; `after_step` sees the engine after each step,
+/// or after so many steps in which nothing happened.
 pub fn run_copies<E: Engine + ?Sized>(
     engine: &mut E,
     sample: &Sample,
@@ -244,7 +246,8 @@ pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u3
     Some(right.count() as f64 / labels.len() as f64)
 }
 
-/// SHA-256 over little-endian u32 triples (sample in run order, step, output) of all output spikes, ascending.
+/// SHA-256 over little-endian u32 triples (sample in run order, step, output) of all output spikes,
+/// ascending.
 #[must_use]
 pub fn digest(outcomes: &[Outcome]) -> String {
     let mut hash = Sha256::new();

@@ -1,18 +1,21 @@
 //! The metrics of NeuroBench's harness, of a network in integers.
 //!
-//! Input: a network, samples, an engine that runs them. Output: [`NeuroBench`], each number as the harness 2.3 computes it
-//! (`neurobench/metrics` of its source) from layers of this network: projections are its connection layers, populations of
-//! compartments its spiking layers. What that means here:
+//! Input: a network, samples, an engine that runs them. Output: [`NeuroBench`], each number as the
+//! harness 2.3 computes it (`neurobench/metrics` of its source) from layers of this network:
+//! projections are its connection layers, populations of compartments its spiking layers. What that
+//! means here:
 //!
-//! - A projection is the matrix between its populations, or its kernel where it is a convolution or a pool; several synapses
-//!   of one pair are one entry, their sum.
-//! - An operation is counted where a spike meets an entry that is not zero, whether or not its delay lets it arrive before
-//!   the sample ends. So operations are not `synaptic_events`.
-//! - A membrane update is a compartment in the first timestep, and later one whose voltage a timestep leaves changed. So
-//!   updates are not `compartment_updates`.
-//! - The footprint is that of weights of 16 bits, and of a current and a voltage of 32 bits for each compartment.
+//! - A projection is the matrix between its populations, or its kernel where it is a convolution or
+//!   a pool; several synapses of one pair are one entry, their sum.
+//! - An operation is counted where a spike meets an entry that is not zero, whether or not its
+//!   delay lets it arrive before the sample ends. So operations are not `synaptic_events`.
+//! - A membrane update is a compartment in the first timestep, and later one whose voltage a
+//!   timestep leaves changed. So updates are not `compartment_updates`.
+//! - The footprint is that of weights of 16 bits, and of a current and a voltage of 32 bits for
+//!   each compartment.
 //!
-//! All samples count as one batch. Left out on purpose: layers of real numbers, and samples that end early.
+//! All samples count as one batch. Left out on purpose: layers of real numbers, and samples that
+//! end early.
 
 use std::ops::Range;
 
@@ -43,7 +46,8 @@ pub struct NeuroBench {
     pub effective_acs: f64,
     /// Membrane updates of a sample.
     pub membrane_updates: f64,
-    /// The share of samples whose class is their label, rounded to 32 bits; `None` unless all have one.
+    /// The share of samples whose class is their label, rounded to 32 bits; `None` unless all have
+    /// one.
     pub classification_accuracy: Option<f64>,
 }
 
@@ -123,8 +127,8 @@ fn membrane_updates(outcome: &Outcome) -> u64 {
 }
 
 impl NeuroBench {
-    /// Runs samples and measures. `run` gives what they did, in order, and the counts of their sources; of several copies
-    /// the first counts. Memory is bounded: samples are run in groups.
+    /// Runs samples and measures. `run` gives what they did, in order, and the counts of their
+    /// sources; of several copies the first counts. Memory is bounded: samples are run in groups.
     ///
     /// # Errors
     /// Those of `run`.

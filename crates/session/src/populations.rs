@@ -1,8 +1,9 @@
 //! What a run did, summed by population.
 //!
-//! Input: a network and the counts of each of its sources, of one copy or of several that follow each other. Output: a row
-//! for each population of compartments and for each input, in the order of the model. Sums over the rows are the totals of
-//! the run, exactly; of several copies a row is of all of them together.
+//! Input: a network and the counts of each of its sources, of one copy or of several that follow
+//! each other. Output: a row for each population of compartments and for each input, in the order
+//! of the model. Sums over the rows are the totals of the run, exactly; of several copies a row is
+//! of all of them together.
 
 use nsim_ir::base::id::{ChannelId, CompartmentId};
 use nsim_ir::quantised::{Quantised, Units};

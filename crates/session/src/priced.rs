@@ -1,6 +1,7 @@
 //! Runs samples on a mapped network and estimates what that costs.
 //!
-//! Input: a compiled network, its target, samples of one copy. Output: outcomes, counts, power, latency and energy.
+//! Input: a compiled network, its target, samples of one copy. Output: outcomes, counts, power,
+//! latency and energy.
 
 use std::sync::Arc;
 
@@ -74,7 +75,8 @@ pub struct SampleRun<'a> {
     pub ranks: Option<&'a Ranks>,
 }
 
-/// A mapping as it is metered: the program that is run, and where its messages and those of cores that do the same go.
+/// A mapping as it is metered: the program that is run, and where its messages and those of cores
+/// that do the same go.
 #[derive(Debug)]
 pub struct Metered<'c> {
     compiled: &'c Compiled,
@@ -106,8 +108,8 @@ impl<'c> Metered<'c> {
         Metered { compiled, groups, routes: Arc::new(routes) }
     }
 
-    /// What steps are metered under when they run as fast as the chip can, with the cores that the mapping uses and the target's
-    /// first constants; and that deployment.
+    /// What steps are metered under when they run as fast as the chip can, with the cores that the
+    /// mapping uses and the target's first constants; and that deployment.
     ///
     /// # Errors
     /// A constant that no integer holds.
@@ -154,8 +156,9 @@ impl<'c> Metered<'c> {
         fast(self.program(), samples, Running { copies, per_step: true, ..running }, new_meter)
     }
 
-    /// Runs samples and meters each step. Counts and sums are those of all copies, outcomes those of the first; counts by source,
-    /// what was skipped, and an outcome's totals and what left its field, are those of the cores that were run.
+    /// Runs samples and meters each step. Counts and sums are those of all copies, outcomes those
+    /// of the first; counts by source, what was skipped, and an outcome's totals and what left its
+    /// field, are those of the cores that were run.
     ///
     /// # Errors
     /// As [`fast`].
@@ -226,8 +229,8 @@ pub struct Priced {
     pub estimate: Estimate,
 }
 
-/// Runs samples as fast as the chip can and estimates power, latency and energy by the target's first constants, with the
-/// cores that the mapping uses.
+/// Runs samples as fast as the chip can and estimates power, latency and energy by the target's
+/// first constants, with the cores that the mapping uses.
 ///
 /// # Errors
 /// A constant that no integer holds; as [`fast`].

@@ -1,11 +1,13 @@
 //! What the processes that run a program together hold, and what they tell the first of them.
 //!
-//! Input: a program that is dealt out, and what a rank found of the samples ([`super::samples`]). Output: the part that a rank holds; what
-//! it found as words; on rank 0 what one process alone would have found. Invariant: every count is found by one rank only, so that
-//! adding is all there is to do.
+//! Input: a program that is dealt out, and what a rank found of the samples ([`super::samples`]).
+//! Output: the part that a rank holds; what it found as words; on rank 0 what one process alone
+//! would have found. Invariant: every count is found by one rank only, so that adding is all there
+//! is to do.
 //!
-//! Why rank 0 gathers after the run and not after each step: counts add up in any order, and only what a step costs, or when a
-//! sample is decided, has to be known at once ([`nsim_machine::Machine::of_part`]).
+//! Why rank 0 gathers after the run and not after each step: counts add up in any order, and only
+//! what a step costs, or when a sample is decided, has to be known at once
+//! ([`nsim_machine::Machine::of_part`]).
 
 use std::borrow::Cow;
 

@@ -1,7 +1,7 @@
 //! Runs many samples on an engine, in parallel where that pays.
 //!
-//! Input: a program or network, samples, what to keep of each. Output: outcomes in run order, whatever the number of
-//! threads. Errors: a program whose sums could leave their integers.
+//! Input: a program or network, samples, what to keep of each. Output: outcomes in run order,
+//! whatever the number of threads. Errors: a program whose sums could leave their integers.
 
 use std::time::Instant;
 
@@ -24,7 +24,8 @@ use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_reference::{Model, Real, Reference};
 
-/// With more synapses than this, threads share the cores of one sample instead of the samples, so that one image serves all.
+/// With more synapses than this, threads share the cores of one sample instead of the samples, so
+/// that one image serves all.
 const LARGE: u64 = 4_000_000;
 /// With fewer synapses than this, sharing the cores of a sample costs more than it gains.
 const SHARED: u64 = 100_000;
@@ -45,7 +46,8 @@ pub struct Running<'a> {
     pub per_step: bool,
     /// Called after each sample.
     pub progress: Progress<'a>,
-    /// The processes that run the program together, each a part of it; `None` where this one runs it alone.
+    /// The processes that run the program together, each a part of it; `None` where this one runs
+    /// it alone.
     pub ranks: Option<&'a Ranks>,
 }
 
@@ -128,8 +130,9 @@ pub fn fast<M: Meter>(
     Ok(fast_on(&laid_out(program, division)?, division, samples, running, new_meter))
 }
 
-/// Runs samples together with other processes; every rank makes this call with the same ones. They run one after the other; the threads of a
-/// rank share its cores. On rank 0 the result is that of one process alone.
+/// Runs samples together with other processes; every rank makes this call with the same ones. They
+/// run one after the other; the threads of a rank share its cores. On rank 0 the result is that of
+/// one process alone.
 ///
 /// # Errors
 /// As [`laid_out`], and `run.part`.
@@ -320,8 +323,8 @@ pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: P
 /// For each probe `[compartments][steps]`, in real numbers.
 pub type Traces = Vec<Vec<f64>>;
 
-/// Runs samples of a network with so many channels and compartments on the reference engine; the probes come as real numbers
-/// beside the outcomes. Nothing leaves a field of real numbers.
+/// Runs samples of a network with so many channels and compartments on the reference engine; the
+/// probes come as real numbers beside the outcomes. Nothing leaves a field of real numbers.
 #[must_use]
 pub fn reference<F: Real>(
     model: &Model<F>,
@@ -374,7 +377,8 @@ fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps:
     }
 }
 
-/// How often each channel and compartment fires over samples, on the golden interpreter: it needs no mapping.
+/// How often each channel and compartment fires over samples, on the golden interpreter: it needs
+/// no mapping.
 #[must_use]
 pub fn firing_rates<'s>(network: &Quantised, samples: impl IntoIterator<Item = &'s Sample>) -> Rates {
     let mut channels = vec![0u64; network.channels() as usize];

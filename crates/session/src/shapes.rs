@@ -1,9 +1,11 @@
-//! What a network needs by its shapes alone: refuses what no mapping fits, before anything is drawn or expanded.
+//! What a network needs by its shapes alone: refuses what no mapping fits, before anything is drawn
+//! or expanded.
 //!
-//! Input: a model as it is written, a target. Output: the reasons for which it cannot fit, if any. Every source that reaches
-//! every compartment, or draws its targets, takes at least the bits of its weights in the synapse memory of the cores that
-//! it reaches; the mean over a population's compartments is a bound that some compartment is not below. What the shapes
-//! do not decide, or the model says wrongly, is left to the stages behind.
+//! Input: a model as it is written, a target. Output: the reasons for which it cannot fit, if any.
+//! Every source that reaches every compartment, or draws its targets, takes at least the bits of
+//! its weights in the synapse memory of the cores that it reaches; the mean over a population's
+//! compartments is a bound that some compartment is not below. What the shapes do not decide, or
+//! the model says wrongly, is left to the stages behind.
 
 use std::collections::HashMap;
 
@@ -16,11 +18,12 @@ use nsim_ir::resource::Resource;
 
 /// Bits of a synapse word.
 const WORD: u128 = 64;
-/// Networks of fewer synapses are mapped in a second or so, which tells every reason and not only this one.
+/// Networks of fewer synapses are mapped in a second or so, which tells every reason and not only
+/// this one.
 const SMALL: u128 = 1 << 24;
 
-/// Refuses a large network some compartment of which needs more synapse memory than a core has, or that needs more cores
-/// than there are for its synapses.
+/// Refuses a large network some compartment of which needs more synapse memory than a core has, or
+/// that needs more cores than there are for its synapses.
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`].

@@ -1,10 +1,12 @@
-//! A run with a row for each timestep: spikes by population, events, messages, hops, time and energy by part.
+//! A run with a row for each timestep: spikes by population, events, messages, hops, time and
+//! energy by part.
 //!
-//! Input: a mapping, samples, what steps are metered under. Output: the run, and its rows in the order of the samples in a
-//! [`StepWriter`]. Sums over rows are the totals of the run, exactly: the columns count spikes, ps and fJ.
+//! Input: a mapping, samples, what steps are metered under. Output: the run, and its rows in the
+//! order of the samples in a [`StepWriter`]. Sums over rows are the totals of the run, exactly: the
+//! columns count spikes, ps and fJ.
 //!
-//! Memory is bounded: samples run in parallel in groups of at most [`CELLS`] numbers together; a longer sample runs alone, and
-//! its rows are written as they come.
+//! Memory is bounded: samples run in parallel in groups of at most [`CELLS`] numbers together; a
+//! longer sample runs alone, and its rows are written as they come.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -156,7 +158,8 @@ impl Meter for Recorder<'_, '_> {
 /// Runs samples on a mapping, meters each step and writes a row for it.
 ///
 /// # Errors
-/// As [`Metered::run`]. That rows cannot be written is for the second result to say; samples after that are not run.
+/// As [`Metered::run`]. That rows cannot be written is for the second result to say; samples after
+/// that are not run.
 pub fn run_recorded(
     metered: &Metered<'_>,
     settings: MeterSettings,
@@ -197,7 +200,8 @@ pub fn run_recorded(
     Ok((metered.of_all_copies(whole), written))
 }
 
-/// Samples that follow each other and together have at most [`CELLS`] numbers, or one that has more.
+/// Samples that follow each other and together have at most [`CELLS`] numbers, or one that has
+/// more.
 pub(super) fn groups<'g, 's>(samples: &'g [&'s Sample], columns: usize) -> Vec<&'g [&'s Sample]> {
     let (mut groups, mut start, mut cells) = (Vec::new(), 0, 0);
     for (index, sample) in samples.iter().enumerate() {

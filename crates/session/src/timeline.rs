@@ -1,8 +1,10 @@
-//! One sample, step by step: rows of all copies as [`StepLayout`] has them, spikes and potentials of the first copy.
+//! One sample, step by step: rows of all copies as [`StepLayout`] has them, spikes and potentials
+//! of the first copy.
 //!
-//! Input: a mapping, a sample, what steps are metered under, the compartments whose potentials are wanted. Output: a
-//! [`Timeline`]. Memory is bounded whatever the sample's length and the network's size: the first [`MOST_STEPS`] steps, of each
-//! population at most [`MOST_UNITS`] units in equal distances and [`MOST_SPIKES`] spikes; what was left out is said.
+//! Input: a mapping, a sample, what steps are metered under, the compartments whose potentials are
+//! wanted. Output: a [`Timeline`]. Memory is bounded whatever the sample's length and the network's
+//! size: the first [`MOST_STEPS`] steps, of each population at most [`MOST_UNITS`] units in equal
+//! distances and [`MOST_SPIKES`] spikes; what was left out is said.
 
 use std::sync::Arc;
 

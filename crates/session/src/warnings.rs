@@ -1,8 +1,9 @@
 //! What a user should be warned of after a run, each with the one change that would help most.
 //!
-//! Input: a network, what its populations did, the samples that it was shown. Output: warnings in the order of the
-//! populations. A silent population is shown the samples with most spikes once more, to measure how near it came to firing: the
-//! share of the threshold that it reached is the change to make.
+//! Input: a network, what its populations did, the samples that it was shown. Output: warnings in
+//! the order of the populations. A silent population is shown the samples with most spikes once
+//! more, to measure how near it came to firing: the share of the threshold that it reached is the
+//! change to make.
 
 use std::collections::HashSet;
 
@@ -59,7 +60,8 @@ pub struct Finished<'a> {
 
 /// With more synapses, or more potentials to read, no sample is run again.
 const MOST_AGAIN: u64 = 4_000_000;
-/// Rounding of real weights by a greater share of the greatest weight is worth a warning: half a step of 5 bits and a sign.
+/// Rounding of real weights by a greater share of the greatest weight is worth a warning: half a
+/// step of 5 bits and a sign.
 const COARSE: f64 = 1.0 / 64.0;
 /// So many samples are run again.
 const SAMPLES_AGAIN: usize = 20;
@@ -197,7 +199,8 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
     if integrates(&network.populations()[id].units) {
         let advice = match id == network.parts().output {
             true => {
-                "as those of a layer that is read out by its potential: write `decision: GreatestV` (or SumOfV, LastV) into \
+                "as those of a layer that is read out by its potential: write `decision: GreatestV` (or SumOfV, \
+                 LastV) into \
                  the model, or try it with --set decision=GreatestV"
             }
             false => "at which nothing spikes: lower them (vth_mant), or remove the population, which sends nothing on",
@@ -230,7 +233,8 @@ fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
     }
 }
 
-/// The nearest compartment of each of these populations in the samples with most spikes; none where that would take long to find.
+/// The nearest compartment of each of these populations in the samples with most spikes; none where
+/// that would take long to find.
 fn nearest(run: Finished<'_>, silent: &[PopulationId]) -> Vec<Option<Nearest>> {
     let network = run.network;
     let size = |&id: &PopulationId| u64::from(network.populations()[id].shape.len());
@@ -325,7 +329,8 @@ fn silent_classes(run: Finished<'_>) -> Option<String> {
 }
 
 /// What leaves room to values that wrap or clip, and no spike otherwise.
-const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vth_mant and bias_mant: the same spikes at half the values";
+const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vth_mant and bias_mant: the same spikes \
+                     at half the values";
 
 /// What leaves room to voltages above.
 #[must_use]

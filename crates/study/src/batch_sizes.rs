@@ -1,9 +1,10 @@
 //! Time and energy of a sample against how many samples are passed together.
 //!
-//! Input: what passes a batch, or a model of it. Output: a [`BatchRow`] for each hardware and batch size, and at which size one
-//! needs less than another ([`crossings`]). A chip passes a sample on each copy of the network and takes as many rounds as it
-//! needs; a processor passes samples on all its threads; a GPU passes them beside each other. The time of a batch is that from
-//! its first input to its last output: no sample of it is ready sooner.
+//! Input: what passes a batch, or a model of it. Output: a [`BatchRow`] for each hardware and batch
+//! size, and at which size one needs less than another ([`crossings`]). A chip passes a sample on
+//! each copy of the network and takes as many rounds as it needs; a processor passes samples on all
+//! its threads; a GPU passes them beside each other. The time of a batch is that from its first
+//! input to its last output: no sample of it is ready sooner.
 
 use std::time::Duration;
 
@@ -294,7 +295,8 @@ pub struct Crossing {
     pub hardware: String,
     /// What it needs less of.
     pub figure: BatchFigure,
-    /// The least size from which it needs less at every size; `None` where it does not at the greatest.
+    /// The least size from which it needs less at every size; `None` where it does not at the
+    /// greatest.
     pub from: Option<u32>,
     /// The greatest size.
     pub last: u32,

@@ -1,6 +1,7 @@
 //! How soon, and for how much energy, a network decides as it will in the end.
 //!
-//! Input: outcomes of labelled samples, the energy of each step. Output: accuracy and energy after each step.
+//! Input: outcomes of labelled samples, the energy of each step. Output: accuracy and energy after
+//! each step.
 
 use std::path::Path;
 

@@ -1,10 +1,11 @@
 //! Mappings of the suite's networks, measured.
 //!
-//! Input: a network and how to map it. Output: a [`MeasuredMapping`] for each way: what it uses, how far spikes go at an
-//! assumed rate, and what a simulated step of it costs in energy and time. Every mapping has passed the checker, and its
-//! spikes over the input are compared with those of the golden interpreter; one that differs is an error, not a row. A
-//! network that is mapped by its kernels is not run, and its energy and time are the expected ones. A network that cannot
-//! fit gives a [`Refusal`]: every reason, and how soon it was given.
+//! Input: a network and how to map it. Output: a [`MeasuredMapping`] for each way: what it uses,
+//! how far spikes go at an assumed rate, and what a simulated step of it costs in energy and time.
+//! Every mapping has passed the checker, and its spikes over the input are compared with those of
+//! the golden interpreter; one that differs is an error, not a row. A network that is mapped by its
+//! kernels is not run, and its energy and time are the expected ones. A network that cannot fit
+//! gives a [`Refusal`]: every reason, and how soon it was given.
 
 use std::time::Instant;
 
@@ -44,7 +45,8 @@ pub struct MeasuredMapping {
     pub chips: u32,
     /// Expected traffic at [`DEFAULT_RATE`].
     pub traffic: Traffic,
-    /// Whether energy and time are of simulated steps; of a network that is too large to run they are the expected ones.
+    /// Whether energy and time are of simulated steps; of a network that is too large to run they
+    /// are the expected ones.
     pub simulated: bool,
     /// Mean energy of a step: events and static power of powered cores, in microjoules.
     pub energy_uj: f64,
@@ -150,7 +152,8 @@ pub fn map_all(
         };
         reset_peak();
         let begin = Instant::now();
-        // One partition serves both ways of placing it, where a second copy of it is no matter of gigabytes.
+        // One partition serves both ways of placing it, where a second copy of it is no matter of
+        // gigabytes.
         let partitioned = match (form, objective) {
             (Form::Written, Objective::Cores) => {
                 match front().and_then(|front| front.partition(target, &options, rates, form)) {
@@ -233,7 +236,8 @@ pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result
     }
 }
 
-/// Mean energy and time of a step, once the spikes of the network's own compartments have been compared.
+/// Mean energy and time of a step, once the spikes of the network's own compartments have been
+/// compared.
 fn simulated(
     case: &SuiteCase,
     (compiled, own): (&Compiled, u32),

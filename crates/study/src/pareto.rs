@@ -1,12 +1,13 @@
 //! Run time against error: one network in many forms, on the same samples.
 //!
-//! Input: a network as it was trained, what stands for its spike response populations, samples. Output: a [`VariantRow`] for
-//! each [`Variant`]: microseconds a timestep on one thread, and how far its spikes and potentials are from the trained
-//! network in doubles. Variants that claim to be exact are held against the golden interpreter besides; for them
-//! [`VariantRow::exact`] must be true.
+//! Input: a network as it was trained, what stands for its spike response populations, samples.
+//! Output: a [`VariantRow`] for each [`Variant`]: microseconds a timestep on one thread, and how
+//! far its spikes and potentials are from the trained network in doubles. Variants that claim to be
+//! exact are held against the golden interpreter besides; for them [`VariantRow::exact`] must be
+//! true.
 //!
-//! A timestep is one of the samples' own, also where a variant merges or leaves off steps. Only runs are timed, not what
-//! makes a variant ready.
+//! A timestep is one of the samples' own, also where a variant merges or leaves off steps. Only
+//! runs are timed, not what makes a variant ready.
 
 use std::hint::black_box;
 use std::num::NonZeroU32;
@@ -286,7 +287,8 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Repeats a run of all samples until the budget is spent; microseconds a timestep of each repeat.
+    /// Repeats a run of all samples until the budget is spent; microseconds a timestep of each
+    /// repeat.
     fn timed(&self, mut run: impl FnMut()) -> Vec<f64> {
         let steps = self.steps() as f64;
         run();
@@ -495,8 +497,9 @@ fn with_decays(network: &Quantised, f: impl Fn(Decay) -> Result<Decay, OutOfRang
     with_neurons(network, |neuron| Ok(Neuron { du: f(neuron.du)?, dv: f(neuron.dv)?, ..neuron }))
 }
 
-/// The network for steps that are so many times as long: what is kept is kept so many times over, and the voltage, which a
-/// current is added to once instead of so often, has a threshold as much lower.
+/// The network for steps that are so many times as long: what is kept is kept so many times over,
+/// and the voltage, which a current is added to once instead of so often, has a threshold as much
+/// lower.
 fn slower(network: &Quantised, steps: u32) -> Result<Quantised, ParetoError> {
     let decay = |d: Decay| {
         let keep = libm::pow(1.0 - f64::from(d.get()) / 4096.0, f64::from(steps));

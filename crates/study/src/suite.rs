@@ -1,34 +1,42 @@
 //! The networks on which mappings are compared, as code.
 //!
-//! Input: a name. Output: the network in integers, a short input, and the board. Sizes are those of published
-//! networks where there is one; weights are drawn (`base::rng`), because places do not depend on them.
+//! Input: a name. Output: the network in integers, a short input, and the board. Sizes are those of
+//! published networks where there is one; weights are drawn (`base::rng`), because places do not
+//! depend on them.
 //!
-//! - `vtsnn-slip`, `container-tactile`: 156 / 3,150 -> 50 / 10 -> 2 and 78 -> 32 -> 20, dense; `vtsnn-slip-x32`: 32 copies
-//!   of the first, which share nothing.
-//! - `pilotnet`: Bojarski et al. 2016: 3 @ 66 x 200, convolutions to 24 @ 31 x 98, 36 @ 14 x 47, 48 @ 5 x 22 (5 x 5, stride
-//!   2), 64 @ 3 x 20, 64 @ 1 x 18 (3 x 3), then 100, 50, 10, 1.
-//! - `dvs-gesture`: SANA-FE `snn/dvs.yaml`: 32 x 32, 16 @ 15 x 15, 32 @ 13 x 13, 64 @ 11 x 11, 11 @ 9 x 9, 11.
+//! - `vtsnn-slip`, `container-tactile`: 156 / 3,150 -> 50 / 10 -> 2 and 78 -> 32 -> 20, dense;
+//!   `vtsnn-slip-x32`: 32 copies of the first, which share nothing.
+//! - `pilotnet`: Bojarski et al. 2016: 3 @ 66 x 200, convolutions to 24 @ 31 x 98, 36 @ 14 x 47, 48
+//!   @ 5 x 22 (5 x 5, stride 2), 64 @ 3 x 20, 64 @ 1 x 18 (3 x 3), then 100, 50, 10, 1.
+//! - `dvs-gesture`: SANA-FE `snn/dvs.yaml`: 32 x 32, 16 @ 15 x 15, 32 @ 13 x 13, 64 @ 11 x 11, 11 @
+//!   9 x 9, 11.
 //! - `lenet`: LeCun et al. 1998: 28 x 28, 6 @ 28 x 28, pooled, 16 @ 10 x 10, pooled, 120, 84, 10.
-//! - `cifar-conv`: 4 @ 32 x 32, convolutions to 64 @ 15 x 15 (3 x 3, stride 2), 72 @ 13 x 13 (3 x 3), 256 @ 6 x 6 (3 x 3,
-//!   stride 2), 256 @ 6 x 6 and 64 @ 6 x 6 (1 x 1), then 100: of the size of networks that nengo-loihi put on chips.
-//! - `conv-33x100`: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x 49, 36 @ 7 x 24 and 64 @ 3 x 11, one more to
-//!   64 @ 1 x 9, then 200, 100, 50, 10, 1.
+//! - `cifar-conv`: 4 @ 32 x 32, convolutions to 64 @ 15 x 15 (3 x 3, stride 2), 72 @ 13 x 13 (3 x
+//!   3), 256 @ 6 x 6 (3 x 3, stride 2), 256 @ 6 x 6 and 64 @ 6 x 6 (1 x 1), then 100: of the size
+//!   of networks that nengo-loihi put on chips.
+//! - `conv-33x100`: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x 49, 36 @ 7 x 24 and
+//!   64 @ 3 x 11, one more to 64 @ 1 x 9, then 200, 100, 50, 10, 1.
 //! - `mlp-3x1024`: 784, three layers of 1,024, 10.
 //! - `conv-10m`: that of [`crate::networks`].
-//! - `random-N`: N compartments, each with a driving channel and 64 random synapses ([`crate::networks::random`]).
-//! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32 nearest of its square
-//!   neighbourhood; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small worlds have between
-//!   one in a hundred and one in ten, on a sheet instead of a ring).
-//! - `fly-140k`: as many compartments as the connectome of a fly (FlyWire, Dorkenwald et al. 2024) and some 14 million weighted
-//!   connections. Degrees have heavy tails: out-degrees are drawn from a Pareto distribution with exponent 1.6 from 40 to 10,000,
-//!   in-degrees fall as 1 / sqrt(j) and are 4,000 at most, because a core has 4,096 input axons. Delays are 18 steps, 1.8 ms of 0.1 ms
+//! - `random-N`: N compartments, each with a driving channel and 64 random synapses
+//!   ([`crate::networks::random`]).
+//! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32
+//!   nearest of its square neighbourhood; one synapse in fifty goes to any other instead (Watts &
+//!   Strogatz 1998, whose small worlds have between one in a hundred and one in ten, on a sheet
+//!   instead of a ring).
+//! - `fly-140k`: as many compartments as the connectome of a fly (FlyWire, Dorkenwald et al. 2024)
+//!   and some 14 million weighted connections. Degrees have heavy tails: out-degrees are drawn from
+//!   a Pareto distribution with exponent 1.6 from 40 to 10,000, in-degrees fall as 1 / sqrt(j) and
+//!   are 4,000 at most, because a core has 4,096 input axons. Delays are 18 steps, 1.8 ms of 0.1 ms
 //!   as in the model of Shiu et al. 2024. Mapped with relays.
 //! - `copies-32000`: 32,000 copies of 12 -> 10 -> 1, dense, which share nothing.
-//! - `microcircuit`: as many neurons as the model of a cortical microcircuit (Potjans & Diesmann 2014) has, 77,169, with as many
-//!   synapses each as its mean, 3,873, drawn evenly: 1.11 * 2^28. Refused on `pohoiki-springs`; `microcircuit-wide` is the same with
-//!   delays of 15 steps, 1.5 ms of 0.1 ms, on a board whose cores have 65,536 input and output axons, with relays.
-//! - `scale-free-N`: 32 synapses each to compartment j with a probability that falls as 1 / sqrt(j), as hubs of preferential
-//!   attachment do (Barabasi & Albert 1999); no compartment takes more than 2,000, so that its input axons fit a core.
+//! - `microcircuit`: as many neurons as the model of a cortical microcircuit (Potjans &
+//!   Diesmann 2014) has, 77,169, with as many synapses each as its mean, 3,873, drawn evenly: 1.11 * 2^28.
+//!   Refused on `pohoiki-springs`; `microcircuit-wide` is the same with delays of 15 steps, 1.5 ms
+//!   of 0.1 ms, on a board whose cores have 65,536 input and output axons, with relays.
+//! - `scale-free-N`: 32 synapses each to compartment j with a probability that falls as 1 /
+//!   sqrt(j), as hubs of preferential attachment do (Barabasi & Albert 1999); no compartment takes
+//!   more than 2,000, so that its input axons fit a core.
 
 use crate::networks::builder::Builder;
 use crate::networks::layers::Layers;
@@ -243,7 +251,8 @@ const FAN_OUT: u32 = 32;
 
 fn small_world(name: &'static str, side: u32) -> Result<BenchNetwork, BuildError> {
     let n = side * side;
-    // The 33 nearest of a square neighbourhood of 7 x 7, without its corners' surroundings, less the compartment itself.
+    // The 33 nearest of a square neighbourhood of 7 x 7, without its corners' surroundings, less
+    // the compartment itself.
     let near: Vec<(i64, i64)> = (-3..=3i64)
         .flat_map(|y| (-3..=3i64).map(move |x| (y, x)))
         .filter(|&(y, x)| (y, x) != (0, 0) && y * y + x * x <= 10)

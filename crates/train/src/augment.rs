@@ -1,4 +1,5 @@
-//! Data augmentation: variations of training samples, drawn in each epoch from (seed, sample, epoch).
+//! Data augmentation: variations of training samples, drawn in each epoch from (seed, sample,
+//! epoch).
 
 use super::raster::Raster;
 use nsim_files::training::AugmentDesc;

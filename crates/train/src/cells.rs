@@ -1,8 +1,9 @@
-//! The neurons of a layer: the forward pass to potentials and spikes, and the backward pass from errors at the spikes to
-//! errors at the inputs.
+//! The neurons of a layer: the forward pass to potentials and spikes, and the backward pass from
+//! errors at the spikes to errors at the inputs.
 //!
-//! Both kinds are a linear filter of their input followed by a threshold. Arrays are `[step][neuron]`, so that the inner
-//! loop runs over contiguous memory. Potentials and thresholds are in the units of the trained weights.
+//! Both kinds are a linear filter of their input followed by a threshold. Arrays are
+//! `[step][neuron]`, so that the inner loop runs over contiguous memory. Potentials and thresholds
+//! are in the units of the trained weights.
 
 use super::raster::Raster;
 use super::surrogate::Surrogate;
@@ -19,8 +20,8 @@ const LONGEST: u32 = 100_000;
 pub enum Spiking {
     /// Spikes and what follows them, as deployed.
     Hard,
-    /// The smooth function whose derivative the surrogate is, no refractory response, no reset: a network that can be
-    /// differentiated, to check gradients on.
+    /// The smooth function whose derivative the surrogate is, no refractory response, no reset: a
+    /// network that can be differentiated, to check gradients on.
     Smooth,
 }
 
@@ -42,7 +43,8 @@ pub struct Srm {
 pub struct Loihi {
     /// Each compartment's fields.
     pub fields: Vec<Fields>,
-    /// For each compartment the share of u and v that a step leaves, and one over the peak of its response.
+    /// For each compartment the share of u and v that a step leaves, and one over the peak of its
+    /// response.
     pub leaves: Vec<(f32, f32, f32)>,
     /// The threshold in the units of the trained weights.
     pub theta: f32,
@@ -78,7 +80,8 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// What another network did that stands for spike response neurons, potentials `[step][neuron]`.
+    /// What another network did that stands for spike response neurons, potentials
+    /// `[step][neuron]`.
     #[must_use]
     pub fn of_stand_in(potential: Vec<f32>, spikes: Raster) -> Trace {
         // Credit of spike response neurons does not depend on what a neuron did.
@@ -87,8 +90,8 @@ impl Trace {
 }
 
 impl Srm {
-    /// Neurons with a response each and the refractory response of all; `kernel` says how they are applied, the first
-    /// response being that of all when they are cut off.
+    /// Neurons with a response each and the refractory response of all; `kernel` says how they are
+    /// applied, the first response being that of all when they are cut off.
     #[must_use]
     pub fn new(theta: f64, responses: &[Alpha], refractory: Alpha, kernel: Kernel) -> Self {
         let taps = |alpha: &Alpha| alpha.truncated(EPSILON, LONGEST).into_iter().map(|tap| tap as f32).collect();
@@ -103,7 +106,8 @@ impl Srm {
 }
 
 impl Loihi {
-    /// Compartments with these fields; `weight_unit` is what a trained weight of 1 counts in units of 64.
+    /// Compartments with these fields; `weight_unit` is what a trained weight of 1 counts in units
+    /// of 64.
     #[must_use]
     pub fn new(fields: Vec<Fields>, theta: f32, weight_unit: f32, credit: CreditDesc) -> Self {
         let left = |d: Decay| (f64::from(4096 - d.get()) / 4096.0) as f32;
@@ -120,7 +124,8 @@ impl Loihi {
 pub fn response_peak(du: Decay, dv: Decay) -> f64 {
     let left = |d: Decay| f64::from(4096 - d.get()) / 4096.0;
     let (mut u, mut v, mut peak) = (1.0, 1.0, 1.0f64);
-    // The voltage falls once what decays outweighs what the current adds; both decays at 0 never fall.
+    // The voltage falls once what decays outweighs what the current adds; both decays at 0 never
+    // fall.
     for _ in 0..100_000 {
         u *= left(du);
         let next = v * left(dv) + u;
@@ -181,8 +186,8 @@ impl Cells {
         impulse
     }
 
-    /// Steps from a spike of another layer to the update that it enters: a Loihi compartment's spike takes one step, an
-    /// SRM layer answers in the same (its kernel is 0 at 0).
+    /// Steps from a spike of another layer to the update that it enters: a Loihi compartment's
+    /// spike takes one step, an SRM layer answers in the same (its kernel is 0 at 0).
     #[must_use]
     pub fn lag(&self) -> usize {
         match self {
@@ -191,8 +196,8 @@ impl Cells {
         }
     }
 
-    /// Potentials and spikes of a layer whose input in each step is `drive`, `[step][neuron]`; for Loihi cells in the units
-    /// of [`update`], whole numbers below 2^24.
+    /// Potentials and spikes of a layer whose input in each step is `drive`, `[step][neuron]`; for
+    /// Loihi cells in the units of [`update`], whole numbers below 2^24.
     pub fn forward(&self, drive: &[f32], surrogate: &Surrogate, spiking: Spiking, trace: &mut Trace) {
         let n = self.len();
         trace.potential.clear();
@@ -207,8 +212,8 @@ impl Cells {
         }
     }
 
-    /// From the derivative of the loss by each spike (`error`, `[step][neuron]`) to that by each step's input in the units
-    /// of the trained weights, in place.
+    /// From the derivative of the loss by each spike (`error`, `[step][neuron]`) to that by each
+    /// step's input in the units of the trained weights, in place.
     pub fn backward(&self, trace: &Trace, surrogate: &Surrogate, error: &mut [f32]) {
         for (e, &u) in error.iter_mut().zip(&trace.potential) {
             *e *= surrogate.slope(u);
@@ -248,7 +253,8 @@ impl Srm {
                 }
                 Some((_, kernel)) => {
                     for (k, &nu) in kernel.iter().enumerate().skip(1).take_while(|&(k, _)| k <= t) {
-                        // A spike is known by its state; potentials of the past already hold their refractory part.
+                        // A spike is known by its state; potentials of the past already hold their
+                        // refractory part.
                         for (u, &state) in now.iter_mut().zip(&trace.state[(t - k) * n..]) {
                             if state == SPIKED {
                                 *u += nu;
@@ -337,7 +343,8 @@ impl Loihi {
                 let held = f.holds(&was);
                 let (now, effect) = update(was, z[j] as i32, f);
                 registers[j] = now;
-                // The register reads 0 at a spike; what crossed the threshold is u plus what v had left.
+                // The register reads 0 at a spike; what crossed the threshold is u plus what v had
+                // left.
                 let v = if effect.spiked {
                     nsim_dynamics::arithmetic::decay(i64::from(was.v), f.neuron.dv) as i32 + now.u + f.bias
                 } else {
@@ -452,7 +459,8 @@ mod tests {
     fn credit_is_the_transpose_of_integrating_between_resets() {
         for (credit, resets) in [("Slayer", false), ("UpToReset", true)] {
             let neuron = format!(
-                "Loihi(tau_u_ms: Same(3), tau_v_ms: Spread(4, 20, 2), weight_scale: 16, refractory: 3, theta: 10, credit: {credit})"
+                "Loihi(tau_u_ms: Same(3), tau_v_ms: Spread(4, 20, 2), weight_scale: 16, refractory: 3, theta: 10, \
+                 credit: {credit})"
             );
             let Cells::Loihi(loihi) = cells(&neuron, 2) else { panic!() };
             let (steps, n) = (80, 2);

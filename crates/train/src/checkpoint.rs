@@ -1,4 +1,5 @@
-//! A training's state as a safetensors file. A training that resumes from it ends as one that was never interrupted.
+//! A training's state as a safetensors file. A training that resumes from it ends as one that was
+//! never interrupted.
 //!
 //! The file holds a fingerprint of plan and samples: a checkpoint of another training is refused.
 //! It holds a checksum: a damaged one is refused. A file of a version without checksums is read
@@ -25,8 +26,8 @@ use nsim_files::write::checksum;
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// A digest of a training's plan and samples. What is digested of the plan is written out field by field under names of its
-/// own: renaming a type invalidates no stored checkpoint.
+/// A digest of a training's plan and samples. What is digested of the plan is written out field by
+/// field under names of its own: renaming a type invalidates no stored checkpoint.
 #[must_use]
 pub fn fingerprint(plan: &Plan, examples: &[Example]) -> String {
     let mut hash = Sha256::new();

@@ -1,7 +1,7 @@
 //! Trained weights as a model file: RON beside a safetensors file with one tensor a projection.
 //!
-//! Loihi weights are stored as half their (even) mantissa in one byte each, SRM weights as f32; both are what the network
-//! was trained with, so that the model decides as it did in training.
+//! Loihi weights are stored as half their (even) mantissa in one byte each, SRM weights as f32;
+//! both are what the network was trained with, so that the model decides as it did in training.
 
 use std::fmt::Write;
 
@@ -21,7 +21,8 @@ pub struct Model {
     pub weights: Vec<u8>,
 }
 
-/// A model file whose weights are in `weights_file` beside it; `comment` is put before it, line by line.
+/// A model file whose weights are in `weights_file` beside it; `comment` is put before it, line by
+/// line.
 ///
 /// # Errors
 /// `train.export` for neurons that a model file cannot describe.
@@ -117,7 +118,8 @@ fn population(file: &TrainingFile, desc: &LayerDesc, layer: &Layer) -> Result<St
         }
         (Cells::Srm(_), NeuronDesc::Srm { tau_sr_ms: TimesDesc::Same(tau), tau_ref_ms, scale_ref, theta, .. }) => {
             Ok(format!(
-                "Srm({head}, tau_sr_ms: {tau:?}, tau_ref_ms: {tau_ref_ms:?}, scale_ref: {scale_ref:?}, theta: {theta:?})"
+                "Srm({head}, tau_sr_ms: {tau:?}, tau_ref_ms: {tau_ref_ms:?}, scale_ref: {scale_ref:?}, theta: \
+                 {theta:?})"
             ))
         }
         (Cells::Srm(_), _) => Err(Diagnostic::new(

@@ -1,10 +1,13 @@
-//! The training loop: minibatches run on threads, gradients are summed in the order of samples, one step each.
+//! The training loop: minibatches run on threads, gradients are summed in the order of samples, one
+//! step each.
 //!
-//! What runs forward is a [`Forward`]: the trained neurons themselves, or what stands for them once they are deployed; the
-//! gradient is taken at the potentials and spikes that it leaves, through the trained neurons' responses.
+//! What runs forward is a [`Forward`]: the trained neurons themselves, or what stands for them once
+//! they are deployed; the gradient is taken at the potentials and spikes that it leaves, through
+//! the trained neurons' responses.
 //!
-//! Everything random is a function of (seed, entity, epoch), sums have a fixed order, and [`TrainingState`] is all that one
-//! epoch passes to the next: results depend neither on threads nor on where a run was interrupted and resumed.
+//! Everything random is a function of (seed, entity, epoch), sums have a fixed order, and
+//! [`TrainingState`] is all that one epoch passes to the next: results depend neither on threads
+//! nor on where a run was interrupted and resumed.
 
 use std::convert::Infallible;
 
@@ -61,7 +64,8 @@ pub trait Forward: Sync {
     /// Where the weights have no such network.
     fn network(&self, weights: &Weights) -> Result<Self::Network, Self::Error>;
 
-    /// Runs a sample and leaves the potentials and spikes of every layer in [`Workspace::traces`], in the trained network's time.
+    /// Runs a sample and leaves the potentials and spikes of every layer in [`Workspace::traces`],
+    /// in the trained network's time.
     fn run(&self, network: &Self::Network, deployed: &Deployed, inputs: &[Raster], work: &mut Workspace);
 }
 
@@ -100,7 +104,8 @@ pub struct Plan {
     pub augment: AugmentDesc,
     /// Probability with which a unit of a hidden layer is left out of a sample.
     pub dropout: f32,
-    /// Decay of the exponential moving average of the weights, which is what is deployed. 0: the weights themselves.
+    /// Decay of the exponential moving average of the weights, which is what is deployed. 0: the
+    /// weights themselves.
     pub averaging: f32,
     /// Initial weights are uniform within this many times `1 / sqrt(fan-in)`, for each layer.
     pub initial: Vec<f32>,
@@ -244,7 +249,8 @@ impl Plan {
         }
     }
 
-    /// Draws which units of hidden layers a sample goes without; the factor of the others keeps the mean (Srivastava et al.: JMLR 2014).
+    /// Draws which units of hidden layers a sample goes without; the factor of the others keeps the
+    /// mean (Srivastava et al.: JMLR 2014).
     fn drop_units(&self, index: u64, epoch: u64, work: &mut Workspace) {
         work.factors.clear();
         if self.dropout == 0.0 {
@@ -284,7 +290,8 @@ impl Plan {
         (loss, right)
     }
 
-    /// Runs all epochs that are left; `after` sees the state after each and may end the run by returning false.
+    /// Runs all epochs that are left; `after` sees the state after each and may end the run by
+    /// returning false.
     pub fn run(&self, state: &mut TrainingState, examples: &[Example], mut after: impl FnMut(&TrainingState) -> bool) {
         let mut workers = Vec::new();
         while state.epoch < self.epochs {

@@ -1,10 +1,12 @@
-//! SLAYER: networks of dense spiking layers trained on labelled spikes (Shrestha, Orchard, NeurIPS 2018).
+//! SLAYER: networks of dense spiking layers trained on labelled spikes (Shrestha, Orchard, NeurIPS
+//! 2018).
 //!
-//! Input: a training file and labelled samples. Output: weights, and a model file that the rest of nsim maps and runs.
-//! Forward, SRM neurons compute in f32, Loihi compartments in the machine's own integers with the weights as they will be
-//! stored, so that a trained Loihi network decides as the deployed one, spike by spike. Backward, both use SLAYER's
-//! temporal credit assignment and surrogate; rounding is passed straight through. Convolutions, recurrent projections and
-//! trained delays are left out on purpose.
+//! Input: a training file and labelled samples. Output: weights, and a model file that the rest of
+//! nsim maps and runs. Forward, SRM neurons compute in f32, Loihi compartments in the machine's own
+//! integers with the weights as they will be stored, so that a trained Loihi network decides as the
+//! deployed one, spike by spike. Backward, both use SLAYER's temporal credit assignment and
+//! surrogate; rounding is passed straight through. Convolutions, recurrent projections and trained
+//! delays are left out on purpose.
 
 pub mod augment;
 pub mod cells;

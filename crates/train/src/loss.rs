@@ -2,15 +2,19 @@
 //!
 //! Counts are compared with a target for the right class and one for every other. Four forms:
 //!
-//! - [`Form::SpikeCount`]: `1/2 sum_n (sum_t s_n(t) - target_n)^2` (Taunyazov et al. 2020, spike-count loss). The
-//!   derivative by a spike is the same at every step: the excess of the count.
-//! - [`Form::Weighted`]: both sums weighted with `omega(t) = beta t^2 + gamma`, decreasing (the same paper, weighted
-//!   spike-count loss). The desired spikes are taken as evenly spread, so that the target is its count times the mean of
-//!   omega; an early spike then makes up for several late ones.
-//! - [`Form::NumSpikes`]: what slayerPytorch's `spikeLoss.py` computes under that name. It differs twice: the excess is
-//!   divided by the number of steps, and it is correlated with the response kernel, because the error passes through
-//!   `psp` on its way to the spikes. The second makes errors fade toward the end of the sample.
-//! - [`Form::CrossEntropy`]: `-log softmax(scale * count)` of the right class, without targets; not in the paper.
+//! - [`Form::SpikeCount`]: `1/2 sum_n (sum_t s_n(t) - target_n)^2` (Taunyazov et al. 2020,
+//!   spike-count loss). The derivative by a spike is the same at every step: the excess of the
+//!   count.
+//! - [`Form::Weighted`]: both sums weighted with `omega(t) = beta t^2 + gamma`, decreasing (the
+//!   same paper, weighted spike-count loss). The desired spikes are taken as evenly spread, so that
+//!   the target is its count times the mean of omega; an early spike then makes up for several late
+//!   ones.
+//! - [`Form::NumSpikes`]: what slayerPytorch's `spikeLoss.py` computes under that name. It differs
+//!   twice: the excess is divided by the number of steps, and it is correlated with the response
+//!   kernel, because the error passes through `psp` on its way to the spikes. The second makes
+//!   errors fade toward the end of the sample.
+//! - [`Form::CrossEntropy`]: `-log softmax(scale * count)` of the right class, without targets; not
+//!   in the paper.
 
 use super::raster::Raster;
 
@@ -50,7 +54,8 @@ pub struct Loss {
 }
 
 impl Loss {
-    /// Returns the loss of a sample and adds its derivative by each output spike to `error`, `[step][output]`.
+    /// Returns the loss of a sample and adds its derivative by each output spike to `error`,
+    /// `[step][output]`.
     pub fn evaluate(&self, output: &Raster, label: u32, error: &mut [f32]) -> f64 {
         let (n, steps) = (output.units(), output.steps());
         let target = |class: usize| if class == label as usize { self.right } else { self.wrong };
@@ -108,7 +113,8 @@ fn squares(excess: &[f32]) -> f64 {
     excess.iter().map(|&e| f64::from(e) * f64::from(e)).sum::<f64>() / 2.0
 }
 
-/// The output with most spikes, the lowest on a tie; none when all are silent. As `nsim run` decides.
+/// The output with most spikes, the lowest on a tie; none when all are silent. As `nsim run`
+/// decides.
 #[must_use]
 pub fn class_of(counts: &[f32]) -> Option<u32> {
     let most = counts.iter().copied().fold(0.0, f32::max);

@@ -1,7 +1,9 @@
-//! The trained network: dense layers of neurons over spike rasters, forward and backward for one sample.
+//! The trained network: dense layers of neurons over spike rasters, forward and backward for one
+//! sample.
 //!
-//! Weights are `[source][target]`, sources concatenated in the order that a layer names them: a spike adds one row. Work
-//! forward and in the weights' gradient grows with the spikes; only errors between layers are dense.
+//! Weights are `[source][target]`, sources concatenated in the order that a layer names them: a
+//! spike adds one row. Work forward and in the weights' gradient grows with the spikes; only errors
+//! between layers are dense.
 
 use super::cells::{Cells, Spiking, Trace};
 use super::raster::Raster;
@@ -28,7 +30,8 @@ pub struct Mantissas {
 }
 
 impl Mantissas {
-    /// The nearest even mantissa of 8 signed bits, ties to even multiples of 2 (as `compile::frontend::quantise` rounds).
+    /// The nearest even mantissa of 8 signed bits, ties to even multiples of 2 (as
+    /// `compile::frontend::quantise` rounds).
     #[must_use]
     pub fn mantissa(&self, weight: f32) -> i16 {
         (2.0 * (weight * self.scale / 2.0).round_ties_even()).clamp(-256.0, 254.0) as i16
@@ -127,7 +130,8 @@ impl Topology {
 /// Weights as a minibatch uses them: rounded where the deployed network rounds.
 #[derive(Debug, Clone, Default)]
 pub struct Deployed {
-    /// The contribution of a spike to each target, `[layer][source * targets + target]`; whole numbers for Loihi cells.
+    /// The contribution of a spike to each target, `[layer][source * targets + target]`; whole
+    /// numbers for Loihi cells.
     adds: Vec<Vec<f32>>,
     /// The same in the units of the trained weights, `[layer][target * sources + source]`.
     transposed: Vec<Vec<f32>>,
@@ -140,7 +144,8 @@ pub struct Workspace {
     /// Of each layer.
     pub traces: Vec<Trace>,
     errors: Vec<Vec<f32>>,
-    /// What the spikes of each unit of each hidden layer are multiplied by on their way on; empty: 1.
+    /// What the spikes of each unit of each hidden layer are multiplied by on their way on;
+    /// empty: 1.
     pub(super) factors: Vec<Vec<f32>>,
     /// Derivative of the loss by each trained weight.
     pub gradient: Weights,
@@ -169,7 +174,8 @@ impl Workspace {
         &mut self.traces[last].spikes
     }
 
-    /// What the loss's derivative by each output spike is written to, `[step][output]`, zero at first.
+    /// What the loss's derivative by each output spike is written to, `[step][output]`, zero at
+    /// first.
     pub fn output_error(&mut self) -> &mut Vec<f32> {
         let last = self.traces.len() - 1;
         let error = &mut self.errors[last];
@@ -298,7 +304,8 @@ mod tests {
         plan(&TrainingFile::parse(&source).unwrap(), &source).unwrap()
     }
 
-    /// The gradient of the smoothed network against central differences of its loss, weight by weight.
+    /// The gradient of the smoothed network against central differences of its loss, weight by
+    /// weight.
     #[test]
     fn the_gradient_is_that_of_the_smoothed_network() {
         let neurons = [

@@ -1,4 +1,5 @@
-//! Gradient descent: Adam (Kingma, Ba: ICLR 2015) and RMSprop (Hinton's lecture; constants as PyTorch's defaults).
+//! Gradient descent: Adam (Kingma, Ba: ICLR 2015) and RMSprop (Hinton's lecture; constants as
+//! PyTorch's defaults).
 
 use super::network::Weights;
 
@@ -16,11 +17,13 @@ pub enum Rule {
 pub struct Optimiser {
     /// The rule.
     pub rule: Rule,
-    /// Multiple of the weights that is added to the gradient (l2, as in the paper), or taken off the weights directly.
+    /// Multiple of the weights that is added to the gradient (l2, as in the paper), or taken off
+    /// the weights directly.
     pub weight_decay: f32,
     /// What is added to the gradient with the sign of each weight (l1).
     pub l1: f32,
-    /// Whether decay is taken off the weights directly, times the learning rate (Loshchilov, Hutter: ICLR 2019).
+    /// Whether decay is taken off the weights directly, times the learning rate (Loshchilov,
+    /// Hutter: ICLR 2019).
     pub decoupled: bool,
 }
 

@@ -1,6 +1,7 @@
 //! Spikes of one population over one sample, grouped by step.
 //!
-//! Each event has a value: 1 for a spike, any number in the smoothed network on which gradients are checked.
+//! Each event has a value: 1 for a spike, any number in the smoothed network on which gradients are
+//! checked.
 
 /// Events of `units` channels or neurons over `steps` timesteps.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -20,7 +21,8 @@ impl Raster {
         Raster { units, first: vec![0], unit: Vec::new(), value: Vec::new() }
     }
 
-    /// Spikes from (step, unit) pairs; a pair given twice is one spike, what lies outside is left out.
+    /// Spikes from (step, unit) pairs; a pair given twice is one spike, what lies outside is left
+    /// out.
     #[must_use]
     pub fn from_events(units: usize, steps: usize, mut events: Vec<(u32, u32)>) -> Self {
         events.retain(|&(step, unit)| (step as usize) < steps && (unit as usize) < units);

@@ -1,8 +1,10 @@
-//! Many trainings of one file: every combination of the values that fields are given, seeds and folds.
+//! Many trainings of one file: every combination of the values that fields are given, seeds and
+//! folds.
 //!
-//! Input: a training file, fields, seeds, folds, a folder. Output: a [`Finished`] for each training; its result, model and weights are files
-//! in the folder, so that a study that was broken off goes on where it was. Errors: `train.*`, `write.*`. Left out on purpose: choosing the
-//! best, which is the reader's.
+//! Input: a training file, fields, seeds, folds, a folder. Output: a [`Finished`] for each
+//! training; its result, model and weights are files in the folder, so that a study that was broken
+//! off goes on where it was. Errors: `train.*`, `write.*`. Left out on purpose: choosing the best,
+//! which is the reader's.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -100,11 +102,12 @@ fn kept(path: &Path, print: &str) -> Result<Option<StudyRun>> {
 }
 
 impl Study<'_> {
-    /// Trains what the folder does not have yet; `read` gives the samples, `train` trains on some of them to the end, `after` sees each
-    /// training when it is in the folder.
+    /// Trains what the folder does not have yet; `read` gives the samples, `train` trains on some
+    /// of them to the end, `after` sees each training when it is in the folder.
     ///
     /// # Errors
-    /// `train.*` for a file that cannot be used, `write.*` for a folder; those of `read` and `train`.
+    /// `train.*` for a file that cannot be used, `write.*` for a folder; those of `read` and
+    /// `train`.
     pub fn run(
         &self,
         read: impl Fn(&Job) -> Result<Data>,

@@ -1,5 +1,5 @@
-//! The surrogate gradient of a spike (Shrestha, Orchard: "SLAYER", NeurIPS 2018, eq. 15; parameters as in
-//! slayerPytorch `spikeLayer.py`, `tauRho` and `scaleRho`).
+//! The surrogate gradient of a spike (Shrestha, Orchard: "SLAYER", NeurIPS 2018, eq. 15; parameters
+//! as in slayerPytorch `spikeLayer.py`, `tauRho` and `scaleRho`).
 
 /// `rho(u) = scale / (tau * theta) * exp(-|u - theta| / (tau * theta))`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,7 +32,8 @@ impl Surrogate {
         self.scale * self.steepness * exp_minus(((u - self.theta) * self.steepness).abs())
     }
 
-    /// The function whose derivative [`Surrogate::slope`] is: what the smoothed network puts in place of a spike.
+    /// The function whose derivative [`Surrogate::slope`] is: what the smoothed network puts in
+    /// place of a spike.
     #[must_use]
     pub fn smooth(&self, u: f32) -> f32 {
         let x = (u - self.theta) * self.steepness;
@@ -40,8 +41,8 @@ impl Surrogate {
     }
 }
 
-/// `exp(-x)` for x >= 0 within 3e-7, in operations that every machine rounds alike: a power of two times a polynomial
-/// (Taylor's, of 2^f around f = -1/2) that compilers can run over vectors.
+/// `exp(-x)` for x >= 0 within 3e-7, in operations that every machine rounds alike: a power of two
+/// times a polynomial (Taylor's, of 2^f around f = -1/2) that compilers can run over vectors.
 #[inline]
 fn exp_minus(x: f32) -> f32 {
     let y = (x * std::f32::consts::LOG2_E).min(125.0);

@@ -1,6 +1,7 @@
 //! The arguments of `nsim agree`, and what all of its comparisons end in.
 //!
-//! Input: the arguments, comparisons. Output: the answer, warnings about the deployed network, the picture that was asked for.
+//! Input: the arguments, comparisons. Output: the answer, warnings about the deployed network, the
+//! picture that was asked for.
 
 use std::path::PathBuf;
 
@@ -28,7 +29,8 @@ EXAMPLES:
   nsim agree srm.ron --against converted.ron --plot first.svg    both potentials around the first spike that differs
   nsim agree --require-class-agreement 0.99 --plot-causes causes.svg";
 
-/// Compare a trained network with its deployed form: spikes, potentials, classes, and the causes of differences
+/// Compare a trained network with its deployed form: spikes, potentials, classes, and the causes of
+/// differences
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -39,8 +41,9 @@ pub struct Args {
     pub(super) timestep: TimestepArgs,
     #[command(flatten)]
     pub(super) input: InputArgs,
-    /// What the deployed network is compared with: srm (as trained), cuba (current-based neurons in real numbers), golden
-    /// (the reference interpreter), a model file or several, or recorded spikes, [POPULATION=]FILE [default: srm for spike response networks, else cuba]
+    /// What the deployed network is compared with: srm (as trained), cuba (current-based neurons in
+    /// real numbers), golden (the reference interpreter), a model file or several, or recorded
+    /// spikes, [POPULATION=]FILE [default: srm for spike response networks, else cuba]
     #[arg(long, value_name = "srm|cuba|golden|FILE")]
     pub(super) against: Vec<String>,
     #[command(flatten)]
@@ -63,7 +66,8 @@ pub struct Args {
     /// Draw both potentials around the first spike in which the two part
     #[arg(long, value_name = "FILE.svg|png|pdf")]
     pub(super) plot: Option<PathBuf>,
-    /// Replace the section `<!-- agree MODEL -->` of this document, and write the bar chart next to it
+    /// Replace the section `<!-- agree MODEL -->` of this document, and write the bar chart next to
+    /// it
     #[arg(long, value_name = "FILE.md")]
     pub(super) update: Option<PathBuf>,
     /// The target of the deployed network: a file or the name of a shipped target

@@ -1,7 +1,7 @@
 //! `nsim agree`: where and why two networks disagree.
 //!
-//! Input: a model, what it is compared with, samples. Output: how far spikes and potentials differ layer by layer, and the causes.
-//! The answer is no when a bound that was asked for is missed.
+//! Input: a model, what it is compared with, samples. Output: how far spikes and potentials differ
+//! layer by layer, and the causes. The answer is no when a bound that was asked for is missed.
 
 mod args;
 mod models;

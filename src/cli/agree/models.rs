@@ -1,7 +1,9 @@
-//! `nsim agree MODEL --against FILE..`: a network as it was trained beside other model files in integers.
+//! `nsim agree MODEL --against FILE..`: a network as it was trained beside other model files in
+//! integers.
 //!
-//! Input: the network, one model file or several, samples. Output: for one file the comparison layer by layer, for several a table
-//! with all of them. Errors: files of other populations; pictures of more than one comparison.
+//! Input: the network, one model file or several, samples. Output: for one file the comparison
+//! layer by layer, for several a table with all of them. Errors: files of other populations;
+//! pictures of more than one comparison.
 
 use std::path::Path;
 
@@ -45,7 +47,8 @@ pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
     Ok(models)
 }
 
-/// Why networks are not compared: one does not fit, which is an answer, or something cannot be used.
+/// Why networks are not compared: one does not fit, which is an answer, or something cannot be
+/// used.
 enum Obstacle {
     Refused(Refusal),
     Error(Error),

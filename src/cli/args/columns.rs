@@ -1,7 +1,8 @@
 //! Help within the columns of a terminal.
 //!
-//! Input: the command line as it is declared. Output: the same with help that is wrapped at [`COLUMNS`] and examples that are folded
-//! there: what an example does goes onto a line of its own, and a longer command is continued as shells take it.
+//! Input: the command line as it is declared. Output: the same with help that is wrapped at
+//! [`COLUMNS`] and examples that are folded there: what an example does goes onto a line of its
+//! own, and a longer command is continued as shells take it.
 
 use clap::Command;
 

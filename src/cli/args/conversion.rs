@@ -14,8 +14,8 @@ use nsim_train::convert::deployed::{Choice, Conversion, Integers};
 /// What a conversion may cost.
 #[derive(Debug, Clone, clap::Args)]
 pub struct CopiesArgs {
-    /// At most so many delayed copies of what comes in to a spike response population, each with synapses of its own; twice as
-    /// many where they are few
+    /// At most so many delayed copies of what comes in to a spike response population, each with
+    /// synapses of its own; twice as many where they are few
     #[arg(
         long,
         help_heading = "Conversion",
@@ -37,10 +37,15 @@ impl CopiesArgs {
 /// How a spike response network becomes integers, and on which samples it is searched for.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ConversionArgs {
-    /// How a spike response network becomes integers: by a search on samples, or by the analytic start alone
-    #[arg(help_heading = "Conversion", long, default_value = "search", value_parser = one_of(&Conversion::ALL, Conversion::name))]
+    /// How a spike response network becomes integers: by a search on samples, or by the analytic
+    /// start alone
+    #[arg(
+        help_heading = "Conversion", long, default_value = "search",
+        value_parser = one_of(&Conversion::ALL, Conversion::name)
+    )]
     pub conversion: Conversion,
-    /// Samples for the search, as --input takes them [default: the scene with another seed, or the first input samples]
+    /// Samples for the search, as --input takes them [default: the scene with another seed, or the
+    /// first input samples]
     #[arg(help_heading = "Conversion", long, value_name = "SOURCE")]
     pub calibrate: Vec<String>,
     #[command(flatten)]

@@ -10,7 +10,8 @@ use nsim_session::inputs::{MOST_REPEATS, repeated};
 /// Where the spikes of a run come from.
 #[derive(Debug, Clone, clap::Args)]
 pub struct InputArgs {
-    /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations [default: the model's scene]
+    /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations
+    /// [default: the model's scene]
     #[arg(long, value_name = "SOURCE")]
     pub input: Vec<String>,
     /// Classes of the samples of the first --input: a .npy file with a number for each
@@ -20,7 +21,10 @@ pub struct InputArgs {
     #[arg(long, value_name = "A..B")]
     pub samples: Option<SampleRange>,
     /// Run all samples N times; each starts from rest
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_REPEATS)))]
+    #[arg(
+        long, value_name = "N", default_value_t = 1,
+        value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_REPEATS))
+    )]
     pub repeat: u32,
     /// Seed of a synthetic scene
     #[arg(long)]

@@ -50,7 +50,8 @@ pub struct JobArgs {
     /// A mapping saved by `nsim map -o`
     #[arg(help_heading = "Mapping", long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
-    /// Add relay compartments where spikes reach more cores than a compartment or a core has output axons
+    /// Add relay compartments where spikes reach more cores than a compartment or a core has output
+    /// axons
     #[arg(help_heading = "Mapping", long)]
     pub relays: bool,
     #[command(flatten)]
@@ -146,7 +147,8 @@ impl Refusal {
         Refusal { model: model.to_string(), target: Box::new(target), reasons }
     }
 
-    /// Prints the reasons on stderr and, as JSON, the command's own object with the keys of a run left empty.
+    /// Prints the reasons on stderr and, as JSON, the command's own object with the keys of a run
+    /// left empty.
     ///
     /// # Errors
     /// When stdout cannot be written.
@@ -218,8 +220,8 @@ pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32) -> Result<Prepared, 
     prepare_probed(args, wanted, Some(copies), &[])
 }
 
-/// The same, with as many copies as a saved mapping has, or 1, unless it is said, and with the populations that fit these patterns whole
-/// however much is pruned.
+/// The same, with as many copies as a saved mapping has, or 1, unless it is said, and with the
+/// populations that fit these patterns whole however much is pruned.
 ///
 /// # Errors
 /// As [`prepare`].
@@ -395,7 +397,8 @@ pub fn mapped(
     cached(key, front, open, |front| explore::map(front, target, options, rates, form), kept::to_bytes)
 }
 
-/// A network on its places, by one partition and one placement, from the cache if it is there and put into it if not.
+/// A network on its places, by one partition and one placement, from the cache if it is there and
+/// put into it if not.
 fn placed(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Placed, CompileError> {
     let key = build().and_then(|build| kept::key(&front, target, options, rates, form, &build));
     let open = |front: Front, bytes: &[u8]| kept::placed_from_kept(front, target, options, rates, bytes);
@@ -426,7 +429,8 @@ fn cached<T>(
     Ok(made)
 }
 
-/// The program that compiles: its version, and its file's size and time, as two builds may have one version.
+/// The program that compiles: its version, and its file's size and time, as two builds may have one
+/// version.
 fn build() -> Option<String> {
     let file = std::env::current_exe().and_then(|path| path.metadata()).ok()?;
     let time = file.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;

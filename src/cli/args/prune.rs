@@ -9,8 +9,8 @@ use nsim_session::inputs;
 /// What may be left out.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct PruneArgs {
-    /// Remove what cannot change an output: none; static, for every input; or for an INPUT as in --input, which also
-    /// removes channels that never spike in it
+    /// Remove what cannot change an output: none; static, for every input; or for an INPUT as in
+    /// --input, which also removes channels that never spike in it
     #[arg(help_heading = "Mapping", long, value_name = "none|static|INPUT")]
     pub prune: Vec<String>,
 }

@@ -17,7 +17,8 @@ use nsim_session::steps::{StepLayout, run_recorded};
 /// Checks the file before the run.
 ///
 /// # Errors
-/// [`Error::Usage`] for a name of another form, and for stdout, which carries the result; `write.*`.
+/// [`Error::Usage`] for a name of another form, and for stdout, which carries the result;
+/// `write.*`.
 pub fn check(path: &Path, force: bool) -> Result<(), Error> {
     form(path)?;
     Ok(check_free(path, force)?)
@@ -33,7 +34,8 @@ fn form(path: &Path) -> Result<StepFormat, Error> {
 /// Runs samples and writes a row for each of their timesteps, under a temporary name.
 ///
 /// # Errors
-/// [`Error::Usage`] for an array of samples that end early; as [`run_recorded`]; when the file cannot be written.
+/// [`Error::Usage`] for an array of samples that end early; as [`run_recorded`]; when the file
+/// cannot be written.
 pub fn recorded(
     (path, batch): (&Path, &mut Batch),
     network: &Quantised,

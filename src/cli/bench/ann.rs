@@ -25,7 +25,8 @@ EXAMPLES:
   nsim bench ann container-both.ron --network CNN-3D --tested 1 --epochs 5
   nsim bench paper --results ann.json                           beside the printed figures";
 
-/// Networks without spikes, which the paper compares with, trained on the samples and folds of training files
+/// Networks without spikes, which the paper compares with, trained on the samples and folds of
+/// training files
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct AnnArgs {
@@ -106,7 +107,8 @@ fn rows(file: &TrainingFile, kind: AnnKind, results: &[AnnResult], folds: u32, e
 /// Runs the command.
 ///
 /// # Errors
-/// [`Error`] when a training file, its samples or the output cannot be used, or memory does not hold a network.
+/// [`Error`] when a training file, its samples or the output cannot be used, or memory does not
+/// hold a network.
 pub fn run(args: &AnnArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
     let kinds = if args.network.is_empty() { AnnKind::ALL.to_vec() } else { args.network.clone() };

@@ -30,8 +30,9 @@ EXAMPLES:
 /// How long the counters are watched at idle.
 const IDLE: Duration = Duration::from_millis(300);
 
-/// Time and energy of a sample against how many are passed together: on copies of the network on the chip, on all threads of this
-/// processor, on a GPU as published figures model it, and, with the feature gpu, on the one that is here
+/// Time and energy of a sample against how many are passed together: on copies of the network on
+/// the chip, on all threads of this processor, on a GPU as published figures model it, and, with
+/// the feature gpu, on the one that is here
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct BatchArgs {
@@ -40,16 +41,21 @@ pub struct BatchArgs {
     model: String,
     #[command(flatten)]
     timestep: TimestepArgs,
-    /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations [default: the model's scene]
+    /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations
+    /// [default: the model's scene]
     #[arg(long, value_name = "SOURCE")]
     input: Vec<String>,
     /// A target file or the name of a shipped target
     #[arg(long, default_value = "nahuku-32")]
     target: String,
     /// Samples of a batch, for each row
-    #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1, 8, 64, 512], value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(
+        long, value_name = "N", value_delimiter = ',', default_values_t = [1, 8, 64, 512],
+        value_parser = clap::value_parser!(u32).range(1..=4096)
+    )]
     sizes: Vec<u32>,
-    /// Power of this machine's processor at idle and busy, where its counters cannot be read or are not to be
+    /// Power of this machine's processor at idle and busy, where its counters cannot be read or are
+    /// not to be
     #[arg(long, value_name = "IDLE,BUSY")]
     cpu_watts: Option<Watts>,
     /// Seconds of measurement a row, at least five repeats

@@ -38,14 +38,15 @@ pub struct EarlyArgs {
     /// Use the models of a study of `nsim train` in this folder instead
     #[arg(long, value_name = "DIR")]
     study: Option<PathBuf>,
-    /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations [default: each model's scene]
+    /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations
+    /// [default: each model's scene]
     #[arg(long, value_name = "SOURCE")]
     input: Vec<String>,
     /// A target file or the name of a shipped target
     #[arg(long, default_value = "nahuku-32")]
     target: String,
-    /// Copies of the model on the target; the figures are for one copy [default: those of the scenario that ships for the first
-    /// model, else 1]
+    /// Copies of the model on the target; the figures are for one copy [default: those of the
+    /// scenario that ships for the first model, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     copies: Option<u32>,
     /// Let every step take at least the model's timestep, as with a live sensor

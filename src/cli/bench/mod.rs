@@ -87,19 +87,23 @@ enum Which {
     Ann(ann::AnnArgs),
 }
 
-/// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each mapping is run and its
-/// spikes are compared with those of the reference interpreter
+/// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each
+/// mapping is run and its spikes are compared with those of the reference interpreter
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MapArgs {
-    /// Only these networks, for example vtsnn-slip-x32, lenet, pilotnet, small-world-10k [default: all below a million]
+    /// Only these networks, for example vtsnn-slip-x32, lenet, pilotnet, small-world-10k [default:
+    /// all below a million]
     #[arg(long, value_name = "NAME", num_args = 1.., value_parser = case)]
     network: Vec<SuiteCase>,
     /// Also map networks of a million compartments
     #[arg(long)]
     full: bool,
     /// Effort of each search for a better mapping, in seconds of a reference machine
-    #[arg(long, value_name = "S", default_value_t = nsim_compile::DEFAULT_EFFORT_S, value_parser = clap::value_parser!(u32).range(0..=86_400))]
+    #[arg(
+        long, value_name = "S", default_value_t = nsim_compile::DEFAULT_EFFORT_S,
+        value_parser = clap::value_parser!(u32).range(0..=86_400)
+    )]
     time_budget: u32,
 }
 
@@ -114,15 +118,18 @@ fn case(name: &str) -> Result<SuiteCase, String> {
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct StepArgs {
-    /// Only these networks, for example vtsnn-1pct, random-32k, conv-98k [default: all; those of a million compartments and
-    /// more take a minute and 4 GiB to be mapped]
+    /// Only these networks, for example vtsnn-1pct, random-32k, conv-98k [default: all; those of a
+    /// million compartments and more take a minute and 4 GiB to be mapped]
     #[arg(long, value_name = "NAME", num_args = 1.., value_parser = standard)]
     network: Vec<StandardNetwork>,
     /// Seconds of measurement per row, without set-up
     #[arg(long, value_name = "S", default_value = "1", value_parser = values::seconds)]
     seconds: Duration,
     /// Run exactly N steps, once, without warm-up, to count instructions
-    #[arg(long, value_name = "N", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
+    #[arg(
+        long, value_name = "N", conflicts_with = "seconds",
+        value_parser = clap::value_parser!(u64).range(1..=1_000_000_000)
+    )]
     steps: Option<u64>,
 }
 
@@ -247,7 +254,8 @@ impl<'p> Images<'p> {
     }
 }
 
-/// One network's rows: with skipping and without on one thread, and on all threads where that can pay.
+/// One network's rows: with skipping and without on one thread, and on all threads where that can
+/// pay.
 fn step_rows(
     standard: StandardNetwork,
     images: &Images,
@@ -292,7 +300,8 @@ fn step_rows(
     measured.collect()
 }
 
-/// What was measured on this rank, with the counts, bytes and synapses of all; on all but the first its own.
+/// What was measured on this rank, with the counts, bytes and synapses of all; on all but the first
+/// its own.
 fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming, u64, u64) {
     let Some(ranks) = ranks::several() else { return (measured, bytes, synapses) };
     let Totals { spikes_in, spikes, synaptic_events, compartment_updates, active_updates } = measured.totals;

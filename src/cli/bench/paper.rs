@@ -1,4 +1,5 @@
-//! `nsim bench paper`: the tables of the paper on visual and tactile sensing beside what was measured here.
+//! `nsim bench paper`: the tables of the paper on visual and tactile sensing beside what was
+//! measured here.
 
 use std::path::{Path, PathBuf};
 
@@ -42,12 +43,13 @@ EXAMPLES:
   nsim bench paper --train runs --cell slip-tactile --folds 5 --epochs 20
   nsim bench paper --results my.json        with rows of one's own instead of those stored";
 
-/// The tables of Taunyazov et al. 2020 on classification, early decisions and hardware: each figure as printed beside what
-/// trainings with nsim came to, and what those rest on
+/// The tables of Taunyazov et al. 2020 on classification, early decisions and hardware: each figure
+/// as printed beside what trainings with nsim came to, and what those rest on
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct PaperArgs {
-    /// Files of rows that take the place of stored ones: {"rows": [{"table": .., "task": .., "measured": ..}]}
+    /// Files of rows that take the place of stored ones: {"rows": [{"table": .., "task": ..,
+    /// "measured": ..}]}
     #[arg(long, value_name = "FILE.json")]
     results: Vec<PathBuf>,
     /// Write the tables as Markdown
@@ -56,17 +58,24 @@ pub struct PaperArgs {
     /// Run no network: stored results alone
     #[arg(long, conflicts_with = "train")]
     stored: bool,
-    /// Train the folds of the cells, keep them in this folder, and run each network on simulated cores
+    /// Train the folds of the cells, keep them in this folder, and run each network on simulated
+    /// cores
     #[arg(long, value_name = "DIR")]
     train: Option<PathBuf>,
     /// Only these cells [default: all]
     #[arg(long, value_name = "TASK-SENSES", num_args = 1.., value_parser = one_of(&NAMES, |name| name))]
     cell: Vec<&'static str>,
     /// Only these neurons [default: both]
-    #[arg(long, value_name = "NEURONS", num_args = 1.., requires = "train", value_parser = one_of(&Neurons::ALL, Neurons::name))]
+    #[arg(
+        long, value_name = "NEURONS", num_args = 1.., requires = "train",
+        value_parser = one_of(&Neurons::ALL, Neurons::name)
+    )]
     neurons: Vec<Neurons>,
     /// Stratified folds of the scenes
-    #[arg(long, value_name = "K", requires = "train", default_value_t = FOLDS, value_parser = clap::value_parser!(u32).range(2..=100))]
+    #[arg(
+        long, value_name = "K", requires = "train", default_value_t = FOLDS,
+        value_parser = clap::value_parser!(u32).range(2..=100)
+    )]
     folds: u32,
     /// Epochs, instead of those of the training files
     #[arg(long, value_name = "N", requires = "train", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
@@ -123,7 +132,8 @@ fn with_scenes(source: &str, scenes: Option<u32>) -> String {
     }
 }
 
-/// What a network does with samples: on simulated cores, or in real numbers where its neurons are no chip's.
+/// What a network does with samples: on simulated cores, or in real numbers where its neurons are
+/// no chip's.
 fn trial(
     model: &str,
     samples: Vec<Sample>,
@@ -174,7 +184,8 @@ fn each_cell(args: &PaperArgs, mut each: impl FnMut(Cell, &Scenes) -> Result<(),
     Ok(())
 }
 
-/// Trains the folds that the folder does not have, and runs every fold's network on the scenes that it was not trained on.
+/// Trains the folds that the folder does not have, and runs every fold's network on the scenes that
+/// it was not trained on.
 fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<PaperRow>, Error> {
     let mut rows = Vec::new();
     each_cell(args, |cell, scenes| {
@@ -204,7 +215,8 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
                     let model = fold.model.display().to_string();
                     let trial = trial(&model, tested, (neurons, COPIES), context)?;
                     let (trained, run) = (fold.run.accuracy, trial.accuracy.last().copied().unwrap_or(0.0));
-                    // Integers are the same in training and on cores; real numbers have fewer digits in training.
+                    // Integers are the same in training and on cores; real numbers have fewer
+                    // digits in training.
                     if neurons == Neurons::Loihi && (trained - run).abs() > 1e-9 {
                         return Err(Error::Fault(format!("{model}: accuracy {trained} in training, {run} on cores")));
                     }
@@ -219,7 +231,8 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
     Ok(rows)
 }
 
-/// Runs the shipped network of each cell on the scenes that its training left out, and puts what came out beside what is stored.
+/// Runs the shipped network of each cell on the scenes that its training left out, and puts what
+/// came out beside what is stored.
 fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Result<(), Error> {
     each_cell(args, |cell, scenes| {
         for loss in LOSSES {
@@ -249,7 +262,8 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
 /// Runs the command.
 ///
 /// # Errors
-/// [`Error`] when a file of results cannot be read, a training cannot be kept, or the document cannot be written.
+/// [`Error`] when a file of results cannot be read, a training cannot be kept, or the document
+/// cannot be written.
 pub fn run(args: &PaperArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(args.markdown.iter().chain(&args.output), None, context)?;
     let mut given = Vec::new();

@@ -24,7 +24,8 @@ EXAMPLES:
   nsim bench pareto container-tactile-srm --input dataset.ron --plot front.svg
   nsim bench pareto --update docs/benchmarks.md --force      replaces the section of this network and its picture";
 
-/// Run time against error: variants of one network (precision, bits, merged steps, early exit) on the same samples
+/// Run time against error: variants of one network (precision, bits, merged steps, early exit) on
+/// the same samples
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct ParetoArgs {

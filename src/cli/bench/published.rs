@@ -20,8 +20,9 @@ EXAMPLES:
   nsim bench published --plot published.pdf       published against predicted, with intervals
   nsim bench published --format csv > rows.csv    a row a figure";
 
-/// Energies, powers and times that others measured on the chip, beside what nsim predicts for their workloads: once by all that
-/// is known of the constants, once without what is known from the work itself
+/// Energies, powers and times that others measured on the chip, beside what nsim predicts for their
+/// workloads: once by all that is known of the constants, once without what is known from the work
+/// itself
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct PublishedArgs {

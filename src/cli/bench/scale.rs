@@ -28,10 +28,12 @@ EXAMPLES:
 const RANKS: [u32; 7] = [1, 10, 30, 100, 1_000, 3_000, 10_000];
 /// Time of an id where none was measured: it is written once, sorted out, and read once.
 const ID_NS: f64 = 1.0;
-/// What is near: the share of synapses that stay on a rank, and the ranks around it, in three dimensions.
+/// What is near: the share of synapses that stay on a rank, and the ranks around it, in three
+/// dimensions.
 const NEAR: (f64, u32) = (0.9, 26);
 
-/// Time, exchange and memory of a step on one and two ranks, and by a model of latency and bandwidth on 10 to 10,000
+/// Time, exchange and memory of a step on one and two ranks, and by a model of latency and
+/// bandwidth on 10 to 10,000
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct ScaleArgs {
@@ -125,7 +127,8 @@ pub fn run(args: &ScaleArgs, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-/// What a rank costs, from what was measured, and what the network costs that is given. `id_ns` is the time of an id in an exchange.
+/// What a rank costs, from what was measured, and what the network costs that is given. `id_ns` is
+/// the time of an id in an exchange.
 fn costs(args: &ScaleArgs, measured: &[MeasuredStep], id_ns: Option<f64>) -> Costs {
     let one = measured.first().copied();
     let per_compartment = |value: f64, step: &MeasuredStep| value / step.compartments.max(1) as f64;

@@ -1,7 +1,8 @@
 //! `nsim convert --fine-tune`: what is trained on, a bar while it lasts, and what a signal leaves.
 //!
-//! Input: a converted network and its training file. Output: the integers of the best epoch. A signal writes those of the best
-//! epoch so far to the file of `-o`. Errors: a training file of another network, samples without labels.
+//! Input: a converted network and its training file. Output: the integers of the best epoch. A
+//! signal writes those of the best epoch so far to the file of `-o`. Errors: a training file of
+//! another network, samples without labels.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -20,10 +21,12 @@ use nsim_train::convert::model_file;
 /// How integers are trained further.
 #[derive(Debug, Clone, clap::Args)]
 pub struct FineTuneArgs {
-    /// Then train for so many epochs with the integers in the forward pass, on training samples alone
+    /// Then train for so many epochs with the integers in the forward pass, on training samples
+    /// alone
     #[arg(long, value_name = "EPOCHS", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     fine_tune: Option<u32>,
-    /// The training file: loss, optimiser, seed, samples; a file or the name of a shipped model [default: the model's name]
+    /// The training file: loss, optimiser, seed, samples; a file or the name of a shipped model
+    /// [default: the model's name]
     #[arg(long, value_name = "TRAINING.ron", requires = "fine_tune")]
     training: Option<String>,
     /// Training samples, as --input takes them [default: what the training file names]
@@ -43,7 +46,8 @@ impl FineTuneArgs {
         Ok(())
     }
 
-    /// Trains further, where that is asked for; `output` is the file to write and what it says of its origin.
+    /// Trains further, where that is asked for; `output` is the file to write and what it says of
+    /// its origin.
     ///
     /// # Errors
     /// [`Error`] when the training file or a sample cannot be used.

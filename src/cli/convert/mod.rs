@@ -1,7 +1,8 @@
 //! `nsim convert MODEL`: a network with real numbers becomes integers, stage by stage, and is kept.
 //!
-//! Input: a model, calibration samples, held-out samples. Output: what each stage gained, what is left, and with `-o` a model
-//! file of integers whose provenance says how it was made. With `--fine-tune` it is then trained for some epochs.
+//! Input: a model, calibration samples, held-out samples. Output: what each stage gained, what is
+//! left, and with `-o` a model file of integers whose provenance says how it was made. With
+//! `--fine-tune` it is then trained for some epochs.
 
 mod fine_tuning;
 
@@ -42,7 +43,8 @@ pub struct Args {
     timestep: TimestepArgs,
     #[command(flatten)]
     input: InputArgs,
-    /// Samples to convert on, as --input takes them [default: the scene with another seed, or the first half of the input]
+    /// Samples to convert on, as --input takes them [default: the scene with another seed, or the
+    /// first half of the input]
     #[arg(long, value_name = "SOURCE")]
     calibrate: Vec<String>,
     /// How many samples to convert on

@@ -56,23 +56,33 @@ pub struct CostArgs {
     #[arg(help_heading = "Cost model", long, value_parser = one_of(&Host::ALL, Host::name))]
     pub host: Option<Host>,
     /// Input streams of a chip: one that its copies share, or one for each copy
-    #[arg(help_heading = "Cost model", long, default_value = "one", value_parser = one_of(&Streams::ALL, Streams::name))]
+    #[arg(
+        help_heading = "Cost model", long, default_value = "one",
+        value_parser = one_of(&Streams::ALL, Streams::name)
+    )]
     pub streams: Streams,
     /// Words of 32 bits of each core that an x86 core sets to zero after a sample, such as 10496
-    #[arg(help_heading = "Cost model", long, value_name = "WORDS", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=1 << 20))]
+    #[arg(
+        help_heading = "Cost model", long, value_name = "WORDS", default_value_t = 0,
+        value_parser = clap::value_parser!(u64).range(..=1 << 20)
+    )]
     pub reset_words: u64,
     /// As fast as possible, or held to the model's timestep
     #[arg(help_heading = "Cost model", long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
     pub mode: Mode,
     /// Energy as power x latency, or as the VT-SNN paper computes it
-    #[arg(help_heading = "Cost model", long, default_value = "physical", value_parser = one_of(&Convention::ALL, Convention::name))]
+    #[arg(
+        help_heading = "Cost model", long, default_value = "physical",
+        value_parser = one_of(&Convention::ALL, Convention::name)
+    )]
     pub convention: Convention,
     /// Other hardware to compare with: cpu (measured here), a GPU measured for this model, or
     /// gpu-roofline (modelled from its peak rates); the first two when left out, none when given
     /// without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,
-    /// Power of this machine's processor at idle and busy, where its counters cannot be read or are not to be
+    /// Power of this machine's processor at idle and busy, where its counters cannot be read or are
+    /// not to be
     #[arg(help_heading = "Cost model", long, value_name = "IDLE,BUSY")]
     pub cpu_watts: Option<Watts>,
     /// A command that passes the same samples through a GPU, to be timed with the board's power
@@ -84,15 +94,23 @@ pub struct CostArgs {
     pub constants: Option<String>,
     /// Which power counts: what Intel's profiler attributes to the job, or what a meter shows of
     /// the whole board
-    #[arg(help_heading = "Cost model", long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
+    #[arg(
+        help_heading = "Cost model", long, default_value = "profiler",
+        value_parser = one_of(&Accounting::ALL, Accounting::name)
+    )]
     pub accounting: Accounting,
-    /// How long messages take: every message through finite buffers, or the longest route and the busiest link
-    #[arg(help_heading = "Cost model", long, default_value = Transport::default().name(), value_parser = one_of(&Transport::ALL, Transport::name))]
+    /// How long messages take: every message through finite buffers, or the longest route and the
+    /// busiest link
+    #[arg(
+        help_heading = "Cost model", long, default_value = Transport::default().name(),
+        value_parser = one_of(&Transport::ALL, Transport::name)
+    )]
     pub transport: Transport,
     /// Whether the simulator skips work that cannot change anything; no figure depends on it
     #[arg(help_heading = "Cost model", long, default_value = "on")]
     pub skip: Switch,
-    /// Say what ending a sample would save when an output leads by so many spikes, or when no other can overtake it
+    /// Say what ending a sample would save when an output leads by so many spikes, or when no other
+    /// can overtake it
     #[arg(help_heading = "Cost model", long, value_name = "MARGIN|certain")]
     pub early_exit: Option<Rule>,
 }
@@ -107,7 +125,8 @@ pub struct EnergyArgs {
     /// A chart of power, time and energy of all hardware
     #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
     pub plot: Option<PathBuf>,
-    /// A row for each timestep of each sample: spikes by population, events, messages, hops, time and energy by part
+    /// A row for each timestep of each sample: spikes by population, events, messages, hops, time
+    /// and energy by part
     #[arg(long, value_name = "FILE.csv|npy|parquet")]
     pub steps: Option<PathBuf>,
     /// The mapped program, its chip and the first sample as files for SANA-FE

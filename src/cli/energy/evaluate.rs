@@ -17,8 +17,8 @@ use nsim_energy::report::table::nothing;
 use nsim_energy::workload::Workload;
 use nsim_session::error::Error;
 
-/// Runs and prices a job, with a row for each timestep in a file where one is named, and warns of what stands out; `report` takes
-/// the result. What does not fit is said, and the answer is no.
+/// Runs and prices a job, with a row for each timestep in a file where one is named, and warns of
+/// what stands out; `report` takes the result. What does not fit is said, and the answer is no.
 ///
 /// # Errors
 /// [`Error`] when an input cannot be used; those of `report`.

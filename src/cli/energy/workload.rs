@@ -1,4 +1,5 @@
-//! The samples that options name, on the mapped program: with a progress bar, and with a row for each timestep in a file.
+//! The samples that options name, on the mapped program: with a progress bar, and with a row for
+//! each timestep in a file.
 
 use std::path::Path;
 

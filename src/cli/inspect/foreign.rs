@@ -1,8 +1,9 @@
 //! What files of other tools hold: networks and checkpoints, recordings of event sensors.
 //!
-//! Input: a path. Output: every array with its type, shape and range, and whether the file can be imported as it is or
-//! what would have to be said; of a recording its events, extent and duration. Nothing in a file is executed. How a
-//! recording becomes spikes is for the options of a run to say.
+//! Input: a path. Output: every array with its type, shape and range, and whether the file can be
+//! imported as it is or what would have to be said; of a recording its events, extent and duration.
+//! Nothing in a file is executed. How a recording becomes spikes is for the options of a run to
+//! say.
 
 use std::path::Path;
 
@@ -77,7 +78,8 @@ pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<F
 /// The problem of a file that is not inspected.
 fn unknown(kind: FileKind) -> Diagnostic {
     Diagnostic::new("inspect.kind", format!("this is {kind}, which is not inspected")).help(format!(
-        "known are .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; {RECORDINGS}; folders of \
+        "known are .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; {RECORDINGS}; \
+         folders of \
          recordings"
     ))
 }

@@ -1,7 +1,8 @@
 //! `nsim inspect FILE`: what a file holds.
 //!
-//! Input: a file, a folder, or the name of something shipped. Output: its kind, what it says about itself, and tables
-//! of its parts. Nothing is compiled: a model that is inspected may still be refused by `nsim map`.
+//! Input: a file, a folder, or the name of something shipped. Output: its kind, what it says about
+//! itself, and tables of its parts. Nothing is compiled: a model that is inspected may still be
+//! refused by `nsim map`.
 
 pub mod cache;
 mod foreign;
@@ -51,9 +52,9 @@ use nsim_session::error::Error;
   nsim inspect recording.aedat4           events, extent and duration
   nsim inspect recordings/                a folder of sample_<i>_label_<c>.npy")]
 pub struct Args {
-    /// A model, target, mapping, data set, .npy, .safetensors or .csv file, a model of another tool (.net, .nir, .pt), a
-    /// recording of events, a folder of recordings, or a shipped name; behind a recording, its
-    /// options as --input of nsim run takes them
+    /// A model, target, mapping, data set, .npy, .safetensors or .csv file, a model of another tool
+    /// (.net, .nir, .pt), a recording of events, a folder of recordings, or a shipped name; behind
+    /// a recording, its options as --input of nsim run takes them
     pub file: String,
     #[command(flatten)]
     #[allow(missing_docs)]
@@ -369,7 +370,8 @@ Network(name: "m", timestep_ms: 1.0,
     fn a_model_is_counted_without_being_compiled() {
         let found = findings("m.ron", MODEL.as_bytes()).unwrap();
         let object = object(&found);
-        // Of 3 places from -1 in steps of 2 over an axis of 4, the first window loses one: 2 + 3 on each axis.
+        // Of 3 places from -1 in steps of 2 over an axis of 4, the first window loses one: 2 + 3 on
+        // each axis.
         let counts: Vec<_> = object["projections"].as_array().unwrap().iter().map(|p| p["synapses"].as_u64()).collect();
         assert_eq!(counts, [Some(3 * 2 * 5 * 5), Some(2 * 4 * 4), Some(20 * 2), Some(6)]);
         assert_eq!((&object["synapses"], &object["kind"]), (&json!(150 + 32 + 40 + 6), &json!("model")));

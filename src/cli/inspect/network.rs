@@ -1,7 +1,7 @@
 //! What a model file says: its populations, and how many synapses its projections make.
 //!
-//! Input: a parsed network. Output: facts and tables. Synapses are counted from shapes, without making any; what
-//! would take too long to count stays unknown.
+//! Input: a parsed network. Output: facts and tables. Synapses are counted from shapes, without
+//! making any; what would take too long to count stays unknown.
 
 use std::collections::HashMap;
 
@@ -14,7 +14,8 @@ fn units_of(shape: &[u64]) -> Option<u64> {
     shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
 }
 
-/// How many of the places of a window that slides over an axis lie on the axis, over all its positions.
+/// How many of the places of a window that slides over an axis lie on the axis, over all its
+/// positions.
 fn taps(input: u64, output: u64, kernel: u64, stride: u64, padding: u64, dilation: u64) -> Option<u64> {
     if output.checked_mul(kernel)? > 1 << 24 {
         return None;

@@ -1,7 +1,7 @@
 //! `nsim show NAME`: a shipped file as it is.
 //!
-//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it. Output: its text, which is RON and
-//! can be saved, changed and used in its place.
+//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it.
+//! Output: its text, which is RON and can be saved, changed and used in its place.
 
 use crate::cli::context::{Answer, Context, Format};
 use nsim_files as io;

@@ -1,7 +1,8 @@
 //! `nsim plot`: one picture, of a run of a model on an input, of a mapping, or of a saved result.
 //!
-//! Input: what to draw; a model and what `nsim energy` takes, or a JSON object that a command printed. Output: an SVG, PNG or PDF
-//! file, as its name says. Of a run the first sample that is chosen is drawn.
+//! Input: what to draw; a model and what `nsim energy` takes, or a JSON object that a command
+//! printed. Output: an SVG, PNG or PDF file, as its name says. Of a run the first sample that is
+//! chosen is drawn.
 //!
 //! Errors: what is drawn from results alone and gets a model; a result that has not what is drawn.
 
@@ -86,7 +87,8 @@ impl What {
         }
     }
 
-    /// The schemas of results that it is drawn from, and the command that prints one; none for what needs a run.
+    /// The schemas of results that it is drawn from, and the command that prints one; none for what
+    /// needs a run.
     fn results(self) -> Option<(&'static [&'static str], &'static str)> {
         match self {
             What::Raster | What::Voltage | What::Map => None,
@@ -121,8 +123,8 @@ pub struct Args {
     what: What,
     #[command(flatten)]
     cost: CostArgs,
-    /// Populations to draw, by name or pattern; for voltage also single compartments, such as 'out[2]' [default: all; of
-    /// potentials those that spike most]
+    /// Populations to draw, by name or pattern; for voltage also single compartments, such as
+    /// 'out[2]' [default: all; of potentials those that spike most]
     #[arg(long, value_name = "POP")]
     probe: Vec<String>,
     /// The picture; its name says what kind it is

@@ -1,4 +1,5 @@
-//! Messages on stderr. That nobody can read them is no reason to lose a result: failed writes are ignored.
+//! Messages on stderr. That nobody can read them is no reason to lose a result: failed writes are
+//! ignored.
 
 use std::io::Write;
 

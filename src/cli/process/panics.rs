@@ -9,7 +9,8 @@ use nsim_session::error::Error;
 /// Message and place of the first panic.
 static FIRST: Mutex<Option<String>> = Mutex::new(None);
 
-/// Does some work; a panic in it, or in a thread that it waits for, is returned as [`Error::Fault`].
+/// Does some work; a panic in it, or in a thread that it waits for, is returned as
+/// [`Error::Fault`].
 ///
 /// # Errors
 /// Those of the work, and [`Error::Fault`].

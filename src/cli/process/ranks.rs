@@ -1,8 +1,9 @@
 //! The processes of a job that was started by `mpirun` or `srun`.
 //!
-//! Rank 0 prints and writes files, the others are silent. A rank that fails ends the job, with one message: an error that all
-//! ranks find is rank 0's to say, so the others wait a moment before they say theirs; that of another rank is said by it, and rank 0,
-//! which is then ended by a signal, is told. Without the feature `mpi` every process is alone.
+//! Rank 0 prints and writes files, the others are silent. A rank that fails ends the job, with one
+//! message: an error that all ranks find is rank 0's to say, so the others wait a moment before
+//! they say theirs; that of another rank is said by it, and rank 0, which is then ended by a
+//! signal, is told. Without the feature `mpi` every process is alone.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,7 +19,8 @@ use nsim_session::ranks::RankRow;
 /// How much longer each rank than the one before it waits for another to say what is wrong.
 #[cfg(feature = "mpi")]
 const MOMENT: Duration = Duration::from_millis(250);
-/// How long rank 0 listens for what another rank has to say, once it is ended: `mpirun` soon passes on nothing more.
+/// How long rank 0 listens for what another rank has to say, once it is ended: `mpirun` soon passes
+/// on nothing more.
 #[cfg(feature = "mpi")]
 const HEARING: Duration = Duration::from_millis(10);
 /// From this rank on all wait as long: a job ends within two seconds.
@@ -104,7 +106,8 @@ pub fn finish() {
     }
 }
 
-/// What comes before the message of a failure. What another rank has said already is not said again.
+/// What comes before the message of a failure. What another rank has said already is not said
+/// again.
 pub fn before_failing() {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = several() {

@@ -1,7 +1,9 @@
-//! Signals: SIGINT and SIGTERM end a command with status 130 and 143 and leave no temporary file behind.
+//! Signals: SIGINT and SIGTERM end a command with status 130 and 143 and leave no temporary file
+//! behind.
 //!
-//! SIGXFSZ (a file beyond its limit) only interrupts the write, which fails with an error of its own. SIGABRT, which follows
-//! exhausted memory and an exhausted stack, ends with status 4 after the message of Rust's runtime.
+//! SIGXFSZ (a file beyond its limit) only interrupts the write, which fails with an error of its
+//! own. SIGABRT, which follows exhausted memory and an exhausted stack, ends with status 4 after
+//! the message of Rust's runtime.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -46,8 +48,8 @@ impl Drop for Ending {
 pub fn listen(format: Format) {
     let _ = flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
     let _ = flag::register_conditional_shutdown(SIGABRT, 4, Arc::new(AtomicBool::new(true)));
-    // A later signal does not wait for the first one's work. One that comes with the first (`timeout` signals the process
-    // and its group) is the same.
+    // A later signal does not wait for the first one's work. One that comes with the first
+    // (`timeout` signals the process and its group) is the same.
     let ending = Arc::new(AtomicBool::new(false));
     let Ok(mut signals) = Signals::new([SIGINT, SIGTERM]) else { return };
     for signal in [SIGINT, SIGTERM] {

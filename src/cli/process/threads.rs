@@ -5,8 +5,8 @@ use nsim_session::error::Error;
 /// The most threads that are started: more cost time and memory and gain nothing.
 pub const MOST_THREADS: usize = 1024;
 
-/// Starts the threads that `--threads` asks for, one for each core without it. Where the system allows fewer, those that
-/// it allows: their number changes no result. Returns how many there are.
+/// Starts the threads that `--threads` asks for, one for each core without it. Where the system
+/// allows fewer, those that it allows: their number changes no result. Returns how many there are.
 ///
 /// # Errors
 /// [`Error::Usage`] for none or too many.

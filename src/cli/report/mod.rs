@@ -1,7 +1,8 @@
 //! `nsim report`: a run, or results that were saved, as one page.
 //!
-//! Output: an HTML file that opens without a network. A model is run and priced as `nsim energy` does; of its first sample
-//! every step is shown. A model in real numbers is also compared with itself as it was trained.
+//! Output: an HTML file that opens without a network. A model is run and priced as `nsim energy`
+//! does; of its first sample every step is shown. A model in real numbers is also compared with
+//! itself as it was trained.
 
 use std::path::{Path, PathBuf};
 
@@ -25,13 +26,15 @@ EXAMPLES:
   nsim report vtsnn-slip-srm -o report.html       a trained network, and how its deployed form agrees with it
   nsim report a.json b.json -o compared.html      two results of nsim energy or nsim run --format json, side by side";
 
-/// Write a page that shows a run: fit onto cores, spikes, potentials, power, time, energy, and what was compared
+/// Write a page that shows a run: fit onto cores, spikes, potentials, power, time, energy, and what
+/// was compared
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
     #[command(flatten)]
     cost: CostArgs,
-    /// A second result to compare with, where MODEL is one: an object that nsim energy or nsim run printed
+    /// A second result to compare with, where MODEL is one: an object that nsim energy or nsim run
+    /// printed
     #[arg(value_name = "RESULT.json")]
     other: Option<PathBuf>,
     /// Where to write the page
@@ -83,7 +86,8 @@ fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
 /// The page of a run.
 fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Context) -> Result<Answer, Error> {
     let (target, network) = (workload.target, &workload.compiled.one);
-    // What came through a pipe is gone: it is neither compared with itself in real numbers nor hashed.
+    // What came through a pipe is gone: it is neither compared with itself in real numbers nor
+    // hashed.
     let piped = io::text::is_standard_stream(Path::new(&args.cost.job.model));
     let file = (!piped).then(|| args.cost.job.timestep.load(&args.cost.job.model)).transpose()?;
     let mut sections = sections(workload, evaluated, args.cost.transport)?;

@@ -1,7 +1,9 @@
-//! One compartment in integers without limits: equations 2 to 7 of `docs/semantics.md` by quotient and remainder.
+//! One compartment in integers without limits: equations 2 to 7 of `docs/semantics.md` by quotient
+//! and remainder.
 //!
-//! 128 bits hold every product and sum of the fields' ranges and of 2^60 arrivals, so nothing here can overflow. Nothing is
-//! shared with the machine or the golden interpreter: no shift, no mask, no field type's operation.
+//! 128 bits hold every product and sum of the fields' ranges and of 2^60 arrivals, so nothing here
+//! can overflow. Nothing is shared with the machine or the golden interpreter: no shift, no mask,
+//! no field type's operation.
 
 /// The parameters, as plain numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -152,7 +152,8 @@ impl Plan {
         let seen = self.run(target, steps, drive)?;
         let Seen { spikes, q_wrapped, u_wrapped, v_clipped, .. } = seen;
         let detail = format!(
-            "{spikes} spikes; {q_wrapped} accumulators and {u_wrapped} currents wrapped, {v_clipped} voltages clipped, as counted by all"
+            "{spikes} spikes; {q_wrapped} accumulators and {u_wrapped} currents wrapped, {v_clipped} voltages \
+             clipped, as counted by all"
         );
         match met(&seen) {
             true => Ok((steps.into(), detail)),
@@ -250,7 +251,8 @@ fn noise(channels: u32, seed: u64, chance: f64) -> impl Fn(u32) -> Vec<u32> {
 
 pub(super) fn fan_in(target: &Target, weight: i16) -> Outcome {
     const AXONS: u32 = 4096;
-    // Of 4,096 equal weights the sum is a multiple of the accumulator's period for -256; fewer axons show the rest of the way.
+    // Of 4,096 equal weights the sum is a multiple of the accumulator's period for -256; fewer
+    // axons show the rest of the way.
     let drive = |step: u32| match step % 3 {
         0 => (0..AXONS).collect(),
         1 => (0..1 + step * 37 % AXONS).collect(),
@@ -384,7 +386,8 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
     const DRIVE: u64 = 7;
     let p = Parameters { du: 301, dv: 17, vth: 900, bias_mant: -23, bias_exp: 2, refractory: 3, ..PLAIN };
     let plan = Plan { channels: 1, neurons: vec![p], links: vec![uniform(1, 1, 254, 0)] };
-    // State and phase of the input decide everything that follows: once both return, the trace is periodic for ever.
+    // State and phase of the input decide everything that follows: once both return, the trace is
+    // periodic for ever.
     let (mut exact, mut trace, mut met) = (Compartment::default(), Vec::new(), HashMap::new());
     let (before, period) = loop {
         let now = trace.len() as u64;

@@ -1,10 +1,12 @@
 //! Tests of the arithmetic at the ends of its ranges: a suite with a verdict for each case.
 //!
-//! Input: a target whose cores the integer cases are mapped onto. Output: [`Verdict`]s. Three engines run each integer
-//! case: the machine, the golden interpreter, and a model in 128-bit integers written from `docs/semantics.md` with
-//! remainders and quotients ([`exact`]). A case passes when every register and spike of every step agrees *and* the edge
-//! that it is about was reached (something wrapped, clipped, spiked). Cases in real numbers hold the recursions of
-//! `reference` against compensated sums of the definition; the bound follows from the number of roundings.
+//! Input: a target whose cores the integer cases are mapped onto. Output: [`Verdict`]s. Three
+//! engines run each integer case: the machine, the golden interpreter, and a model in 128-bit
+//! integers written from `docs/semantics.md` with remainders and quotients ([`exact`]). A case
+//! passes when every register and spike of every step agrees *and* the edge that it is about was
+//! reached (something wrapped, clipped, spiked). Cases in real numbers hold the recursions of
+//! `reference` against compensated sums of the definition; the bound follows from the number of
+//! roundings.
 
 pub mod exact;
 mod integers;
@@ -38,7 +40,8 @@ pub struct Case {
 }
 
 impl Case {
-    /// Runs it; the target's limits on the variety of compartments are lifted, since a case holds many kinds.
+    /// Runs it; the target's limits on the variety of compartments are lifted, since a case holds
+    /// many kinds.
     #[must_use]
     pub fn run(&self, target: &Target) -> Verdict {
         match (self.run)(target) {

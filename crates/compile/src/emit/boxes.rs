@@ -1,14 +1,16 @@
 //! The program of a network of layers, written pattern by pattern.
 //!
-//! Input: a network that is mapped by its kernels, its partition and placement. Output: a [`Program`], and the tables of one core
-//! of each pattern, for the checker. Boxes of a layer that hold the same channels, and whose rows and columns are reached in the
-//! same pattern, store the same tables. These are written once; the other boxes differ in the sources of their input axons, which
-//! are the same ones some rows and columns further on. So a program of thousands of millions of synapses takes the memory of its
-//! messages, not of its synapses.
+//! Input: a network that is mapped by its kernels, its partition and placement. Output: a
+//! [`Program`], and the tables of one core of each pattern, for the checker. Boxes of a layer that
+//! hold the same channels, and whose rows and columns are reached in the same pattern, store the
+//! same tables. These are written once; the other boxes differ in the sources of their input axons,
+//! which are the same ones some rows and columns further on. So a program of thousands of millions
+//! of synapses takes the memory of its messages, not of its synapses.
 //!
-//! Why it is right: a window reaches rows and columns independently of each other, and what a source reaches of a box depends
-//! on its field in both, which [`WindowAxis::pattern`] lists in order. A test holds programs made so against those that
-//! [`route`](crate::emit::route) writes synapse by synapse.
+//! Why it is right: a window reaches rows and columns independently of each other, and what a
+//! source reaches of a box depends on its field in both, which [`WindowAxis::pattern`] lists in
+//! order. A test holds programs made so against those that [`route`](crate::emit::route) writes
+//! synapse by synapse.
 
 use std::collections::HashMap;
 
@@ -109,7 +111,8 @@ struct Pattern {
     layer: PopulationId,
     /// Compartments in slot order, counted from the first row and column of the box.
     held: Vec<u32>,
-    /// By projection into the layer: which rows and columns reach which of the box's, counted from the first that does.
+    /// By projection into the layer: which rows and columns reach which of the box's, counted from
+    /// the first that does.
     reached: Vec<[Vec<(u32, ReceptiveField)>; 2]>,
 }
 
@@ -117,7 +120,8 @@ struct Pattern {
 #[derive(Debug)]
 struct BoxOfLayer {
     pattern: Pattern,
-    /// By projection into the layer: the sources' numbers, and the one at the first row and column that reach the box.
+    /// By projection into the layer: the sources' numbers, and the one at the first row and column
+    /// that reach the box.
     origins: Vec<(u32, u32, i64)>,
 }
 
@@ -149,7 +153,8 @@ impl BoxOfLayer {
         Some(BoxOfLayer { pattern: Pattern { layer: id, held, reached }, origins })
     }
 
-    /// How far the sources of a box of the same pattern lie from this one's: the sources of each projection, and the distance.
+    /// How far the sources of a box of the same pattern lie from this one's: the sources of each
+    /// projection, and the distance.
     fn shifts_to(&self, other: &BoxOfLayer) -> Vec<(u32, u32, i64)> {
         let mut shifts: Vec<_> =
             self.origins.iter().zip(&other.origins).map(|(&(from, to, at), other)| (from, to, other.2 - at)).collect();

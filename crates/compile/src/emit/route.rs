@@ -1,14 +1,15 @@
 //! From seats and sites to tables: the program.
 //!
-//! Input: a network, its partition and placement. Output: a [`Program`]. Each source sends one message to each core that
-//! holds a target of it, the own core included; there an input axon of its own leads to the list of its synapses, which
-//! is one of a table where [`crate::resources::axon_sharing`] says so.
-//! Input axons of a core are numbered by source: channels in order, then compartments in order. A list is sorted by
-//! format, then slot, delay and weight; formats are numbered as they first appear. Widths are those of
+//! Input: a network, its partition and placement. Output: a [`Program`]. Each source sends one
+//! message to each core that holds a target of it, the own core included; there an input axon of
+//! its own leads to the list of its synapses, which is one of a table where
+//! [`crate::resources::axon_sharing`] says so. Input axons of a core are numbered by source:
+//! channels in order, then compartments in order. A list is sorted by format, then slot, delay and
+//! weight; formats are numbered as they first appear. Widths are those of
 //! [`crate::resources::packing`].
 //!
-//! Cores are written down in parallel, from their own synapses alone; then messages are sorted from cores to sources, a
-//! range of sources each.
+//! Cores are written down in parallel, from their own synapses alone; then messages are sorted from
+//! cores to sources, a range of sources each.
 
 use rayon::prelude::*;
 
@@ -35,16 +36,17 @@ use nsim_ir::program::{
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::resource::Limits;
 
-/// Sources whose messages are sorted by one task. With fewer the sources of each core are read in shorter runs: 4,096 took twice the
-/// time.
+/// Sources whose messages are sorted by one task. With fewer the sources of each core are read in
+/// shorter runs: 4,096 took twice the time.
 const PIECE: u32 = 1 << 14;
 
-/// The program of a network, so many equal copies that share nothing, on its places. What equal cores of several copies store
-/// is written once. Of a program that is dealt out and held in part, only what is held is written.
+/// The program of a network, so many equal copies that share nothing, on its places. What equal
+/// cores of several copies store is written once. Of a program that is dealt out and held in part,
+/// only what is held is written.
 ///
 /// # Errors
-/// A sentence when the tables contradict each other or a core has more formats than can be numbered: a fault of the
-/// stages before, whose limits exclude it.
+/// A sentence when the tables contradict each other or a core has more formats than can be
+/// numbered: a fault of the stages before, whose limits exclude it.
 pub fn route(
     network: &Quantised,
     partition: &Partition,
@@ -186,7 +188,8 @@ impl<'a> Tables<'a> {
         }
     }
 
-    /// The image of a core with these synapses, without messages, and the source of each input axon.
+    /// The image of a core with these synapses, without messages, and the source of each input
+    /// axon.
     pub(super) fn image(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<(CoreImage, Vec<u32>), String> {
         let held = &self.partition.members()[core];
         let widths = Widths::for_core(held.len() as u32, longest, self.limits.packing);
@@ -278,7 +281,8 @@ impl Writer<'_> {
     }
 }
 
-/// What a core keeps of its synapses; `None` when it has more input axons or formats than can be numbered.
+/// What a core keeps of its synapses; `None` when it has more input axons or formats than can be
+/// numbered.
 fn write_lists(
     keys: &[Key],
     formats: &Formats,

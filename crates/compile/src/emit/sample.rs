@@ -1,7 +1,8 @@
 //! The tables of some cores, of a network too large to write all.
 //!
-//! Input: a network, its partition and placement, and the cores wanted. Output: each core's image as [`route`] would write
-//! it, but for its messages, whose axon numbers depend on the tables of all other cores.
+//! Input: a network, its partition and placement, and the cores wanted. Output: each core's image
+//! as [`route`] would write it, but for its messages, whose axon numbers depend on the tables of
+//! all other cores.
 //!
 //! [`route`]: crate::emit::route::route()
 

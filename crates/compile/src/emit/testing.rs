@@ -1,17 +1,20 @@
 //! An encoder and a decoder of synapse memory, for tests.
 //!
-//! Input: a core's image. Output: its 64-bit words as the formats say, and the lists that these words decode to. They show
-//! that what was counted can be stored: as many words as [`crate::resources::packing`] counts, and every synapse
-//! back. `verify` counts words by the formula; the tests hold the formula to this.
+//! Input: a core's image. Output: its 64-bit words as the formats say, and the lists that these
+//! words decode to. They show that what was counted can be stored: as many words as
+//! [`crate::resources::packing`] counts, and every synapse back. `verify` counts words by the
+//! formula; the tests hold the formula to this.
 //!
-//! An entry: number of the format (4 bits), synapses less one (6 bits), the first slot (as wide as the core's indices; in
-//! run-length entries, and with NxTF's counting in dense ones), then the synapses: weight, delay, and run or index. A weight
-//! is stored as its number of steps above the least weight of its format. Where a dense entry holds no slot, the input
-//! axon's entry of the synapse map does (nengo-loihi's `cx_base`), one for each dense group; it also says where the list
-//! begins and ends. Fields stand from the lowest bit on and entries begin at a word.
+//! An entry: number of the format (4 bits), synapses less one (6 bits), the first slot (as wide as
+//! the core's indices; in run-length entries, and with NxTF's counting in dense ones), then the
+//! synapses: weight, delay, and run or index. A weight is stored as its number of steps above the
+//! least weight of its format. Where a dense entry holds no slot, the input axon's entry of the
+//! synapse map does (nengo-loihi's `cx_base`), one for each dense group; it also says where the
+//! list begins and ends. Fields stand from the lowest bit on and entries begin at a word.
 //!
-//! The table of population axons is stored once, its lists at equal distances; the synapse map's entry of each population
-//! axon says where it begins, that distance and the base. Dense entries of a table hold their slots, counted from the base.
+//! The table of population axons is stored once, its lists at equal distances; the synapse map's
+//! entry of each population axon says where it begins, that distance and the base. Dense entries of
+//! a table hold their slots, counted from the base.
 
 use std::collections::BTreeMap;
 
@@ -231,8 +234,8 @@ fn encode_entry(
     words.resize((before + counted).max(words.len()), 0);
 }
 
-/// The lists that a core's input axons select, as its words say them, with the slots that they lead to; or `None` when
-/// the words say nothing sensible.
+/// The lists that a core's input axons select, as its words say them, with the slots that they lead
+/// to; or `None` when the words say nothing sensible.
 #[must_use]
 pub fn decode(memory: &Memory, image: &CoreImage, limits: &Limits) -> Option<Vec<Vec<Synapse>>> {
     let (widths, inputs) = (widths(image, limits), &image.inputs);

@@ -1,8 +1,9 @@
 //! Cores that hold the same compartments of other copies.
 //!
-//! Input: the compartments of each core, how many copies there are and of how many compartments. Output: for each core the
-//! first whose compartments, slot by slot, are the same ones so many copies earlier. As copies are equal and share nothing, what such a
-//! core stores is what the first stores, and its sources are the same ones so many copies later.
+//! Input: the compartments of each core, how many copies there are and of how many compartments.
+//! Output: for each core the first whose compartments, slot by slot, are the same ones so many
+//! copies earlier. As copies are equal and share nothing, what such a core stores is what the first
+//! stores, and its sources are the same ones so many copies later.
 
 use std::collections::HashMap;
 
@@ -41,7 +42,8 @@ mod tests {
     #[test]
     fn equal_cores_of_later_copies_are_found() {
         let core = |ids: &[u32]| ids.iter().map(|&id| CompartmentId(id)).collect::<Vec<_>>();
-        // Copies of 3: two copies on cores {0 1}, {2 3}, {4 5}, then the same two copies later, then another order.
+        // Copies of 3: two copies on cores {0 1}, {2 3}, {4 5}, then the same two copies later,
+        // then another order.
         let members: IdVec<CoreId, _> =
             vec![core(&[0, 1]), core(&[2, 3]), core(&[4, 5]), core(&[6, 7]), core(&[8, 9]), core(&[11, 10])].into();
         let found: Vec<(u32, u32)> = twins(&members, 3).iter().map(|twin| (twin.first.0, twin.later)).collect();

@@ -1,7 +1,8 @@
 //! What placed boxes are expected to carry and cost, at a rate for each population.
 //!
-//! Input: boxes and places, and how often the sources of each population spike. Output: traffic, link loads and the
-//! [`Score`] of a step, counted as [`crate::explore::traffic`] and [`crate::explore::cost_estimate`] count those of a program.
+//! Input: boxes and places, and how often the sources of each population spike. Output: traffic,
+//! link loads and the [`Score`] of a step, counted as [`crate::explore::traffic`] and
+//! [`crate::explore::cost_estimate`] count those of a program.
 
 use crate::explore::cost_estimate::{Score, score_of};
 use crate::explore::traffic;

@@ -1,9 +1,11 @@
-//! Steps in which many sources spike at once, in which candidates for the shortest step are compared.
+//! Steps in which many sources spike at once, in which candidates for the shortest step are
+//! compared.
 //!
-//! Output: the rates of steps in which all sources spike, and in which those of one population do, for the expected step
-//! ([`crate::explore::cost_estimate`]); and the time of a step in which drawn compartments spike, every message followed
-//! as in a run ([`nsim_cost::transport::queue`]). The expected step knows how busy links are; that messages hold up others
-//! behind them it does not, and that is most of a step in which many compartments spike.
+//! Output: the rates of steps in which all sources spike, and in which those of one population do,
+//! for the expected step ([`crate::explore::cost_estimate`]); and the time of a step in which drawn
+//! compartments spike, every message followed as in a run ([`nsim_cost::transport::queue`]). The
+//! expected step knows how busy links are; that messages hold up others behind them it does not,
+//! and that is most of a step in which many compartments spike.
 
 use crate::explore::cost_estimate::first_constants;
 use crate::partition::box_fan_out::{PopulationRates, everywhere, only};
@@ -25,7 +27,8 @@ const MOST_BURSTS: usize = 16;
 /// Where the draws of compartments begin.
 const SEED: u64 = 0xb0_4575;
 
-/// Rates of steps in which all sources spike, and in which those of one population do, for as many as are affordable.
+/// Rates of steps in which all sources spike, and in which those of one population do, for as many
+/// as are affordable.
 #[must_use]
 pub fn bursts(network: &Quantised) -> Vec<Rates> {
     let mut bursts = vec![Rates::assumed(1.0)];
@@ -53,8 +56,8 @@ pub fn messages(program: &Program) -> u64 {
     program.cores().iter().flat_map(|core| core.axons_out.iter()).map(|messages| messages.len() as u64).sum()
 }
 
-/// The time of a step in which every compartment spikes with this chance, the same ones in every mapping of a network, and no
-/// input; in microseconds, under the target's first preset.
+/// The time of a step in which every compartment spikes with this chance, the same ones in every
+/// mapping of a network, and no input; in microseconds, under the target's first preset.
 ///
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.

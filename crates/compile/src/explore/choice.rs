@@ -1,16 +1,19 @@
 //! Which of several mappings is best for an objective.
 //!
-//! Input: candidates with what a step of them is expected to cost, the first of which is what others are measured by: the
-//! sequential order, unplaced as the public tools leave it. Output: the one to take, if any is better.
+//! Input: candidates with what a step of them is expected to cost, the first of which is what
+//! others are measured by: the sequential order, unplaced as the public tools leave it. Output: the
+//! one to take, if any is better.
 //!
-//! The expected step of mean rates is not the simulated one: spikes come in bursts, and more cores mean more messages over
-//! the busiest link in a burst. For the time of a step a candidate must therefore be no slower than the first
-//! when every source spikes at once, and when all sources of one population do: over all populations and, but
-//! where that is `SHORT`, for each. One that is faster by `MARGIN` at the rates that it is made for, or holds the same
-//! compartments on the same cores, may be slower by as much in one population's burst; another must be faster by
-//! `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the host takes as long to inject whatever the
-//! mapping, and may take most of a step. Where it does, what is saved has to be a part of the whole, too (`OF_WHOLE`). Last, a step in
-//! which drawn compartments spike and every message is followed may take no longer, with the same allowance.
+//! The expected step of mean rates is not the simulated one: spikes come in bursts, and more cores
+//! mean more messages over the busiest link in a burst. For the time of a step a candidate must
+//! therefore be no slower than the first when every source spikes at once, and when all sources of
+//! one population do: over all populations and, but where that is `SHORT`, for each. One that is
+//! faster by `MARGIN` at the rates that it is made for, or holds the same compartments on the same
+//! cores, may be slower by as much in one population's burst; another must be faster by
+//! `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the host
+//! takes as long to inject whatever the mapping, and may take most of a step. Where it does, what
+//! is saved has to be a part of the whole, too (`OF_WHOLE`). Last, a step in which drawn
+//! compartments spike and every message is followed may take no longer, with the same allowance.
 
 use crate::error::Result;
 use crate::explore::cost_estimate::Score;
@@ -18,11 +21,13 @@ use crate::options::{Objective, Strategy};
 
 /// How much less a mean step must take to be trusted to take no longer in a burst.
 const MARGIN: f64 = 0.9;
-/// How much less it must take where no burst may take longer and that of all sources takes as much less.
+/// How much less it must take where no burst may take longer and that of all sources takes as much
+/// less.
 const EVERYWHERE: f64 = 0.95;
 /// How much less the whole mean step must take, injection included.
 const OF_WHOLE: f64 = 0.99;
-/// A step in which one population spikes is short when it takes less than this part of one in which all sources do.
+/// A step in which one population spikes is short when it takes less than this part of one in which
+/// all sources do.
 const SHORT: f64 = 0.1;
 
 /// A way of mapping.
@@ -56,14 +61,15 @@ pub struct Made<M> {
 
 /// Steps in which many sources spike at once, which are expensive to know.
 pub trait Bursts<M> {
-    /// The expected cost of a step in which all sources spike, then of those in which the sources of one population do.
+    /// The expected cost of a step in which all sources spike, then of those in which the sources
+    /// of one population do.
     ///
     /// # Errors
     /// When the target's constants cannot be used.
     fn expected(&mut self, kept: &M) -> Result<Vec<Score>>;
 
-    /// The time of a step in which drawn compartments spike, the same in all candidates, every message followed, in microseconds;
-    /// none where that cannot be known.
+    /// The time of a step in which drawn compartments spike, the same in all candidates, every
+    /// message followed, in microseconds; none where that cannot be known.
     ///
     /// # Errors
     /// When the target's constants cannot be used.
@@ -144,8 +150,9 @@ fn same_cores(one: &Found, other: &Found) -> bool {
     cores(one) == cores(other)
 }
 
-/// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all sources spike; those of one
-/// population, all of them together; and each of these, but for `slack` and for those that are short beside the first.
+/// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all
+/// sources spike; those of one population, all of them together; and each of these, but for `slack`
+/// and for those that are short beside the first.
 fn no_slower(times: &[f64], plain: &[f64], slack: f64) -> bool {
     let (Some((all, each)), Some((all_plain, each_plain))) = (times.split_first(), plain.split_first()) else {
         return true;
@@ -187,8 +194,8 @@ mod tests {
         }
     }
 
-    /// The divisor of the one that is taken, if any, of candidates with their time on the chips and followed; the first takes 40 and
-    /// 100 us.
+    /// The divisor of the one that is taken, if any, of candidates with their time on the chips and
+    /// followed; the first takes 40 and 100 us.
     fn taken(host_us: f64, others: &[(u32, f64, f64)]) -> Option<u32> {
         let made = |(divisor, on_chip, followed): (u32, f64, f64)| {
             let step_us = on_chip + host_us;

@@ -1,9 +1,10 @@
 //! What a step of a program is expected to cost, before it has run.
 //!
-//! Input: a program on its places and the rates of its sources. Output: energy and time of a mean step under the target's
-//! first preset, by the equations of `docs/energy.md` applied to expected counts: those of a million steps, in whole
-//! numbers, so that they are the same everywhere. Every compartment counts as not at rest. A simulated step can
-//! take longer, since spikes arrive in bursts; the estimate is for comparing mappings.
+//! Input: a program on its places and the rates of its sources. Output: energy and time of a mean
+//! step under the target's first preset, by the equations of `docs/energy.md` applied to expected
+//! counts: those of a million steps, in whole numbers, so that they are the same everywhere. Every
+//! compartment counts as not at rest. A simulated step can take longer, since spikes arrive in
+//! bursts; the estimate is for comparing mappings.
 
 use std::cmp::Ordering;
 use std::collections::HashMap;
@@ -79,7 +80,8 @@ pub fn score_of(
     let injection = timing.host_and_barrier(activity.spikes_in, &table).injection.microseconds();
     let route = route_time(activity.longest, &table);
     let fixed: f64 = [route, once.barrier, once.turn].map(Picoseconds::microseconds).iter().sum();
-    // Messages of a step wait for each other at the busiest link, or at the busiest of the slower ones between chips.
+    // Messages of a step wait for each other at the busiest link, or at the busiest of the slower
+    // ones between chips.
     let wait = (traffic.max_link_load * table.link_time.microseconds())
         .max(traffic.max_chip_link_load * table.link_chip_time.microseconds());
     let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
@@ -153,7 +155,8 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
     sum
 }
 
-/// Adds what arrives at each core: an input axon is the end of one message, so it has the rate of one source.
+/// Adds what arrives at each core: an input axon is the end of one message, so it has the rate of
+/// one source.
 fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
     let cores = program.cores().as_slice();
     let of_axons = match rates {

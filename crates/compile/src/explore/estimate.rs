@@ -1,4 +1,5 @@
-//! What a mapping is expected to carry and cost at the rates that it was made for, with or without a program.
+//! What a mapping is expected to carry and cost at the rates that it was made for, with or without
+//! a program.
 
 use crate::explore::box_costs::PlacedBoxes;
 use crate::explore::cost_estimate::{Score, expected, score_at, score_of};

@@ -1,4 +1,5 @@
-//! Several mappings compared: cost estimates, traffic, remedies. Calls the pipeline and is never called by it.
+//! Several mappings compared: cost estimates, traffic, remedies. Calls the pipeline and is never
+//! called by it.
 
 pub mod box_costs;
 pub mod bursts;

@@ -1,17 +1,18 @@
 //! Changes that make a network fit, found by trying them.
 //!
-//! Input: a network that does not fit its target and the target. Output: [`Remedy`]s that were tried and made it fit, the
-//! cheapest change first. What is tried:
+//! Input: a network that does not fit its target and the target. Output: [`Remedy`]s that were
+//! tried and made it fit, the cheapest change first. What is tried:
 //!
 //! - the default strategy, where another was asked for;
 //! - fewer copies: the most that fit;
 //! - leaving out what can change no output (`--prune static`);
-//! - fewer weight bits, each weight rounded to the coarser step: whether the network still does its task is another
-//!   question, which the remedy says;
+//! - fewer weight bits, each weight rounded to the coarser step: whether the network still does its
+//!   task is another question, which the remedy says;
 //! - the next larger shipped boards.
 //!
-//! Not tried: what needs another model (merging polarities, pooling, relays), which is advice in the reason itself.
-//! Another sign mode changes no count of words, so it is no remedy for what does not fit.
+//! Not tried: what needs another model (merging polarities, pooling, relays), which is advice in
+//! the reason itself. Another sign mode changes no count of words, so it is no remedy for what does
+//! not fit.
 
 use crate::{DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy};
 use nsim_ir::base::fixed::WeightBits;
@@ -39,7 +40,8 @@ pub struct Remedy {
     pub copies: u32,
 }
 
-/// Remedies for a network that does not fit, the cheapest change first; `boards` are larger targets, ascending.
+/// Remedies for a network that does not fit, the cheapest change first; `boards` are larger
+/// targets, ascending.
 #[must_use]
 pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[Target]) -> Vec<Remedy> {
     if one.synapses().saturating_mul(u64::from(options.copies)) > MOST_SYNAPSES {
@@ -119,7 +121,8 @@ fn most_copies(wanted: u32, fits: impl Fn(u32) -> Option<Fitting>) -> Option<Fit
     Some(best)
 }
 
-/// The network with weights of at most so many bits, rounded toward zero; `None` when no weight has more.
+/// The network with weights of at most so many bits, rounded toward zero; `None` when no weight has
+/// more.
 #[must_use]
 pub fn coarser(one: &Quantised, bits: i64) -> Option<Quantised> {
     let mut parts: Parts = one.parts().clone();

@@ -1,9 +1,10 @@
 //! Several mappings of a network, compared by what a step of them is expected to cost.
 //!
-//! Input: a network, a target and an objective. Output: the best of several *candidates*. A candidate is a strategy and
-//! the part of each core that it may fill: cores that hold half as much take half as long and are twice as many. The first
-//! candidates are always the sequential order, unplaced as the public tools leave it and placed.
-//! [`choice`](crate::explore::choice) says which is better.
+//! Input: a network, a target and an objective. Output: the best of several *candidates*. A
+//! candidate is a strategy and the part of each core that it may fill: cores that hold half as much
+//! take half as long and are twice as many. The first candidates are always the sequential order,
+//! unplaced as the public tools leave it and placed. [`choice`](crate::explore::choice) says which
+//! is better.
 
 use std::time::{Duration, Instant};
 
@@ -33,8 +34,8 @@ use nsim_ir::resource::Resource;
 
 /// Parts of a core, as divisors, that candidates fill.
 const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
-/// Those for the shortest step, in the order in which they are likely to take it, for networks so large that the effort is
-/// not enough for all (`nsim bench map`). The first two are always tried.
+/// Those for the shortest step, in the order in which they are likely to take it, for networks so
+/// large that the effort is not enough for all (`nsim bench map`). The first two are always tried.
 const SHORTEST: [u32; 7] = [4, 1, 8, 32, 16, 64, 2];
 /// The part that is tried when none of these is taken.
 const HALF: u32 = 2;
@@ -64,13 +65,15 @@ fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     target.clone().with_limits(divided)
 }
 
-/// The synapses of a core that is filled to a part: those of 8 bits that the part's words hold; of a whole one as many as there may be.
+/// The synapses of a core that is filled to a part: those of 8 bits that the part's words hold; of
+/// a whole one as many as there may be.
 fn most_synapses(target: &Target, divisor: u32) -> Option<u64> {
     let words = u64::from(target.limits()[Resource::SynapseWords]);
     (divisor > 1).then(|| words * SYNAPSES_PER_WORD / u64::from(divisor))
 }
 
-/// The words that one compartment alone needs, when they are all that a divided core lacks and a whole one has them.
+/// The words that one compartment alone needs, when they are all that a divided core lacks and a
+/// whole one has them.
 fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
     let CompileError::DoesNotFit(reasons) = error else { return None };
     let words = |reason: &Reason| Some(reason.need).filter(|_| reason.resource == Resource::SynapseWords);
@@ -83,15 +86,17 @@ fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
 enum Kept {
     /// The mapping, which has not been checked.
     Written(Box<Unchecked>),
-    /// Of a symbolic mapping, which takes much memory, only where its boxes are: it is made again from there. With the name
-    /// of the placement, and steps in which sources spike at once when they are needed.
+    /// Of a symbolic mapping, which takes much memory, only where its boxes are: it is made again
+    /// from there. With the name of the placement, and steps in which sources spike at once when
+    /// they are needed.
     Symbolic { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
 }
 
 /// Messages of a step that are followed to compare candidates.
 const FOLLOWED: f64 = (1 << 20) as f64;
 
-/// The bursts of what is kept of candidates, of which the first that is asked for says how many are affordable.
+/// The bursts of what is kept of candidates, of which the first that is asked for says how many are
+/// affordable.
 struct KeptBursts<'a> {
     target: &'a Target,
     copies: u32,
@@ -133,8 +138,8 @@ impl Bursts<Kept> for KeptBursts<'_> {
     }
 }
 
-/// A mapping for an objective: with [`Objective::Cores`] the one that the options say, otherwise the best of several.
-/// `rates` are of one copy.
+/// A mapping for an objective: with [`Objective::Cores`] the one that the options say, otherwise
+/// the best of several. `rates` are of one copy.
 ///
 /// # Errors
 /// [`CompileError`].
@@ -218,7 +223,8 @@ fn by_the_clock(
     Ok(best)
 }
 
-/// Every candidate that fits and that the effort allows for, the one that others are measured by first.
+/// Every candidate that fits and that the effort allows for, the one that others are measured by
+/// first.
 ///
 /// # Errors
 /// [`CompileError`] of the first candidate, when none fits.
@@ -267,8 +273,9 @@ impl Search<'_> {
         Ok(ways)
     }
 
-    /// One way more for the shortest step, where none of those that the effort allowed for is taken: cores filled to a half, unless a
-    /// quarter of a core takes no more cores than a whole one.
+    /// One way more for the shortest step, where none of those that the effort allowed for is
+    /// taken: cores filled to a half, unless a quarter of a core takes no more cores than a whole
+    /// one.
     fn further(&self, ways: &[(Strategy, u32)], found: &[Found]) -> Option<(Strategy, u32)> {
         let Search { form, options, .. } = self;
         let way = (options.strategy, HALF);
@@ -319,7 +326,8 @@ impl Search<'_> {
         Ok(found)
     }
 
-    /// What ways come to, one after the other, until the next would take longer than there is time; the first in any case.
+    /// What ways come to, one after the other, until the next would take longer than there is time;
+    /// the first in any case.
     fn in_turn<W, T>(&self, ways: impl Iterator<Item = (usize, W)>, map: impl Fn((usize, W)) -> T) -> Vec<T> {
         let (mut made, mut longest) = (Vec::new(), Duration::ZERO);
         for (number, way) in ways {

@@ -58,8 +58,8 @@ fn score_of(mapping: &Mapping, rates: &PopulationRates, board: &Target) -> Score
     at_places.score(rates, &at_places.traffic(rates), board, mapping.options.copies).unwrap()
 }
 
-/// A weight of a format; those near each other differ: kernels in which parts repeat would share more tables than geometry
-/// can tell.
+/// A weight of a format; those near each other differ: kernels in which parts repeat would share
+/// more tables than geometry can tell.
 fn weight(format: SynapseFormat, seed: u64, layer: u64, at: u64) -> i16 {
     let (low, high) = format.sign.range(format.bits);
     let step = format.sign.step(format.bits);
@@ -67,7 +67,8 @@ fn weight(format: SynapseFormat, seed: u64, layer: u64, at: u64) -> i16 {
     low + step * ((rng::below(levels, seed, layer, at / levels) + at) * 37 % levels) as i16
 }
 
-/// Two inputs and layers of windows, some of which skip a layer or see their own channel only, and a dense one at the end.
+/// Two inputs and layers of windows, some of which skip a layer or see their own channel only, and
+/// a dense one at the end.
 fn layered(seed: u64) -> Quantised {
     let draw = |n: u64, k: u64| rng::below(n, seed, 9, k) as u32;
     let mut net = Builder::new();
@@ -471,7 +472,8 @@ fn profiles_make_boxes_smaller() {
     assert!(seen > 3, "{seen} networks have several profiles");
 }
 
-/// What is written once for all boxes of a pattern is what each of them stores, and its sources are where they would be.
+/// What is written once for all boxes of a pattern is what each of them stores, and its sources are
+/// where they would be.
 #[test]
 fn programs_of_boxes_are_those_written_synapse_by_synapse() {
     let (mut alike, mut cores) = (0, 0);

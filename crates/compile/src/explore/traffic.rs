@@ -1,11 +1,12 @@
 //! How far messages go, at given rates of spikes.
 //!
-//! Input: a program and a rate for every source. Output: a [`Traffic`]. Each source sends one message to each of its
-//! cores. A message goes along its row of tiles first, then along its column (see [`nsim_ir::placement`]); an input's
-//! message enters at the corner of its target's chip. Links are counted in both directions separately, over the whole
-//! board. Routes are added as differences at their ends, so that the work does not depend on their length. A multicast
-//! spike, copied where routes part, crosses each link once, however many of its messages do. Everything is counted in whole
-//! numbers ([`Rates`]) before it is divided by the steps that they count.
+//! Input: a program and a rate for every source. Output: a [`Traffic`]. Each source sends one
+//! message to each of its cores. A message goes along its row of tiles first, then along its column
+//! (see [`nsim_ir::placement`]); an input's message enters at the corner of its target's chip.
+//! Links are counted in both directions separately, over the whole board. Routes are added as
+//! differences at their ends, so that the work does not depend on their length. A multicast spike,
+//! copied where routes part, crosses each link once, however many of its messages do. Everything is
+//! counted in whole numbers ([`Rates`]) before it is divided by the steps that they count.
 
 use std::ops::Range;
 
@@ -83,7 +84,8 @@ pub struct Counts<'a> {
     of_chip: Vec<(u32, (u32, u32))>,
 }
 
-/// What flows come to: the core that sends, none for inputs; the cores reached; spikes in as many steps as rates count.
+/// What flows come to: the core that sends, none for inputs; the cores reached; spikes in as many
+/// steps as rates count.
 #[must_use]
 pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
     placement: &Placement,
@@ -98,7 +100,8 @@ pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
     counts
 }
 
-/// Parts that a program's cores, and its channels, are counted in; fixed, so that nothing depends on threads.
+/// Parts that a program's cores, and its channels, are counted in; fixed, so that nothing depends
+/// on threads.
 const PARTS: usize = 8;
 
 /// So many items in at most [`PARTS`] ranges of nearly the same size.

@@ -1,8 +1,9 @@
 //! Boxes as a file, and back.
 //!
-//! A file holds, layer by layer, the size of a box and the core of each box. Loading one takes these from it after checking
-//! that they are of this network and target; everything else is counted again. Nothing is allocated by a number in the
-//! file before the file has been found to hold as many entries.
+//! A file holds, layer by layer, the size of a box and the core of each box. Loading one takes
+//! these from it after checking that they are of this network and target; everything else is
+//! counted again. Nothing is allocated by a number in the file before the file has been found to
+//! hold as many entries.
 
 use crate::partition::boxes::Lattices;
 use crate::partition::lattice;
@@ -52,8 +53,8 @@ pub fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site> {
 /// Where a file cuts the layers of a network, all copies, and where it puts their boxes.
 ///
 /// # Errors
-/// A diagnostic that names the population whose boxes are missing, not of its layer, or too many or too few for their
-/// places; or the place that is not on the target or taken.
+/// A diagnostic that names the population whose boxes are missing, not of its layer, or too many or
+/// too few for their places; or the place that is not on the target or taken.
 pub fn outline(
     file: &MappingFile,
     network: &Quantised,
@@ -123,13 +124,15 @@ pub fn outline(
     Ok((found.iter().map(|found| found.map(|(lattice, _)| lattice)).collect(), placement))
 }
 
-/// The membership and the places that a file of boxes gives, for a network small enough to be written out.
+/// The membership and the places that a file of boxes gives, for a network small enough to be
+/// written out.
 ///
 /// # Errors
 /// As [`outline`]; `mapping.layers` when the network is not made of layers.
 pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, IdVec<CoreId, Site>)> {
     let not_layers = || {
-        let message = "the mapping is of boxes of layers, and the network has projections that are neither windows nor all \
+        let message = "the mapping is of boxes of layers, and the network has projections that are neither windows \
+                       nor all \
                        to all";
         Diagnostic::new("mapping.layers", message)
     };

@@ -1,9 +1,10 @@
 //! Mappings as files, and back.
 //!
-//! A file says which compartments are on which core of which chip, as runs of populations ([`MappedCore`]) or as boxes of
-//! layers ([`mod@layers`]). Loading one checks that it is of this network and target and takes membership and places from
-//! it; everything else (what cores use, tables, messages, what is pruned) is computed again. Files number compartments as
-//! the model does, pruned or not.
+//! A file says which compartments are on which core of which chip, as runs of populations
+//! ([`MappedCore`]) or as boxes of layers ([`mod@layers`]). Loading one checks that it is of this
+//! network and target and takes membership and places from it; everything else (what cores use,
+//! tables, messages, what is pruned) is computed again. Files number compartments as the model
+//! does, pruned or not.
 
 pub mod layers;
 pub mod pruned;
@@ -103,12 +104,12 @@ fn file_of_cores(
     MappingFile { cores, ..empty(network, target, options) }
 }
 
-/// The partition and the placement that a file gives for all copies of a network, and the boxes of a symbolic mapping.
+/// The partition and the placement that a file gives for all copies of a network, and the boxes of
+/// a symbolic mapping.
 ///
 /// # Errors
-/// [`CompileError::Input`] when the file is of another network or target, names what there is not, or
-/// was changed;
-/// [`CompileError::DoesNotFit`] when a core exceeds a limit.
+/// [`CompileError::Input`] when the file is of another network or target, names what there is not,
+/// or was changed; [`CompileError::DoesNotFit`] when a core exceeds a limit.
 pub fn load(
     file: &MappingFile,
     all: &Quantised,
@@ -145,7 +146,8 @@ fn loaded(
 /// The partition of these members on cores at these sites, counted exactly.
 ///
 /// # Errors
-/// [`CompileError::Fault`] when a compartment is not on exactly one core; [`CompileError::DoesNotFit`] when a core exceeds a limit.
+/// [`CompileError::Fault`] when a compartment is not on exactly one core;
+/// [`CompileError::DoesNotFit`] when a core exceeds a limit.
 pub fn partition_on(
     all: &Quantised,
     members: Members,
@@ -168,7 +170,8 @@ fn chips_of(placement: &Placement) -> IdVec<CoreId, u32> {
 /// The first copy alone, on the cores that hold a part of it.
 #[must_use]
 pub fn one_copy(file: &MappingFile) -> MappingFile {
-    // Populations of further copies are called name@k, and no population of a model has such a name.
+    // Populations of further copies are called name@k, and no population of a model has such a
+    // name.
     let is_first = |population: &str| !population.contains('@');
     let of_first = |core: &MappedCore| {
         let holds: Vec<Run> = core.holds.iter().filter(|run| is_first(&run.population)).cloned().collect();
@@ -179,7 +182,8 @@ pub fn one_copy(file: &MappingFile) -> MappingFile {
     MappingFile { copies: 1, cores, layers, ..file.clone() }
 }
 
-/// Finds the name of a compartment's population, and the index that the model file gives it, by bisection.
+/// Finds the name of a compartment's population, and the index that the model file gives it, by
+/// bisection.
 fn populations_of<'a>(network: &'a Quantised) -> impl Fn(CompartmentId) -> (&'a str, u32) {
     let firsts: Vec<(u32, PopulationId, &str)> = network
         .populations()
@@ -216,7 +220,8 @@ pub fn explained(error: CompileError, path: &Path, model: &str) -> CompileError 
         CompileError::Input(diagnostic) if diagnostic.code.starts_with("mapping.") => {
             let help = || {
                 format!(
-                    "use it with the model, target and copies that it was made for, or make another: nsim map {model} -o FILE"
+                    "use it with the model, target and copies that it was made for, or make another: nsim map {model} \
+                     -o FILE"
                 )
             };
             let has_help = diagnostic.help.is_some();
@@ -256,7 +261,8 @@ pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement> {
 /// The membership and the places that a file gives; `network` is all copies that the file is for.
 ///
 /// # Errors
-/// A diagnostic that names what does not match: the model, the target, a population, a run, a compartment, a place.
+/// A diagnostic that names what does not match: the model, the target, a population, a run, a
+/// compartment, a place.
 pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, IdVec<CoreId, Site>)> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
     belongs(file, network, target)?;

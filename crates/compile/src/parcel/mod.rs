@@ -1,16 +1,21 @@
 //! What the first rank tells each other one of a mapping that it has made.
 //!
-//! Input: a network on its places, dealt out. Output: for each rank words ([`Parcel`]) from which it makes what it holds of the program:
-//! the network with the synapses that end on its compartments ([`mod@network`]), the compartments of every core, what each core uses,
-//! its site and its rank. A rank writes the tables of its own cores from them, verifies and checks them as any other.
+//! Input: a network on its places, dealt out. Output: for each rank words ([`Parcel`]) from which
+//! it makes what it holds of the program: the network with the synapses that end on its
+//! compartments ([`mod@network`]), the compartments of every core, what each core uses, its site
+//! and its rank. A rank writes the tables of its own cores from them, verifies and checks them as
+//! any other.
 //!
-//! Invariants: the part that a rank makes is that of the whole program. No rank but the first reads weights, partitions, places or deals,
-//! or holds synapses that end elsewhere, but for seeds, kernels, and weights of all to all where these are shorter.
+//! Invariants: the part that a rank makes is that of the whole program. No rank but the first reads
+//! weights, partitions, places or deals, or holds synapses that end elsewhere, but for seeds,
+//! kernels, and weights of all to all where these are shorter.
 //!
-//! Why the first rank reads everything: the scale of weights, their exponents and what is said of their rounding are of whole
-//! projections, and where a compartment goes depends on all that reaches it.
+//! Why the first rank reads everything: the scale of weights, their exponents and what is said of
+//! their rounding are of whole projections, and where a compartment goes depends on all that
+//! reaches it.
 //!
-//! Errors: [`CompileError::Fault`] for words that are no parcel; [`CompileError::DoesNotFit`] where the first rank has said so.
+//! Errors: [`CompileError::Fault`] for words that are no parcel; [`CompileError::DoesNotFit`] where
+//! the first rank has said so.
 
 pub mod network;
 pub mod words;
@@ -143,7 +148,8 @@ pub struct Opened {
 /// The part of a program that a rank has been told of, verified and checked.
 ///
 /// # Errors
-/// [`CompileError::DoesNotFit`], without reasons, where the first rank has found that; [`CompileError::Fault`].
+/// [`CompileError::DoesNotFit`], without reasons, where the first rank has found that;
+/// [`CompileError::Fault`].
 pub fn open(words: Vec<u32>, target: &Target, options: &Options) -> Result<Opened> {
     let (part, note) = read(&words, target, options.share)?;
     // Writing tables is what takes most memory.

@@ -1,8 +1,9 @@
-//! A network in integers as words, with the synapses that end on some of its compartments; and back.
+//! A network in integers as words, with the synapses that end on some of its compartments; and
+//! back.
 //!
-//! Input: a network, and of which compartments. Output: words; the network that they give, whose populations are all there, and whose
-//! projections are whole or hold fewer synapses, all of those to the compartments in question among them. Notes, which the first rank
-//! says, are left out.
+//! Input: a network, and of which compartments. Output: words; the network that they give, whose
+//! populations are all there, and whose projections are whole or hold fewer synapses, all of those
+//! to the compartments in question among them. Notes, which the first rank says, are left out.
 //!
 //! What is sent of a projection:
 //!
@@ -34,8 +35,8 @@ const SIGNS: [SignMode; 3] = [SignMode::Mixed, SignMode::Excitatory, SignMode::I
 const SEMANTICS: [Semantics; 3] = [Semantics::Hardware, Semantics::Lava, Semantics::Slayer];
 const TESTS: [ThresholdTest; 2] = [ThresholdTest::Strict, ThresholdTest::Inclusive];
 
-/// Where a synapse of a list stands for two numbers and one of an all-to-all projection for a third of them, the part of the targets
-/// from which on the latter is shorter.
+/// Where a synapse of a list stands for two numbers and one of an all-to-all projection for a third
+/// of them, the part of the targets from which on the latter is shorter.
 const LISTED_COSTS: usize = 3;
 
 impl From<OutOfRange> for Damaged {

@@ -1,8 +1,8 @@
 //! Numbers, texts and lists as 32-bit words, and back.
 //!
-//! Input: values one after the other. Output: words from which they are read in the same order. Invariant: nothing is allocated by a
-//! length that is read before as many words are known to be left. Errors: [`Damaged`] where words end too early or no value is meant
-//! by them.
+//! Input: values one after the other. Output: words from which they are read in the same order.
+//! Invariant: nothing is allocated by a length that is read before as many words are known to be
+//! left. Errors: [`Damaged`] where words end too early or no value is meant by them.
 
 use crate::error::CompileError;
 

@@ -1,9 +1,9 @@
 //! What the cores of boxes send: whole boxes are reached, so destinations follow from positions.
 //!
-//! Input: layers, their cuts and the compartments of each core. Output: core by core, the distinct sets of cores that its
-//! compartments' spikes reach, with how many compartments and how many output axons; and the same of the input channels. Nothing is
-//! enumerated synapse by synapse: a source position reaches some rows and some columns of boxes, and all boxes where they
-//! cross.
+//! Input: layers, their cuts and the compartments of each core. Output: core by core, the distinct
+//! sets of cores that its compartments' spikes reach, with how many compartments and how many
+//! output axons; and the same of the input channels. Nothing is enumerated synapse by synapse: a
+//! source position reaches some rows and some columns of boxes, and all boxes where they cross.
 
 use std::collections::{BTreeMap, HashSet};
 use std::ops::Range;
@@ -30,8 +30,8 @@ pub struct Sends {
     pub to: Vec<u32>,
     /// How many sources.
     pub sources: u64,
-    /// Output axons to each of these cores: one for the sources at a position whose spikes all go to population axons, one for each source
-    /// otherwise.
+    /// Output axons to each of these cores: one for the sources at a position whose spikes all go
+    /// to population axons, one for each source otherwise.
     pub axons: u64,
     /// How many of the output axons, over all cores, lead to pop32 axons.
     pub longer: u64,
@@ -67,7 +67,8 @@ struct Outlet<'a> {
 enum Reaches {
     /// Every source reaches all.
     All,
-    /// Boxes by row and by column of the source, each with the number of the source's field there; and by channel.
+    /// Boxes by row and by column of the source, each with the number of the source's field there;
+    /// and by channel.
     Window { rows: Vec<Vec<(u32, u32)>>, columns: Vec<Vec<(u32, u32)>>, channels: Vec<Range<u32>> },
 }
 
@@ -176,7 +177,8 @@ impl<'a> Outgoing<'a> {
 
     /// What sources with these indices send, ascending by the cores that they reach.
     fn sends(&self, indices: impl Iterator<Item = u32>) -> Vec<Sends> {
-        // By the cores that are reached; those at a position that share output axons count as one there.
+        // By the cores that are reached; those at a position that share output axons count as one
+        // there.
         let mut sends: BTreeMap<Vec<u32>, Sends> = BTreeMap::new();
         let mut positions: HashSet<(u32, Vec<u32>)> = HashSet::new();
         let (_, height, width) = self.shape;
@@ -252,7 +254,8 @@ pub fn fan_out(
     BoxFanOut { inputs, cores }
 }
 
-/// Output axon slots of a core's compartments together and the most output axons of one, with cores numbered chip by chip.
+/// Output axon slots of a core's compartments together and the most output axons of one, with cores
+/// numbered chip by chip.
 #[must_use]
 pub fn axons(core: CoreId, sends: &[Sends], chips: &IdVec<CoreId, u32>, limits: &Limits) -> (u64, u32) {
     let more_slots = match limits.output_axons {

@@ -1,7 +1,7 @@
 //! A network of layers cut into boxes, a core each, and what the boxes use and send.
 //!
-//! Input: the [`Layers`] of a network. Output: its [`Boxes`], the fewest that fit a target's limits or those of given
-//! lattices, in the order of populations and lattices.
+//! Input: the [`Layers`] of a network. Output: its [`Boxes`], the fewest that fit a target's limits
+//! or those of given lattices, in the order of populations and lattices.
 
 use std::collections::BTreeSet;
 
@@ -59,7 +59,8 @@ impl<'n> Layers<'n> {
         Ok(Layers { network, layers, formats: Formats::for_network(network) })
     }
 
-    /// The fewest boxes of which each fits a core with at most so many compartments, before output axons are counted.
+    /// The fewest boxes of which each fits a core with at most so many compartments, before output
+    /// axons are counted.
     fn fewest(&self, most: &IdVec<PopulationId, u32>, limits: &Limits, cuts: &mut Cuts) -> Result<(), CompileError> {
         let mut reasons = Vec::new();
         for (id, population) in self.network.populations().enumerate() {
@@ -83,7 +84,8 @@ impl<'n> Layers<'n> {
         vec![None; self.layers.len()].into()
     }
 
-    /// Whether the boxes of so many copies, of at most so many synapses each, are no more than the cores of the target, before output axons are counted.
+    /// Whether the boxes of so many copies, of at most so many synapses each, are no more than the
+    /// cores of the target, before output axons are counted.
     #[must_use]
     pub fn may_fit(&self, target: &Target, copies: u64, most_synapses: Option<u64>) -> bool {
         let most = most_compartments(self.network, target.limits(), most_synapses);
@@ -112,7 +114,8 @@ pub struct Boxes {
 }
 
 impl Boxes {
-    /// Cuts every layer into the fewest boxes, of at most so many synapses where that is said, smaller where their output axons do not fit.
+    /// Cuts every layer into the fewest boxes, of at most so many synapses where that is said,
+    /// smaller where their output axons do not fit.
     ///
     /// # Errors
     /// [`CompileError::DoesNotFit`].
@@ -138,7 +141,8 @@ impl Boxes {
             for (core, used) in usage.enumerate() {
                 let id = found.layer[core];
                 for (resource, need, limit) in used.excesses(limits) {
-                    // What one compartment sends, and what is too much for one alone, no smaller box makes less.
+                    // What one compartment sends, and what is too much for one alone, no smaller
+                    // box makes less.
                     let held = used[Resource::Compartments];
                     if resource == Resource::AxonsOutPerCompartment || held == 1 || round == ROUNDS {
                         let reason = Reason::of_population(network.network, id, resource, need, limit);
@@ -210,7 +214,8 @@ impl Boxes {
             .flat_map(|Placed { cut, first }| cut.lattice.order().map(move |at| (*first, cut.kind(at))))
     }
 
-    /// One box of each kind, and all those that one box in the middle of each layer reaches, as far as they are few; ascending.
+    /// One box of each kind, and all those that one box in the middle of each layer reaches, as far
+    /// as they are few; ascending.
     #[must_use]
     pub fn to_be_checked(&self) -> Vec<CoreId> {
         let mut seen = BTreeSet::new();
@@ -261,8 +266,8 @@ impl Boxes {
 }
 
 impl Boxes {
-    /// What is sent, inputs first: by which core, none for inputs; to which cores, ascending; spikes in as many steps as
-    /// rates count.
+    /// What is sent, inputs first: by which core, none for inputs; to which cores, ascending;
+    /// spikes in as many steps as rates count.
     pub fn flows<'a>(&'a self, rates: &'a PopulationRates) -> impl Iterator<Item = (Option<CoreId>, &'a [u32], u64)> {
         let inputs = self.sends.inputs.enumerate().flat_map(move |(population, sends)| {
             sends.iter().map(move |sends| (None, &sends.to[..], sends.sources * rates[population]))
@@ -278,7 +283,8 @@ impl Boxes {
 /// The fewest boxes of which each fits a core, as a partition with cores placed chip by chip.
 ///
 /// # Errors
-/// [`CompileError`]; [`CompileError::Input`] when the network does not consist of layers or the strategy is sequential.
+/// [`CompileError`]; [`CompileError::Input`] when the network does not consist of layers or the
+/// strategy is sequential.
 pub fn partition(
     all: &Quantised,
     target: &Target,

@@ -1,13 +1,13 @@
 //! Equal copies of a network on cores, from as few of them as repeat.
 //!
-//! Input: one copy, how many, a target. Output: a [`Pattern`]: groups of copies that share cores among themselves and with no
-//! other group. What the cores of a group use depends on the group and on where it crosses from one chip to the next,
-//! so that each such case is counted once.
+//! Input: one copy, how many, a target. Output: a [`Pattern`]: groups of copies that share cores
+//! among themselves and with no other group. What the cores of a group use depends on the group and
+//! on where it crosses from one chip to the next, so that each such case is counted once.
 //!
-//! Filling cores in the order of the file looks only at the core being filled and at the next segment. So where two cores begin at
-//! the same place of a copy, everything after the second repeats what follows the first. If that place is the beginning,
-//! the cores up to there are a group, and the copies left over at the end are another; otherwise only their number is
-//! known.
+//! Filling cores in the order of the file looks only at the core being filled and at the next
+//! segment. So where two cores begin at the same place of a copy, everything after the second
+//! repeats what follows the first. If that place is the beginning, the cores up to there are a
+//! group, and the copies left over at the end are another; otherwise only their number is known.
 
 use std::collections::HashMap;
 
@@ -20,7 +20,8 @@ use nsim_ir::partition::{CoreUsage, seats};
 use nsim_ir::quantised::Quantised;
 use nsim_quantise::copies::copies;
 
-/// Copies that are filled at first to see where they repeat, and how many times more in each further attempt.
+/// Copies that are filled at first to see where they repeat, and how many times more in each
+/// further attempt.
 const FIRST: u32 = 8;
 const MORE: u32 = 4;
 
@@ -59,7 +60,8 @@ impl Pattern {
         Pattern(vec![Group { network: one.clone(), members, times: copies }])
     }
 
-    /// Cores filled with copies in the order of the file, whatever the fan-out; `None` when a compartment fits no core.
+    /// Cores filled with copies in the order of the file, whatever the fan-out; `None` when a
+    /// compartment fits no core.
     #[must_use]
     pub fn filled(one: &Quantised, all: u32, target: &Target, keep_whole: bool) -> Option<Filled> {
         let fill = |many: u32| {
@@ -120,7 +122,8 @@ impl Pattern {
         all.into()
     }
 
-    /// What each core uses when cores are placed chip by chip; `None` when a group is no partition of its copies.
+    /// What each core uses when cores are placed chip by chip; `None` when a group is no partition
+    /// of its copies.
     #[must_use]
     pub fn usage(&self, target: &Target) -> Option<IdVec<CoreId, CoreUsage>> {
         let of_chip = target.chip().cores;
@@ -184,7 +187,8 @@ mod tests {
     #[test]
     fn a_thousand_copies_are_counted_once() {
         let (one, target) = (slip(3150), target(4, 4, limits()));
-        // A core that holds a copy has room for the first population of the next, so cores begin at the second.
+        // A core that holds a copy has room for the first population of the next, so cores begin at
+        // the second.
         let filled = Pattern::filled(&one, 1024, &target, false).unwrap();
         assert!(filled.cores >= 1024 && filled.pattern.is_none());
         let alone = Filler::new(&one, &target).once(&file_order(&one), true).unwrap();

@@ -1,17 +1,20 @@
 //! A network as a hypergraph, and what a partition of it costs.
 //!
-//! Input: a network. Output: a [`Hypergraph`]: one hyperedge (*net*) for each source of spikes, or for all sources of a
-//! population whose targets are the same (dense layers), with the compartments that it reaches as pins. One net per
-//! source rather than one edge per pair, because a spike is sent once to each core however many of its targets are there
-//! (Ronzani & Silvano, arXiv 2601.16118). The cost of a partition is the number of messages of a step: over all nets, the
-//! rate of each source times the number of cores that hold a pin, the source's own core not counted.
+//! Input: a network. Output: a [`Hypergraph`]: one hyperedge (*net*) for each source of spikes, or
+//! for all sources of a population whose targets are the same (dense layers), with the compartments
+//! that it reaches as pins. One net per source rather than one edge per pair, because a spike is
+//! sent once to each core however many of its targets are there (Ronzani & Silvano, arXiv
+//! 2601.16118). The cost of a partition is the number of messages of a step: over all nets, the
+//! rate of each source times the number of cores that hold a pin, the source's own core not
+//! counted.
 //!
-//! A [`State`] keeps that cost and each core's use of compartments, input axons, output axons and synapse words up to date
-//! while groups of compartments move. Compartments and messages are exact. Input axons are those of lists of their own, output
-//! axons take the slots of another chip where there is more than one: both are never too few. Words are those of the
-//! simple formats at the index width that the largest core needs and the longest delay there is: never too few for sources
-//! with one sparse projection, an estimate for others.
-//! Whoever keeps a refined partition has it counted exactly afterwards ([`crate::resources::exact`]).
+//! A [`State`] keeps that cost and each core's use of compartments, input axons, output axons and
+//! synapse words up to date while groups of compartments move. Compartments and messages are exact.
+//! Input axons are those of lists of their own, output axons take the slots of another chip where
+//! there is more than one: both are never too few. Words are those of the simple formats at the
+//! index width that the largest core needs and the longest delay there is: never too few for
+//! sources with one sparse projection, an estimate for others. Whoever keeps a refined partition
+//! has it counted exactly afterwards ([`crate::resources::exact`]).
 
 use crate::resources::fan_in::first_source;
 use crate::resources::packing;
@@ -25,8 +28,8 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::{PerResource, Resource};
 
-/// The lists turned around: for each key below `keys`, the lists that it is in, ascending. `turn` makes of a list's number and
-/// an item the item's key and what the key's list holds.
+/// The lists turned around: for each key below `keys`, the lists that it is in, ascending. `turn`
+/// makes of a list's number and an item the item's key and what the key's list holds.
 #[must_use]
 pub fn transposed<T: Copy, U: Copy + Default>(
     lists: &Csr<T>,
@@ -63,12 +66,14 @@ pub struct Hypergraph {
     pub nets: Vec<Net>,
     /// (net, synapses) that reach each compartment, of one source each.
     pub into: Csr<(u32, u32)>,
-    /// The net of each compartment's own spikes, and their rate; `None` for a compartment that reaches nothing.
+    /// The net of each compartment's own spikes, and their rate; `None` for a compartment that
+    /// reaches nothing.
     pub own: Vec<Option<(u32, u64)>>,
 }
 
 impl Hypergraph {
-    /// The hypergraph of a network, without the pins of compartments that are `fixed`: they do not move.
+    /// The hypergraph of a network, without the pins of compartments that are `fixed`: they do not
+    /// move.
     #[must_use]
     pub fn new(network: &Quantised, rates: &Rates, fixed: &[bool]) -> Self {
         let mut nets = Vec::new();
@@ -204,7 +209,8 @@ pub struct State<'a> {
 const TABLE: usize = 4097;
 
 impl<'a> State<'a> {
-    /// The state of a membership. Synapse words are limited to so many hundredths of what a core has.
+    /// The state of a membership. Synapse words are limited to so many hundredths of what a core
+    /// has.
     #[must_use]
     pub fn new(
         graph: &'a Hypergraph,
@@ -300,7 +306,8 @@ impl<'a> State<'a> {
         i64::from(table[synapses as usize % (TABLE - 1)]) + whole as i64 * i64::from(table[TABLE - 1])
     }
 
-    /// What each core already holds of a group's nets: calls `f(core, messages, axons)` once for each net and core.
+    /// What each core already holds of a group's nets: calls `f(core, messages, axons)` once for
+    /// each net and core.
     #[inline]
     pub fn for_each_shared(&self, groups: &Groups, group: u32, mut f: impl FnMut(u32, u64)) {
         for &(net, _) in groups.into.get(group as usize) {
@@ -312,7 +319,8 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Messages of a step that are saved when a group moves from one core to another; negative when there are more.
+    /// Messages of a step that are saved when a group moves from one core to another; negative when
+    /// there are more.
     #[must_use]
     pub fn gain(&self, groups: &Groups, group: u32, from: u32, to: u32) -> i64 {
         let (into, own) = (groups.into.get(group as usize), groups.own.get(group as usize));
@@ -325,7 +333,8 @@ impl<'a> State<'a> {
             }
             let weight = self.graph.nets[net as usize].weight as i64;
             gain += weight * (i64::from(leaves) - i64::from(arrives));
-            // Of what they save or cost, sources that stay on either core see nothing: their own core is no message.
+            // Of what they save or cost, sources that stay on either core see nothing: their own
+            // core is no message.
             let moving = own.binary_search_by_key(&net, |own| own.0).map_or(0, |at| own[at].2);
             for &(core, _, rate) in &self.owners[net as usize] {
                 if core == from && leaves {
@@ -344,7 +353,8 @@ impl<'a> State<'a> {
         gain
     }
 
-    /// Whether a group may move: every core stays within its limits, or as far above them as it was.
+    /// Whether a group may move: every core stays within its limits, or as far above them as it
+    /// was.
     #[must_use]
     pub fn may_move(&self, groups: &Groups, group: u32, from: u32, to: u32) -> bool {
         let (before_from, before_to) = (self.loads[from as usize], self.loads[to as usize]);
@@ -447,7 +457,8 @@ impl<'a> State<'a> {
         self.loads.len()
     }
 
-    /// Compartments of each core, ascending; `order` gives compartments that do not move, core by core, in their slots.
+    /// Compartments of each core, ascending; `order` gives compartments that do not move, core by
+    /// core, in their slots.
     #[must_use]
     pub fn members(&self, before: &IdVec<CoreId, Vec<CompartmentId>>) -> IdVec<CoreId, Vec<CompartmentId>> {
         let mut members: Vec<Vec<CompartmentId>> = vec![Vec::new(); self.loads.len()];
@@ -513,7 +524,8 @@ mod tests {
     use nsim_ir::resource::{Limits, OutputAxons};
     use nsim_testing::{Builder, limits, random_network, target};
 
-    /// Compares the loads of a network on three cores with exact counts; words only where they are a bound.
+    /// Compares the loads of a network on three cores with exact counts; words only where they are
+    /// a bound.
     fn compare(network: &Quantised, words: bool, what: &str) {
         let mut members: Vec<Vec<CompartmentId>> = vec![Vec::new(); 3];
         (0..network.compartments()).for_each(|id| members[id as usize * 7 % 3].push(CompartmentId(id)));

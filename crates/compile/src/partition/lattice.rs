@@ -1,7 +1,8 @@
 //! Ways of cutting the layers of a network into boxes, a core each.
 //!
-//! Input: a network in which every projection is a window or all to all. Output: its [`Layer`]s, and of each the grid of
-//! boxes that takes the fewest cores, with what every box uses ([`crate::resources::closed_form`]).
+//! Input: a network in which every projection is a window or all to all. Output: its [`Layer`]s,
+//! and of each the grid of boxes that takes the fewest cores, with what every box uses
+//! ([`crate::resources::closed_form`]).
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -20,8 +21,8 @@ use nsim_ir::resource::{Limits, Resource};
 /// Grids of a layer that are tried.
 const TRIALS: usize = 200;
 
-/// The layers of a network, empty for inputs; `None` when a projection is neither a window nor all to all, or two join the
-/// same populations.
+/// The layers of a network, empty for inputs; `None` when a projection is neither a window nor all
+/// to all, or two join the same populations.
 #[must_use]
 pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
     let (formats, places) = (Formats::for_network(network), Places::of_windows(network));
@@ -39,7 +40,8 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// A layer of this shape in boxes of this size; `None` when a box has no or more sides than the layer.
+    /// A layer of this shape in boxes of this size; `None` when a box has no or more sides than the
+    /// layer.
     #[must_use]
     pub fn new(shape: (u32, u32, u32), size: (u32, u32, u32)) -> Option<Self> {
         let within = |length: u32, size: u32| (1..=length).contains(&size).then(|| length.div_ceil(size));
@@ -121,8 +123,8 @@ impl Cut {
         Cut { lattice, kinds: [of_channels, of_rows, of_columns], sides: [rows, columns], uses }
     }
 
-    /// The first grid, in the order of boxes and then of messages, of which every box fits a core with at most so many
-    /// compartments.
+    /// The first grid, in the order of boxes and then of messages, of which every box fits a core
+    /// with at most so many compartments.
     ///
     /// # Errors
     /// What one compartment alone uses, when no grid was found.

@@ -1,11 +1,12 @@
 //! Compartments merged into ever larger groups, by the nets that they share.
 //!
-//! Input: a hypergraph. Output: levels of labels: on each level two groups of the level below have one label when they
-//! share more of their nets than either shares with any other group that is still free (heavy-connectivity matching, as
-//! multilevel partitioners coarsen: Karypis et al., "Multilevel hypergraph partitioning", DAC 1997; Catalyurek & Aykanat,
-//! "PaToH", 1999). A net of k pins counts 1 / (k - 1) of its weight for each pair; nets of many pins tell
-//! no pair from another and are left out. The levels give an order in which related compartments are consecutive, and the
-//! groups that are moved as one during refinement.
+//! Input: a hypergraph. Output: levels of labels: on each level two groups of the level below have
+//! one label when they share more of their nets than either shares with any other group that is
+//! still free (heavy-connectivity matching, as multilevel partitioners coarsen: Karypis et al.,
+//! "Multilevel hypergraph partitioning", DAC 1997; Catalyurek & Aykanat, "PaToH", 1999). A net of k
+//! pins counts 1 / (k - 1) of its weight for each pair; nets of many pins tell no pair from another
+//! and are left out. The levels give an order in which related compartments are consecutive, and
+//! the groups that are moved as one during refinement.
 
 use std::time::Instant;
 
@@ -32,7 +33,8 @@ pub struct Levels {
 }
 
 impl Levels {
-    /// The levels of a hypergraph without the compartments that are `fixed`; none further once it is the end.
+    /// The levels of a hypergraph without the compartments that are `fixed`; none further once it
+    /// is the end.
     #[must_use]
     pub fn new(graph: &Hypergraph, fixed: &[bool], end: Option<Instant>) -> Self {
         let mut next = 0;
@@ -74,7 +76,8 @@ impl Levels {
     }
 }
 
-/// The label of each group's pair, and how many labels there are; `None` when it is the end before all have one.
+/// The label of each group's pair, and how many labels there are; `None` when it is the end before
+/// all have one.
 fn matched(graph: &Hypergraph, groups: &Groups, end: Option<Instant>) -> Option<(Vec<u32>, u32)> {
     let pins: Csr<u32> = transposed(&groups.into, graph.nets.len(), |group, (net, _)| (net, group));
     let owners: Csr<u32> = transposed(&groups.own, graph.nets.len(), |group, (net, _, _)| (net, group));
@@ -140,11 +143,13 @@ fn matched(graph: &Hypergraph, groups: &Groups, end: Option<Instant>) -> Option<
     Some((labels, count))
 }
 
-/// An order by growth: from a compartment to the one that is joined to most of those already there, and so on.
+/// An order by growth: from a compartment to the one that is joined to most of those already there,
+/// and so on.
 ///
-/// Compartments are joined when one reaches the other. Where none is joined to those chosen so far, the next in the order
-/// of the file starts again; and after `core` compartments what counts is only who is joined to those that follow. Once it is the
-/// end, the rest follow in the order of the file.
+/// Compartments are joined when one reaches the other. Where none is joined to those chosen so far,
+/// the next in the order of the file starts again; and after `core` compartments what counts is
+/// only who is joined to those that follow. Once it is the end, the rest follow in the order of the
+/// file.
 #[must_use]
 pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize, end: Option<Instant>) -> Vec<u32> {
     let n = fixed.len();

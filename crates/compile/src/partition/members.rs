@@ -20,8 +20,8 @@ pub fn row_of_chips(cores: usize, target: &Target) -> IdVec<CoreId, u32> {
 /// A partition of given members, with what they use.
 ///
 /// # Errors
-/// [`CompileError::DoesNotFit`] with a reason for each limit that a core exceeds; [`CompileError::Fault`] when a
-/// compartment is not on exactly one core.
+/// [`CompileError::DoesNotFit`] with a reason for each limit that a core exceeds;
+/// [`CompileError::Fault`] when a compartment is not on exactly one core.
 pub fn partition_of(
     network: &Quantised,
     members: Members,

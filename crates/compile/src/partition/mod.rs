@@ -1,19 +1,24 @@
 //! Compartments onto logical cores.
 //!
-//! Input: a quantised network. Output: a [`Partition`] in which every core keeps every limit, or every reason why there
-//! is none. Every strategy ends in the same way: an order of compartments is filled into cores ([`order`]), so that limits
-//! are kept exactly and cores are full. What differs is the order, and what is done afterwards:
+//! Input: a quantised network. Output: a [`Partition`] in which every core keeps every limit, or
+//! every reason why there is none. Every strategy ends in the same way: an order of compartments is
+//! filled into cores ([`order`]), so that limits are kept exactly and cores are full. What differs
+//! is the order, and what is done afterwards:
 //!
-//! - `Sequential`: the order of the model file, as the public tools hand out cores (nengo-loihi, NxTF).
-//! - `Greedy`: populations over space in tiles ([`tiles`]); all others by growth, each compartment next to those that it
-//!   is joined to ([`levels::grown`]).
-//! - Both: where every synapse is listed, compartments that share sources on one core ([`sharing`]).
-//! - `Multilevel`: tiles; all others in the order of a hierarchy of groups ([`levels`]), and then groups of every size, the
-//!   largest first, are moved between cores while that saves messages ([`refine`]).
+//! - `Sequential`: the order of the model file, as the public tools hand out cores (nengo-loihi,
+//!   NxTF).
+//! - `Greedy`: populations over space in tiles ([`tiles`]); all others by growth, each compartment
+//!   next to those that it is joined to ([`levels::grown`]).
+//! - Both: where every synapse is listed, compartments that share sources on one core
+//!   ([`sharing`]).
+//! - `Multilevel`: tiles; all others in the order of a hierarchy of groups ([`levels`]), and then
+//!   groups of every size, the largest first, are moved between cores while that saves messages
+//!   ([`refine`]).
 //!
-//! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages. So none is
-//! ever worse than the one above. Copies of a network are one copy's partition repeated, so that no copy shares a core with
-//! another, unless filling all of them together takes fewer cores.
+//! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages.
+//! So none is ever worse than the one above. Copies of a network are one copy's partition repeated,
+//! so that no copy shares a core with another, unless filling all of them together takes fewer
+//! cores.
 
 pub mod box_fan_out;
 pub mod boxes;
@@ -66,7 +71,8 @@ pub struct Search<'a> {
     pub strategy: Strategy,
     /// How often sources of one copy spike.
     pub rates: &'a Rates,
-    /// Units of work, about 5 ns each: what an effort of so many seconds comes to, the same on every machine.
+    /// Units of work, about 5 ns each: what an effort of so many seconds comes to, the same on
+    /// every machine.
     pub work: u64,
     /// When to end in any case.
     pub end: Option<Instant>,
@@ -91,31 +97,37 @@ impl<'a> Search<'a> {
 
 /// Units of work in a second, roughly; fixed, so that an effort means the same on every machine.
 const WORK_PER_SECOND: u64 = 200_000_000;
-/// Synapses that one unit of work visits when a hypergraph is built and coarsened, level after level.
+/// Synapses that one unit of work visits when a hypergraph is built and coarsened, level after
+/// level.
 const WORK_PER_PIN: u64 = 60;
 /// Synapses from which on a network is not grouped by levels where its synapses are drawn evenly.
 const EVEN_SYNAPSES: u64 = 1 << 18;
-/// How many times as long as in the order of the file the busiest core may work where that saves fewer cores; where it saves more, as
-/// many times. Where no population is over space, so many times the cores saved.
+/// How many times as long as in the order of the file the busiest core may work where that saves
+/// fewer cores; where it saves more, as many times. Where no population is over space, so many
+/// times the cores saved.
 const MOST_LONGER: f64 = 1.1;
 /// Synapses of a network whose tiles are also tried with fewer words.
 const FEW_SYNAPSES: u64 = 1 << 23;
-/// How many times as many spikes as in the mean a step has in which networks over space are compared too.
+/// How many times as many spikes as in the mean a step has in which networks over space are
+/// compared too.
 const BURST: u64 = 10;
 /// Passes of refinement on a level.
 const PASSES: usize = 3;
 /// Rounds of making tiles smaller because their output axons do not fit.
 const TILE_ROUNDS: usize = 6;
-/// Hundredths of the synapse words that refinement may count on, in the order of trial: words are estimates there.
+/// Hundredths of the synapse words that refinement may count on, in the order of trial: words are
+/// estimates there.
 const WORD_MARGINS: [i64; 2] = [100, 85];
-/// Synapses of a network that is refined once more from shaken members; smaller ones are so as many times more often.
+/// Synapses of a network that is refined once more from shaken members; smaller ones are so as many
+/// times more often.
 const SHAKEN_SYNAPSES: u64 = 2_000;
 /// Times at most.
 const MOST_SHAKES: u64 = 16;
 /// Where the draws of shaking begin.
 const SHAKE_SEED: u64 = 0x5ba4e;
 
-/// Refuses what cannot fit by its sizes alone, before anything large is made; with the reasons of a single copy, if any.
+/// Refuses what cannot fit by its sizes alone, before anything large is made; with the reasons of a
+/// single copy, if any.
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`].
@@ -153,7 +165,8 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, form: Form, 
     Err(CompileError::DoesNotFit(reasons))
 }
 
-/// Cores for a network of equal copies; `one` is a single copy and `all` is all of them, copy after copy.
+/// Cores for a network of equal copies; `one` is a single copy and `all` is all of them, copy after
+/// copy.
 ///
 /// # Errors
 /// [`CompileError`].
@@ -204,7 +217,8 @@ fn partition_copies(
             } else if let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
                 && together.members.len() < pattern.cores()
             {
-                // Output axons decide, which depend on the chips of all copies, or cores do not repeat copy by copy.
+                // Output axons decide, which depend on the chips of all copies, or cores do not
+                // repeat copy by copy.
                 on_board(together.members.len())?;
                 return counted(all, together, target).map_err(CompileError::fault);
             }
@@ -340,7 +354,8 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     if begun && search.strategy == Strategy::Multilevel {
         no_slower(filler, &mut found, search, any_spatial);
     }
-    // Compartments in the order of the file make lists denser; refined cores take newcomers at their end.
+    // Compartments in the order of the file make lists denser; refined cores take newcomers at
+    // their end.
     let best = fewest(filler, &found, search.rates);
     match (best, failure) {
         (Some(best), _) => {
@@ -359,8 +374,8 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     }
 }
 
-/// Leaves out members whose busiest core works so much longer than that of the first, the order of the file, that the cores
-/// they save are not worth it; where the first fits at all.
+/// Leaves out members whose busiest core works so much longer than that of the first, the order of
+/// the file, that the cores they save are not worth it; where the first fits at all.
 fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, over_space: bool) {
     let first = found[0].members.len() as u64;
     let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);
@@ -399,7 +414,8 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     });
     if search.explains && longest > MOST_LONGER {
         tracing::warn!(
-            "cores are saved against the order of the file, and the busiest is expected to work up to {longest:.2} times as long: \
+            "cores are saved against the order of the file, and the busiest is expected to work up to {longest:.2} \
+             times as long: \
              nsim map --strategy sequential -o FILE makes a mapping with shorter steps, --mapping FILE takes it"
         );
     }
@@ -423,7 +439,8 @@ fn uncounted(members: Members) -> Found {
     Found { members, fan_out: None, usage: None }
 }
 
-/// Members after some compartments of different cores have changed places, as a start that leads elsewhere.
+/// Members after some compartments of different cores have changed places, as a start that leads
+/// elsewhere.
 fn shaken(members: &Members, fixed: &[bool], attempt: u64) -> Members {
     let mut shaken = members.clone();
     let all: usize = members.iter().map(Vec::len).sum();
@@ -522,7 +539,8 @@ fn with_ids(network: &Quantised, tiled: &[Segment], ids: &[u32]) -> Vec<Segment>
     order
 }
 
-/// Members after groups of every level have been moved, the largest first, while there is work left.
+/// Members after groups of every level have been moved, the largest first, while there is work
+/// left.
 fn refined(
     graph: &Hypergraph,
     levels: &Levels,

@@ -1,15 +1,18 @@
 //! Filling cores along an order of compartments, until output axons fit too.
 //!
-//! Input: segments of compartments in an order. Output: the compartments of each core. A core is closed when the next
-//! compartment would break a limit. Two things are not known while filling, and are settled around it:
+//! Input: segments of compartments in an order. Output: the compartments of each core. A core is
+//! closed when the next compartment would break a limit. Two things are not known while filling,
+//! and are settled around it:
 //!
-//! - *Whether to keep a segment whole* that fits into an empty core but not into the rest of the current one. Both ways
-//!   are tried for the whole network; the one with fewer cores is taken, on a tie the one that keeps segments whole,
-//!   because it sends fewer messages.
-//! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores are numbered chip by
-//!   chip, as [`mod@crate::place`] keeps them). The first filling ignores them, or in large networks what is not drawn evenly; if a core then sends too much, each
-//!   compartment is charged what it sent and a margin, which doubles from round to round, and the filling is repeated. It
-//!   ends because estimates only grow, and a core with a single compartment is never split.
+//! - *Whether to keep a segment whole* that fits into an empty core but not into the rest of the
+//!   current one. Both ways are tried for the whole network; the one with fewer cores is taken, on
+//!   a tie the one that keeps segments whole, because it sends fewer messages.
+//! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores
+//!   are numbered chip by chip, as [`mod@crate::place`] keeps them). The first filling ignores
+//!   them, or in large networks what is not drawn evenly; if a core then sends too much, each
+//!   compartment is charged what it sent and a margin, which doubles from round to round, and the
+//!   filling is repeated. It ends because estimates only grow, and a core with a single compartment
+//!   is never split.
 
 use std::collections::BTreeMap;
 
@@ -32,7 +35,8 @@ use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Capacity, OutputAxons, Resource};
 
-/// Rounds of filling after which output axons are given up on: the margin is then 2^9 times the fan-out.
+/// Rounds of filling after which output axons are given up on: the margin is then 2^9 times the
+/// fan-out.
 const ROUNDS: u32 = 14;
 /// The first margin is a 2^5th of the fan-out.
 const FIRST_MARGIN: u32 = 5;
@@ -105,8 +109,8 @@ impl Indices {
     }
 }
 
-/// Parts of an order that are filled side by side, when it is so long that the core left open at the end of each is
-/// nothing; long segments are cut.
+/// Parts of an order that are filled side by side, when it is so long that the core left open at
+/// the end of each is nothing; long segments are cut.
 fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
     let all: u64 = order.iter().map(|segment| u64::from(segment.indices.len())).sum();
     let longest = order.iter().map(|segment| segment.indices.len()).max()?;
@@ -240,7 +244,8 @@ impl<'a> Filler<'a> {
     /// The better of keeping segments whole and filling every core up.
     ///
     /// # Errors
-    /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that fits no core.
+    /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that
+    /// fits no core.
     pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Found, CompileError> {
         if !self.may_keep_whole(order) {
             return self.settled(order, chips, true);
@@ -253,8 +258,9 @@ impl<'a> Filler<'a> {
         }
     }
 
-    /// Whether keeping segments whole could fill cores otherwise than not: a segment that is no tile is kept whole only where
-    /// one before it has begun a core, and where a core has seats for all of it; parts of a long order begin cores of their own.
+    /// Whether keeping segments whole could fill cores otherwise than not: a segment that is no
+    /// tile is kept whole only where one before it has begun a core, and where a core has seats for
+    /// all of it; parts of a long order begin cores of their own.
     fn may_keep_whole(&self, order: &[Segment]) -> bool {
         let seats = self.target.limits()[Resource::Compartments];
         let fits = |segment: &Segment| segment.indices.len() <= seats;
@@ -341,7 +347,8 @@ impl<'a> Filler<'a> {
         unreachable!("the last round gives reasons or members")
     }
 
-    /// Raises each estimate to what was sent and a margin, though never above what every synapse on a core of its own sends.
+    /// Raises each estimate to what was sent and a margin, though never above what every synapse on
+    /// a core of its own sends.
     fn raise(&self, estimate: &mut [u32], FanOut { slots, together, .. }: &FanOut, round: u32) {
         let limits = self.target.limits();
         let more = match limits.output_axons {

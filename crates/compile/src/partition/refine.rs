@@ -1,13 +1,15 @@
 //! Moving groups of compartments between cores while that saves messages.
 //!
-//! Input: a [`State`] and [`Groups`]. Output: a state that is no worse. Passes are those of Fiduccia and
-//! Mattheyses ("A linear-time heuristic for improving network partitions", DAC 1982): the best move first, each group once
-//! a pass, moves that cost something are tried too, and at the end of a pass the state returns to the best that it has
-//! been in. Gains are exact: a group's gain is computed again when its turn comes. What differs from the paper: there are
-//! many cores, so a group looks only at cores that already share one of its nets; and cores are nearly full, so a group
-//! that does not fit where it wants to go may change places with one from there.
+//! Input: a [`State`] and [`Groups`]. Output: a state that is no worse. Passes are those of
+//! Fiduccia and Mattheyses ("A linear-time heuristic for improving network partitions", DAC 1982):
+//! the best move first, each group once a pass, moves that cost something are tried too, and at the
+//! end of a pass the state returns to the best that it has been in. Gains are exact: a group's gain
+//! is computed again when its turn comes. What differs from the paper: there are many cores, so a
+//! group looks only at cores that already share one of its nets; and cores are nearly full, so a
+//! group that does not fit where it wants to go may change places with one from there.
 //!
-//! Everything is decided by (gain, number of the group), so the result is the same on every machine.
+//! Everything is decided by (gain, number of the group), so the result is the same on every
+//! machine.
 
 use std::collections::BinaryHeap;
 use std::time::Instant;
@@ -20,7 +22,8 @@ use nsim_ir::base::rng;
 const PATIENCE: usize = 400;
 /// Groups of the other core that are considered for a swap.
 const PARTNERS: u64 = 12;
-/// Work of looking one net up for a partner: a search through the cores that it reaches, several times.
+/// Work of looking one net up for a partner: a search through the cores that it reaches, several
+/// times.
 const PARTNER_WORK: u64 = 24;
 const SEED: u64 = 0x5eed;
 
@@ -32,7 +35,8 @@ const LOOKS: u32 = 64;
 pub struct Effort {
     /// Passes over all groups.
     pub passes: usize,
-    /// Gains that may be computed in all passes together, as a measure of time that is the same everywhere.
+    /// Gains that may be computed in all passes together, as a measure of time that is the same
+    /// everywhere.
     pub work: u64,
     /// When to end in any case.
     pub end: Option<Instant>,
@@ -182,7 +186,8 @@ fn wish(
     gains.max().map(|(gain, std::cmp::Reverse(to))| (gain, to))
 }
 
-/// Changes places with a group of the other core, if that saves something and fits; returns it and what was saved.
+/// Changes places with a group of the other core, if that saves something and fits; returns it and
+/// what was saved.
 fn swap(
     state: &mut State,
     groups: &Groups,

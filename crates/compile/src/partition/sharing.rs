@@ -1,14 +1,17 @@
 //! Compartments gathered core by core, each next to those with which it shares most sources.
 //!
-//! Input: a network whose synapses are listed, and an estimate of each compartment's output axons. Output: the compartments
-//! of each core. A core begins with the next compartment in the order of the file and takes the one that shares most
-//! sources with those it holds, until a limit would be broken; a source that reaches a core already costs no further input
-//! axon there and no further message.
+//! Input: a network whose synapses are listed, and an estimate of each compartment's output axons.
+//! Output: the compartments of each core. A core begins with the next compartment in the order of
+//! the file and takes the one that shares most sources with those it holds, until a limit would be
+//! broken; a source that reaches a core already costs no further input axon there and no further
+//! message.
 //!
-//! Candidates are those of a pool of consecutive compartments, so that compartments with k synapses in and out take
-//! k^2 * `POOL` steps in all and a look over its pool each, and pools are filled side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where
-//! synapses are drawn evenly; one of all would save 9 in five times the time. Pools shrink until a round keeps within the effort. Where
-//! that leaves few candidates, or synapses are drawn evenly and a pool is a small part of the network, nothing is gathered.
+//! Candidates are those of a pool of consecutive compartments, so that compartments with k synapses
+//! in and out take k^2 * `POOL` steps in all and a look over its pool each, and pools are filled
+//! side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where synapses are
+//! drawn evenly; one of all would save 9 in five times the time. Pools shrink until a round keeps
+//! within the effort. Where that leaves few candidates, or synapses are drawn evenly and a pool is
+//! a small part of the network, nothing is gathered.
 
 use rayon::prelude::*;
 
@@ -26,12 +29,15 @@ use nsim_ir::resource::Resource;
 const POOL: u32 = 1 << 13;
 /// Compartments below which a pool offers too little choice.
 const LEAST_POOL: u64 = 1 << 8;
-/// Part of an evenly drawn network that a pool has to be: of a million compartments, 122 pools, gathering saved 2 in a hundred messages
-/// and took as long as all other stages of the mapping together.
+/// Part of an evenly drawn network that a pool has to be: of a million compartments, 122 pools,
+/// gathering saved 2 in a hundred messages and took as long as all other stages of the mapping
+/// together.
 const PART: u64 = 32;
-/// Rounds of gathering: the first counts on the output axons of the order of the file, the next on what the one before sends.
+/// Rounds of gathering: the first counts on the output axons of the order of the file, the next on
+/// what the one before sends.
 const ROUNDS: u32 = 2;
-/// Part of a core's output axons that is left free, because what compartments will send is known only in the mean.
+/// Part of a core's output axons that is left free, because what compartments will send is known
+/// only in the mean.
 const FREE: u64 = 100;
 /// Times that compartments are taken from cores that send too much.
 const TRIMS: usize = 6;
@@ -52,14 +58,16 @@ pub fn is_listed(network: &Quantised) -> bool {
     network.projections().iter().all(|projection| listed(&projection.connectivity))
 }
 
-/// Compartments of a pool so that a round takes no more than this work; `None` where gathering is not worth its time.
+/// Compartments of a pool so that a round takes no more than this work; `None` where gathering is
+/// not worth its time.
 fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
     let compartments = u64::from(network.compartments());
     let sources = (u64::from(network.channels()) + compartments).max(1);
     if is_uniform && compartments > u64::from(POOL) * PART {
         return None;
     }
-    // Each synapse that brings a core a source touches all compartments of the pool that the source reaches.
+    // Each synapse that brings a core a source touches all compartments of the pool that the source
+    // reaches.
     let synapses = u128::from(network.synapses());
     let reached =
         |pool: u64| synapses * synapses * u128::from(pool) / u128::from(sources) / u128::from(compartments.max(1));
@@ -68,8 +76,9 @@ fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
     sizes.into_iter().find(|&size| reached(size.min(compartments)) <= u128::from(work)).map(|size| size as u32)
 }
 
-/// Compartments on cores, gathered by shared sources; `sequential` is the order of the file on such chips. `None` where a core
-/// cannot be held within every limit, and where gathering within this work would gain little.
+/// Compartments on cores, gathered by shared sources; `sequential` is the order of the file on such
+/// chips. `None` where a core cannot be held within every limit, and where gathering within this
+/// work would gain little.
 #[must_use]
 pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_uniform: bool, work: u64) -> Option<Found> {
     let pool = pool_size(filler.network, is_uniform, work)?;
@@ -108,7 +117,8 @@ fn units(network: &Quantised) -> Vec<Unit> {
     units
 }
 
-/// Members once each core has been trimmed to the output axons that it has, and what was taken off is on further cores.
+/// Members once each core has been trimmed to the output axons that it has, and what was taken off
+/// is on further cores.
 fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips: Chips) -> Option<Found> {
     let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
     for _ in 0..TRIMS {
@@ -214,7 +224,8 @@ fn pool_of(
             sources_of(unit, &mut |source| put(source as usize, at as u16));
         }
     });
-    // One more than the sources shared with the core that is being filled; 0 once a compartment is on a core.
+    // One more than the sources shared with the core that is being filled; 0 once a compartment is
+    // on a core.
     let mut shared = vec![1i16; pool.len()];
     let (mut core_of_source, mut core) = (vec![0u32; sources], 1u32);
     let (mut members, mut next) = (Vec::new(), 0);

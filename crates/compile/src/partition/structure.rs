@@ -1,9 +1,10 @@
 //! Whether the synapses of a network have a structure that grouping compartments could follow.
 //!
-//! Input: a network. Output: whether the targets of a compartment's targets coincide more often than drawn evenly. They do in neighbourhoods
-//! (small worlds, maps) and where some compartments are reached by many (hubs); they do not in random networks, where
-//! groups save a few cores in a hundred and cost most of the time of mapping. A sample of compartments decides, so that the answer
-//! takes milliseconds whatever the network's size.
+//! Input: a network. Output: whether the targets of a compartment's targets coincide more often
+//! than drawn evenly. They do in neighbourhoods (small worlds, maps) and where some compartments
+//! are reached by many (hubs); they do not in random networks, where groups save a few cores in a
+//! hundred and cost most of the time of mapping. A sample of compartments decides, so that the
+//! answer takes milliseconds whatever the network's size.
 
 use std::collections::HashSet;
 
@@ -17,14 +18,15 @@ const SAMPLE: u64 = 256;
 /// Targets of each, and targets of each of these, that are looked at.
 const TARGETS: usize = 16;
 const THEIR_TARGETS: usize = 256;
-/// How much more often than by chance they coincide where there is structure, beyond so many standard deviations of chance.
-/// Hubs that are reached with a probability of 1 / sqrt(j) coincide ln(n) / 4 times as often: 2.3 times among 10,000.
+/// How much more often than by chance they coincide where there is structure, beyond so many
+/// standard deviations of chance. Hubs that are reached with a probability of 1 / sqrt(j) coincide
+/// ln(n) / 4 times as often: 2.3 times among 10,000.
 const FACTOR: f64 = 1.25;
 const DEVIATIONS: f64 = 6.0;
 const SEED: u64 = 0x57ac;
 
-/// Whether targets of targets coincide as often as those of evenly drawn synapses do; `false` when compartments reach too few
-/// for that to be told.
+/// Whether targets of targets coincide as often as those of evenly drawn synapses do; `false` when
+/// compartments reach too few for that to be told.
 #[must_use]
 pub fn is_uniform(network: &Quantised) -> bool {
     let n = u64::from(network.compartments());
@@ -48,7 +50,8 @@ pub fn is_uniform(network: &Quantised) -> bool {
     pairs >= SAMPLE.min(n) * TARGETS as u64 && (coincide as f64) < chance
 }
 
-/// Targets of a compartment, each once, evenly taken where there are more than so many; and the compartments of the populations that it reaches.
+/// Targets of a compartment, each once, evenly taken where there are more than so many; and the
+/// compartments of the populations that it reaches.
 fn targets(network: &Quantised, id: u32, most: usize) -> (Vec<u32>, u64) {
     let (population, index) = network.population_of(CompartmentId::new(id as usize));
     let (mut reached, mut size) = (Vec::new(), 0);
@@ -68,7 +71,8 @@ mod tests {
     use nsim_ir::quantised::connectivity::Connectivity;
     use nsim_testing::{Builder, plain_format};
 
-    /// A network in which each of `n` compartments reaches those that `target(source, synapse)` says.
+    /// A network in which each of `n` compartments reaches those that `target(source, synapse)`
+    /// says.
     fn network(n: u32, target: impl Fn(u32, u64) -> u32) -> Quantised {
         let mut builder = Builder::new();
         let layer = builder.loihi("n", n);

@@ -1,19 +1,23 @@
 //! Populations over space, cut into tiles.
 //!
-//! Input: a population of `[channels, height, width]` that convolutions or poolings reach. Output: segments, each a
-//! rectangle of positions with all or an equal share of the channels. A core that holds a rectangle needs the sources
-//! under the rectangle and its rim; a core that holds as many compartments in the order of the file, channel by channel,
-//! needs nearly all sources of the layer before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks
-//! for the fewest cores with a beam search over them, here every grid is counted in closed form and the first that fits,
-//! in the order of cores and then of messages, is taken; cores are tiles and those that the layer before takes more because
-//! its output axons reach many tiles. Grids whose sources or whose weights alone are too many for a core
-//! are not tried, with lists of their own or shared ([`crate::resources::axon_sharing`]), whichever are fewer.
+//! Input: a population of `[channels, height, width]` that convolutions or poolings reach. Output:
+//! segments, each a rectangle of positions with all or an equal share of the channels. A core that
+//! holds a rectangle needs the sources under the rectangle and its rim; a core that holds as many
+//! compartments in the order of the file, channel by channel, needs nearly all sources of the layer
+//! before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks for the fewest
+//! cores with a beam search over them, here every grid is counted in closed form and the first that
+//! fits, in the order of cores and then of messages, is taken; cores are tiles and those that the
+//! layer before takes more because its output axons reach many tiles. Grids whose sources or whose
+//! weights alone are too many for a core are not tried, with lists of their own or shared
+//! ([`crate::resources::axon_sharing`]), whichever are fewer.
 //!
-//! Slots of a tile are ordered position by position, channels together, so that the targets of a spike are consecutive;
-//! channel by channel where each channel only receives its own (pooling, depthwise convolution). Where a base may be any
-//! slot ([`OutputAxons::PerPosition`]), both orders are counted and the one of fewer words is taken: channel by channel a
-//! neighbour's lists are one slot further on, so all positions of a tile are within the reach of a base and share one
-//! table, whose lists have runs; position by position lists are dense, but a table is stored once for every 256 slots.
+//! Slots of a tile are ordered position by position, channels together, so that the targets of a
+//! spike are consecutive; channel by channel where each channel only receives its own (pooling,
+//! depthwise convolution). Where a base may be any slot ([`OutputAxons::PerPosition`]), both orders
+//! are counted and the one of fewer words is taken: channel by channel a neighbour's lists are one
+//! slot further on, so all positions of a tile are within the reach of a base and share one table,
+//! whose lists have runs; position by position lists are dense, but a table is stored once for
+//! every 256 slots.
 
 use std::collections::BTreeSet;
 
@@ -51,8 +55,8 @@ pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
         && into.all(|p| matches!(p.connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. }))
 }
 
-/// By population, the compartments that a core may hold: as many as its limits say, or fewer where their synapses are to be no more
-/// than so many.
+/// By population, the compartments that a core may hold: as many as its limits say, or fewer where
+/// their synapses are to be no more than so many.
 #[must_use]
 pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Option<u64>) -> IdVec<PopulationId, u32> {
     let held = limits[Resource::Compartments].min(MOST_SLOTS);
@@ -74,7 +78,8 @@ pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Op
     each.iter().map(fitting).collect()
 }
 
-/// Numbers of parts into which a length is cut, each with the size of a part; parts that are no smaller are left out.
+/// Numbers of parts into which a length is cut, each with the size of a part; parts that are no
+/// smaller are left out.
 fn cuts(length: u32) -> Vec<(u32, u32)> {
     let mut cuts: Vec<(u32, u32)> =
         (1..=length).map(|parts| length.div_ceil(parts)).map(|s| (length.div_ceil(s), s)).collect();
@@ -90,8 +95,8 @@ fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64
     reach.min(seen).min(u64::from(source))
 }
 
-/// What the sources of the part in the middle of an axis reach of it: targets of all sources, and of those whose targets
-/// and places in the kernel are not another's shifted.
+/// What the sources of the part in the middle of an axis reach of it: targets of all sources, and
+/// of those whose targets and places in the kernel are not another's shifted.
 fn reached(axis: WindowAxis, length: u32, size: u32) -> (u64, u64) {
     let fields = axis.fields(&part(length, size, middle_of(length, size)));
     let all = fields.iter().map(|(field, sources)| field.len() as u64 * sources).sum();
@@ -99,17 +104,20 @@ fn reached(axis: WindowAxis, length: u32, size: u32) -> (u64, u64) {
     (all, distinct.iter().map(|field| field.len() as u64).sum())
 }
 
-/// A grid of tiles: how many cores it takes, the messages that a spike everywhere would cost, and what a tile is.
+/// A grid of tiles: how many cores it takes, the messages that a spike everywhere would cost, and
+/// what a tile is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Grid {
-    /// Tiles, and cores that the sources take beyond those of their compartments because of the output axons to the tiles.
+    /// Tiles, and cores that the sources take beyond those of their compartments because of the
+    /// output axons to the tiles.
     cores: u64,
     messages: u64,
     /// Channels, height and width of a tile; those at the end may be smaller.
     pub size: (u32, u32, u32),
 }
 
-/// A cut of an axis: parts, the size of one, and what sources reach of it ([`reached`]) by projection.
+/// A cut of an axis: parts, the size of one, and what sources reach of it ([`reached`]) by
+/// projection.
 type Along = (u32, u32, Vec<(u64, u64)>);
 
 /// Grids that may fit a core of so many compartments, the best first.
@@ -145,7 +153,8 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                         * under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
                     let (all, distinct) = ((rows.0, columns.0), (rows.1, columns.1));
                     sources += channels * places;
-                    // As many targets on the same chip as on another are assumed, and all channels of a position on a core.
+                    // As many targets on the same chip as on another are assumed, and all channels
+                    // of a position on a core.
                     let slots = u64::from(limits.axon_out_slots) + u64::from(limits.axon_out_slots_off_chip);
                     let slots = match limits.output_axons {
                         OutputAxons::PerPosition { atoms, more_slots } if placed.is_some() => {
@@ -157,7 +166,8 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                     let anyway = from.map(|from| u64::from(from.div_ceil(limits[Resource::Compartments].max(1))));
                     cores += anyway.map_or(0, |anyway| senders.saturating_sub(anyway));
                     axons += places;
-                    // Of every group the sources reach its own channels, which are the tile's together.
+                    // Of every group the sources reach its own channels, which are the tile's
+                    // together.
                     let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
                     bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
                 }
@@ -173,8 +183,8 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
     grids
 }
 
-/// The tiles of a population as segments, each fit for a core with at most so many compartments; `None` when no grid
-/// was found that fits.
+/// The tiles of a population as segments, each fit for a core with at most so many compartments;
+/// `None` when no grid was found that fits.
 #[must_use]
 pub fn tiles(
     network: &Quantised,
@@ -186,8 +196,8 @@ pub fn tiles(
     chosen_tiles(network, population, filling, limits, (most, Rank::Messages))
 }
 
-/// Tiles on as many cores that take fewer words and may send more messages; `None` where there are none that leave room worth
-/// having.
+/// Tiles on as many cores that take fewer words and may send more messages; `None` where there are
+/// none that leave room worth having.
 #[must_use]
 pub fn tiles_of_fewer_words(
     network: &Quantised,
@@ -274,8 +284,9 @@ fn chosen_tiles(
 
 /// The first of these grids that fits, among those tried.
 pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) -> bool) -> Option<Grid> {
-    // Of as many cores some are tried, which differ in what their lists have in common; a grid that failed says that others
-    // with a few more cores are likely to fail too, so the trials thin out as they go on.
+    // Of as many cores some are tried, which differ in what their lists have in common; a grid that
+    // failed says that others with a few more cores are likely to fail too, so the trials thin out
+    // as they go on.
     let (mut tried, mut of_as_many, mut at) = (0, 0, 0);
     while at < all.len() && tried < trials {
         let grid = all[at];
@@ -319,8 +330,8 @@ pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), 
     indices
 }
 
-/// The tiles (channels, row, column) of a grid; rows of them run to and fro, so that neighbours in the order are neighbours
-/// in space.
+/// The tiles (channels, row, column) of a grid; rows of them run to and fro, so that neighbours in
+/// the order are neighbours in space.
 pub fn to_and_fro((channels, rows, columns): (u32, u32, u32)) -> impl Iterator<Item = (u32, u32, u32)> {
     (0..rows).flat_map(move |y| {
         let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
@@ -385,7 +396,8 @@ mod tests {
         let most = |synapses| most_compartments(&network, &limits(), synapses).iter().copied().collect::<Vec<u32>>();
         let all = limits()[Resource::Compartments];
         assert_eq!(most(None), [all, all, all]);
-        // 18 synapses of a position in the middle, though those at the rim have fewer; 100 of each source.
+        // 18 synapses of a position in the middle, though those at the rim have fewer; 100 of each
+        // source.
         assert_eq!(most(Some(180)), [180.min(all), 10, 1]);
         assert_eq!(most(Some(5)), [5, 1, 1]);
     }

@@ -8,8 +8,9 @@
 //! probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
 //! simulated annealing", Science 220, 1983). The best places are kept.
 //!
-//! Chips are annealed side by side in rounds, each from the places in which all others were when the round began; after a
-//! round all are put together and kept if that is better. So it does not matter how many threads there are.
+//! Chips are annealed side by side in rounds, each from the places in which all others were when
+//! the round began; after a round all are put together and kept if that is better. So it does not
+//! matter how many threads there are.
 
 use std::time::Instant;
 
@@ -24,7 +25,8 @@ use nsim_ir::placement::{Mesh, Site};
 
 /// How many times a link of a tree counts as much as one of a single message, as in the objective.
 const TREE: i64 = 2;
-/// Rounds in which chips are annealed against each other; a single chip restarts from its best places.
+/// Rounds in which chips are annealed against each other; a single chip restarts from its best
+/// places.
 const ROUNDS: u64 = 6;
 /// The first temperature as a part of what a proposal changes on average.
 const HOTTEST: f64 = 0.3;
@@ -34,7 +36,8 @@ const COOLEST: f64 = 5e-2;
 const PLACED_PER_SECOND: u64 = 25_000_000;
 /// Proposals of a core in a round at most.
 const PROPOSALS: u64 = 200;
-/// Proposals that any chip gets: a few cores have so few places that all good ones are found, which costs next to nothing.
+/// Proposals that any chip gets: a few cores have so few places that all good ones are found, which
+/// costs next to nothing.
 const LEAST_PROPOSALS: u64 = 1500;
 
 /// A chip is annealed if there is a proposal in a round for one core in so many.
@@ -226,7 +229,8 @@ fn one_chip(
     best
 }
 
-/// The tile of this chip nearest to the mean position of the cores that a core exchanges messages with.
+/// The tile of this chip nearest to the mean position of the cores that a core exchanges messages
+/// with.
 fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Option<(u32, u32)> {
     let (mut x, mut y, mut sum) = (0u64, 0u64, 0u64);
     let (left, top) = ((chip % mesh.chips_x) * mesh.width, (chip / mesh.chips_x) * mesh.height);
@@ -249,7 +253,8 @@ fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Opt
     (sum > 0).then(|| (((x + sum / 2) / sum) as u32, ((y + sum / 2) / sum) as u32))
 }
 
-/// Chips in the rectangle in which spikes cross the fewest links, by a sample of nets; as they are where none is better.
+/// Chips in the rectangle in which spikes cross the fewest links, by a sample of nets; as they are
+/// where none is better.
 fn in_rectangle(nets: &Nets, mesh: &Mesh, sites: IdVec<CoreId, Site>, objective: Objective) -> IdVec<CoreId, Site> {
     let used = sites.len().div_ceil(mesh.cores_per_chip as usize) as u32;
     let nth = nets.nets.len() / SAMPLED_NETS;
@@ -273,13 +278,15 @@ fn in_rectangle(nets: &Nets, mesh: &Mesh, sites: IdVec<CoreId, Site>, objective:
 
 /// Chips changed for each other, and for chips not in use, while that saves links.
 fn exchanged(nets: &Nets, mesh: &Mesh, mut sites: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
-    // Only messages between chips matter, so chips stand for their cores; few enough to try every pair.
+    // Only messages between chips matter, so chips stand for their cores; few enough to try every
+    // pair.
     let used = sites.len().div_ceil(mesh.cores_per_chip as usize);
     let nth = (nets.nets.len() / SAMPLED_NETS).max(1);
     let messages: usize = (nets.reached.items().len() + nets.nets.len()) / nth;
     let near = (used as u32 + mesh.chips_x).min(mesh.chips_x * mesh.chips_y);
     let tries = (search.work / 2 / (messages.max(1) as u64)).min(u64::from(near) * used as u64 * 2);
-    // Fewer links of single messages are no gain where trees have more: the whole placement would be refused.
+    // Fewer links of single messages are no gain where trees have more: the whole placement would
+    // be refused.
     let cost = |sites: &IdVec<CoreId, Site>| {
         let costs = nets.costs_of_every(nth, mesh, sites, search.objective);
         (costs.multicast, costs.objective(search.objective))

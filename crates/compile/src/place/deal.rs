@@ -1,9 +1,11 @@
 //! Cores dealt out to the processes that run a program together.
 //!
-//! Input: a network, its partition and placement, and how many ranks there are. Output: the rank of each core. Whole chips are dealt
-//! where their loads come out even, cores otherwise. Chips are first cut into runs along the board, row by row and back, because
-//! placement has put those near each other that exchange messages; then each goes to the rank with which its cores exchange
-//! most, as long as loads stay even. What is counted is *cut traffic*: sources, once for each unit that they reach.
+//! Input: a network, its partition and placement, and how many ranks there are. Output: the rank of
+//! each core. Whole chips are dealt where their loads come out even, cores otherwise. Chips are
+//! first cut into runs along the board, row by row and back, because placement has put those near
+//! each other that exchange messages; then each goes to the rank with which its cores exchange
+//! most, as long as loads stay even. What is counted is *cut traffic*: sources, once for each unit
+//! that they reach.
 //!
 //! Every rank deals alike: nothing here depends on threads or on the clock.
 
@@ -15,7 +17,8 @@ use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Placement, Site};
 use nsim_ir::quantised::Quantised;
 
-/// Load of a compartment, in synapses: with one update a step and 1 % firing, an update costs as much as a few events.
+/// Load of a compartment, in synapses: with one update a step and 1 % firing, an update costs as
+/// much as a few events.
 const COMPARTMENT: u64 = 16;
 /// How much more than the mean a rank may have, in hundredths, where whole chips are dealt.
 const UNEVEN_CHIPS: u64 = 110;

@@ -1,7 +1,7 @@
 //! Messages over the links of a board, in each of four directions.
 //!
-//! Input: routes with their rates. Output: the load of every link, the greatest and the sum. Routes are added as differences
-//! at their ends, so the work does not depend on their length.
+//! Input: routes with their rates. Output: the load of every link, the greatest and the sum. Routes
+//! are added as differences at their ends, so the work does not depend on their length.
 
 use nsim_ir::placement::Mesh;
 
@@ -37,7 +37,8 @@ impl Lines {
         loads
     }
 
-    /// The greatest load, the greatest after every so many tiles, where a chip ends, and the sum of loads.
+    /// The greatest load, the greatest after every so many tiles, where a chip ends, and the sum of
+    /// loads.
     fn loads(&self, of_chip: u32) -> [u64; 3] {
         let (mut most, mut between, mut sum) = (0, 0, 0);
         for line in self.differences.chunks(self.length.max(1)) {
@@ -95,7 +96,8 @@ impl LinkLoads {
         loads.fold([0, 0, 0], |[most, between, sum], load| [load[0].max(most), load[1].max(between), load[2] + sum])
     }
 
-    /// The loads of both directions together: from each tile eastwards, row by row, and southwards, column by column.
+    /// The loads of both directions together: from each tile eastwards, row by row, and southwards,
+    /// column by column.
     #[must_use]
     pub fn both_ways(&self) -> [Vec<u64>; 2] {
         let together = |a: &Lines, b: &Lines| a.each().into_iter().zip(b.each()).map(|(a, b)| a + b).collect();

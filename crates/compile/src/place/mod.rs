@@ -1,18 +1,22 @@
 //! Logical cores onto physical ones.
 //!
-//! Input: a network, its partition and a target. Output: a [`Placement`]. The partition has counted output axons for
-//! cores numbered chip by chip (core k on the k / 128th chip), and a message to another chip takes more of them; so which
-//! cores share a chip stays as it is, and what is chosen is each core's tile on its chip and each chip's place on the board.
+//! Input: a network, its partition and a target. Output: a [`Placement`]. The partition has counted
+//! output axons for cores numbered chip by chip (core k on the k / 128th chip), and a message to
+//! another chip takes more of them; so which cores share a chip stays as it is, and what is chosen
+//! is each core's tile on its chip and each chip's place on the board.
 //!
-//! - *Sequential*: core k of the partition sits on core k of the board, counted chip by chip, row of tiles by row, tile by
-//!   tile, as the public tools hand cores out.
-//! - *Annealed*: starts from the better of that order and a Hilbert curve through the tiles from the corner where inputs
-//!   enter (Jin et al., ASPLOS 2023, start from one too), and then exchanges cores ([`anneal`]): towards the middle of what
-//!   they exchange messages with (force-directed) or at random, accepted as in simulated annealing. The objective is the number of links
-//!   that spikes cross in a step, as multicast trees and as single messages; under [`Objective::Latency`] the busiest link
-//!   and the longest route count as well. Chips are annealed in parallel, each against the others as they last were.
+//! - *Sequential*: core k of the partition sits on core k of the board, counted chip by chip, row
+//!   of tiles by row, tile by tile, as the public tools hand cores out.
+//! - *Annealed*: starts from the better of that order and a Hilbert curve through the tiles from
+//!   the corner where inputs enter (Jin et al., ASPLOS 2023, start from one too), and then
+//!   exchanges cores ([`anneal`]): towards the middle of what they exchange messages with
+//!   (force-directed) or at random, accepted as in simulated annealing. The objective is the number
+//!   of links that spikes cross in a step, as multicast trees and as single messages; under
+//!   [`Objective::Latency`] the busiest link and the longest route count as well. Chips are
+//!   annealed in parallel, each against the others as they last were.
 //!
-//! An annealed placement is taken only if its spikes cross no more links than in the sequential one.
+//! An annealed placement is taken only if its spikes cross no more links than in the sequential
+//! one.
 
 pub mod anneal;
 pub mod deal;
@@ -73,7 +77,8 @@ pub fn place(
     place_nets(&Nets::new(network, partition, search.rates), partition.cores(), target, search)
 }
 
-/// A place for the core of each box, near those it exchanges messages with; and the name of how it was found.
+/// A place for the core of each box, near those it exchanges messages with; and the name of how it
+/// was found.
 ///
 /// # Errors
 /// As [`sequential`].

@@ -1,9 +1,10 @@
 //! Messages between cores, and the links that they cross.
 //!
-//! Input: a network, its partition and rates. Output: *nets*: a core, or the corner where a chip's inputs enter, and the
-//! cores that its messages go to, with their rate. Sources of one core that reach the same cores are one net. Given places,
-//! a net costs links: those of the multicast tree, in which a spike is sent once and copied where routes part, and those
-//! of all routes together (unicast). Routes are those of [`nsim_ir::placement`]: east or west first.
+//! Input: a network, its partition and rates. Output: *nets*: a core, or the corner where a chip's
+//! inputs enter, and the cores that its messages go to, with their rate. Sources of one core that
+//! reach the same cores are one net. Given places, a net costs links: those of the multicast tree,
+//! in which a spike is sent once and copied where routes part, and those of all routes together
+//! (unicast). Routes are those of [`nsim_ir::placement`]: east or west first.
 
 use std::collections::HashMap;
 
@@ -190,7 +191,8 @@ impl Nets {
         }
     }
 
-    /// What places cost; the busiest link and the longest route only where the objective looks at them.
+    /// What places cost; the busiest link and the longest route only where the objective looks at
+    /// them.
     #[must_use]
     pub fn costs(&self, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
         self.costs_of_every(1, mesh, sites, objective)

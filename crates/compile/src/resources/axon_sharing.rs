@@ -1,14 +1,16 @@
 //! Which input axons of a core become members of population axons, so that a kernel is stored once.
 //!
-//! In come the lists of a core; out go classes of places whose lists are the same, and how many places of each share one
-//! stored table. A *place* is one position of a population over space from which a window (convolution or pooling) goes
-//! out; its channels are its *atoms*. All that a convolution sends from one place to a core is a list for each atom; from
-//! the next place it is the same lists, a few slots further on. A population axon stands for a place: it has a table (a
-//! list for each atom, which several population axons may have in common) and a base that is added to all slots. The
-//! message of a spike carries the atom.
+//! In come the lists of a core; out go classes of places whose lists are the same, and how many
+//! places of each share one stored table. A *place* is one position of a population over space from
+//! which a window (convolution or pooling) goes out; its channels are its *atoms*. All that a
+//! convolution sends from one place to a core is a list for each atom; from the next place it is
+//! the same lists, a few slots further on. A population axon stands for a place: it has a table (a
+//! list for each atom, which several population axons may have in common) and a base that is added
+//! to all slots. The message of a spike carries the atom.
 //!
-//! What the hardware allows (nengo-loihi `hardware/builder.py`, `block.py`, `builder/split_blocks.py` and
-//! `builder/validate.py`), by how a target counts output axons ([`OutputAxons`]):
+//! What the hardware allows (nengo-loihi `hardware/builder.py`, `block.py`,
+//! `builder/split_blocks.py` and `builder/validate.py`), by how a target counts output axons
+//! ([`OutputAxons`]):
 //!
 //! | | pop16 | pop32 |
 //! |---|---|---|
@@ -17,27 +19,33 @@
 //! | base | multiples of 4 below 256 | below 256 |
 //! | slots of an output axon | those of a discrete one | one more |
 //!
-//! - Counted for each position, a population axon is pop16 where its atoms and its base allow it, pop32 otherwise
-//!   ([`is_long`]).
-//! - Counted for each compartment, all are pop16 in the widest form of nengo-loihi's emulator: an atom has up to 9 bits,
-//!   those beyond five are taken from the ten of the axon's number ([`most_axons`]).
-//! - Places that begin farther on than a base reaches keep whole 256s in the slots of their lists, so that they share with
-//!   others between the same 256s only, as nengo-loihi has it (`conv.py`, `conv2d_loihi_weights`).
-//! - A compartment belongs to one population, so its atom is the same on every core: it is the channel.
+//! - Counted for each position, a population axon is pop16 where its atoms and its base allow it,
+//!   pop32 otherwise ([`is_long`]).
+//! - Counted for each compartment, all are pop16 in the widest form of nengo-loihi's emulator: an
+//!   atom has up to 9 bits, those beyond five are taken from the ten of the axon's number
+//!   ([`most_axons`]).
+//! - Places that begin farther on than a base reaches keep whole 256s in the slots of their lists,
+//!   so that they share with others between the same 256s only, as nengo-loihi has it (`conv.py`,
+//!   `conv2d_loihi_weights`).
+//! - A compartment belongs to one population, so its atom is the same on every core: it is the
+//!   channel.
 //!
-//! A population that all of another's sources reach may have more sources than a core has input axons. Such sources are
-//! gathered too: each 512 of them are the atoms of a population axon, whose lists stay their own, so that input axons are
-//! saved and no words. Only networks that say so (`Parts::gathers`, `nsim map --relays`) are mapped in this way.
+//! A population that all of another's sources reach may have more sources than a core has input
+//! axons. Such sources are gathered too: each 512 of them are the atoms of a population axon, whose
+//! lists stay their own, so that input axons are saved and no words. Only networks that say so
+//! (`Parts::gathers`, `nsim map --relays`) are mapped in this way.
 //!
-//! How a table is stored: the lists of its atoms follow each other at equal distances. NxTF (`nxsdk_modules_ncl/dnn`) pads
-//! lists to the longest; here places whose lists differ in words do not share, so there is nothing to pad but atoms that
-//! send nothing. The entry of a population axon has one base and no more, so the first slot of a dense group stands in the
-//! table ([`packing::words_in_table`]).
+//! How a table is stored: the lists of its atoms follow each other at equal distances. NxTF
+//! (`nxsdk_modules_ncl/dnn`) pads lists to the longest; here places whose lists differ in words do
+//! not share, so there is nothing to pad but atoms that send nothing. The entry of a population
+//! axon has one base and no more, so the first slot of a dense group stands in the table
+//! ([`packing::words_in_table`]).
 //!
-//! The rule: a class shares when that takes no more words than lists of its own for each source, and fewer words or fewer
-//! input axons; those that save most come first while there are numbers for population axons. [`crate::resources::exact`] counts
-//! so, [`crate::emit::route`] writes so, [`crate::resources::incremental`] asks so for whole tiles, and
-//! [`crate::resources::closed_form`] counts classes from geometry.
+//! The rule: a class shares when that takes no more words than lists of its own for each source,
+//! and fewer words or fewer input axons; those that save most come first while there are numbers
+//! for population axons. [`crate::resources::exact`] counts so, [`crate::emit::route`] writes so,
+//! [`crate::resources::incremental`] asks so for whole tiles, and [`crate::resources::closed_form`]
+//! counts classes from geometry.
 //!
 //! [`packing::words_in_table`]: crate::resources::packing::words_in_table
 
@@ -127,8 +135,9 @@ pub struct Places {
     of_need: bool,
 }
 
-/// Whether the sources of a population are gathered in population axons, if they may be, because a population that all of them reach has more
-/// sources than a core has input axons. Lists stay their own, so nothing but input axons is saved.
+/// Whether the sources of a population are gathered in population axons, if they may be, because a
+/// population that all of them reach has more sources than a core has input axons. Lists stay their
+/// own, so nothing but input axons is saved.
 fn gathers(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
     let is_dense = |p: &Projection| matches!(p.connectivity, Connectivity::Dense { .. });
     let outgoing = || network.outgoing(id).iter().map(|&p| &network.projections()[p]);
@@ -144,8 +153,9 @@ fn gathers(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
 }
 
 impl Places {
-    /// Of all populations over space from which a window goes out; and of those whose sources all reach a population that has
-    /// more of them than a core has input axons, where these may be population axons of any atoms.
+    /// Of all populations over space from which a window goes out; and of those whose sources all
+    /// reach a population that has more of them than a core has input axons, where these may be
+    /// population axons of any atoms.
     #[must_use]
     pub fn for_network(network: &Quantised, limits: &Limits) -> Self {
         Places::gathered(network, Some(limits))
@@ -224,7 +234,8 @@ impl Places {
     }
 }
 
-/// Places whose lists are the same, counted from their bases, and what one of them takes in one way of storing.
+/// Places whose lists are the same, counted from their bases, and what one of them takes in one way
+/// of storing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Class {
     /// How many places.
@@ -269,7 +280,8 @@ pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
     // Those that may be short count as such, whatever their bases.
     let may_be_short = |class: &Class| !is_long(class.atoms, 0, limits);
     let mut order: Vec<usize> = (0..classes.len()).collect();
-    // Classes that are equal in all respects can take each other's part, so counts do not depend on the order they came in.
+    // Classes that are equal in all respects can take each other's part, so counts do not depend on
+    // the order they came in.
     order.sort_by_key(|&at| std::cmp::Reverse((classes[at].saving(classes[at].places), classes[at])));
     let mut sharing = vec![0; classes.len()];
     for at in order {
@@ -350,7 +362,8 @@ mod tests {
 
     #[test]
     fn numbers_and_bases_are_those_of_pop16_axons() {
-        // nengo-loihi: ten bits for up to 32 atoms, then one fewer for each bit of the atom, nine at most.
+        // nengo-loihi: ten bits for up to 32 atoms, then one fewer for each bit of the atom, nine
+        // at most.
         assert_eq!(
             [1, 2, 32, 33, 64, 65, 256, 257, 512].map(most_axons),
             [1024, 1024, 1024, 512, 512, 256, 128, 64, 64]

@@ -1,13 +1,15 @@
 //! All synapses of a network, sorted by the core that they end on.
 //!
-//! In come a network and the seats of its compartments; out goes, core by core, what a function makes of the core's
-//! synapses in the order of their lists: by source, then format, slot, delay and weight. [`crate::resources::exact`] counts
-//! them and [`crate::emit::route`] writes them down; both therefore mean the same lists.
+//! In come a network and the seats of its compartments; out goes, core by core, what a function
+//! makes of the core's synapses in the order of their lists: by source, then format, slot, delay
+//! and weight. [`crate::resources::exact`] counts them and [`crate::emit::route`] writes them down;
+//! both therefore mean the same lists.
 //!
-//! Sources are enumerated in pieces of a fixed size, on any number of threads; each piece sorts its synapses into ranges
-//! of cores, and each range then reads the pieces in order. So nothing depends on threads, no synapse is allocated by
-//! itself, and memory is read and written in long runs. A synapse takes eight bytes on its way; a network with more than
-//! `AT_ONCE` of them is enumerated several times, for some of its cores each time.
+//! Sources are enumerated in pieces of a fixed size, on any number of threads; each piece sorts its
+//! synapses into ranges of cores, and each range then reads the pieces in order. So nothing depends
+//! on threads, no synapse is allocated by itself, and memory is read and written in long runs. A
+//! synapse takes eight bytes on its way; a network with more than `AT_ONCE` of them is enumerated
+//! several times, for some of its cores each time.
 
 use rayon::prelude::*;
 
@@ -26,7 +28,8 @@ const MOST_KEPT: usize = 1 << 16;
 const PIECE_BITS: u32 = 14;
 /// Most cores of a range: their numbers within the range have the bits that a key leaves.
 const MOST_OF_RANGE: usize = 1 << 14;
-/// Cores of a range where there are many: a range's synapses should stay in a processor's cache while they are sorted.
+/// Cores of a range where there are many: a range's synapses should stay in a processor's cache
+/// while they are sorted.
 const OF_RANGE: usize = 128;
 
 const WEIGHT_BITS: u32 = 9;
@@ -38,8 +41,8 @@ const SYNAPSE_BITS: u32 = WEIGHT_BITS + DELAY_BITS + SLOT_BITS + FORMAT_BITS;
 /// Weights are from -256 to 255; they are stored from 0 on so that keys sort as weights do.
 const WEIGHT_ZERO: i16 = 1 << (WEIGHT_BITS - 1);
 
-/// A synapse at its core, in 64 bits that sort as lists are sorted: source (channels first, then compartments), format,
-/// slot, delay, weight.
+/// A synapse at its core, in 64 bits that sort as lists are sorted: source (channels first, then
+/// compartments), format, slot, delay, weight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Key(u64);
 
@@ -83,7 +86,8 @@ impl Key {
         field(self.0, WEIGHT_BITS, DELAY_BITS) as u8
     }
 
-    /// Everything but the source: its atom instead, and the slot counted from a base that is not above it.
+    /// Everything but the source: its atom instead, and the slot counted from a base that is not
+    /// above it.
     #[inline]
     #[must_use]
     pub fn relative_to(self, atom: u16, base: u16) -> u64 {
@@ -150,7 +154,8 @@ fn pieces<'a>(network: &'a Quantised, formats: &Formats, counts: impl Fn(Populat
 }
 
 impl Piece<'_> {
-    /// Calls `f(source within the piece, seat, rest of the key)` for every synapse to a core that is wanted.
+    /// Calls `f(source within the piece, seat, rest of the key)` for every synapse to a core that
+    /// is wanted.
     #[inline]
     fn for_each(
         &self,
@@ -181,8 +186,9 @@ fn runs(bucket: &[u64]) -> impl Iterator<Item = &[u64]> {
     bucket.chunk_by(|&a, &b| core_of(a) == core_of(b))
 }
 
-/// A bucket by core, then source, then the rest. Its sources ascend as they came, so it is dealt out to cores in the order
-/// in which it is; only the synapses of one source on one core are still to be compared.
+/// A bucket by core, then source, then the rest. Its sources ascend as they came, so it is dealt
+/// out to cores in the order in which it is; only the synapses of one source on one core are still
+/// to be compared.
 fn sorted(bucket: &[u64], cores: usize) -> Vec<u64> {
     let mut places = vec![0u32; cores];
     bucket.iter().for_each(|&key| places[core_of(key)] += 1);
@@ -215,7 +221,8 @@ pub fn by_core<T: Send>(
     by_core_from(network, formats, seats, cores, (|_| true, |_| true), f)
 }
 
-/// The same, of the synapses from the populations that count to the cores that are wanted; the others have none.
+/// The same, of the synapses from the populations that count to the cores that are wanted; the
+/// others have none.
 pub fn by_core_from<T: Send>(
     network: &Quantised,
     formats: &Formats,

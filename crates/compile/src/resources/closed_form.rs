@@ -1,11 +1,13 @@
 //! Boxes of a layer on cores, from the geometry of its windows alone.
 //!
-//! In comes a population that windows (or all sources) reach; out goes what a core uses that holds a box of it (channels x
-//! rows x columns). A window reaches rows and columns independently of each other, so the lists of a box are the products
-//! of fields of rows, of columns and of channels: sources with the same fields have lists of the same make-up, which is
-//! counted once, and places whose fields are the same but for where they begin are a class that may share a table
-//! ([`crate::resources::axon_sharing`]). The counts are those of [`crate::resources::exact`], output axons and profiles excepted; a test
-//! holds them to it. They could only be greater where two different parts of a kernel have the same weights.
+//! In comes a population that windows (or all sources) reach; out goes what a core uses that holds
+//! a box of it (channels x rows x columns). A window reaches rows and columns independently of each
+//! other, so the lists of a box are the products of fields of rows, of columns and of channels:
+//! sources with the same fields have lists of the same make-up, which is counted once, and places
+//! whose fields are the same but for where they begin are a class that may share a table
+//! ([`crate::resources::axon_sharing`]). The counts are those of [`crate::resources::exact`],
+//! output axons and profiles excepted; a test holds them to it. They could only be greater where
+//! two different parts of a kernel have the same weights.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -53,14 +55,17 @@ pub struct Layer {
     pub shape: (u32, u32, u32),
     /// What reaches it, in the order of the file.
     pub incoming: Vec<Incoming>,
-    /// Whether compartments stand channel by channel; they do where each channel sees its own channel only.
+    /// Whether compartments stand channel by channel; they do where each channel sees its own
+    /// channel only.
     pub by_channel: bool,
-    /// Whether two projections come from one population: its lists are then both together, which is not counted here.
+    /// Whether two projections come from one population: its lists are then both together, which is
+    /// not counted here.
     pub joined: bool,
 }
 
 impl Layer {
-    /// A population and what reaches it; `None` when a projection into it is neither a window nor all to all.
+    /// A population and what reaches it; `None` when a projection into it is neither a window nor
+    /// all to all.
     #[must_use]
     pub fn for_population(
         network: &Quantised,
@@ -102,7 +107,8 @@ impl Layer {
         Some(Layer { shape, incoming, by_channel, joined })
     }
 
-    /// What a core uses that holds the box in the middle, whose windows are whole, when boxes have this size.
+    /// What a core uses that holds the box in the middle, whose windows are whole, when boxes have
+    /// this size.
     #[must_use]
     pub fn middle(&self, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
         let at = middle(self.shape, size);
@@ -137,7 +143,8 @@ impl Side {
     }
 }
 
-/// A part of the channels: how many of them sources reach, and how many sources reach so many; and the last such source.
+/// A part of the channels: how many of them sources reach, and how many sources reach so many; and
+/// the last such source.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Channels {
     /// How many.
@@ -213,7 +220,8 @@ pub struct BoxUse {
 /// How the lists that a position sends to a box are stored.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Membership {
-    /// Each for itself, or perhaps so: of a class of positions not all of which share their table, none is counted as a member.
+    /// Each for itself, or perhaps so: of a class of positions not all of which share their table,
+    /// none is counted as a member.
     #[default]
     Discrete,
     /// As those of a population axon that takes the slots of a discrete one (pop16).
@@ -222,7 +230,8 @@ pub enum Membership {
     Long,
 }
 
-/// Which positions of a projection are members of population axons: by the numbers of their fields of rows and of columns.
+/// Which positions of a projection are members of population axons: by the numbers of their fields
+/// of rows and of columns.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Members {
     columns: usize,
@@ -256,7 +265,8 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
     let widths = Widths::for_core(compartments, longest, limits.packing);
     let (mut counter, mut arriving) = (ListCounter::new(formats, widths, limits), Vec::new());
     let mut classes = Classes::default();
-    // By projection and pair of fields: the classes of these positions, and whether their axons are long.
+    // By projection and pair of fields: the classes of these positions, and whether their axons are
+    // long.
     let mut of_fields: Vec<Vec<Tables>> = vec![Vec::new(); layer.incoming.len()];
     let mut slots: Vec<u16> = Vec::new();
     for &i in &reaching {
@@ -303,7 +313,8 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
                 let Some((atoms, positions)) = placed else { continue };
                 let base = axon_sharing::base_of(first_slot as u16, limits);
                 let (of_these, atoms) = if all_to_all {
-                    // Every source has weights of its own; all channels of a position reach the box.
+                    // Every source has weights of its own; all channels of a position reach the
+                    // box.
                     let (first, place) = (classes.len(), place.part(positions));
                     (0..positions).for_each(|_| classes.alone(place, atoms as u16));
                     (first..classes.len(), atoms as u16)
@@ -351,7 +362,8 @@ struct Tables {
 #[derive(Debug, Clone, Copy, Default)]
 struct Place {
     lists: u64,
-    /// Without and with runs: words as lists of discrete axons, and the fewest and the most of a list in a table.
+    /// Without and with runs: words as lists of discrete axons, and the fewest and the most of a
+    /// list in a table.
     ways: [(u64, Option<(u32, u32)>); 2],
 }
 

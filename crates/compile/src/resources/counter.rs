@@ -1,7 +1,7 @@
 //! What a core uses of each resource: the rules that every way of counting shares.
 //!
-//! Input: [`CoreTotals`], what was counted on a core. Output: its [`CoreUsage`]. The totals come in three forms, which are
-//! tested against each other on random networks:
+//! Input: [`CoreTotals`], what was counted on a core. Output: its [`CoreUsage`]. The totals come in
+//! three forms, which are tested against each other on random networks:
 //!
 //! | form | counts | for |
 //! |---|---|---|
@@ -11,17 +11,22 @@
 //!
 //! The rules:
 //!
-//! - input axons: distinct sources with a synapse on the core, the members of a population axon as one
-//!   ([`axon_sharing`]);
-//! - output axons: one for each compartment and destination core, in slots ([`Limits::axon_out_slots`]);
-//! - words: as [`packing`] counts them. A core stores its lists without runs or with them, whichever takes fewer words
-//!   while its formats suffice, so both are counted ([`LISTS`]); a table of population axons is stored once;
-//! - formats: distinct (synapse format, delayed or not, compression), because widths are the same for all groups of a core;
-//! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct mantissas;
-//! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse into the core.
+//! - input axons: distinct sources with a synapse on the core, the members of a population axon as
+//!   one ([`axon_sharing`]);
+//! - output axons: one for each compartment and destination core, in slots
+//!   ([`Limits::axon_out_slots`]);
+//! - words: as [`packing`] counts them. A core stores its lists without runs or with them,
+//!   whichever takes fewer words while its formats suffice, so both are counted ([`LISTS`]); a
+//!   table of population axons is stored once;
+//! - formats: distinct (synapse format, delayed or not, compression), because widths are the same
+//!   for all groups of a core;
+//! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct
+//!   mantissas;
+//! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse
+//!   into the core.
 //!
-//! [`check::verify`](nsim_check::verify) counts again from finished tables and shares none of this but the
-//! formula of [`packing`], which tests hold to the words that tables encode to.
+//! [`check::verify`](nsim_check::verify) counts again from finished tables and shares none of this
+//! but the formula of [`packing`], which tests hold to the words that tables encode to.
 
 use std::collections::BTreeSet;
 
@@ -132,8 +137,9 @@ impl ListTotals {
         self.longest = self.longest.max(words);
     }
 
-    /// Stores the tables of these classes instead of a list for each of their sources; returns how many places of each
-    /// class share its table. None does on a core of more sources than a program can number, which then has too many input axons.
+    /// Stores the tables of these classes instead of a list for each of their sources; returns how
+    /// many places of each class share its table. None does on a core of more sources than a
+    /// program can number, which then has too many input axons.
     pub fn share(&mut self, classes: &[Class], limits: &Limits) -> Vec<u32> {
         if self.axons > axon_sharing::MOST_NUMBERED {
             return vec![0; classes.len()];

@@ -1,20 +1,24 @@
 //! What evenly drawn synapses need at least, told from their numbers before any is drawn.
 //!
-//! Input: a network and a target. Output: the reasons for which evenly drawn synapses ([`Connectivity::Random`]) cannot fit,
-//! if there are any. Each source draws `F` of `m` targets, so it reaches one of k given targets with a probability of
+//! Input: a network and a target. Output: the reasons for which evenly drawn synapses
+//! ([`Connectivity::Random`]) cannot fit, if there are any. Each source draws `F` of `m` targets,
+//! so it reaches one of k given targets with a probability of
 //!
 //! ```text
 //! q(k) = 1 - (1 - k / m)^F.
 //! ```
 //!
-//! The sources that reach k targets are a sum of independent draws with mean M = S q(k), so fewer than M - d reach them with
-//! a probability below exp(-d^2 / 2 M) (Chernoff), and there are fewer than m^k such sets of targets. Where a core has no
-//! input axons for any of them, its targets are fewer than k; so each source reaches the more cores, and takes the more
-//! output axons. All bounds hold but for a chance of e^-45, which is smaller than that of a fault of memory.
+//! The sources that reach k targets are a sum of independent draws with mean M = S q(k), so fewer
+//! than M - d reach them with a probability below exp(-d^2 / 2 M) (Chernoff), and there are fewer
+//! than m^k such sets of targets. Where a core has no input axons for any of them, its targets are
+//! fewer than k; so each source reaches the more cores, and takes the more output axons. All bounds
+//! hold but for a chance of e^-45, which is smaller than that of a fault of memory.
 //!
-//! What full cores are expected to send is also where filling cores of a large network begins ([`expected_slots`]).
+//! What full cores are expected to send is also where filling cores of a large network begins
+//! ([`expected_slots`]).
 //!
-//! Not looked at: other kinds of projections, and sources that share input axons because windows go out from them too.
+//! Not looked at: other kinds of projections, and sources that share input axons because windows go
+//! out from them too.
 
 use std::ops::Range;
 
@@ -46,7 +50,8 @@ impl Draws {
         -(self.fan_out * (-together / self.targets).ln_1p()).exp_m1()
     }
 
-    /// Pairs of a source and a target that it reaches, at least (McDiarmid: a draw changes them by one at most).
+    /// Pairs of a source and a target that it reaches, at least (McDiarmid: a draw changes them by
+    /// one at most).
     fn least_pairs(&self) -> f64 {
         let mean = self.sources * self.targets * self.reaches(1.0);
         (mean - (self.sources * self.fan_out * DOUBT / 2.0).sqrt()).max(0.0)
@@ -59,7 +64,8 @@ fn draws(connectivity: &Connectivity, source: &Population) -> Option<Draws> {
     Some(Draws { sources, fan_out: fan_out.into(), targets: targets.into() })
 }
 
-/// Draws into a population that are independent of each other, of sources that take an input axon each.
+/// Draws into a population that are independent of each other, of sources that take an input axon
+/// each.
 fn independent(network: &Quantised, id: PopulationId, places: &Places) -> Vec<Draws> {
     let mut kept: Vec<(PopulationId, u64, Range<u64>)> = Vec::new();
     let mut draws_into = Vec::new();
@@ -78,7 +84,8 @@ fn independent(network: &Quantised, id: PopulationId, places: &Places) -> Vec<Dr
     draws_into
 }
 
-/// The most compartments of a population that a core can hold, and the sources of one of them at least.
+/// The most compartments of a population that a core can hold, and the sources of one of them at
+/// least.
 fn most_together(network: &Quantised, id: PopulationId, places: &Places, target: &Target) -> (u32, f64) {
     let (limits, size) = (target.limits(), network.populations()[id].shape.len());
     let most = limits[Resource::Compartments].min(size);
@@ -92,8 +99,8 @@ fn most_together(network: &Quantised, id: PopulationId, places: &Places, target:
     ((1..=most).find(too_many).map_or(most, |k| k - 1), least_sources(1))
 }
 
-/// Why evenly drawn synapses cannot fit, for certain; empty where they may. With `relays` a source may have as many of
-/// them as its targets need.
+/// Why evenly drawn synapses cannot fit, for certain; empty where they may. With `relays` a source
+/// may have as many of them as its targets need.
 #[must_use]
 pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) -> Vec<Reason> {
     let (limits, places) = (target.limits(), Places::for_network(network, target.limits()));
@@ -161,8 +168,8 @@ pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) 
     reasons
 }
 
-/// The output axon slots that a compartment of a population is expected to take for its evenly drawn targets, in a partition
-/// whose cores are full of such compartments.
+/// The output axon slots that a compartment of a population is expected to take for its evenly
+/// drawn targets, in a partition whose cores are full of such compartments.
 #[must_use]
 pub fn expected_slots(network: &Quantised, id: PopulationId, target: &Target) -> u32 {
     let limits = target.limits();

@@ -1,8 +1,8 @@
 //! What each core of a given membership uses of each resource, counted from its synapses.
 //!
-//! Input: a network, the compartments of each core in slot order and the chip of each core. Output: a [`CoreUsage`] each,
-//! by the rules of [`counter`](crate::resources::counter), which is what [`crate::emit::route`] writes.
-//! Limits are not looked at.
+//! Input: a network, the compartments of each core in slot order and the chip of each core. Output:
+//! a [`CoreUsage`] each, by the rules of [`counter`](crate::resources::counter), which is what
+//! [`crate::emit::route`] writes. Limits are not looked at.
 
 use crate::resources::axon_sharing;
 use crate::resources::axon_sharing::{Class, EqualPlace, EqualPlaces, Places};
@@ -61,7 +61,8 @@ pub fn usage(
     with_outputs(totals, members, &fan_out::network_fan_out(network, &core_of, chips, limits, shared), limits)
 }
 
-/// The use of each core, where the fan-out of compartments is known and [`fan_out::by_position`] is not asked for.
+/// The use of each core, where the fan-out of compartments is known and [`fan_out::by_position`] is
+/// not asked for.
 ///
 /// # Panics
 /// As [`usage`].
@@ -101,7 +102,8 @@ pub fn with_fan_out(
     usage.into_iter().zip(members).map(of_core).collect()
 }
 
-/// What is counted on each core but for its output axons, and which places are members of population axons on it.
+/// What is counted on each core but for its output axons, and which places are members of
+/// population axons on it.
 fn totals(
     network: &Quantised,
     members: &IdVec<CoreId, Vec<CompartmentId>>,

@@ -1,11 +1,13 @@
 //! What reaches one compartment: the network read backwards.
 //!
-//! In comes a network, whose synapses are enumerated source by source; out goes, compartment by compartment, the sources of
-//! its synapses. Listed and random synapses are sorted by target once, at four bytes a synapse; dense layers and windows
-//! are computed. Copies of a network share their index.
+//! In comes a network, whose synapses are enumerated source by source; out goes, compartment by
+//! compartment, the sources of its synapses. Listed and random synapses are sorted by target once,
+//! at four bytes a synapse; dense layers and windows are computed. Copies of a network share their
+//! index.
 //!
-//! Where all that a population sends goes out through windows of the same groups, what holds of one channel of a group
-//! holds of all: at a position they reach the same compartments. Such channels are a *bundle*, which is told once.
+//! Where all that a population sends goes out through windows of the same groups, what holds of one
+//! channel of a group holds of all: at a position they reach the same compartments. Such channels
+//! are a *bundle*, which is told once.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -29,7 +31,8 @@ pub fn first_source(network: &Quantised, population: &Population) -> u32 {
     }
 }
 
-/// Sources, and targets, that one task looks at where there are many; the number of one within its piece has half of 32 bits.
+/// Sources, and targets, that one task looks at where there are many; the number of one within its
+/// piece has half of 32 bits.
 const PIECE: u32 = 1 << 14;
 
 /// Sources by target.
@@ -42,8 +45,8 @@ struct Transposed {
 }
 
 impl Transposed {
-    /// Pieces of sources sort their synapses into ranges of targets, then ranges read the pieces in order; so sources
-    /// ascend, and threads change nothing.
+    /// Pieces of sources sort their synapses into ranges of targets, then ranges read the pieces in
+    /// order; so sources ascend, and threads change nothing.
     fn new(connectivity: &Connectivity, sources: u32, targets: u32) -> Self {
         let ranges = targets.div_ceil(PIECE) as usize;
         let pieces: Vec<Vec<Vec<u32>>> = (0..sources.div_ceil(PIECE))
@@ -161,9 +164,10 @@ impl FanIn {
         FanIn { incoming, projections }
     }
 
-    /// Calls `f(source, projection, part, bundle)` for every synapse into a compartment of a population, by projection, then
-    /// source; synapses of the channels of a bundle, so many, are one call with the first of their sources. Synapses of a
-    /// projection that are the same part of a kernel, between sources of the same atom, have the same weight.
+    /// Calls `f(source, projection, part, bundle)` for every synapse into a compartment of a
+    /// population, by projection, then source; synapses of the channels of a bundle, so many, are
+    /// one call with the first of their sources. Synapses of a projection that are the same part of
+    /// a kernel, between sources of the same atom, have the same weight.
     #[inline]
     pub fn for_each_into(&self, population: PopulationId, index: u32, mut f: impl FnMut(u32, ProjectionId, u64, u32)) {
         // Where there is no kernel each synapse is a part of its own.
@@ -200,7 +204,8 @@ impl FanIn {
 }
 
 impl FanIn {
-    /// Synaptic events of each compartment in as many steps as rates count; sources of a bundle are taken to spike as its first does.
+    /// Synaptic events of each compartment in as many steps as rates count; sources of a bundle are
+    /// taken to spike as its first does.
     #[must_use]
     pub fn events_into(&self, network: &Quantised, rates: &Rates) -> Vec<u64> {
         let of_population = |(id, population): (PopulationId, &Population)| {
@@ -217,8 +222,8 @@ impl FanIn {
     }
 }
 
-/// Channels of a bundle of a population: those of a group where all that it sends goes out through convolutions of the same
-/// groups, one otherwise.
+/// Channels of a bundle of a population: those of a group where all that it sends goes out through
+/// convolutions of the same groups, one otherwise.
 #[must_use]
 pub fn bundle(network: &Quantised, population: PopulationId) -> u32 {
     let mut bundle = None;
@@ -238,7 +243,8 @@ fn for_each_covered(window: &Window, target: u32, channel: u32, mut f: impl FnMu
     let (y, x) = (within / window.target.2, within % window.target.2);
     let covered = |at: u32, stride: u32, padding: u32, dilation: u32, kernel: u32, size: u32| {
         (0..kernel).filter_map(move |k| {
-            // Wide, because a stride and a position may each be large; see `Window::for_each_position` for the relation.
+            // Wide, because a stride and a position may each be large; see
+            // `Window::for_each_position` for the relation.
             let s = (u64::from(at) * u64::from(stride) + u64::from(k) * u64::from(dilation))
                 .checked_sub(u64::from(padding))?;
             (s < u64::from(size)).then_some((s as u32, u64::from(k)))

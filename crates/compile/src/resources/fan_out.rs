@@ -1,11 +1,13 @@
 //! The fan-out of each compartment: its output axons, from where its targets sit.
 //!
-//! Input: a network, the core of each compartment and the chip of each core. Output: compartment by compartment, the
-//! number of distinct cores that its spikes reach and the output axon slots that these take.
+//! Input: a network, the core of each compartment and the chip of each core. Output: compartment by
+//! compartment, the number of distinct cores that its spikes reach and the output axon slots that
+//! these take.
 //!
-//! Where a target counts output axons by position ([`OutputAxons::PerPosition`]), also what is known of population axons is
-//! needed ([`SharedPlaces`]): the compartments of a core at one position whose spikes all go to population axons, and to
-//! the same cores, take the slots of one of them.
+//! Where a target counts output axons by position ([`OutputAxons::PerPosition`]), also what is
+//! known of population axons is needed ([`SharedPlaces`]): the compartments of a core at one
+//! position whose spikes all go to population axons, and to the same cores, take the slots of one
+//! of them.
 
 use rayon::prelude::*;
 
@@ -29,15 +31,16 @@ pub struct FanOut {
     pub slots: Vec<u32>,
     /// Output axons by compartment.
     pub axons: Vec<u32>,
-    /// By compartment, a number that those of a core have in common that share their output axons, [`ALONE`] for those that
-    /// share none; empty where no compartment does.
+    /// By compartment, a number that those of a core have in common that share their output axons,
+    /// [`ALONE`] for those that share none; empty where no compartment does.
     pub together: Vec<u64>,
 }
 
 /// Of a compartment that shares no output axon.
 pub const ALONE: u64 = 0;
 
-/// The places that are members of population axons on each core, ascending, and whether it is a pop32 axon.
+/// The places that are members of population axons on each core, ascending, and whether it is a
+/// pop32 axon.
 pub type MembersOfCores = IdVec<CoreId, Vec<(u32, bool)>>;
 
 /// What of population axons decides how many output axons there are.
@@ -81,7 +84,8 @@ pub fn cores_of_populations(
     network.populations().as_slice().par_iter().map(of).collect::<Vec<_>>().into()
 }
 
-/// The fan-out of each compartment; with the places of population axons where [`by_position`] says so.
+/// The fan-out of each compartment; with the places of population axons where [`by_position`] says
+/// so.
 #[must_use]
 pub fn network_fan_out(
     network: &Quantised,
@@ -105,7 +109,8 @@ pub fn network_fan_out(
 }
 
 impl SharedPlaces<'_> {
-    /// The slots that a source's messages to pop32 axons take more, and what it shares output axons by.
+    /// The slots that a source's messages to pop32 axons take more, and what it shares output axons
+    /// by.
     fn of_source(&self, source: u32, reached: &[CoreId], limits: &Limits) -> (u32, u64) {
         let OutputAxons::PerPosition { more_slots, .. } = limits.output_axons else { return (0, ALONE) };
         let Some((place, _)) = self.places.of_source(source).filter(|_| !reached.is_empty()) else { return (0, ALONE) };
@@ -146,8 +151,8 @@ pub fn messages(network: &Quantised, core_of: &IdVec<CompartmentId, CoreId>, cor
     by_source(network, core_of, cores, true, of).into_iter().sum()
 }
 
-/// Consecutive sources of a population that one task looks at; for sources in bundles ([`crate::resources::fan_in`]), the same
-/// positions of every channel of a bundle.
+/// Consecutive sources of a population that one task looks at; for sources in bundles
+/// ([`crate::resources::fan_in`]), the same positions of every channel of a bundle.
 #[derive(Debug, Clone)]
 struct Piece {
     population: PopulationId,
@@ -188,8 +193,8 @@ fn pieces(network: &Quantised, with_channels: bool) -> Vec<Piece> {
     pieces
 }
 
-/// What `f(source, own core, cores reached)` returns for every source, in order: channels (if asked for), then compartments.
-/// Cores are in the order in which they are first reached.
+/// What `f(source, own core, cores reached)` returns for every source, in order: channels (if asked
+/// for), then compartments. Cores are in the order in which they are first reached.
 pub fn by_source<T: Send>(
     network: &Quantised,
     core_of: &IdVec<CompartmentId, CoreId>,
@@ -209,7 +214,8 @@ pub fn by_source<T: Send>(
                     .map(|k| (number + first + k * positions, Vec::with_capacity(length as usize)))
                     .collect();
                 for index in first..first + length {
-                    // Marks tell sources apart; a task of few sources never comes near the end of their range.
+                    // Marks tell sources apart; a task of few sources never comes near the end of
+                    // their range.
                     *mark += 1;
                     reached.clear();
                     let mut reach = |core: CoreId| {

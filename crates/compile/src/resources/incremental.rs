@@ -1,14 +1,16 @@
-//! One core while it is being filled: what its compartments so far need of every resource, kept up to date.
+//! One core while it is being filled: what its compartments so far need of every resource, kept up
+//! to date.
 //!
-//! Input: compartments one by one. Output: whether the core still holds them all. The counts are those of
-//! [`crate::resources::exact`] but for output axons, which depend on where the targets end up: for these the
-//! caller gives an estimate for each compartment. Adding never lowers a need (formats excepted, and
-//! the widest list when a core changes its mind about runs), so that a core that is too
-//! full stays too full; the caller then begins another.
+//! Input: compartments one by one. Output: whether the core still holds them all. The counts are
+//! those of [`crate::resources::exact`] but for output axons, which depend on where the targets end
+//! up: for these the caller gives an estimate for each compartment. Adding never lowers a need
+//! (formats excepted, and the widest list when a core changes its mind about runs), so that a core
+//! that is too full stays too full; the caller then begins another.
 //!
-//! Lists that sources share through population axons ([`crate::resources::axon_sharing`]) are counted only where a core does not
-//! hold its compartments without: while a tile is added row by row its lists differ, and only when it is whole are they
-//! the same. So compartments that came one by one are counted with lists of their own, which is never too little.
+//! Lists that sources share through population axons ([`crate::resources::axon_sharing`]) are
+//! counted only where a core does not hold its compartments without: while a tile is added row by
+//! row its lists differ, and only when it is whole are they the same. So compartments that came one
+//! by one are counted with lists of their own, which is never too little.
 
 use std::collections::{HashMap, HashSet};
 
@@ -66,8 +68,9 @@ struct PlacedAxon {
     atom: u16,
     /// Of the place.
     base: u16,
-    /// A digest of its synapses' slots, counted from the base, and the parts of kernels that they are. Two different lists
-    /// with the same digest would be found out when the cores are counted exactly.
+    /// A digest of its synapses' slots, counted from the base, and the parts of kernels that they
+    /// are. Two different lists with the same digest would be found out when the cores are counted
+    /// exactly.
     digest: u64,
 }
 
@@ -115,10 +118,12 @@ type Packed = ((Widths, Group), [(Compression, u32); LISTS]);
 /// Places of a class, ascending, with their bases.
 type PlacesOfClass = Vec<(u32, u16)>;
 
-/// Input axons by source: a table of open addresses, small enough to stay in a cache where one of all sources would not.
+/// Input axons by source: a table of open addresses, small enough to stay in a cache where one of
+/// all sources would not.
 #[derive(Debug)]
 struct AxonTable {
-    /// Source, input axon, and the core by count on which it has it; a power of two of them, at most half of them in use.
+    /// Source, input axon, and the core by count on which it has it; a power of two of them, at
+    /// most half of them in use.
     slots: Vec<(u32, u32, u32)>,
     held: usize,
     /// The present core by count.
@@ -269,8 +274,8 @@ impl<'a> Filling<'a> {
     /// Adds a compartment.
     ///
     /// # Errors
-    /// What the core would use, when it cannot hold the compartment. It is not a member then, but the running counts are
-    /// spoiled: begin another core.
+    /// What the core would use, when it cannot hold the compartment. It is not a member then, but
+    /// the running counts are spoiled: begin another core.
     pub fn add(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
         self.put(newcomer)?;
         match self.holds() {
@@ -285,8 +290,9 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// What the compartments added one by one use, output axons left out: exactly what is counted from their synapses.
-    /// None where lists may be shared, or have become shorter, because only counting anew tells then.
+    /// What the compartments added one by one use, output axons left out: exactly what is counted
+    /// from their synapses. None where lists may be shared, or have become shorter, because only
+    /// counting anew tells then.
     #[must_use]
     pub fn used(&self) -> Option<CoreUsage> {
         self.used
@@ -337,7 +343,8 @@ impl<'a> Filling<'a> {
 
     /// What it has uses, where the core holds it.
     fn holds(&self) -> Result<CoreUsage, CoreUsage> {
-        // One compartment alone cannot be split any further; whether its output axons fit is asked when targets are seated.
+        // One compartment alone cannot be split any further; whether its output axons fit is asked
+        // when targets are seated.
         let mut used = self.usage();
         if self.shares && !self.limits.hold(&used.of) {
             used = self.usage_shared();
@@ -415,7 +422,8 @@ impl<'a> Filling<'a> {
         let words = ways.map(|(_, words)| words);
         let before = std::mem::replace(&mut entry.words, words);
         for (way, before) in before.into_iter().enumerate() {
-            // Runs that no longer hold a gap can make a list longer or, when its gap is gone, shorter.
+            // Runs that no longer hold a gap can make a list longer or, when its gap is gone,
+            // shorter.
             axon.words[way] = axon.words[way] + entry.words[way] - before;
             self.shortened |= entry.words[way] < before;
             let lists = &mut self.totals.lists[way];
@@ -449,7 +457,8 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// Classes of places whose lists are the same, without and with runs; and the places of each, with their bases.
+    /// Classes of places whose lists are the same, without and with runs; and the places of each,
+    /// with their bases.
     fn classes(&self) -> ([Vec<Class>; LISTS], Vec<PlacesOfClass>) {
         let mut in_table = vec![[0u32; 2]; self.axons.len()];
         for entry in &self.entries {
@@ -490,8 +499,8 @@ impl<'a> Filling<'a> {
         (classes, of_classes)
     }
 
-    /// The places that are members of population axons on a core of these compartments, ascending, and whether it is a
-    /// pop32 axon.
+    /// The places that are members of population axons on a core of these compartments, ascending,
+    /// and whether it is a pop32 axon.
     pub fn members_of_axons(&mut self, newcomers: impl Iterator<Item = Newcomer>) -> Vec<(u32, bool)> {
         self.next_core();
         for newcomer in newcomers {
@@ -550,7 +559,8 @@ mod tests {
     use nsim_ir::resource::Packing;
     use nsim_testing::{limits, random_network};
 
-    /// What a core uses that holds the first so many of these compartments, counted from its synapses.
+    /// What a core uses that holds the first so many of these compartments, counted from its
+    /// synapses.
     fn exact(network: &Quantised, order: &[CompartmentId], held: usize, limits: &Limits) -> CoreUsage {
         let (held, rest) = order.split_at(held);
         let members: IdVec<_, _> = vec![held.to_vec(), rest.to_vec()].into();
@@ -583,8 +593,9 @@ mod tests {
             let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
             let limits = Limits { packing, ..limits() };
             let mut order: Vec<CompartmentId> = (0..network.compartments()).map(CompartmentId).collect();
-            // Parts of a kernel that happen to have the same weights are told apart while a core is filled, so lists that
-            // are shared are compared whole and in the order of the file only.
+            // Parts of a kernel that happen to have the same weights are told apart while a core is
+            // filled, so lists that are shared are compared whole and in the order of the file
+            // only.
             let shared = !Places::for_network(&network, &limits).is_empty();
             if !shared {
                 order.sort_by_key(|id| rng::digest(seed, u64::from(id.0)));

@@ -1,30 +1,37 @@
 //! How many 64-bit words of synapse memory an input axon's list takes.
 //!
-//! In comes the make-up of a list; out goes a number of words. The synapses that one spike source sends to one core are
-//! one list; those of the same [`SynapseFormat`](nsim_ir::quantised::connectivity::SynapseFormat) form one
-//! *group* of it, and a list takes the sum of its groups. A group is stored
+//! In comes the make-up of a list; out goes a number of words. The synapses that one spike source
+//! sends to one core are one list; those of the same
+//! [`SynapseFormat`](nsim_ir::quantised::connectivity::SynapseFormat) form one *group* of it, and a
+//! list takes the sum of its groups. A group is stored
 //!
-//! - *dense*, without target indices, when its slots follow each other without gap or repetition; a single synapse is dense;
-//! - *run-length*, with the number of slots left out before each synapse in 2 to 5 bits (the widths that NxTF uses), and the
-//!   index of the first slot once an entry; for ascending slots with gaps of at most 31;
+//! - *dense*, without target indices, when its slots follow each other without gap or repetition; a
+//!   single synapse is dense;
+//! - *run-length*, with the number of slots left out before each synapse in 2 to 5 bits (the widths
+//!   that NxTF uses), and the index of the first slot once an entry; for ascending slots with gaps
+//!   of at most 31;
 //! - *sparse*, with an index for each synapse.
 //!
-//! Of the last two the one with fewer words is taken ([`best`]), sparse on a tie. Each width of runs is a format of its
-//! own, and a core has few formats; a core on which they would not fit, or save nothing, stores no runs at all.
+//! Of the last two the one with fewer words is taken ([`best`]), sparse on a tie. Each width of
+//! runs is a format of its own, and a core has few formats; a core on which they would not fit, or
+//! save nothing, stores no runs at all.
 //!
-//! Widths that a core's groups share, so that a core needs few distinct formats: the index of a sparse synapse has the
-//! fewest legal bits that hold every slot of the core ([`index_bits`]); a group in which any synapse is delayed has the
-//! fewest legal bits that hold the longest delay of the core ([`delay_bits`]), any other group none.
+//! Widths that a core's groups share, so that a core needs few distinct formats: the index of a
+//! sparse synapse has the fewest legal bits that hold every slot of the core ([`index_bits`]); a
+//! group in which any synapse is delayed has the fewest legal bits that hold the longest delay of
+//! the core ([`delay_bits`]), any other group none.
 //!
 //! Two ways of counting ([`Packing`]):
 //!
-//! - `Nengo` (nengo-loihi `builder/validate.py`, `bits_per_axon`): a group of n synapses is cut into entries of at most
-//!   `synapses_per_entry`; an entry of g synapses takes `ceil((g b + 4 + 6) / 64)` words, where b is weight, delay and
-//!   index bits, 4 the bits of the format number and 6 those of the count.
-//!   nengo-loihi has no run-length lists; theirs are counted with the index of the first slot, as NxTF has it.
-//! - `Nxtf` (Intel's NxTF, `nxsdk_modules_ncl/dnn`): at most 60 synapses an entry; one that is not sparse also holds the
-//!   index of its first slot; one more word when the bits of an entry's last word are 0 or at least 59. NxTF also pads the axons
-//!   that share one output axon to the longest of them; axons here are discrete, so there is nothing to pad.
+//! - `Nengo` (nengo-loihi `builder/validate.py`, `bits_per_axon`): a group of n synapses is cut
+//!   into entries of at most `synapses_per_entry`; an entry of g synapses takes
+//!   `ceil((g b + 4 + 6) / 64)` words, where b is weight, delay and index bits, 4 the bits of the
+//!   format number and 6 those of the count. nengo-loihi has no run-length lists; theirs are
+//!   counted with the index of the first slot, as NxTF has it.
+//! - `Nxtf` (Intel's NxTF, `nxsdk_modules_ncl/dnn`): at most 60 synapses an entry; one that is not
+//!   sparse also holds the index of its first slot; one more word when the bits of an entry's last
+//!   word are 0 or at least 59. NxTF also pads the axons that share one output axon to the longest
+//!   of them; axons here are discrete, so there is nothing to pad.
 //!
 //! Left out on purpose: learning tags.
 
@@ -33,25 +40,28 @@ use nsim_ir::resource::{Limits, Packing};
 
 /// Bits of a slot index that can be stored (nengo-loihi `SynapseConfig`, `INDEX_BITS_MAP`).
 pub const INDEX_BITS: [u8; 7] = [6, 7, 8, 9, 10, 11, 12];
-/// Slots that the widest index can tell apart: no core can hold more compartments, whatever its target says.
+/// Slots that the widest index can tell apart: no core can hold more compartments, whatever its
+/// target says.
 pub const MOST_SLOTS: u32 = 1 << 12;
 /// Bits of a run that can be stored (NxTF, run-length skip).
 pub const SKIP_BITS: [u8; 4] = [2, 3, 4, 5];
-/// Bits of an entry's header: 4 for the number of the format, 6 for the count of synapses (nengo-loihi `validate.py`).
+/// Bits of an entry's header: 4 for the number of the format, 6 for the count of synapses
+/// (nengo-loihi `validate.py`).
 const HEADER_BITS: u64 = 4 + 6;
 /// Synapses of an entry that NxTF uses at most (NxTF `ExclusionCriteria`).
 const NXTF_PER_ENTRY: u32 = 60;
 /// The least width of a stored delay that NxTF uses.
 const NXTF_DELAY_BITS: u8 = 3;
 
-/// The fewest legal index bits that hold every slot of a core with so many compartments; `None` above [`MOST_SLOTS`].
+/// The fewest legal index bits that hold every slot of a core with so many compartments; `None`
+/// above [`MOST_SLOTS`].
 #[must_use]
 pub fn index_bits(compartments: u32) -> Option<u8> {
     INDEX_BITS.into_iter().find(|&bits| compartments <= 1 << bits)
 }
 
-/// The fewest legal bits that hold a core's longest delay: 0 for none, otherwise 1 to 6 (a delay is below 64), and at least
-/// 3 as NxTF has it.
+/// The fewest legal bits that hold a core's longest delay: 0 for none, otherwise 1 to 6 (a delay is
+/// below 64), and at least 3 as NxTF has it.
 #[must_use]
 pub fn delay_bits(longest: Delay, packing: Packing) -> u8 {
     let bits = (u8::BITS - longest.get().leading_zeros()) as u8;
@@ -61,8 +71,9 @@ pub fn delay_bits(longest: Delay, packing: Packing) -> u8 {
     }
 }
 
-/// Slots of a core's delay ring: the next power of two above its longest delay, at least one. A compartment has one
-/// accumulator in each (D18: 8 slots for 1,024 compartments, more when fewer compartments are mapped).
+/// Slots of a core's delay ring: the next power of two above its longest delay, at least one. A
+/// compartment has one accumulator in each (D18: 8 slots for 1,024 compartments, more when fewer
+/// compartments are mapped).
 #[must_use]
 pub fn delay_slots(longest: Delay) -> u32 {
     (u32::from(longest.get()) + 1).next_power_of_two()
@@ -87,8 +98,8 @@ pub struct Widths {
 }
 
 impl Widths {
-    /// The widths of a core with so many compartments and this longest delay. Above [`MOST_SLOTS`] the index stays at its
-    /// widest; such a core fits no target.
+    /// The widths of a core with so many compartments and this longest delay. Above [`MOST_SLOTS`]
+    /// the index stays at its widest; such a core fits no target.
     #[must_use]
     pub fn for_core(compartments: u32, longest: Delay, packing: Packing) -> Self {
         Widths { index: index_bits(compartments).unwrap_or(12), delay: delay_bits(longest, packing) }
@@ -158,8 +169,8 @@ pub fn words_as(group: Group, compression: Compression, widths: Widths, limits: 
     words_with(group, compression, limits.packing == Packing::Nxtf, widths, limits)
 }
 
-/// Words of one group stored in this way, in the table of a population axon: a dense one begins with its first slot there,
-/// whoever counts.
+/// Words of one group stored in this way, in the table of a population axon: a dense one begins
+/// with its first slot there, whoever counts.
 #[inline]
 #[must_use]
 pub fn words_in_table(group: Group, compression: Compression, widths: Widths, limits: &Limits) -> u32 {

@@ -1,8 +1,9 @@
 //! One axis of a window: who reaches whom.
 //!
-//! In comes a window (convolution or pooling); out go, for its rows or its columns alone, the targets of a source, and the
-//! fields in which the sources of a part of the targets reach it. A window reaches rows and columns independently, so
-//! both are counted in the length of an axis instead of the area.
+//! In comes a window (convolution or pooling); out go, for its rows or its columns alone, the
+//! targets of a source, and the fields in which the sources of a part of the targets reach it. A
+//! window reaches rows and columns independently, so both are counted in the length of an axis
+//! instead of the area.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -21,7 +22,8 @@ pub struct WindowAxis {
     uniform: bool,
 }
 
-/// Targets that a source reaches in a part of an axis, ascending, each with its place in the kernel.
+/// Targets that a source reaches in a part of an axis, ascending, each with its place in the
+/// kernel.
 pub type ReceptiveField = Vec<(u16, u32)>;
 
 impl WindowAxis {
@@ -62,8 +64,8 @@ impl WindowAxis {
         self.reached_by(source).map(|(at, _)| at)
     }
 
-    /// Target positions, ascending, whose windows cover a source position, and the places in the kernel where they do; one
-    /// place for all where the kernel is the same everywhere.
+    /// Target positions, ascending, whose windows cover a source position, and the places in the
+    /// kernel where they do; one place for all where the kernel is the same everywhere.
     fn reached_by(self, source: u32) -> impl Iterator<Item = (u32, u32)> {
         // Output o covers s at k when o stride - padding + k dilation = s.
         (0..self.kernel).rev().filter_map(move |k| {
@@ -88,8 +90,8 @@ impl WindowAxis {
         inside.map(|(at, k)| ((at - part.start) as u16, k)).collect()
     }
 
-    /// The first source that reaches a part of the targets, and what each of them reaches of it, by its distance from the
-    /// first; parts with equal patterns differ by a shift of all sources.
+    /// The first source that reaches a part of the targets, and what each of them reaches of it, by
+    /// its distance from the first; parts with equal patterns differ by a shift of all sources.
     #[must_use]
     pub fn pattern(self, part: &Range<u32>) -> (u32, Vec<(u32, ReceptiveField)>) {
         let (mut first, mut pattern) = (0, Vec::new());

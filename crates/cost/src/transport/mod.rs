@@ -1,8 +1,9 @@
 //! How long a step's messages take: two models of the mesh.
 //!
-//! Input: a program's routes ([`MessageRoutes`], computed once) and the activity of a step. Output: the time of cores and
-//! mesh together, (11) and (17) of `docs/energy.md`. `analytic` adds the longest route and the wait at the busiest link to
-//! the slowest core; it costs about as much as counting. `queued` follows every message through finite buffers ([`queue`]).
+//! Input: a program's routes ([`MessageRoutes`], computed once) and the activity of a step. Output:
+//! the time of cores and mesh together, (11) and (17) of `docs/energy.md`. `analytic` adds the
+//! longest route and the wait at the busiest link to the slowest core; it costs about as much as
+//! counting. `queued` follows every message through finite buffers ([`queue`]).
 
 pub mod queue;
 pub mod routes;
@@ -102,8 +103,8 @@ impl Timing {
 }
 
 impl MessageRoutes {
-    /// The times of a step under each preset, (11) or (17). The memory is that of an earlier step, so that a step allocates
-    /// nothing of the mesh's size.
+    /// The times of a step under each preset, (11) or (17). The memory is that of an earlier step,
+    /// so that a step allocates nothing of the mesh's size.
     #[must_use]
     pub fn step_times(
         &self,
@@ -183,7 +184,8 @@ pub(crate) mod tests {
         routes(&[(0, 0), (0, 0)], &[], &[])
     }
 
-    /// MessageRoutes on one chip of 8 by 4 tiles, with 10 compartments a core; lists of (receiving core, dense synapses).
+    /// MessageRoutes on one chip of 8 by 4 tiles, with 10 compartments a core; lists of (receiving
+    /// core, dense synapses).
     pub(super) fn routes(tiles: &[(u32, u32)], inputs: &[&[(u32, u32)]], spikes: &[&[(u32, u32)]]) -> MessageRoutes {
         let lists = |from: &[&[(u32, u32)]]| {
             let mut lists = Csr::default();
@@ -282,7 +284,8 @@ pub(crate) mod tests {
         spikes[3] = &[(1, 7)];
         let routes = routes(&[(0, 0), (2, 1)], &[], &spikes);
         let step = step(2, &[], &[3]);
-        // Four visits, the spike, the axon; two links east and one south; an axon and seven synapses.
+        // Four visits, the spike, the axon; two links east and one south; an axon and seven
+        // synapses.
         let (sent, way, handled) = (4 * 6_000 + 30_000 + 5_100, 2 * 4_100 + 6_500, 16_000 + 7 * 3_800);
         assert_eq!(queued(&routes, &step, &sana), sent + way + handled);
         // Six more visits follow while it is under way.
@@ -366,7 +369,8 @@ pub(crate) mod tests {
         assert_eq!(time(0), 4_100 + 12 * each);
         // The receiver is slower than the injection: it began with the first of twelve spikes.
         assert_eq!(time(12 * 1_000), 1_000 + 4_100 + 12 * each - 12 * 1_000);
-        // It waits for each: the last one is left when the injection ends, and the visits are shorter.
+        // It waits for each: the last one is left when the injection ends, and the visits are
+        // shorter.
         assert_eq!(time(12 * 1_000_000), 4_100 + each);
     }
 }

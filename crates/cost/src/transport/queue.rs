@@ -1,12 +1,13 @@
 //! Messages that wait for each other: every one of a step, through finite buffers.
 //!
-//! Input: the messages of a step on one region of chips. Output: when its cores are done. A sender whose route is full is
-//! stalled; links and receivers take one message at a time.
+//! Input: the messages of a step on one region of chips. Output: when its cores are done. A sender
+//! whose route is full is stalled; links and receivers take one message at a time.
 //!
-//! The queue is semi-analytic, as SANA-FE's `detailed` schedule (schedule.cpp, read as a description): a message does not
-//! move link by link; its time follows from the messages in flight along its route when it leaves. Unlike there, messages that
-//! can never meet do not wait for each other. Not modelled: arbitration in routers, virtual channels and flits; barrier messages,
-//! whose time is a constant.
+//! The queue is semi-analytic, as SANA-FE's `detailed` schedule (schedule.cpp, read as a
+//! description): a message does not move link by link; its time follows from the messages in flight
+//! along its route when it leaves. Unlike there, messages that can never meet do not wait for each
+//! other. Not modelled: arbitration in routers, virtual channels and flits; barrier messages, whose
+//! time is a constant.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -30,11 +31,12 @@ struct Ready {
     handling: u64,
 }
 
-/// Occupancy is fixed-point in fractions of a message: integers, so that subtracting undoes adding exactly.
+/// Occupancy is fixed-point in fractions of a message: integers, so that subtracting undoes adding
+/// exactly.
 const MESSAGE: u64 = 1 << 32;
 
-/// What the queue needs of memory, to be used again. Every number is 0 between two steps, but for those that each step writes anew
-/// (`Queue::prepare`).
+/// What the queue needs of memory, to be used again. Every number is 0 between two steps, but for
+/// those that each step writes anew (`Queue::prepare`).
 #[derive(Debug, Clone, Default)]
 pub struct QueueMemory {
     /// Of each link, in parts of a [`MESSAGE`].
@@ -47,7 +49,8 @@ pub struct QueueMemory {
     done: Vec<u64>,
     /// Time of receipt, sender, receiver, handling.
     under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
-    /// The links of the message that is sent, and which of them join two chips; the sender's own is first.
+    /// The links of the message that is sent, and which of them join two chips; the sender's own is
+    /// first.
     path: Vec<(Link, bool)>,
     /// What each sender sends, and how long it is busy after that.
     senders: Vec<(Vec<Ready>, u64)>,
@@ -93,9 +96,10 @@ impl<'w> Queue<'w> {
         Queue { routes, region, table, memory, handling: 0 }
     }
 
-    /// Whether each input spike, but for the last, has been handled when the next enters, and its links are free: spikes then never
-    /// meet, and those before the last are over before a core begins. It suffices that all enter by one port, each with a message
-    /// at most that takes no longer through the empty mesh than the least time between two spikes.
+    /// Whether each input spike, but for the last, has been handled when the next enters, and its
+    /// links are free: spikes then never meet, and those before the last are over before a core
+    /// begins. It suffices that all enter by one port, each with a message at most that takes no
+    /// longer through the empty mesh than the least time between two spikes.
     fn inputs_meet_nobody(&self, step: &StepActivity, injection: u64, most: u64) -> bool {
         let (routes, region, table) = (self.routes, self.region, self.table);
         let apart = injection / most.max(1);
@@ -122,12 +126,12 @@ impl<'w> Queue<'w> {
         }) && spikes == most
     }
 
-    /// Writes into the memory what each sender sends, in order, and how long it is busy after its last message; and the handling
-    /// times of messages that are left out, summed by receiver: with `skip` those that [`Queue::inputs_meet_nobody`] finds to be
-    /// over by then.
+    /// Writes into the memory what each sender sends, in order, and how long it is busy after its
+    /// last message; and the handling times of messages that are left out, summed by receiver: with
+    /// `skip` those that [`Queue::inputs_meet_nobody`] finds to be over by then.
     ///
-    /// The k-th input spike of a chip enters the mesh when k / n of the injection have passed, with n spikes at the chip with `most`,
-    /// while others are injected; cores begin when all are.
+    /// The k-th input spike of a chip enters the mesh when k / n of the injection have passed, with
+    /// n spikes at the chip with `most`, while others are injected; cores begin when all are.
     fn prepare(&mut self, step: &StepActivity, injection: u64, most: u64, skip: bool) {
         let (routes, region, table) = (self.routes, self.region, self.table);
         let ready = |after: u64, to: usize, message: &Message| Ready {
@@ -154,7 +158,8 @@ impl<'w> Queue<'w> {
             }
         }
         if quick.is_none() {
-            // Chips are served side by side: a spike is the next of the port that its first message enters by.
+            // Chips are served side by side: a spike is the next of the port that its first message
+            // enters by.
             let mut spikes = vec![0u128; region.tiles.len() - region.cores + 1];
             let mut ports = region.ports(routes, step);
             for &(kind, first) in &region.groups {
@@ -229,7 +234,8 @@ impl<'w> Queue<'w> {
         }
     }
 
-    /// Sends a message at `now`; returns when its sender was done with it and when its receiver was.
+    /// Sends a message at `now`; returns when its sender was done with it and when its receiver
+    /// was.
     fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
         let (region, table, to) = (self.region, self.table, message.to as usize);
         let QueueMemory { occupied, free, touched, done, under_way, path, .. } = &mut *self.memory;
@@ -269,7 +275,8 @@ impl<'w> Queue<'w> {
         (leaves, done[to])
     }
 
-    /// The busiest core's own time and what the mesh adds to it, both counted from the end of the injection.
+    /// The busiest core's own time and what the mesh adds to it, both counted from the end of the
+    /// injection.
     pub(super) fn run(self, step: &StepActivity, injection: Picoseconds, most: u64) -> (Picoseconds, Picoseconds) {
         self.follow(step, injection, most, true)
     }

@@ -1,7 +1,8 @@
 //! Which links the messages of a program cross, and which of them meet.
 //!
-//! Input: a program, or one of groups of cores that are alike ([`CoreGroups`]). Output: [`MessageRoutes`]: for each source its
-//! messages, and the regions of chips on which messages meet. Counts are those of all groups.
+//! Input: a program, or one of groups of cores that are alike ([`CoreGroups`]). Output:
+//! [`MessageRoutes`]: for each source its messages, and the regions of chips on which messages
+//! meet. Counts are those of all groups.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::OnceLock;
@@ -30,8 +31,8 @@ pub(super) struct Message {
 
 /// Where a program's messages go, and those of the groups of cores that do what its do.
 ///
-/// Messages wait for each other on the chips that exchange them, a region; those of different regions never meet. Of regions
-/// that are alike one is followed.
+/// Messages wait for each other on the chips that exchange them, a region; those of different
+/// regions never meet. Of regions that are alike one is followed.
 #[derive(Debug, Clone)]
 pub struct MessageRoutes {
     pub(super) kinds: Vec<KindOfGroup>,
@@ -43,10 +44,11 @@ pub struct MessageRoutes {
     pub(super) spikes: Csr<Message>,
     /// Core, slot, and number of compartments of that core, by compartment.
     pub(super) seats: Vec<(CoreId, u32, u32)>,
-    /// What a spike's messages cross, in all groups: of each channel, then of each compartment. Empty where the program is all
-    /// there is, whose steps have it counted.
+    /// What a spike's messages cross, in all groups: of each channel, then of each compartment.
+    /// Empty where the program is all there is, whose steps have it counted.
     pub(super) crossed: Vec<Crossed>,
-    /// What input spikes take under the first preset that asked, where [`InputTimes::new`] finds them simple.
+    /// What input spikes take under the first preset that asked, where [`InputTimes::new`] finds
+    /// them simple.
     pub(super) input_times: OnceLock<Option<InputTimes>>,
 }
 
@@ -72,7 +74,8 @@ pub(super) struct InputTimes {
 }
 
 impl InputTimes {
-    /// Of the inputs of one group of cores on one chip, each of which sends one message at most; `None` of others.
+    /// Of the inputs of one group of cores on one chip, each of which sends one message at most;
+    /// `None` of others.
     fn new(routes: &MessageRoutes, table: &CostTable) -> Option<Self> {
         let ([_], [region]) = (routes.kinds.as_slice(), routes.regions.as_slice()) else { return None };
         if !region.is_simple() {
@@ -123,7 +126,8 @@ pub(super) struct Crossed {
 
 /// Chips that exchange messages with no others.
 ///
-/// Senders are the cores and, behind them, the port of each chip, through which its inputs enter: the chip's corner.
+/// Senders are the cores and, behind them, the port of each chip, through which its inputs enter:
+/// the chip's corner.
 #[derive(Debug, Clone)]
 pub(super) struct Region {
     pub(super) columns: u32,
@@ -148,8 +152,8 @@ fn events(image: &CoreImage, axon: u16) -> (u32, u32) {
     (count as u32, (synapses.len() - count) as u32)
 }
 
-/// What regions that are alike have in common: chips from west to east and from north to south, and of each group its kind and
-/// the tile of each core.
+/// What regions that are alike have in common: chips from west to east and from north to south, and
+/// of each group its kind and the tile of each core.
 type RegionKey = (u32, u32, Vec<(usize, Vec<(u32, u32)>)>);
 
 /// Regions of groups on a board; of those that are alike the first, with their number.
@@ -233,7 +237,8 @@ impl MessageRoutes {
         MessageRoutes::new(program, &[kind], &[(0, &sites)])
     }
 
-    /// The routes of the messages of all groups, in the numbers of the program that stands for them.
+    /// The routes of the messages of all groups, in the numbers of the program that stands for
+    /// them.
     #[must_use]
     pub fn of_groups(groups: &CoreGroups) -> Self {
         let of_group = groups.groups.iter().map(|group| (group.kind, group.sites.as_slice()));
@@ -397,8 +402,8 @@ impl Region {
         4 * self.columns * self.rows + sender as u32
     }
 
-    /// Every link on a message's route, along its row first, and whether it joins two chips. A link is numbered by
-    /// the tile that it leads to and its direction.
+    /// Every link on a message's route, along its row first, and whether it joins two chips. A link
+    /// is numbered by the tile that it leads to and its direction.
     pub(super) fn each_link(&self, from: usize, to: usize, mut see: impl FnMut(Link, bool)) {
         let ((mut x, mut y), (tx, ty)) = (self.tiles[from], self.tiles[to]);
         while x != tx {
@@ -418,8 +423,9 @@ impl Region {
         if step.channels.is_empty() && step.fired.is_empty() {
             return [0; 2];
         }
-        // Difference arrays over rows (east, west) and columns (south, north): +1 where a message enters a line of tiles, -1
-        // where it leaves, so the cost is independent of the route's length.
+        // Difference arrays over rows (east, west) and columns (south, north): +1 where a message
+        // enters a line of tiles, -1 where it leaves, so the cost is independent of the route's
+        // length.
         let (columns, rows) = (self.columns as usize, self.rows as usize);
         let mut lines = [(); 4].map(|()| vec![0i32; columns * rows]);
         self.each_message(routes, step, |sender, to, _| {

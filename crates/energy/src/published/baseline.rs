@@ -1,4 +1,5 @@
-//! The mirror of baseline files (`mapping/baselines`): what other hardware was measured to need for a network.
+//! The mirror of baseline files (`mapping/baselines`): what other hardware was measured to need for
+//! a network.
 
 use serde::Deserialize;
 
@@ -70,7 +71,8 @@ pub struct Roofline {
     pub peak_gflops: RooflineFigure,
     /// Greatest rate of memory, in 10^9 bytes a second.
     pub bandwidth_gb_s: RooflineFigure,
-    /// Time that a layer takes however small it is, for each window, in us: launches, and the framework around them.
+    /// Time that a layer takes however small it is, for each window, in us: launches, and the
+    /// framework around them.
     pub layer_overhead_us: RooflineFigure,
     /// Power at idle, in mW.
     pub idle_mw: RooflineFigure,

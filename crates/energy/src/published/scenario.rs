@@ -1,4 +1,5 @@
-//! The mirror of scenario files (`mapping/scenarios`): a published job, with the numbers of cores that it ran on.
+//! The mirror of scenario files (`mapping/scenarios`): a published job, with the numbers of cores
+//! that it ran on.
 
 use serde::Deserialize;
 

@@ -1,8 +1,9 @@
-//! The mirror of published workloads (`mapping/workloads`): a network that somebody measured on the chip, as closely as its
-//! source lets it be rebuilt, and the figures that were printed.
+//! The mirror of published workloads (`mapping/workloads`): a network that somebody measured on the
+//! chip, as closely as its source lets it be rebuilt, and the figures that were printed.
 //!
-//! A rate that no source prints is given as a range and marked assumed: the range enters the interval of every figure that
-//! follows from it. Weights are not part of a workload: they decide which compartments fire, and the rates say how many.
+//! A rate that no source prints is given as a range and marked assumed: the range enters the
+//! interval of every figure that follows from it. Weights are not part of a workload: they decide
+//! which compartments fire, and the rates say how many.
 
 use serde::{Deserialize, Serialize};
 
@@ -159,10 +160,12 @@ pub enum WorkloadPopulation {
         name: String,
         /// Channels, height, width; or one number.
         shape: Vec<u32>,
-        /// How often a compartment spikes: spikes a compartment and step, the mean over compartments and steps.
+        /// How often a compartment spikes: spikes a compartment and step, the mean over
+        /// compartments and steps.
         rate: Between,
     },
-    /// A compartment for each unit of an input population, which spikes one step after it: what hands inputs on to other cores.
+    /// A compartment for each unit of an input population, which spikes one step after it: what
+    /// hands inputs on to other cores.
     Relay {
         /// Its name.
         name: String,
@@ -194,7 +197,8 @@ pub enum WorkloadProjection {
         /// Stride.
         stride: u32,
     },
-    /// So many synapses of each source, spread evenly over as many units of the target around the source's own place.
+    /// So many synapses of each source, spread evenly over as many units of the target around the
+    /// source's own place.
     Local {
         /// Source.
         from: String,
@@ -316,7 +320,8 @@ pub struct WorkloadFile {
     pub populations: Vec<WorkloadPopulation>,
     /// The projections.
     pub projections: Vec<WorkloadProjection>,
-    /// The share of steps in which a compartment is not at rest; in all of them where it is not given.
+    /// The share of steps in which a compartment is not at rest; in all of them where it is not
+    /// given.
     #[serde(default = "always")]
     pub active_share: Between,
     /// Cores of each layer, as the source printed or placed them.

@@ -47,7 +47,8 @@ fn digits(x: f64, significant: i32) -> String {
     format!("{:.decimals$}", if decimals == 0 { x } else { rounded })
 }
 
-/// A figure with at least five significant digits and no more than six decimals, without trailing zeros.
+/// A figure with at least five significant digits and no more than six decimals, without trailing
+/// zeros.
 pub(super) fn short(x: f64) -> String {
     if x == 0.0 || !x.is_finite() {
         return format!("{x}");

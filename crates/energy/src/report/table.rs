@@ -135,7 +135,8 @@ pub struct EnergyReport {
     pub constants: Vec<ConstantEntry>,
     /// By population, input and core, and what to warn of.
     pub detail: Detail,
-    /// What `nsim map` expects of a mean step of this mapping, given how often each source spiked in the run.
+    /// What `nsim map` expects of a mean step of this mapping, given how often each source spiked
+    /// in the run.
     pub expected: Option<Score>,
     /// The published job of the model, if there is one.
     pub job: Option<ScenarioFile>,
@@ -541,7 +542,8 @@ impl EnergyReport {
         }
         if let Some(saved) = self.early_exit {
             out += &wrapped(&format!(
-                "Early exit {}: {} of {} samples are decided before their end. That would save {} of the {} timesteps, {} us \
+                "Early exit {}: {} of {} samples are decided before their end. That would save {} of the {} \
+                 timesteps, {} us \
                  and {} uJ{}; the figures above are those of whole samples.",
                 saved.rule,
                 saved.decided,

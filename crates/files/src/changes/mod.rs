@@ -1,10 +1,12 @@
 //! Fields of model, target and constants that the command line changes.
 //!
-//! Input: `PATH=VALUE`, once for the whole process, and more for a while for one thread, whose sweep tries them. Output: the text of a model with these values, a target file that changes another, a
-//! preset of constants with other numbers. Paths that begin with `target.` are of the target, those with `constants.` of its constants,
-//! all others of the model.
+//! Input: `PATH=VALUE`, once for the whole process, and more for a while for one thread, whose
+//! sweep tries them. Output: the text of a model with these values, a target file that changes
+//! another, a preset of constants with other numbers. Paths that begin with `target.` are of the
+//! target, those with `constants.` of its constants, all others of the model.
 //!
-//! Errors: `set.path` for a path that leads nowhere, `set.value` for a value that is not what the path's field holds.
+//! Errors: `set.path` for a path that leads nowhere, `set.value` for a value that is not what the
+//! path's field holds.
 
 pub mod ron_path;
 
@@ -105,7 +107,8 @@ impl Drop for Ending {
     }
 }
 
-/// Reads files under these changes besides those of the process. Only what this thread reads itself is changed.
+/// Reads files under these changes besides those of the process. Only what this thread reads itself
+/// is changed.
 pub fn within<T>(changes: &[Change], read: impl FnOnce() -> T) -> T {
     OF_THREAD.with_borrow_mut(|of_thread| of_thread.extend_from_slice(changes));
     let _ending = Ending;

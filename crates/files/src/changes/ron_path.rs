@@ -1,8 +1,9 @@
 //! A value in a text of RON, found by its path and replaced.
 //!
-//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the text with that value. A part of a path is a field of
-//! a struct, the index of a list's item, or the `name` that an item of a list has. A field that a struct does not say is added to it:
-//! whether there may be such a field is for whoever reads the text. Comments and everything else stay as they are.
+//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the text with that
+//! value. A part of a path is a field of a struct, the index of a list's item, or the `name` that
+//! an item of a list has. A field that a struct does not say is added to it: whether there may be
+//! such a field is for whoever reads the text. Comments and everything else stay as they are.
 
 use std::ops::Range;
 

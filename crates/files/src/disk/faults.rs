@@ -1,7 +1,7 @@
 //! Faults of the file system on request.
 //!
-//! Input: the variable `NSIM_FAULT=KIND:N`. Output: the N-th operation of the process (from 1) that the kind befalls fails.
-//! Release builds do not have this file.
+//! Input: the variable `NSIM_FAULT=KIND:N`. Output: the N-th operation of the process (from 1) that
+//! the kind befalls fails. Release builds do not have this file.
 //!
 //! | kind | befalls | what happens |
 //! |---|---|---|

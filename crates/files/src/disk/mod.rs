@@ -1,8 +1,10 @@
-//! The operations on the file system that reading and writing consist of, each a place where a fault can be injected.
+//! The operations on the file system that reading and writing consist of, each a place where a
+//! fault can be injected.
 //!
-//! Input: paths and open files. Output: what the operation returns. What may fail fails as an error: nothing that cannot be
-//! looked at counts as absent, and a file that ends before its length is an error and not a shorter file. `faults` says
-//! which faults builds with debug assertions inject.
+//! Input: paths and open files. Output: what the operation returns. What may fail fails as an
+//! error: nothing that cannot be looked at counts as absent, and a file that ends before its length
+//! is an error and not a shorter file. `faults` says which faults builds with debug assertions
+//! inject.
 
 #[cfg(all(debug_assertions, unix))]
 mod faults;

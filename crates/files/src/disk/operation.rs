@@ -1,4 +1,5 @@
-//! What an operation on the file system is to whoever injects faults: its class, and how much of it may happen.
+//! What an operation on the file system is to whoever injects faults: its class, and how much of it
+//! may happen.
 
 /// The classes of operations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,8 +1,8 @@
 //! A table of timesteps as Parquet, written in groups of rows as they come.
 //!
-//! Input: columns and rows of integers, as for the other forms of the table. Output: a Parquet file with `sample` and `timestep` as
-//! 32-bit integers, counts as 64-bit integers and the rest as doubles. Memory holds one group of rows and, of each that is written,
-//! where it lies.
+//! Input: columns and rows of integers, as for the other forms of the table. Output: a Parquet file
+//! with `sample` and `timestep` as 32-bit integers, counts as 64-bit integers and the rest as
+//! doubles. Memory holds one group of rows and, of each that is written, where it lies.
 
 use std::io::{Error, Result, Write};
 use std::sync::Arc;

@@ -1,8 +1,9 @@
 //! A table with a row for each timestep of each sample, written as its rows come.
 //!
-//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, a NumPy array of records whose
-//! fields are the columns, or Parquet. Memory does not grow with the rows. Times and energies are counted in ps and fJ and written in us
-//! and pJ, in CSV with all digits, so that sums over rows are exact.
+//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, a
+//! NumPy array of records whose fields are the columns, or Parquet. Memory does not grow with the
+//! rows. Times and energies are counted in ps and fJ and written in us and pJ, in CSV with all
+//! digits, so that sums over rows are exact.
 //!
 //! Errors: those of the writer; an array whose rows are not as many as its header says.
 
@@ -45,9 +46,10 @@ impl StepFormat {
     /// A sentence.
     pub fn check(self) -> std::result::Result<(), &'static str> {
         match self {
-            StepFormat::Parquet if cfg!(not(feature = "parquet")) => Err(
-                "this nsim was built without Parquet: name the file .csv or .npy, or build nsim with --features parquet",
-            ),
+            StepFormat::Parquet if cfg!(not(feature = "parquet")) => {
+                Err("this nsim was built without Parquet: name the file .csv or .npy, or build nsim with --features \
+                 parquet")
+            }
             _ => Ok(()),
         }
     }
@@ -197,8 +199,8 @@ impl<'w> StepWriter<'w> {
     }
 }
 
-/// The header of an array of records (NumPy, `numpy/lib/format.py`): version 1.0 where it is short enough, else 2.0, padded so that
-/// the records begin at a multiple of 64.
+/// The header of an array of records (NumPy, `numpy/lib/format.py`): version 1.0 where it is short
+/// enough, else 2.0, padded so that the records begin at a multiple of 64.
 fn array_header(columns: &[Column], rows: u64) -> Result<Vec<u8>> {
     let mut fields = "{'descr': [('sample', '<u4'), ('timestep', '<u4')".to_string();
     for Column { name, unit } in columns {

@@ -1,7 +1,8 @@
 //! Files that belong together: none is named before all are complete.
 //!
-//! Input: paths and what to write to them. Afterwards all of them are there, or what was there before. Old files give way
-//! before the first new one is named, so that old and new ones never lie side by side; they come back when naming fails.
+//! Input: paths and what to write to them. Afterwards all of them are there, or what was there
+//! before. Old files give way before the first new one is named, so that old and new ones never lie
+//! side by side; they come back when naming fails.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -38,7 +39,8 @@ pub(super) fn open_or_make(path: &Path) -> Result<File> {
 /// Checks that a file may be written there, before a long run that would otherwise fail at its end.
 ///
 /// # Errors
-/// `write.exists`, `write.folder`, `write.failed`; `write.not-regular` for a device, a pipe, a socket or a link to nothing.
+/// `write.exists`, `write.folder`, `write.failed`; `write.not-regular` for a device, a pipe, a
+/// socket or a link to nothing.
 pub fn check_free(path: &Path, force: bool) -> Result<()> {
     if is_standard_stream(path) {
         return Ok(());
@@ -84,7 +86,8 @@ impl Batch {
         Batch { force, parts: Vec::new() }
     }
 
-    /// Writes a file of the batch under a temporary name, through `fill`; returns what that returns.
+    /// Writes a file of the batch under a temporary name, through `fill`; returns what that
+    /// returns.
     ///
     /// # Errors
     /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.

@@ -1,11 +1,12 @@
 //! A folder of the user in which results are kept that take long to find again.
 //!
-//! Input: a name of letters and digits, bytes. Output: the bytes that were kept under a name. An entry is a file, written as every
-//! file is ([`crate::write`]): absent, old or complete at every moment, whatever other processes do. Once all entries take more than
-//! [`MOST_BYTES`] the oldest are removed.
+//! Input: a name of letters and digits, bytes. Output: the bytes that were kept under a name. An
+//! entry is a file, written as every file is ([`crate::write`]): absent, old or complete at every
+//! moment, whatever other processes do. Once all entries take more than [`MOST_BYTES`] the oldest
+//! are removed.
 //!
-//! Nothing here is an error but what `nsim cache` is asked to do: where there is no folder, or it cannot be read or written, nothing is kept.
-//! Whoever reads an entry must not believe it.
+//! Nothing here is an error but what `nsim cache` is asked to do: where there is no folder, or it
+//! cannot be read or written, nothing is kept. Whoever reads an entry must not believe it.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -108,7 +109,8 @@ pub fn entries(folder: &Path) -> Result<Vec<Entry>> {
     Ok(entries)
 }
 
-/// Removes the oldest entries until the others take at most so many bytes; returns how many were removed.
+/// Removes the oldest entries until the others take at most so many bytes; returns how many were
+/// removed.
 ///
 /// # Errors
 /// As [`entries`].

@@ -1,8 +1,9 @@
 //! A folder of files with a manifest that names them, replaced as a whole.
 //!
-//! Input: a folder and the name of its manifest. While files are written, a locked file [`MARKER`] lies in the folder and
-//! no manifest does: whoever finds the marker without a lock knows that a writer was killed, and may replace what it left.
-//! The manifest is written last, once everything else is on the disk.
+//! Input: a folder and the name of its manifest. While files are written, a locked file [`MARKER`]
+//! lies in the folder and no manifest does: whoever finds the marker without a lock knows that a
+//! writer was killed, and may replace what it left. The manifest is written last, once everything
+//! else is on the disk.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -37,8 +38,8 @@ pub struct Folder {
     touched: Mutex<BTreeSet<PathBuf>>,
 }
 
-/// Whether a writer of this folder was killed, or is at work. While the manifest is there nothing else is touched: a marker
-/// beside it was made just before, or is about to be removed.
+/// Whether a writer of this folder was killed, or is at work. While the manifest is there nothing
+/// else is touched: a marker beside it was made just before, or is about to be removed.
 ///
 /// # Errors
 /// When that cannot be told.
@@ -50,7 +51,8 @@ impl Folder {
     /// Begins to write; an existing manifest is removed, if `force` allows it.
     ///
     /// # Errors
-    /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`; `write.busy` when another process writes there.
+    /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`; `write.busy` when
+    /// another process writes there.
     pub fn begin(path: &Path, manifest: &str, force: bool) -> Result<Folder> {
         let fail = |error: std::io::Error| failed(path, &error);
         let (name, manifest) = (manifest, path.join(manifest));

@@ -1,8 +1,9 @@
 //! A file to which lines are added as they come to be, for work that goes on where it was ended.
 //!
-//! Input: a path, a head that says whose lines they are, lines without line ends. Output: the lines that were added before. A line counts
-//! once all of it is in the file: each has a checksum, and what follows the last whole one is cut off when the file is opened again.
-//! One process at a time holds a journal, by a lock.
+//! Input: a path, a head that says whose lines they are, lines without line ends. Output: the lines
+//! that were added before. A line counts once all of it is in the file: each has a checksum, and
+//! what follows the last whole one is cut off when the file is opened again. One process at a time
+//! holds a journal, by a lock.
 //!
 //! Errors: `journal.other` for a file with another head, `journal.held` when another process works,
 //! `io.not-regular` for a pipe,
@@ -47,7 +48,8 @@ fn whole_lines(text: &[u8]) -> (Vec<String>, usize) {
 }
 
 impl Journal {
-    /// Opens a journal, which is made when it is absent or ends within its head; returns the lines behind its head.
+    /// Opens a journal, which is made when it is absent or ends within its head; returns the lines
+    /// behind its head.
     ///
     /// # Errors
     /// `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.

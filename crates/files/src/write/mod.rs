@@ -1,10 +1,11 @@
 //! Writing: files that are absent, old or complete at every moment.
 //!
-//! Input: what to write and where, `-` for stdout. A file is written under a temporary name beside its own, brought to
-//! the disk, renamed, and its folder brought to the disk. Several files that belong together ([`Batch`]) are all complete
-//! before the first is named: the old ones give way first, so that old and new ones never lie side by side. A folder with
-//! a manifest is a [`Folder`]. Only regular files are replaced, and only on request; a symbolic link stays, and what it
-//! points to is replaced.
+//! Input: what to write and where, `-` for stdout. A file is written under a temporary name beside
+//! its own, brought to the disk, renamed, and its folder brought to the disk. Several files that
+//! belong together ([`Batch`]) are all complete before the first is named: the old ones give way
+//! first, so that old and new ones never lie side by side. A folder with a manifest is a
+//! [`Folder`]. Only regular files are replaced, and only on request; a symbolic link stays, and
+//! what it points to is replaced.
 
 mod batch;
 pub mod cache;
@@ -67,8 +68,8 @@ pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::
     batch.commit()
 }
 
-/// Removes the temporary files of this process, which is about to end, and lets it begin no more. Returns the folders that
-/// stay unfinished.
+/// Removes the temporary files of this process, which is about to end, and lets it begin no more.
+/// Returns the folders that stay unfinished.
 #[must_use]
 pub fn abandon() -> Vec<PathBuf> {
     temporary::abandon();

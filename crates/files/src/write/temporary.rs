@@ -1,8 +1,9 @@
-//! Temporary files: held by a lock while a process writes them, removed by the next one when it died.
+//! Temporary files: held by a lock while a process writes them, removed by the next one when it
+//! died.
 //!
-//! Input: a folder. Output: a file in it under a name `.nsim-*.tmp`, locked. A file of such a name that nobody holds was
-//! left by a process that was killed; [`clean`] removes it. Between making a file and locking it another process may
-//! remove it: a file that has lost its name is made again.
+//! Input: a folder. Output: a file in it under a name `.nsim-*.tmp`, locked. A file of such a name
+//! that nobody holds was left by a process that was killed; [`clean`] removes it. Between making a
+//! file and locking it another process may remove it: a file that has lost its name is made again.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -41,7 +42,8 @@ impl Temporary {
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;
-            // A temporary file is private by default; this one gets the permissions of an ordinary file.
+            // A temporary file is private by default; this one gets the permissions of an ordinary
+            // file.
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
         for _ in 0..ATTEMPTS {

@@ -1,9 +1,10 @@
 //! Weights of any range as integers of a synapse format.
 //!
-//! Input: weights in units of the mantissa, as other tools write them. Output: the same weights divided by a power of
-//! two, with the exponent and sign mode that hold them exactly where there is one. lava-dl's own encoder
-//! (`netx/utils.py`, `optimize_weight_bits`) shifts a matrix with 255 and -256 by a negative number of bits and leaves
-//! zeros (issue 170 of lava-dl); here what fits no format is rounded to even steps and clipped, and counted.
+//! Input: weights in units of the mantissa, as other tools write them. Output: the same weights
+//! divided by a power of two, with the exponent and sign mode that hold them exactly where there is
+//! one. lava-dl's own encoder (`netx/utils.py`, `optimize_weight_bits`) shifts a matrix with 255
+//! and -256 by a negative number of bits and leaves zeros (issue 170 of lava-dl); here what fits no
+//! format is rounded to even steps and clipped, and counted.
 
 use nsim_ir::base::fixed::{SignMode, WeightBits};
 

@@ -1,12 +1,12 @@
 //! HDF5 files as a tree in memory: the one place that uses an HDF5 crate.
 //!
-//! Input: the bytes of a file, or a tree. Output: a [`Group`] with all groups and data sets below it, or the bytes of a
-//! file. Numbers keep the bytes of their own type, in little-endian order.
+//! Input: the bytes of a file, or a tree. Output: a [`Group`] with all groups and data sets below
+//! it, or the bytes of a file. Numbers keep the bytes of their own type, in little-endian order.
 //!
-//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded (`Budget`),
-//! links that name a path are refused (`hdf5_links`), and what the crate refuses becomes a
-//! diagnostic. Attributes are read for NIR's data files only.
-//! Compound types, references and numbers of unusual layouts become [`Item::Other`].
+//! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded
+//! (`Budget`), links that name a path are refused (`hdf5_links`), and what the crate refuses
+//! becomes a diagnostic. Attributes are read for NIR's data files only. Compound types, references
+//! and numbers of unusual layouts become [`Item::Other`].
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -340,7 +340,8 @@ fn group(group: &hdf5_pure::Group, budget: &mut Reading<'_>, depth: usize) -> Re
     Ok(Group { items, attributes: attributes.collect() })
 }
 
-/// The type of an element and whether its bytes are in big-endian order; none for what is not read as a number.
+/// The type of an element and whether its bytes are in big-endian order; none for what is not read
+/// as a number.
 fn element(datatype: &Datatype) -> Option<(Element, bool)> {
     let (element, order) = match datatype {
         Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), byte_order, layout } => {
@@ -426,7 +427,8 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Reading<'_>) -> Result<It
     Ok(Item::Texts(shape, texts))
 }
 
-/// The bytes of a file with this tree. Attributes are written for groups and not for data sets, as they are read.
+/// The bytes of a file with this tree. Attributes are written for groups and not for data sets, as
+/// they are read.
 ///
 /// # Errors
 /// `hdf5.write` for what the format cannot hold.

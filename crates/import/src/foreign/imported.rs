@@ -161,8 +161,8 @@ pub(super) fn every_step() -> Vec<(&'static str, Parameter)> {
 /// A number of single precision as the shortest decimal that it represents, where it has more than
 /// 16 significant bits: 0.8, not 0.800000012.
 ///
-/// Sums in single precision round that excess away; sums in double precision do not. So a voltage of
-/// 1 in the tool stays at its threshold of 1 here.
+/// Sums in single precision round that excess away; sums in double precision do not. So a voltage
+/// of 1 in the tool stays at its threshold of 1 here.
 pub(super) fn decimal(single: f64) -> f64 {
     let narrow = single as f32;
     let short = narrow.to_bits().trailing_zeros() >= 8;

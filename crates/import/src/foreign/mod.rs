@@ -1,9 +1,10 @@
 //! Models that other tools wrote, imported as nsim's own.
 //!
-//! Input: a file and [`Options`]. Output: an [`Imported`] model with notes on the conventions by which it was read and on
-//! what was changed. The kind of a file is recognised by its content, never by its name alone. Errors name what is known but
-//! cannot be read (a Git-LFS pointer, SANA-FE's text netlist, a pickled module, an HDF5 file that is no network). Nothing in
-//! a file is executed. `docs/import.md` has the conventions and limits of each format.
+//! Input: a file and [`Options`]. Output: an [`Imported`] model with notes on the conventions by
+//! which it was read and on what was changed. The kind of a file is recognised by its content,
+//! never by its name alone. Errors name what is known but cannot be read (a Git-LFS pointer,
+//! SANA-FE's text netlist, a pickled module, an HDF5 file that is no network). Nothing in a file is
+//! executed. `docs/import.md` has the conventions and limits of each format.
 
 pub mod encode;
 pub mod hdf5;
@@ -98,13 +99,16 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let begin = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
     let lines: Vec<&str> = begin.lines().map(str::trim).filter(|line| !line.is_empty()).take(20).collect();
-    // SANA-FE's netlist: groups, neurons, edges and mappings, a letter at the beginning of each line.
+    // SANA-FE's netlist: groups, neurons, edges and mappings, a letter at the beginning of each
+    // line.
     let netlist = |line: &&str| {
         matches!(line.split_once(' '), Some(("g" | "n" | "e" | "&" | "@" | "#", _))) || line.starts_with('#')
     };
     if extension.as_deref() == Some("net") && !lines.is_empty() && lines.iter().all(netlist) {
-        return Diagnostic::new("import.sanafe", "this is a text netlist of SANA-FE, not a network of lava-dl")
-            .help("its neurons are abstract and carry no weights of a Loihi core; export the trained network with lava-dl or NIR");
+        return Diagnostic::new("import.sanafe", "this is a text netlist of SANA-FE, not a network of lava-dl").help(
+            "its neurons are abstract and carry no weights of a Loihi core; export the trained network with \
+                   lava-dl or NIR",
+        );
     }
     if kind == FileKind::Ron {
         return Diagnostic::new("import.kind", "this is a file of nsim's own, which needs no import")
@@ -124,7 +128,8 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
     let help = match extension.as_deref() {
         Some("yml" | "yaml") => "give it with --neuron beside the weights: nsim import weights.pt --neuron config.yml",
         _ => {
-            "imported are lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a model of \
+            "imported are lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a \
+             model of \
              nsim's own begins with Network("
         }
     };

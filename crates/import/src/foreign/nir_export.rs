@@ -1,11 +1,12 @@
 //! A model as a NIR file, and back without loss.
 //!
-//! Input: a model. Output: the tree of a `.nir` file that any tool of NIR reads: `CubaLIF` neurons with time
-//! constants `4096 dt / du` in seconds, weights, thresholds and biases in units of the register divided by 64 for models in
-//! integers and in their own units for models in real numbers, `w_in` and `r` such that a weight counts 1. What NIR has no
-//! word for (weight exponents, refractory periods, clips, resets, semantics) stands in the graph's metadata, as the whole
-//! text of the model and its arrays. [`restore`] takes the model from there, provided that exporting it again gives the
-//! file that it was found in: a file that somebody changed is read like any other.
+//! Input: a model. Output: the tree of a `.nir` file that any tool of NIR reads: `CubaLIF` neurons
+//! with time constants `4096 dt / du` in seconds, weights, thresholds and biases in units of the
+//! register divided by 64 for models in integers and in their own units for models in real numbers,
+//! `w_in` and `r` such that a weight counts 1. What NIR has no word for (weight exponents,
+//! refractory periods, clips, resets, semantics) stands in the graph's metadata, as the whole text
+//! of the model and its arrays. [`restore`] takes the model from there, provided that exporting it
+//! again gives the file that it was found in: a file that somebody changed is read like any other.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +25,8 @@ const VERSION: &str = "1.0.8";
 const TEXT: &str = "nsim_model";
 /// What the text calls the file of its arrays.
 const ARRAYS: &str = "arrays";
-/// What a decay of zero is written as: a time constant at which `4096 dt / tau` is 0 though `dt / tau` is not.
+/// What a decay of zero is written as: a time constant at which `4096 dt / tau` is 0 though
+/// `dt / tau` is not.
 const ENDLESS: f64 = 4_503_599_627_370_496.0;
 /// The most numbers that a list of synapses may take as a matrix.
 const MOST_MATRIX: u64 = 1 << 24;
@@ -36,7 +38,8 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 /// The tree of a file, and what other tools will not see of the model.
 ///
 /// # Errors
-/// `export.unsupported` for what has no form in NIR: spike response neurons, lists of synapses beyond 2^24 places.
+/// `export.unsupported` for what has no form in NIR: spike response neurons, lists of synapses
+/// beyond 2^24 places.
 pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
     let dt = model.timestep_ms / 1e3;
     let mut graph =
@@ -77,7 +80,8 @@ pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
     Ok((Group::default().with("version", VERSION).with("node", root), graph.notes))
 }
 
-/// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not write it.
+/// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not
+/// write it.
 #[must_use]
 pub fn restore(root: &Group) -> Option<Result<ModelBuilder, String>> {
     let metadata = root.group("node/metadata")?;
@@ -283,7 +287,8 @@ impl Graph {
         let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
         if matrix && target.shape.len() > 1 {
             self.notes.push(format!(
-                "weights from {} make a line of '{}', which is {:?}: nir.read of Python will refuse the file, nsim reads it",
+                "weights from {} make a line of '{}', which is {:?}: nir.read of Python will refuse the file, nsim \
+                 reads it",
                 projection.from.join(" and "),
                 target.name,
                 target.shape
@@ -361,7 +366,8 @@ impl Graph {
             ProjectionKind::Sparse(synapses) => {
                 if rows.checked_mul(columns).is_none_or(|all| all > MOST_MATRIX) {
                     return Err(unsupported(format!(
-                        "the listed synapses to '{}' are a matrix of {rows} x {columns} in NIR, more than {MOST_MATRIX} numbers",
+                        "the listed synapses to '{}' are a matrix of {rows} x {columns} in NIR, more than \
+                         {MOST_MATRIX} numbers",
                         target.name
                     )));
                 }
@@ -462,7 +468,8 @@ impl Graph {
             Some(both) => both,
             None => {
                 self.notes.push(format!(
-                    "the kernel to '{}' is {kh} x {kw} and cannot be made square: nir.read of Python may refuse the file, nsim \
+                    "the kernel to '{}' is {kh} x {kw} and cannot be made square: nir.read of Python may refuse the \
+                     file, nsim \
                      reads it",
                     target.name
                 ));

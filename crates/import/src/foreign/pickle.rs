@@ -1,12 +1,13 @@
 //! A restricted reader of pickles: data only.
 //!
-//! Input: the bytes of a pickle of protocol 0 to 5. Output: its values in an [`Arena`], where they refer to each other by
-//! index. Nothing is called or imported: a name such as `torch._utils._rebuild_tensor_v2` stays a name, a call of one of a
-//! few known names becomes a value, a call of any other is an error with that name (opcodes: CPython
-//! `Lib/pickletools.py`). Values, the stack and the memo are counted and bounded.
+//! Input: the bytes of a pickle of protocol 0 to 5. Output: its values in an [`Arena`], where they
+//! refer to each other by index. Nothing is called or imported: a name such as
+//! `torch._utils._rebuild_tensor_v2` stays a name, a call of one of a few known names becomes a
+//! value, a call of any other is an error with that name (opcodes: CPython `Lib/pickletools.py`).
+//! Values, the stack and the memo are counted and bounded.
 //!
-//! It is written by hand because `serde-pickle` 1.2 reads neither persistent ids, by which a checkpoint refers to its
-//! storages, nor calls of functions other than a few built-in ones.
+//! It is written by hand because `serde-pickle` 1.2 reads neither persistent ids, by which a
+//! checkpoint refers to its storages, nor calls of functions other than a few built-in ones.
 
 use std::collections::HashMap;
 
@@ -414,7 +415,8 @@ impl<'a> Machine<'a> {
                 }
             }
             b'R' => self.reduce(),
-            // Attributes of an ordered dictionary: PyTorch keeps `_metadata` there, which is not needed.
+            // Attributes of an ordered dictionary: PyTorch keeps `_metadata` there, which is not
+            // needed.
             b'b' => {
                 self.pop()?;
                 match self.values[self.top()?.0 as usize] {

@@ -263,8 +263,8 @@ pub(super) struct Matrix {
 /// The names that VT_SNN gives to the files of one network, in order.
 const SETS: [&[&str]; 2] = [&["tact", "vis", "combi"], &["fc1", "fc2", "fc3", "fc4", "fc5"]];
 
-/// Reads one file of a set `NNN-tact.npy`, `NNN-vis.npy`, `NNN-combi.npy` or `NNN-fc1.npy`, `NNN-fc2.npy`, .., and the
-/// others beside it.
+/// Reads one file of a set `NNN-tact.npy`, `NNN-vis.npy`, `NNN-combi.npy` or `NNN-fc1.npy`,
+/// `NNN-fc2.npy`, .., and the others beside it.
 ///
 /// # Errors
 /// `import.slayer` when a file is missing or no matrix, `npy.*`, `io.*`.
@@ -370,7 +370,8 @@ pub(super) fn build(
         }
         _ if scale == 1.0 => "weights are round(w / 2) * 2, ties to even; one step of delay between layers".to_string(),
         _ => format!(
-            "weights are round({scale} w / 2) * 2, ties to even, from -256 to 254, as lava-dl quantises them; one step of \
+            "weights are round({scale} w / 2) * 2, ties to even, from -256 to 254, as lava-dl quantises them; one \
+             step of \
              delay between layers"
         ),
     });
@@ -458,7 +459,8 @@ pub(super) fn build(
             if line.is_lost() {
                 return Err(slayer(format!("the weights are too small for a core: {line}")).help(format!(
                     "weights of these neurons count in steps of {}; a network trained with neurons of real numbers \
-                     needs theirs: --neuron CONFIG.yml with 'neuron: {{type: Leaky, beta: 0.9, threshold: 1}}' as snnTorch \
+                     needs theirs: --neuron CONFIG.yml with 'neuron: {{type: Leaky, beta: 0.9, threshold: 1}}' as \
+                     snnTorch \
                      has them, type CUBA of lava-dl or type LIF of Norse, or export it as .nir",
                     2.0 / scale
                 )));
@@ -495,7 +497,8 @@ mod tests {
     #[test]
     fn both_kinds_of_neurons_are_read() {
         let text = "simulation:\n    Ts: 2.0 # ms\n    tSample: 150\nneuron:\n    type: LOIHI\n    vThMant: 80\n    \
-                    vDecay: 128\n    iDecay: 1024\n    refDelay: 1\n    wgtExp: 0\n    tauRho: 1\ntraining:\n    error:\n        type: NumSpikes\n";
+                    vDecay: 128\n    iDecay: 1024\n    refDelay: 1\n    wgtExp: 0\n    tauRho: 1\ntraining:\n    \
+                    error:\n        type: NumSpikes\n";
         let (dv, du) = (Some(128.0), Some(1024.0));
         let loihi = NeuronKind::Loihi { vth_mant: 80.0, dv, du, refractory: 1.0, weight_exp: 0.0, scale: 1.0 };
         assert_eq!(parse(text).unwrap(), Neuron { kind: loihi, dt_ms: Some(2.0) });
@@ -515,7 +518,8 @@ mod tests {
             let error = parse(text).unwrap_err();
             assert!(error.code == "import.yaml" && error.message.contains(says), "{text}: {error}");
         }
-        let bomb = "a: &a [1,1,1,1,1,1,1,1,1]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a]\nc: &c [*b,*b,*b,*b,*b,*b,*b,*b]\nd: &d [*c,*c,*c,*c,*c,*c,*c,*c]\ne: [*d,*d,*d,*d,*d,*d,*d,*d,*d,*d,*d,*d]\nneuron: {type: LOIHI}\n";
+        let bomb = "a: &a [1,1,1,1,1,1,1,1,1]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a]\nc: &c [*b,*b,*b,*b,*b,*b,*b,*b]\nd: \
+                    &d [*c,*c,*c,*c,*c,*c,*c,*c]\ne: [*d,*d,*d,*d,*d,*d,*d,*d,*d,*d,*d,*d]\nneuron: {type: LOIHI}\n";
         assert!(parse(bomb).is_err());
     }
 }

@@ -216,7 +216,8 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
         }
         if last.starts_with("running_") {
             return Err(wrong(format!("'{}' belongs to a batch normalisation", array.key)).help(
-                "fold its scale and shift into the weights and biases of the layer before it, and save the network without it",
+                "fold its scale and shift into the weights and biases of the layer before it, and save the network \
+                 without it",
             ));
         }
         if last == "delay" {
@@ -234,7 +235,8 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
         });
         let Some((name, role)) = role else {
             return Err(wrong(format!("nothing is known of the tensor '{}' {:?}", array.key, array.shape)).help(
-                "known are the layers and neurons of lava-dl, SLAYER, snnTorch and Norse (docs/import.md); if the network does \
+                "known are the layers and neurons of lava-dl, SLAYER, snnTorch and Norse (docs/import.md); if the \
+                 network does \
                  not depend on it, remove it before saving: del state['NAME']",
             ));
         };
@@ -300,7 +302,8 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
             let message = format!("'{}' is {:?}, the kernel of a convolution", array.key, array.shape);
             let advice = "a state dict does not say how a convolution steps: ";
             return Err(Diagnostic::new("import.unsupported", message).help(format!(
-                "{advice}export the network as .nir, or with lava-dl as .net; a dense layer on an image {kernel:?} is read \
+                "{advice}export the network as .nir, or with lava-dl as .net; a dense layer on an image {kernel:?} is \
+                 read \
                  with --input-shape {}",
                 listed(kernel)
             )));
@@ -360,7 +363,8 @@ fn integers(
             if unused {
                 let message = format!("layers of SLAYER and lava-dl do not have '{}'", array.key);
                 return Err(wrong(message).help(
-                    "biases and neurons of real numbers are read with a neuron of the type Leaky, Synaptic or LIF in --neuron",
+                    "biases and neurons of real numbers are read with a neuron of the type Leaky, Synaptic or LIF in \
+                     --neuron",
                 ));
             }
         }
@@ -533,7 +537,8 @@ fn real(
             }
         }
         notes.push(format!(
-            "{}: v stays 0 in the step after a spike (refractory 2), as snnTorch's reset to zero takes the input of that step",
+            "{}: v stays 0 in the step after a spike (refractory 2), as snnTorch's reset to zero takes the input of \
+             that step",
             held.join(", ")
         ));
     }

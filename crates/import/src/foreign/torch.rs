@@ -1,8 +1,9 @@
 //! Tensors of a PyTorch checkpoint, in both of its containers.
 //!
-//! Input: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or five pickles with raw numbers behind them
-//! (before). Output: the names of its tensors, and a tensor at a time. The pickles are read by [`super::pickle`], which
-//! executes nothing: a checkpoint that pickles a whole module is refused with the class that it names.
+//! Input: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or five pickles with raw
+//! numbers behind them (before). Output: the names of its tensors, and a tensor at a time. The
+//! pickles are read by [`super::pickle`], which executes nothing: a checkpoint that pickles a whole
+//! module is refused with the class that it names.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
@@ -16,7 +17,8 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// What a zip archive begins with.
 pub const ZIP: &[u8] = b"PK\x03\x04";
-/// What the older container begins with: a pickle of the number 0x1950a86a20f9469cfc6c (torch `serialization.py`).
+/// What the older container begins with: a pickle of the number 0x1950a86a20f9469cfc6c (torch
+/// `serialization.py`).
 pub const LEGACY: &[u8] = b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19.";
 /// Dictionaries within dictionaries that are searched for tensors.
 const DEEPEST: usize = 4;

@@ -1,8 +1,9 @@
 //! Windows that slide over a volume, synapse by synapse.
 //!
-//! Input: the geometry of a convolution or a pool, as checked numbers. Output: pairs of source and target with their place in the
-//! kernel, in the order of the targets. An output `o` receives the input `o * stride + k * dilation - padding` over the
-//! kernel's place `k` (torch, `Conv2d`; what lies outside of the volume is silent).
+//! Input: the geometry of a convolution or a pool, as checked numbers. Output: pairs of source and
+//! target with their place in the kernel, in the order of the targets. An output `o` receives the
+//! input `o * stride + k * dilation - padding` over the kernel's place `k` (torch, `Conv2d`; what
+//! lies outside of the volume is silent).
 //!
 //! Left out on purpose: transposed convolutions, which only one format knows.
 
@@ -11,7 +12,8 @@ use nsim_files::network::padding_after;
 /// The most synapses that are listed one by one, for a whole model.
 pub const MOST_LISTED: usize = 1 << 20;
 
-/// A window from one volume to another; pairs are (vertical, horizontal), volumes `[channels, height, width]`.
+/// A window from one volume to another; pairs are (vertical, horizontal), volumes
+/// `[channels, height, width]`.
 #[derive(Debug, Clone, Copy)]
 pub struct Sliding {
     /// The volume that it slides over.
@@ -26,7 +28,8 @@ pub struct Sliding {
     pub padding: (usize, usize),
     /// Distance of the window's places.
     pub dilation: (usize, usize),
-    /// Groups of channels that are connected among themselves only; divides the channels of both volumes.
+    /// Groups of channels that are connected among themselves only; divides the channels of both
+    /// volumes.
     pub groups: usize,
 }
 
@@ -51,8 +54,8 @@ impl Sliding {
         )
     }
 
-    /// Every synapse as (source unit, target unit, index into a kernel `[out][in / groups][kh][kw]`); nothing where there
-    /// may be more than [`MOST_LISTED`].
+    /// Every synapse as (source unit, target unit, index into a kernel
+    /// `[out][in / groups][kh][kw]`); nothing where there may be more than [`MOST_LISTED`].
     #[must_use]
     pub fn synapses(&self) -> Option<impl Iterator<Item = (u64, u64, usize)>> {
         let (window, per_in) = (*self, self.per_group());
@@ -86,7 +89,8 @@ pub fn each3([a, b, c]: [usize; 3]) -> impl Iterator<Item = (usize, usize, usize
 mod tests {
     use super::*;
 
-    /// A window of 2 x 2 over 2 channels of 3 x 3 with a border of 1, in 2 groups, against sums written out.
+    /// A window of 2 x 2 over 2 channels of 3 x 3 with a border of 1, in 2 groups, against sums
+    /// written out.
     #[test]
     fn each_output_receives_its_window() {
         let sliding = Sliding {

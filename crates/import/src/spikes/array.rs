@@ -83,7 +83,8 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
             if let Some(each) = leading.split_first().and_then(|(_, channels)| product(channels)) {
                 message.push_str(&format!(", read as {} samples {each} in each", leading[0]));
             }
-            // [T, channels..] or [samples, T, channels..]: the same numbers with time before the channels.
+            // [T, channels..] or [samples, T, channels..]: the same numbers with time before the
+            // channels.
             let channels = |from: usize| product(shape.get(from..).unwrap_or_default()) == Some(units);
             let time_first = polarity == Polarity::Both && (channels(1) || shape.len() > 2 && channels(2));
             let help = match polarity {

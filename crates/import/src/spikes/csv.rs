@@ -1,7 +1,7 @@
 //! Event lists in text: `timestep,channel` in each row.
 //!
-//! Input: a `.csv`. Output: its samples. A header may name the columns (`timestep`, `channel`, `sample`, in any
-//! order); `# steps: N` and `# label: C` in comments say what rows cannot.
+//! Input: a `.csv`. Output: its samples. A header may name the columns (`timestep`, `channel`,
+//! `sample`, in any order); `# steps: N` and `# label: C` in comments say what rows cannot.
 
 use std::path::Path;
 
@@ -43,7 +43,8 @@ pub fn is_header(row: &str) -> bool {
 /// Reads a file for a population of `units` channels.
 ///
 /// # Errors
-/// `input.csv` with the line, `input.channel`, `input.step`, `input.empty`, `input.too-many`, `io.*`.
+/// `input.csv` with the line, `input.channel`, `input.step`, `input.empty`, `input.too-many`,
+/// `io.*`.
 pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
     from_bytes(path, read_bytes(path, MOST_EVENT_TEXT)?, units)
 }
@@ -177,8 +178,8 @@ impl Comments {
     }
 }
 
-/// A problem with the row at a byte. The csv crate places a row where the one before ended; empty lines and comments may
-/// stand between.
+/// A problem with the row at a byte. The csv crate places a row where the one before ended; empty
+/// lines and comments may stand between.
 fn row_problem(source: &SourceText, at: usize, code: &'static str, message: String) -> Diagnostic {
     let mut start = at;
     for line in source.text().get(at..).unwrap_or_default().split_inclusive('\n') {

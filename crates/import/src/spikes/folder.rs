@@ -28,8 +28,9 @@ fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
     parts
 }
 
-/// Sample number, label and path of each recording of a folder, sorted by number. When no name has a number and a label,
-/// every recording of events is a sample without a label, sorted by name (numbers in names by value).
+/// Sample number, label and path of each recording of a folder, sorted by number. When no name has
+/// a number and a label, every recording of events is a sample without a label, sorted by name
+/// (numbers in names by value).
 ///
 /// # Errors
 /// `input.folder` when there is none, or two have the same number; `io.*`.

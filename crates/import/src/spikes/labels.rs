@@ -2,8 +2,8 @@
 //!
 //! Input: an array of one axis, a class from 0 on for each sample. Output: samples with labels.
 //!
-//! Errors: `input.labels` for another shape or number, for as many labels as there are no samples, and for a label that differs from
-//! one that the source itself gives.
+//! Errors: `input.labels` for another shape or number, for as many labels as there are no samples,
+//! and for a label that differs from one that the source itself gives.
 
 use std::path::Path;
 

@@ -1,9 +1,10 @@
 //! Data-set manifests and the recordings that they name.
 //!
-//! Input: a `.ron` with a [`DataSet`]. Output: a [`Manifest`] whose labels, folds and files agree with each other, and from
-//! it the spikes of one population, sample by sample or all at once, and the samples that each fold trains and tests on.
-//! Lists of samples in text files have the form of clear-nus/VT_SNN's `train_80_20_k.txt` and `test_80_20_k.txt`: rows of a
-//! sample's number, from 0, and its label.
+//! Input: a `.ron` with a [`DataSet`]. Output: a [`Manifest`] whose labels, folds and files agree
+//! with each other, and from it the spikes of one population, sample by sample or all at once, and
+//! the samples that each fold trains and tests on. Lists of samples in text files have the form of
+//! clear-nus/VT_SNN's `train_80_20_k.txt` and `test_80_20_k.txt`: rows of a sample's number, from
+//! 0, and its label.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -44,8 +45,8 @@ type Listed = (Vec<Split>, BTreeMap<u32, u32>);
 /// Reads a manifest; the recordings stay where they are.
 ///
 /// # Errors
-/// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`, `dataset.fold`, `input.option`;
-/// `io.*`.
+/// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`,
+/// `dataset.fold`, `input.option`; `io.*`.
 pub fn read_manifest(path: &Path) -> Result<Manifest> {
     from_source(read_text(path)?)
 }
@@ -214,8 +215,8 @@ impl Manifest {
     /// The spikes of one sample for a population, when samples have files of their own.
     ///
     /// # Errors
-    /// `dataset.population`, `dataset.samples` for a sample that does not exist, `dataset.steps`; problems with the file
-    /// at the place that names it.
+    /// `dataset.population`, `dataset.samples` for a sample that does not exist, `dataset.steps`;
+    /// problems with the file at the place that names it.
     pub fn read_sample(&self, population: &str, expected: &Expected, sample: usize) -> Result<PopulationSpikes> {
         let name = self.recording_of(population)?;
         let Some(entry) = self.set.samples.get(sample) else {
@@ -263,7 +264,8 @@ impl Manifest {
     /// The spikes of every sample for a population.
     ///
     /// # Errors
-    /// As [`Manifest::read_sample`] and [`Manifest::splits`]; `dataset.samples` for a list of samples that are not there.
+    /// As [`Manifest::read_sample`] and [`Manifest::splits`]; `dataset.samples` for a list of
+    /// samples that are not there.
     pub fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
         let mut all = if self.set.recordings.is_empty() {
             let read: Vec<_> = (0..self.set.samples.len())
@@ -318,7 +320,8 @@ impl Manifest {
     }
 }
 
-/// The samples of a list, rows `sample label`; `other` are those of the list that is not to share any with it.
+/// The samples of a list, rows `sample label`; `other` are those of the list that is not to share
+/// any with it.
 fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<u32, u32>) -> Result<Vec<u32>> {
     let (mut samples, mut seen) = (Vec::new(), BTreeSet::new());
     let mut start = 0;
@@ -449,7 +452,8 @@ mod tests {
         let array = |name: &str, shape: &[u64], numbers: &[u8]| {
             npy::write(std::fs::File::create(at(name)).unwrap(), shape, numbers.iter().copied()).unwrap();
         };
-        // Four samples of 3 taxels x 2 polarities x 1 step and of 2 polarities x 1 x 3 pixels x 1 step.
+        // Four samples of 3 taxels x 2 polarities x 1 step and of 2 polarities x 1 x 3 pixels x 1
+        // step.
         let bits = |row: u32| (0..6).map(move |bit| (row >> bit & 1) as u8);
         array("tact.npy", &[4, 3, 2, 1], &[1, 2, 4, 63].into_iter().flat_map(bits).collect::<Vec<_>>());
         array("vis.npy", &[4, 2, 1, 3, 1], &[1, 9, 16, 0].into_iter().flat_map(bits).collect::<Vec<_>>());

@@ -1,8 +1,9 @@
 //! Spikes from archives of NumPy arrays, `.npz`.
 //!
-//! Input: what `numpy.savez` or `savez_compressed` wrote. Output: the spikes of each sample, with labels where the archive has them.
-//! The spikes are the array that is named as the population, else `spikes`, `x`, `data`, `arr_0`, else the only one; labels
-//! are the array `labels`, `y` or `targets`. Other arrays are left alone.
+//! Input: what `numpy.savez` or `savez_compressed` wrote. Output: the spikes of each sample, with
+//! labels where the archive has them. The spikes are the array that is named as the population,
+//! else `spikes`, `x`, `data`, `arr_0`, else the only one; labels are the array `labels`, `y` or
+//! `targets`. Other arrays are left alone.
 //!
 //! Errors: `input.npz`; `input.labels`; those of arrays.
 
@@ -31,7 +32,8 @@ const LABELS: [&str; 3] = ["labels", "y", "targets"];
 /// Reads a file for a population of `units` channels.
 ///
 /// # Errors
-/// `input.npz` for a file that is no such archive or has no array for the population; as arrays and labels.
+/// `input.npz` for a file that is no such archive or has no array for the population; as arrays and
+/// labels.
 pub(super) fn read(path: &Path, population: &str, units: u64, options: ArrayOptions) -> Result<Vec<PopulationSpikes>> {
     from_bytes(path, read_bytes(path, MOST_ARRAY)?, population, units, options)
 }

@@ -97,7 +97,8 @@ pub struct EventOptions {
 }
 
 /// Every option, for messages.
-const OPTIONS: &str = "options are size=W,H crop=X,Y,W,H pool=N bin_ms=T round=down|even steps=N start=first start_ms=T \
+const OPTIONS: &str = "options are size=W,H crop=X,Y,W,H pool=N bin_ms=T round=down|even steps=N start=first \
+                       start_ms=T \
     polarity=both|merge|on|off least=N unit=s|ms|us|ns stream=N, joined by &";
 
 /// The options that arrays take.

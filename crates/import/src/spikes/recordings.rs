@@ -30,8 +30,8 @@ pub(super) struct Request<'a> {
 /// Reads a file or a folder for a population.
 ///
 /// # Errors
-/// `input.kind` for another kind of file; `input.option` for an option that an array does not take; `input.*`, `npy.*`,
-/// `hdf5.*`, `io.*`.
+/// `input.kind` for another kind of file; `input.option` for an option that an array does not take;
+/// `input.*`, `npy.*`, `hdf5.*`, `io.*`.
 pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let Request { expected, options, .. } = request;
     let units = expected.units;
@@ -82,7 +82,8 @@ fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<
 /// The problem of a file that holds no spikes.
 fn unknown(kind: FileKind) -> Diagnostic {
     Diagnostic::new("input.kind", format!("this is {kind}, which is not read as spikes")).help(format!(
-        "read are .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), {RECORDINGS}, a \
+        "read are .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), {RECORDINGS}, \
+         a \
          .ron data-set manifest, and a folder of sample_<i>_label_<c>.npy or of recordings"
     ))
 }
@@ -117,7 +118,8 @@ fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpik
     nir_data::read(&tree, path, population, expected, options).map_err(|problem| problem.or_in_file(path))
 }
 
-/// Reads a folder of `sample_<i>_label_<c>.npy` or of recordings of events; other files are left alone.
+/// Reads a folder of `sample_<i>_label_<c>.npy` or of recordings of events; other files are left
+/// alone.
 fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let read: Vec<_> = list_folder(folder)?
         .into_par_iter()

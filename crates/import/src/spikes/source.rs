@@ -1,7 +1,9 @@
-//! Recordings for one input population from any kind of source: the way in for everything outside this room.
+//! Recordings for one input population from any kind of source: the way in for everything outside
+//! this room.
 //!
-//! Input: a path and what the population expects. Output: the spikes of each sample with the label that the source gives.
-//! Which population a source is for, and whether all have as many samples, is for those who put a stimulus together.
+//! Input: a path and what the population expects. Output: the spikes of each sample with the label
+//! that the source gives. Which population a source is for, and whether all have as many samples,
+//! is for those who put a stimulus together.
 
 use std::path::Path;
 
@@ -15,7 +17,8 @@ use nsim_ir::base::diagnostic::Result;
 /// Reads a source for a population of `units` channels.
 ///
 /// # Errors
-/// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for what is wrong with a known one.
+/// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for what is wrong with a
+/// known one.
 pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
     read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &EventOptions::default())
 }
@@ -96,7 +99,8 @@ mod tests {
         read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &options)
     }
 
-    /// [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN leaves them behind, against loops over all axes.
+    /// [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN leaves them behind, against loops
+    /// over all axes.
     #[test]
     fn the_polarities_of_an_array_merge_wherever_their_axis_is() {
         let folder = tempfile::tempdir().unwrap();

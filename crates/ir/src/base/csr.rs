@@ -1,8 +1,8 @@
 //! Compressed sparse rows: a list of items for each row, in one allocation.
 //!
-//! Input: rows of items, one after the other, or (row, item) pairs in any order. Output: slices by row.
-//! Invariants: the offsets begin at 0, do not fall, and end at the number of items, which is below 2^32.
-//! Errors: [`NotClosed`] for offsets that break an invariant.
+//! Input: rows of items, one after the other, or (row, item) pairs in any order. Output: slices by
+//! row. Invariants: the offsets begin at 0, do not fall, and end at the number of items, which is
+//! below 2^32. Errors: [`NotClosed`] for offsets that break an invariant.
 
 /// Offsets that do not divide the items into rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -59,8 +59,8 @@ impl<T> Csr<T> {
         Csr { first, items: vec![item; sum as usize] }
     }
 
-    /// So many rows from (row, item) pairs in any order; the items of a row keep theirs. `visit` passes every pair to the function
-    /// that it is given, the same ones in each of two calls.
+    /// So many rows from (row, item) pairs in any order; the items of a row keep theirs. `visit`
+    /// passes every pair to the function that it is given, the same ones in each of two calls.
     ///
     /// # Panics
     /// As [`Csr::push`], and when a row does not exist.

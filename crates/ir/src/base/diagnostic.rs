@@ -1,7 +1,8 @@
 //! Diagnostics: messages about input that cannot be used.
 //!
-//! Input: what is wrong, where, and what would help. Output: one value that the command line prints as text with
-//! the lines of the file around the place, or as JSON. Stages return these inside their own error types.
+//! Input: what is wrong, where, and what would help. Output: one value that the command line prints
+//! as text with the lines of the file around the place, or as JSON. Stages return these inside
+//! their own error types.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -97,7 +98,8 @@ pub struct Diagnostic {
     others: Option<Box<Others>>,
 }
 
-/// Problems that have nothing to do with the one they come with. Boxed: results carry diagnostics everywhere.
+/// Problems that have nothing to do with the one they come with. Boxed: results carry diagnostics
+/// everywhere.
 #[derive(Debug, Clone)]
 struct Others(Vec<Diagnostic>);
 

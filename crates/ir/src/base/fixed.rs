@@ -1,7 +1,7 @@
 //! Integers with the widths of the hardware's fields.
 //!
-//! Input: any integer. Output: a value that is known to fit its field, or [`OutOfRange`] with the value and the limits.
-//! What the hardware computes with them is in `nsim_dynamics`.
+//! Input: any integer. Output: a value that is known to fit its field, or [`OutOfRange`] with the
+//! value and the limits. What the hardware computes with them is in `nsim_dynamics`.
 
 use std::fmt;
 
@@ -87,8 +87,9 @@ macro_rules! ranged {
 }
 
 ranged!(
-    /// Effective decay: the share that is lost in a step, in 4096ths; 4096 loses everything. The chip's register for `u`
-    /// holds one less, the one for `v` the value itself (slayerPytorch and lava agree once that is taken into account).
+    /// Effective decay: the share that is lost in a step, in 4096ths; 4096 loses everything. The
+    /// chip's register for `u` holds one less, the one for `v` the value itself (slayerPytorch and
+    /// lava agree once that is taken into account).
     Decay(u16) in 0..=4096, "decay"
 );
 ranged!(
@@ -112,7 +113,8 @@ ranged!(
     Delay(u8) in 0..=62, "delay"
 );
 ranged!(
-    /// Refractory period: a spike at t allows the next at t + period. 0 behaves as 1 in hardware semantics.
+    /// Refractory period: a spike at t allows the next at t + period. 0 behaves as 1 in hardware
+    /// semantics.
     Refractory(u8) in 0..=63, "refractory period"
 );
 ranged!(
@@ -124,12 +126,14 @@ ranged!(
     VmaxExponent(u8) in 0..=7, "vmax exponent"
 );
 ranged!(
-    /// Bits of a stored weight. 7 cannot be stored (nengo-loihi: register values mean 0..6 and 8 bits).
+    /// Bits of a stored weight. 7 cannot be stored (nengo-loihi: register values mean 0..6 and 8
+    /// bits).
     WeightBits(u8) in 1..=8, "weight bits"
 );
 
 ranged!(
-    /// The integer that a graded spike carries, 24 bits signed; what it adds is the scaled weight times this.
+    /// The integer that a graded spike carries, 24 bits signed; what it adds is the scaled weight
+    /// times this.
     Payload(i32) in -8_388_608..=8_388_607, "payload"
 );
 
@@ -147,7 +151,8 @@ pub const DECAY_ONE: i64 = 4096;
 /// Sign mode of a synapse format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Deserialize, serde::Serialize)]
 pub enum SignMode {
-    /// Weights of both signs; one bit is spent on the sign, so the least step of an 8-bit weight is 2.
+    /// Weights of both signs; one bit is spent on the sign, so the least step of an 8-bit weight
+    /// is 2.
     Mixed,
     /// Weights of 0 and above.
     Excitatory,

@@ -14,8 +14,9 @@ fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
     order
 }
 
-/// For each of `k` folds the samples that it tests on, ascending. Samples are assigned to folds in turn, class by class in
-/// a seeded order, so that folds differ by at most one sample in each class and in all.
+/// For each of `k` folds the samples that it tests on, ascending. Samples are assigned to folds in
+/// turn, class by class in a seeded order, so that folds differ by at most one sample in each class
+/// and in all.
 #[must_use]
 pub fn stratified_folds(labels: &[u32], k: usize, seed: u64) -> Vec<Vec<usize>> {
     let mut folds = vec![Vec::new(); k];

@@ -1,6 +1,7 @@
 //! One id type for each index space, and vectors that only their own id can index.
 //!
-//! An id is a newtype of `u32`: it costs nothing and keeps a compartment from being used where a core is meant.
+//! An id is a newtype of `u32`: it costs nothing and keeps a compartment from being used where a
+//! core is meant.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -8,7 +9,8 @@ use std::ops::{Index, IndexMut};
 
 /// An index into one index space.
 pub trait Id: Copy + Eq + Ord + std::hash::Hash + fmt::Debug {
-    /// The id with this index. Ids count to `u32::MAX - 1`; sizes are checked where networks are lowered.
+    /// The id with this index. Ids count to `u32::MAX - 1`; sizes are checked where networks are
+    /// lowered.
     fn new(index: usize) -> Self;
     /// Its index.
     fn index(self) -> usize;

@@ -57,7 +57,8 @@ pub fn markup(text: &str) -> String {
 /// How alike two names have to be for one to be meant by the other, by Jaro and Winkler.
 const ALIKE: f64 = 0.84;
 
-/// The question whether the name most like a word was meant, with a space behind it; nothing where none is like it.
+/// The question whether the name most like a word was meant, with a space behind it; nothing where
+/// none is like it.
 #[must_use]
 pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) -> String {
     let likeness = |name: &'n str| (strsim::jaro_winkler(&word.to_lowercase(), &name.to_lowercase()), name);

@@ -1,7 +1,9 @@
-//! Random numbers as a function of (seed, entity, step): no sequence that threads would have to share.
+//! Random numbers as a function of (seed, entity, step): no sequence that threads would have to
+//! share.
 //!
-//! The mixer is the finaliser of SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number generators",
-//! OOPSLA 2014), applied once for each argument. It is for stimuli and test networks, not for cryptography.
+//! The mixer is the finaliser of SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom
+//! number generators", OOPSLA 2014), applied once for each argument. It is for stimuli and test
+//! networks, not for cryptography.
 
 /// SplitMix64's increment, the odd integer nearest to 2^64 divided by the golden ratio.
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;

@@ -1,7 +1,7 @@
 //! A value that several owners hold as long as none of them changes it.
 //!
-//! Input: a value. Output: handles that read as the value, are cloned for nothing, and know whether two of them hold the same
-//! one. Whoever changes a shared value gets a copy of its own first.
+//! Input: a value. Output: handles that read as the value, are cloned for nothing, and know whether
+//! two of them hold the same one. Whoever changes a shared value gets a copy of its own first.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -17,7 +17,8 @@ impl<T> Shared<T> {
         Arc::ptr_eq(&self.0, &other.0)
     }
 
-    /// A number that handles of the same value have in common while one of them lives, and others have not.
+    /// A number that handles of the same value have in common while one of them lives, and others
+    /// have not.
     #[must_use]
     pub fn address(&self) -> usize {
         Arc::as_ptr(&self.0).addr()

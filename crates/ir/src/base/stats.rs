@@ -1,6 +1,7 @@
 //! Means, deviations and intervals of measured figures.
 //!
-//! Input: figures, or counts of successes. Output: numbers. Left out on purpose: tests of hypotheses.
+//! Input: figures, or counts of successes. Output: numbers. Left out on purpose: tests of
+//! hypotheses.
 
 /// Half the width of the central 95 % of a normal distribution, in standard deviations.
 const CENTRAL_95: f64 = 1.959_964;
@@ -13,8 +14,9 @@ pub fn mean_sd(values: &[f64]) -> (f64, f64) {
     (mean, (values.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n).sqrt())
 }
 
-/// The interval that holds the share of successes behind `share` of `trials` in 95 of 100 cases (Wilson, "Probable inference, the law of
-/// succession, and statistical inference", J. Am. Stat. Assoc. 1927); all of 0 to 1 without trials.
+/// The interval that holds the share of successes behind `share` of `trials` in 95 of 100 cases
+/// (Wilson, "Probable inference, the law of succession, and statistical inference", J. Am. Stat.
+/// Assoc. 1927); all of 0 to 1 without trials.
 #[must_use]
 pub fn wilson(share: f64, trials: usize) -> (f64, f64) {
     if trials == 0 {
@@ -37,7 +39,8 @@ mod tests {
         assert_eq!(mean_sd(&[]), (0.0, 0.0));
     }
 
-    /// Newcombe, "Two-sided confidence intervals for the single proportion", Stat. Med. 1998, table I, method 3.
+    /// Newcombe, "Two-sided confidence intervals for the single proportion", Stat. Med. 1998, table
+    /// I, method 3.
     #[test]
     fn intervals_are_those_of_a_printed_table() {
         for (successes, trials, low, high) in

@@ -1,7 +1,9 @@
-//! Energy, time and power as integers small enough for every constant and wide enough for every sum.
+//! Energy, time and power as integers small enough for every constant and wide enough for every
+//! sum.
 //!
-//! One femtojoule is a thousandth of the least published event energy; one picosecond a hundredth of the least
-//! published time. Sums are exact, so that the order of adding can never change a total.
+//! One femtojoule is a thousandth of the least published event energy; one picosecond a hundredth
+//! of the least published time. Sums are exact, so that the order of adding can never change a
+//! total.
 
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Mul};
@@ -83,7 +85,8 @@ impl Nanowatts {
         self.0 as f64 / 1e6
     }
 
-    /// The energy that this power spends in a time, rounded down to a femtojoule (1 nW for 1 ps is 10^-6 fJ).
+    /// The energy that this power spends in a time, rounded down to a femtojoule (1 nW for 1 ps is
+    /// 10^-6 fJ).
     #[must_use]
     pub fn during(self, time: Picoseconds) -> Femtojoules {
         Femtojoules(u128::from(self.0) * u128::from(time.0) / 1_000_000)

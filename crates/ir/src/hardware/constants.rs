@@ -1,7 +1,8 @@
-//! Constants of energy, time and power: presets of them (`mapping/constants`), each figure with its unit, source and status, so
-//! that a report can say where it comes from.
+//! Constants of energy, time and power: presets of them (`mapping/constants`), each figure with its
+//! unit, source and status, so that a report can say where it comes from.
 //!
-//! [`Constants::check`] holds units, signs and sources. What a constant is multiplied with is for `cost` to say.
+//! [`Constants::check`] holds units, signs and sources. What a constant is multiplied with is for
+//! `cost` to say.
 
 use serde::{Deserialize, Serialize};
 
@@ -223,7 +224,8 @@ pub struct BarrierTime {
     pub time: Constant,
 }
 
-/// A figure that a source gives beside the others and that no count of a run multiplies: kept so that it is on record.
+/// A figure that a source gives beside the others and that no count of a run multiplies: kept so
+/// that it is on record.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnusedConstant {
@@ -235,8 +237,8 @@ pub struct UnusedConstant {
     pub why: String,
 }
 
-/// Calls a macro with every single-valued constant and its unit: what holds a value for each is made from this list alone.
-/// Those that a source need not give are zero and assumed without it.
+/// Calls a macro with every single-valued constant and its unit: what holds a value for each is
+/// made from this list alone. Those that a source need not give are zero and assumed without it.
 #[macro_export]
 macro_rules! for_each_constant {
     ($make:ident) => {
@@ -322,8 +324,8 @@ pub use for_each_constant;
 
 macro_rules! constants {
     ($($(#[$doc:meta])* $field:ident: $unit:ident $(= $default:literal)?,)*) => {
-        /// A preset of energies, times and powers. Energies add up: a compartment that is visited, updated and spikes costs
-        /// all three.
+        /// A preset of energies, times and powers. Energies add up: a compartment that is visited,
+        /// updated and spikes costs all three.
         #[derive(Debug, Clone, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct Constants {
@@ -413,7 +415,8 @@ macro_rules! constants {
             /// Checks units and signs.
             ///
             /// # Errors
-            /// A diagnostic at the first constant that is negative, not finite, above 10^9, or in another unit.
+            /// A diagnostic at the first constant that is negative, not finite, above 10^9, or in
+            /// another unit.
             pub fn check(&self, source: &SourceText) -> Result<()> {
                 $(check_constant(source, stringify!($field), &self.$field, Unit::$unit)?;)*
                 if self.barrier.is_empty() {

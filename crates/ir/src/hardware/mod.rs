@@ -1,7 +1,8 @@
-//! The mirror of target files: boards (`mapping/targets`) and the chip they are made of (`mapping/chips`).
+//! The mirror of target files: boards (`mapping/targets`) and the chip they are made of
+//! (`mapping/chips`).
 //!
-//! A [`Target`] is a board with its chip and presets of constants ([`Constants`]) resolved and every number checked; `io::target`
-//! makes it.
+//! A [`Target`] is a board with its chip and presets of constants ([`Constants`]) resolved and
+//! every number checked; `io::target` makes it.
 
 pub mod constants;
 
@@ -88,8 +89,8 @@ impl Chip {
     /// Checks what the types of the fields do not.
     ///
     /// # Errors
-    /// A diagnostic when x86 cores are kept busy that the chip does not have, when an output axon takes no slot, or when a
-    /// source is given for a limit that does not exist.
+    /// A diagnostic when x86 cores are kept busy that the chip does not have, when an output axon
+    /// takes no slot, or when a source is given for a limit that does not exist.
     pub fn check(&self, source: &SourceText) -> Result<()> {
         let wrong = |message: String| Diagnostic::new("target.chip", format!("chip {}: {message}", self.name));
         if self.x86_cores_in_use > self.x86_cores {
@@ -202,7 +203,8 @@ impl TargetChanges {
     }
 }
 
-/// The most cores of a board: 16,384 chips of Loihi's mesh protocol (Davies et al. 2018) with 128 cores each.
+/// The most cores of a board: 16,384 chips of Loihi's mesh protocol (Davies et al. 2018) with 128
+/// cores each.
 pub const MOST_CORES: u64 = 16_384 * 128;
 
 /// A board with everything it refers to.

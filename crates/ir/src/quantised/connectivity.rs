@@ -1,8 +1,8 @@
 //! How a population's spikes reach another: which synapses a source has, and their integer weights.
 //!
-//! Kernels and drawn synapses stay described. They are enumerated in `nsim_dynamics::synapses` for the compiler and the
-//! checker; the golden interpreter has its own enumeration. Populations and delay are left to
-//! [`Projection`](super::Projection).
+//! Kernels and drawn synapses stay described. They are enumerated in `nsim_dynamics::synapses` for
+//! the compiler and the checker; the golden interpreter has its own enumeration. Populations and
+//! delay are left to [`Projection`](super::Projection).
 
 use std::sync::Arc;
 
@@ -53,7 +53,8 @@ pub enum Connectivity {
         /// The weight.
         weight: i16,
     },
-    /// Seeded random synapses: synapse k of source s has target `below(targets, seed, first_source + s, 2 k)` and weight
+    /// Seeded random synapses: synapse k of source s has target
+    /// `below(targets, seed, first_source + s, 2 k)` and weight
     /// `low + step * below(1 + (high - low) / step, seed, first_source + s, 2 k + 1)`.
     Random {
         /// Number of targets.
@@ -102,7 +103,8 @@ impl Connectivity {
         }
     }
 
-    /// Checks that these are synapses from a population of one shape to one of another, with weights of a format.
+    /// Checks that these are synapses from a population of one shape to one of another, with
+    /// weights of a format.
     ///
     /// # Errors
     /// What does not hold, as a sentence.
@@ -159,7 +161,8 @@ impl Connectivity {
 }
 
 impl Window {
-    /// Pairs of a source position and an output position whose window covers it: the synapses of one pair of channels.
+    /// Pairs of a source position and an output position whose window covers it: the synapses of
+    /// one pair of channels.
     #[must_use]
     pub fn positions(&self) -> u64 {
         let of_axis = |axis: fn((u32, u32)) -> u32, source: u32, target: u32| -> u64 {

@@ -1,8 +1,10 @@
-//! The network in integers that fit their hardware fields: what the chip would be told, before any core.
+//! The network in integers that fit their hardware fields: what the chip would be told, before any
+//! core.
 //!
-//! Made by `compile::frontend::quantise`. True of every [`Quantised`]: each weight is a multiple of its format's least step within
-//! the format's range, each parameter fits its field, compartments and channels are numbered without gaps in the order
-//! of the populations. Synapses stay described (a kernel, a seed) and are enumerated source by source.
+//! Made by `compile::frontend::quantise`. True of every [`Quantised`]: each weight is a multiple of
+//! its format's least step within the format's range, each parameter fits its field, compartments
+//! and channels are numbered without gaps in the order of the populations. Synapses stay described
+//! (a kernel, a seed) and are enumerated source by source.
 
 pub mod connectivity;
 
@@ -44,8 +46,8 @@ pub struct Neuron {
 }
 
 impl Neuron {
-    /// The least that a compartment can be, for others to start from: a Loihi compartment without memory and bias, with the
-    /// greatest threshold and the widest clips.
+    /// The least that a compartment can be, for others to start from: a Loihi compartment without
+    /// memory and bias, with the greatest threshold and the widest clips.
     pub const PLAIN: Neuron = Neuron {
         kind: NeuronKind::Loihi,
         du: Decay::MAX,
@@ -102,7 +104,8 @@ impl Population {
         }
     }
 
-    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary spikes.
+    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary
+    /// spikes.
     #[must_use]
     pub fn spike_factor(&self) -> i32 {
         self.payload.map_or(1, Payload::get)
@@ -208,7 +211,8 @@ pub struct Parts {
     pub reset: Option<Reset>,
     /// What quantisation changed.
     pub notes: Vec<Note>,
-    /// Whether sources may be gathered in population axons where a compartment has more of them than a core has input axons.
+    /// Whether sources may be gathered in population axons where a compartment has more of them
+    /// than a core has input axons.
     pub gathers: bool,
 }
 
@@ -249,9 +253,10 @@ pub struct Quantised {
 
 /// What a pruned network was before, and what was left out.
 ///
-/// A pruned network is a network like any other, smaller and renumbered, so every stage after it takes it as it is. With
-/// this record people still see the populations, shapes and numbers of their model file. Input populations always keep
-/// their channels; a population of compartments that lost some keeps its name and place, even when nothing is left of it.
+/// A pruned network is a network like any other, smaller and renumbered, so every stage after it
+/// takes it as it is. With this record people still see the populations, shapes and numbers of
+/// their model file. Input populations always keep their channels; a population of compartments
+/// that lost some keeps its name and place, even when nothing is left of it.
 #[derive(Debug, Clone)]
 pub struct Pruned {
     /// The network before; of several copies, one.
@@ -260,7 +265,8 @@ pub struct Pruned {
     pub kept: IdVec<PopulationId, Option<Vec<u32>>>,
     /// Populations that were to stay whole because they are probed.
     pub probed: Vec<PopulationId>,
-    /// Where the stimulus that it was pruned for came from; `None` when it was pruned for every stimulus.
+    /// Where the stimulus that it was pruned for came from; `None` when it was pruned for every
+    /// stimulus.
     pub stimulus: Option<Vec<String>>,
     /// Channels that the stimulus never fires, ascending.
     pub dead: Vec<ChannelId>,
@@ -294,8 +300,9 @@ impl Quantised {
     /// A network from its parts.
     ///
     /// # Errors
-    /// [`Inconsistent`] when units are not numbered in order, an array has another size than its populations, a weight is
-    /// not in its format, an endpoint does not exist or a target is an input.
+    /// [`Inconsistent`] when units are not numbered in order, an array has another size than its
+    /// populations, a weight is not in its format, an endpoint does not exist or a target is an
+    /// input.
     pub fn new(parts: Parts) -> Result<Self, Inconsistent> {
         let (mut channels, mut compartments) = (0u32, 0u32);
         for population in &parts.populations {
@@ -326,7 +333,8 @@ impl Quantised {
         Ok(Quantised { parts, channels, compartments, outgoing, incoming, firsts, pruned: None })
     }
 
-    /// The network with the record of what was left out of it: of itself, or of one of its equal copies.
+    /// The network with the record of what was left out of it: of itself, or of one of its equal
+    /// copies.
     ///
     /// # Errors
     /// [`Inconsistent`] when what the record says was kept is not what is there.
@@ -374,7 +382,8 @@ impl Quantised {
         self.pruned.as_ref().map_or(self, |pruned| &pruned.original)
     }
 
-    /// The indices that a population's compartments had before pruning, ascending; `None` when it lost none.
+    /// The indices that a population's compartments had before pruning, ascending; `None` when it
+    /// lost none.
     #[must_use]
     pub fn kept(&self, population: PopulationId) -> Option<&[u32]> {
         let pruned = self.pruned.as_ref()?;
@@ -395,7 +404,8 @@ impl Quantised {
         self.kept(population).map_or(index, |kept| kept[index as usize])
     }
 
-    /// The inverse of [`Quantised::index_shown`]; `None` for a compartment that was pruned or never was.
+    /// The inverse of [`Quantised::index_shown`]; `None` for a compartment that was pruned or never
+    /// was.
     #[must_use]
     pub fn index_of_shown(&self, population: PopulationId, shown: u32) -> Option<u32> {
         match self.kept(population) {

@@ -1,17 +1,20 @@
 //! Synaptic events of sources with unequal fan-out, counted without a look-up per spike.
 //!
-//! A step counts a spike of source s as m(s) events. Let n(s) be how often s spiked, and f(s) its fan-out. Then
+//! A step counts a spike of source s as m(s) events. Let n(s) be how often s spiked, and f(s) its
+//! fan-out. Then
 //!
 //! ```text
 //! events = sum of n(s) f(s) = sum of n(s) m(s) + sum of n(s) r(s),   r(s) = f(s) - m(s)
 //! ```
 //!
-//! Within a dense block m is the mean of f, the same for all its sources, so a step multiplies once a block; elsewhere m = f.
-//! The second sum is made when events are asked for; n is counted for the activity anyway. Delayed synapses keep m = f: their
-//! events may fall after the sample's end, and then are not counted.
+//! Within a dense block m is the mean of f, the same for all its sources, so a step multiplies once
+//! a block; elsewhere m = f. The second sum is made when events are asked for; n is counted for the
+//! activity anyway. Delayed synapses keep m = f: their events may fall after the sample's end, and
+//! then are not counted.
 //!
-//! Why: pruned networks have blocks of unequal fan-out. Looking up f for every spike took a sixth of a step: pruned slip scenes
-//! ran at 0.83 of the speed of whole ones, and at 0.98 when counted so.
+//! Why: pruned networks have blocks of unequal fan-out. Looking up f for every spike took a sixth
+//! of a step: pruned slip scenes ran at 0.83 of the speed of whole ones, and at 0.98 when counted
+//! so.
 
 use crate::layout::fan_out::FanOut;
 use nsim_ir::base::id::{CompartmentId, Id};
@@ -37,7 +40,8 @@ impl Residual {
         self.by_source.get(source as usize).map_or(0, |&residual| residual.into())
     }
 
-    /// The sum of n(s) r(s): n of the channels, and n of each shard's lanes with their compartments.
+    /// The sum of n(s) r(s): n of the channels, and n of each shard's lanes with their
+    /// compartments.
     pub fn events<'a>(
         &self,
         arch: pulp::Arch,

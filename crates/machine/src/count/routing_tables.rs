@@ -1,16 +1,18 @@
 //! Routing tables: from the messages of a spike to the synapses that they select.
 //!
-//! Input: a [`Program`] and sources of spikes. Output: for each of their messages the list of synapses that its axon selects, in
-//! the order of messages.
+//! Input: a [`Program`] and sources of spikes. Output: for each of their messages the list of
+//! synapses that its axon selects, in the order of messages.
 //!
-//! Why: where every synapse is a message of its own, each look-up goes to another core, axon and list, three cache misses a
-//! synapse. So messages are resolved in batches: each table is prefetched for the whole batch before it is read.
+//! Why: where every synapse is a message of its own, each look-up goes to another core, axon and
+//! list, three cache misses a synapse. So messages are resolved in batches: each table is
+//! prefetched for the whole batch before it is read.
 
 use crate::deliver::prefetch::prefetch;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use nsim_ir::program::{AxonTarget, CoreFormat, CoreImage, Program, Stored, Synapse};
 
-/// Messages in a batch: more than a processor core has outstanding misses, few enough for the first-level cache.
+/// Messages in a batch: more than a processor core has outstanding misses, few enough for the
+/// first-level cache.
 const BATCH: usize = 128;
 
 /// The tables of a core that a message passes, in one cache line.

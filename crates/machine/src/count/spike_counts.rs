@@ -1,8 +1,8 @@
 //! How often each source spiked, and the counts that follow from it.
 //!
-//! Let c(s) be what one spike of source s causes on the chip (`tally`), n(s) how often s spiked since the activity was last
-//! taken, and L the spikes so near a sample's end that some delivery falls after it. With c(s, k) for what a spike causes if its
-//! deliveries reach only k steps,
+//! Let c(s) be what one spike of source s causes on the chip (`tally`), n(s) how often s spiked
+//! since the activity was last taken, and L the spikes so near a sample's end that some delivery
+//! falls after it. With c(s, k) for what a spike causes if its deliveries reach only k steps,
 //!
 //! ```text
 //! activity = sum over s of (n(s) - spikes of s in L) c(s) + sum over (s, k) in L of c(s, k)
@@ -16,7 +16,8 @@ use nsim_ir::activity::Activity;
 use nsim_ir::base::id::Id;
 use nsim_ir::source_counts::{LeftField, SourceCounts};
 
-/// Spikes since the activity was last taken. Those of compartments are counted in their shard's state.
+/// Spikes since the activity was last taken. Those of compartments are counted in their shard's
+/// state.
 #[derive(Debug)]
 pub(crate) struct SpikeCounts {
     /// n of each channel.
@@ -27,8 +28,8 @@ pub(crate) struct SpikeCounts {
     late: Vec<(u32, u32)>,
     /// Timesteps.
     pub steps: u64,
-    /// The residual of the spikes since `channels` was last cleared that were before this sample; negative once those of this
-    /// sample have been cleared.
+    /// The residual of the spikes since `channels` was last cleared that were before this sample;
+    /// negative once those of this sample have been cleared.
     residual_before: i64,
 }
 
@@ -56,7 +57,8 @@ impl SpikeCounts {
         self.late.extend(sources.map(|source| (source, reach)));
     }
 
-    /// The residual of the sample's synaptic events, those of undelivered spikes included (`residual`).
+    /// The residual of the sample's synaptic events, those of undelivered spikes included
+    /// (`residual`).
     pub fn sample_residual(&self, image: &Image, shards: &[ShardState], arch: pulp::Arch) -> i64 {
         self.residual(image, shards, arch) - self.residual_before
     }

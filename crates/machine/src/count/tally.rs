@@ -1,12 +1,13 @@
 //! Counts of the mapped program, from who spiked when.
 //!
-//! Input: spikes by source. Output: messages, hops and synaptic events by core, from the program's tables. Every spike of a source
-//! causes the same, so the machine only counts spikes and this module multiplies. What a spike causes belongs to the step of the
-//! spike, or for inputs to the step that they enter: the cores receive it before the barrier that ends that step. A payload
+//! Input: spikes by source. Output: messages, hops and synaptic events by core, from the program's
+//! tables. Every spike of a source causes the same, so the machine only counts spikes and this
+//! module multiplies. What a spike causes belongs to the step of the spike, or for inputs to the
+//! step that they enter: the cores receive it before the barrier that ends that step. A payload
 //! changes no count.
 //!
-//! How many synapses of a list are dense is known beforehand. Only near a sample's end, where deliveries fall after it, are
-//! synapses counted one by one.
+//! How many synapses of a list are dense is known beforehand. Only near a sample's end, where
+//! deliveries fall after it, are synapses counted one by one.
 
 use std::sync::OnceLock;
 
@@ -96,7 +97,8 @@ impl Caused {
     }
 }
 
-/// The most messages of all sources together for which what each causes is kept: two megabytes of memory.
+/// The most messages of all sources together for which what each causes is kept: two megabytes of
+/// memory.
 const MOST_KEPT: usize = 1 << 16;
 
 /// What a spike of each source causes.
@@ -111,8 +113,8 @@ pub struct Tally<'p> {
     kind_of: IdVec<CoreId, u32>,
     sites: IdVec<CoreId, Site>,
     tables: RoutingTables<'p>,
-    /// By source, what its messages cause if every synapse is counted; `None` where there are more than are kept. Made by the first
-    /// step that is counted by itself.
+    /// By source, what its messages cause if every synapse is counted; `None` where there are more
+    /// than are kept. Made by the first step that is counted by itself.
     kept: OnceLock<Option<Csr<Caused>>>,
 }
 
@@ -178,8 +180,8 @@ impl<'p> Tally<'p> {
         Some(self.program.seats()[CompartmentId(compartment)].core)
     }
 
-    /// Synaptic events of a spike of each of these sources, of those synapses whose delay field is below `reach`. Sources are
-    /// numbered channels first.
+    /// Synaptic events of a spike of each of these sources, of those synapses whose delay field is
+    /// below `reach`. Sources are numbered channels first.
     #[must_use]
     pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
         let mut sum = 0;
@@ -190,7 +192,8 @@ impl<'p> Tally<'p> {
         sum
     }
 
-    /// Adds what spikes of these sources cause, `times` of each, counting synapses whose delay field is below `reach`.
+    /// Adds what spikes of these sources cause, `times` of each, counting synapses whose delay
+    /// field is below `reach`.
     pub fn add_spikes(
         &self,
         sources: impl Iterator<Item = u32> + Clone,
@@ -228,7 +231,8 @@ impl<'p> Tally<'p> {
         }
     }
 
-    /// What each message of these sources causes, with its source, counting synapses whose delay field is below `reach`.
+    /// What each message of these sources causes, with its source, counting synapses whose delay
+    /// field is below `reach`.
     fn each_caused(&self, sources: impl Iterator<Item = u32>, reach: u32, mut see: impl FnMut(u32, Caused)) {
         let (mesh, mut last) = (self.program.mesh(), None);
         self.tables.resolve(sources, |Selected { source, core, list, stored, formats, .. }| {
@@ -301,7 +305,8 @@ impl<'p> Tally<'p> {
         sum
     }
 
-    /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one less.
+    /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one
+    /// less.
     pub fn add_step(&self, (channels, spikes): (&[ChannelId], &[CompartmentId]), left: u32, step: &mut StepActivity) {
         let Output { first, count: size, .. } = self.program.output();
         step.channels.extend_from_slice(channels);
@@ -312,7 +317,8 @@ impl<'p> Tally<'p> {
         self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);
     }
 
-    /// Adds what the spikes of another process do on the cores of this one, in a step after which one less than `left` remain.
+    /// Adds what the spikes of another process do on the cores of this one, in a step after which
+    /// one less than `left` remain.
     pub fn add_remote(&self, spikes: &[CompartmentId], left: u32, step: &mut StepActivity) {
         let before = self.program.channels();
         self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);

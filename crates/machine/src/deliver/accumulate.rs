@@ -1,7 +1,8 @@
 //! What a spike adds to a sum of arrivals: the weight, or weight times payload.
 //!
-//! Binary spikes are summed in 16 or 32 bits, graded ones in 64: a product of a weight and a payload has up to 39 bits. The
-//! payload is a type, so that delivery of binary spikes has no multiplication and no look-up.
+//! Binary spikes are summed in 16 or 32 bits, graded ones in 64: a product of a weight and a
+//! payload has up to 39 bits. The payload is a type, so that delivery of binary spikes has no
+//! multiplication and no look-up.
 
 use crate::update::kernel::Sum;
 
@@ -38,8 +39,9 @@ impl Sum for i64 {
         self + i64::from(weight)
     }
 
-    /// A sum that does not fit is replaced by one that does and has the same effect: the same low bits, hence the same registers,
-    /// and too large for any accumulator that wraps, hence the same overflow.
+    /// A sum that does not fit is replaced by one that does and has the same effect: the same low
+    /// bits, hence the same registers, and too large for any accumulator that wraps, hence the same
+    /// overflow.
     #[inline(always)]
     fn value(self) -> i32 {
         let low = self & ((1 << SEEN_BITS) - 1);

@@ -1,7 +1,7 @@
 //! The delay ring: sums of arrivals by step and lane, and the delivery of spikes into them.
 //!
-//! Input: spikes, and the dense blocks and lists of their synapses. Output: sums of weights in units of 64, the skip blocks that
-//! they lie in, and the number of synaptic events.
+//! Input: spikes, and the dense blocks and lists of their synapses. Output: sums of weights in
+//! units of 64, the skip blocks that they lie in, and the number of synaptic events.
 
 use crate::bits::ones;
 use crate::deliver::accumulate::Accumulate;
@@ -30,7 +30,8 @@ pub(crate) struct DelayRing<S> {
 }
 
 impl<S: Sum> DelayRing<S> {
-    /// An empty ring of so many lanes, slots, and words of skip blocks; `compact` if a list of the shard is.
+    /// An empty ring of so many lanes, slots, and words of skip blocks; `compact` if a list of the
+    /// shard is.
     pub fn new(lanes: usize, compact: bool, words: usize, slots: usize) -> Self {
         // What lies beyond the lanes is untouched pages, which the OS never commits.
         // The last chunk of a row may reach beyond them too, where it adds zeros.
@@ -81,9 +82,10 @@ impl<S: Sum> DelayRing<S> {
         }
     }
 
-    /// Delivers spikes of channels or of compartments, ascending if there are dense blocks, and with `MARK` marks where they
-    /// arrive. Returns the synaptic events that fall within `left` steps. Spikes that fan_out narrow dense blocks are counted in
-    /// `counts` by source, unless it is empty.
+    /// Delivers spikes of channels or of compartments, ascending if there are dense blocks, and
+    /// with `MARK` marks where they arrive. Returns the synaptic events that fall within `left`
+    /// steps. Spikes that fan_out narrow dense blocks are counted in `counts` by source, unless it
+    /// is empty.
     #[inline(always)]
     pub fn deliver<const MARK: bool, P: Spike>(
         &mut self,
@@ -155,8 +157,9 @@ impl<S: Sum> DelayRing<S> {
         events
     }
 
-    /// Delivers spikes of a dense block's sources, a few chunks of lanes at a time: their sums stay in registers, where going
-    /// through memory would make each source wait for the store before it.
+    /// Delivers spikes of a dense block's sources, a few chunks of lanes at a time: their sums stay
+    /// in registers, where going through memory would make each source wait for the store before
+    /// it.
     #[inline(always)]
     fn deliver_wide<const MARK: bool, P: Spike>(
         &mut self,
@@ -191,8 +194,9 @@ impl<S: Sum> DelayRing<S> {
         block.synapses(spikes)
     }
 
-    /// Delivers spikes of the sources of a dense block with one range of so many chunks, up to the first spike of another
-    /// source; returns how many. Looking up each source's weights finds the end without a search beforehand.
+    /// Delivers spikes of the sources of a dense block with one range of so many chunks, up to the
+    /// first spike of another source; returns how many. Looking up each source's weights finds the
+    /// end without a search beforehand.
     #[inline(always)]
     fn deliver_narrow<P: Spike, const N: usize>(
         &mut self,
@@ -210,7 +214,8 @@ impl<S: Sum> DelayRing<S> {
         let (sums, _) = self.sums[slot][range.target as usize..].as_chunks_mut::<LANES>();
         let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
         let mut kept = *sums;
-        // Two loops, so that neither decides in each turn whether it counts; as many counts as weights need one check.
+        // Two loops, so that neither decides in each turn whether it counts; as many counts as
+        // weights need one check.
         let delivered = match counts.get_mut(..weights.len()) {
             Some(counts) => add_sources::<true, _, _, N>(&mut kept, weights, counts, spikes, block.first as usize),
             None => add_sources::<false, _, _, N>(&mut kept, weights, &mut [], spikes, block.first as usize),
@@ -227,8 +232,8 @@ impl<S: Sum> DelayRing<S> {
     {
         let mut queue = std::mem::take(&mut self.row_queue);
         let mut events = 0;
-        // A loop over the few rows of each spike would end in a mispredicted branch, so rows of many spikes are queued; graded
-        // spikes come one by one, as queued rows do not know theirs.
+        // A loop over the few rows of each spike would end in a mispredicted branch, so rows of
+        // many spikes are queued; graded spikes come one by one, as queued rows do not know theirs.
         for spikes in spikes.chunks(if P::BINARY { QUEUED_SPIKES } else { 1 }) {
             let (rows, synapses) = enqueue_rows(table, spikes, &mut queue);
             events += synapses;
@@ -390,8 +395,9 @@ fn add_spikes<S: Accumulate<P::Payload>, P: Spike, const N: usize>(
     *sums = kept;
 }
 
-/// Adds the weights of each source to as many chunks of sums, up to the first spike of a source without weights; returns how
-/// many spikes that were. Two spikes a turn: the loop's own instructions are a third of those of one.
+/// Adds the weights of each source to as many chunks of sums, up to the first spike of a source
+/// without weights; returns how many spikes that were. Two spikes a turn: the loop's own
+/// instructions are a third of those of one.
 #[inline(always)]
 fn add_sources<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: usize>(
     sums: &mut [[S; LANES]; N],
@@ -417,7 +423,8 @@ fn add_sources<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: 
     delivered
 }
 
-/// Adds the weights of a spike's source, if there are any; returns whether there are. `counts` is as long as `weights`.
+/// Adds the weights of a spike's source, if there are any; returns whether there are. `counts` is
+/// as long as `weights`.
 #[inline(always)]
 fn add_source<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: usize>(
     sums: &mut [[S; LANES]; N],
@@ -463,7 +470,8 @@ mod tests {
         FanOut::new(1, Flattened::lists(builder), &std::sync::Arc::default(), lanes).unwrap().unwrap()
     }
 
-    /// Sums, marked skip blocks and numbers of synapses are those of adding one synapse after the other.
+    /// Sums, marked skip blocks and numbers of synapses are those of adding one synapse after the
+    /// other.
     fn compare<S: Sum>(lanes: usize, synapses: u64, width: u64) -> FanOut {
         let of = |source: u64, index| {
             let lane = (source * 17 + rng::below(width, 1, source, index)) % lanes as u64;

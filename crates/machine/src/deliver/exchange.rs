@@ -1,13 +1,13 @@
 //! Exchange: the spikes of all shards in one list.
 //!
-//! Input: spikes by shard. Output: all spikes, ascending if asked for. Why not always ascending: sorting costs time, and only
-//! dense blocks need the order.
+//! Input: spikes by shard. Output: all spikes, ascending if asked for. Why not always ascending:
+//! sorting costs time, and only dense blocks need the order.
 
 use crate::bits::{UNCHECKED, write_ones};
 use nsim_ir::base::id::{CompartmentId, Id};
 
-/// Sorts distinct ids below `count`. With more than an eighth as many ids as words of marks, a bit set is less work than sorting.
-/// `marks` is scratch memory, all zeros before and after.
+/// Sorts distinct ids below `count`. With more than an eighth as many ids as words of marks, a bit
+/// set is less work than sorting. `marks` is scratch memory, all zeros before and after.
 pub(crate) fn sort(ids: &mut Vec<CompartmentId>, marks: &mut Vec<u64>, count: usize) {
     let words = count.div_ceil(64);
     if ids.len() * 8 < words {

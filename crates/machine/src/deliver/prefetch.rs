@@ -1,6 +1,7 @@
 //! Prefetching of cache lines.
 //!
-//! Spikes read lists all over tables that fit no cache: without prefetch a step waits for each in turn. Only time depends on it.
+//! Spikes read lists all over tables that fit no cache: without prefetch a step waits for each in
+//! turn. Only time depends on it.
 
 /// Bytes of a cache line, on every processor with the instruction below.
 pub(crate) const LINE: usize = 64;
@@ -12,9 +13,10 @@ pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
         let at = slice.as_ptr().wrapping_add(index);
-        // SAFETY: PREFETCHT0 is a hint: it accesses no memory as far as the program can tell, and does nothing for an address
-        // that is not mapped (Intel SDM vol. 2B, PREFETCHh). The address is computed without `add`, so it need not be within
-        // the slice. The instruction belongs to SSE, which every x86-64 has.
+        // SAFETY: PREFETCHT0 is a hint: it accesses no memory as far as the program can tell, and
+        // does nothing for an address that is not mapped (Intel SDM vol. 2B, PREFETCHh). The
+        // address is computed without `add`, so it need not be within the slice. The instruction
+        // belongs to SSE, which every x86-64 has.
         #[expect(unsafe_code, reason = "there is no safe prefetch")]
         unsafe {
             _mm_prefetch::<_MM_HINT_T0>(at.cast());

@@ -1,12 +1,16 @@
-//! What it takes to deliver spikes, by the forms in which synapses are held: the one table by which the planner chooses forms.
+//! What it takes to deliver spikes, by the forms in which synapses are held: the one table by which
+//! the planner chooses forms.
 //!
-//! Input: the parts of a delivery ([`DeliveryParts`]). Output: the time that the table ([`DELIVERY_COST`]) expects of them. A wrong
-//! entry makes runs slower and no result different, so one table serves all processors.
+//! Input: the parts of a delivery ([`DeliveryParts`]). Output: the time that the table
+//! ([`DELIVERY_COST`]) expects of them. A wrong entry makes runs slower and no result different, so
+//! one table serves all processors.
 //!
-//! `cargo bench --bench delivery_cost` measures it: it times steps of small networks, each of which has mostly parts of one kind, fits a
-//! time for each part, and prints both beside each other. Entries are not simply what is fitted: those networks fit a cache, where a
-//! listed synapse takes half as long as elsewhere, and blocks are what networks beyond caches need. Whoever changes an entry compares
-//! `nsim bench step` before and after (`docs/benchmarks.md` has what the fitted times did to it).
+//! `cargo bench --bench delivery_cost` measures it: it times steps of small networks, each of which
+//! has mostly parts of one kind, fits a time for each part, and prints both beside each other.
+//! Entries are not simply what is fitted: those networks fit a cache, where a listed synapse takes
+//! half as long as elsewhere, and blocks are what networks beyond caches need. Whoever changes an
+//! entry compares `nsim bench step` before and after (`docs/benchmarks.md` has what the fitted
+//! times did to it).
 
 /// A number for each part of a delivery.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

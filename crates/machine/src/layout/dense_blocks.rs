@@ -1,7 +1,9 @@
-//! Dense blocks: consecutive sources with synapses to the same lanes, one weight a lane, zeros where there is no synapse.
+//! Dense blocks: consecutive sources with synapses to the same lanes, one weight a lane, zeros
+//! where there is no synapse.
 //!
-//! Input: the sources that become blocks (`planner`), and their synapses. Output: [`DenseBlocks`]; synapses in no block are left
-//! to the lists. Invariant: padding zeros are not counted as synapses; the number of synapses is kept beside the weights.
+//! Input: the sources that become blocks (`planner`), and their synapses. Output: [`DenseBlocks`];
+//! synapses in no block are left to the lists. Invariant: padding zeros are not counted as
+//! synapses; the number of synapses is kept beside the weights.
 
 use crate::layout::planner::PlannedBlock;
 use crate::layout::store::Aligned;
@@ -63,7 +65,8 @@ impl DenseBlock {
         matches!(self.synapses, SynapseCounts::Each(_))
     }
 
-    /// Replaces the number of synapses of each source by their mean; adds what each has more to `residual`, by source.
+    /// Replaces the number of synapses of each source by their mean; adds what each has more to
+    /// `residual`, by source.
     pub fn use_mean(&mut self, residual: &mut [i32]) {
         let SynapseCounts::Each(counts) = &self.synapses else { return };
         let sum: u64 = counts.iter().map(|&count| u64::from(count)).sum();
@@ -115,7 +118,8 @@ impl DenseBlocks {
 pub(crate) struct BlockWriter {
     /// Blocks to write, the current one first.
     planned: std::iter::Peekable<std::vec::IntoIter<PlannedBlock>>,
-    /// One more than the position of each chunk in a source's weights of the current block; 0 for chunks outside it.
+    /// One more than the position of each chunk in a source's weights of the current block; 0 for
+    /// chunks outside it.
     places: Vec<u32>,
     blocks: Vec<DenseBlock>,
     weights: Aligned<i16>,
@@ -211,8 +215,8 @@ mod tests {
     use std::collections::BTreeMap;
     use std::sync::Arc;
 
-    /// Checks that blocks and lists together hold each source's weights by lane and its number of synapses.
-    /// Returns the dense blocks and the number of synapses in lists.
+    /// Checks that blocks and lists together hold each source's weights by lane and its number of
+    /// synapses. Returns the dense blocks and the number of synapses in lists.
     fn laid_out(sources: &[Vec<LaneWeight>], lanes: usize) -> (DenseBlocks, usize) {
         let mut builder = ListBuilder::new(lanes);
         for synapses in sources {
@@ -339,7 +343,8 @@ mod tests {
         assert_eq!(blocks.weights().len(), 1_200 * 13);
     }
 
-    /// Targets that move from source to source, several synapses to one lane, and weights whose sum 16 bits do not hold.
+    /// Targets that move from source to source, several synapses to one lane, and weights whose sum
+    /// 16 bits do not hold.
     #[test]
     fn whatever_the_form_nothing_is_lost() {
         for seed in 0..40 {

@@ -1,7 +1,8 @@
-//! The synapses that the sources of one kind reach over one delay, in the form in which they are delivered.
+//! The synapses that the sources of one kind reach over one delay, in the form in which they are
+//! delivered.
 //!
-//! Input: rows and synapses source after source ([`Flattened`]). Output: the rows, dense blocks, and lists of the rest.
-//! Errors: more synapses than a list position can index.
+//! Input: rows and synapses source after source ([`Flattened`]). Output: the rows, dense blocks,
+//! and lists of the rest. Errors: more synapses than a list position can index.
 
 use std::sync::Arc;
 
@@ -27,7 +28,8 @@ pub(crate) struct FanOut {
 }
 
 impl FanOut {
-    /// Chooses which of these synapses become dense; `None` when there are none. The shard has so many lanes.
+    /// Chooses which of these synapses become dense; `None` when there are none. The shard has so
+    /// many lanes.
     ///
     /// # Errors
     /// The number of synapses or rows, when positions do not fit.
@@ -48,7 +50,8 @@ impl FanOut {
         Ok(any.then_some(FanOut { delay, rows, dense, lists }))
     }
 
-    /// Whether one narrow dense block follows the other, from the first source to the last, and there is nothing else.
+    /// Whether one narrow dense block follows the other, from the first source to the last, and
+    /// there is nothing else.
     pub fn is_narrow(&self, sources: u32) -> bool {
         let adjacent =
             |end: u32, block: &DenseBlock| Some(block.end).filter(|_| block.first == end && block.narrow().is_some());

@@ -1,9 +1,10 @@
-//! The synapses of each source, collected from the cores' tables and flattened to lanes and weights.
+//! The synapses of each source, collected from the cores' tables and flattened to lanes and
+//! weights.
 //!
-//! Input: a [`Program`], and the lane of each compartment. Output: for each shard and delay, source after source, the rows of
-//! weights ([`RowBuilder`]) and the synapses that are in none ([`ListBuilder`]), in the order of the source's messages and their
-//! lists. Threads take consecutive sources; their results are joined in
-//! the order of sources.
+//! Input: a [`Program`], and the lane of each compartment. Output: for each shard and delay, source
+//! after source, the rows of weights ([`RowBuilder`]) and the synapses that are in none
+//! ([`ListBuilder`]), in the order of the source's messages and their lists. Threads take
+//! consecutive sources; their results are joined in the order of sources.
 
 use std::ops::Range;
 
@@ -69,8 +70,8 @@ pub(crate) struct Flattener<'a> {
 }
 
 impl<'a> Flattener<'a> {
-    /// For the lane of each compartment over all shards, the first lane of each shard, all delay fields, ascending, and the
-    /// rows that lists consist of.
+    /// For the lane of each compartment over all shards, the first lane of each shard, all delay
+    /// fields, ascending, and the rows that lists consist of.
     pub fn new(
         program: &'a Program,
         lane_of: &[u32],
@@ -89,8 +90,8 @@ impl<'a> Flattener<'a> {
         Flattener { tables: RoutingTables::new(program), slots, lanes, ascending, bases, delays, rows }
     }
 
-    /// The synapses of these sources, by shard, then by delay; the shards have so many lanes. Sources are numbered channels
-    /// first.
+    /// The synapses of these sources, by shard, then by delay; the shards have so many lanes.
+    /// Sources are numbered channels first.
     pub fn flatten(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<Flattened> {
         let empty = |lanes| Flattened { lists: ListBuilder::new(lanes), rows: RowBuilder::new() };
         let builders = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| empty(lanes)));
@@ -188,8 +189,9 @@ mod tests {
         CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
     }
 
-    /// Cores whose compartments are dealt out, each source with messages to some of them, each message with a list of its
-    /// own; the last core has a table that every third channel selects from, twice over at other bases.
+    /// Cores whose compartments are dealt out, each source with messages to some of them, each
+    /// message with a list of its own; the last core has a table that every third channel selects
+    /// from, twice over at other bases.
     fn program(seed: u64) -> Program {
         let draw = |below, what, index| rng::below(below, seed, what, index);
         let compartments = CORES * SLOTS;

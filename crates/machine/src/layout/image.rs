@@ -1,8 +1,8 @@
 //! A program laid out for a run, which only reads it.
 //!
-//! Input: a [`Program`] and about how many shards to make. Output: the compartments in lanes (`shard`), and for each shard the
-//! synapses of every source (`fan_out`). Errors: [`ImageError`]. Counts are not taken from here but from the program (`tally`), so
-//! the layout cannot change them.
+//! Input: a [`Program`] and about how many shards to make. Output: the compartments in lanes
+//! (`shard`), and for each shard the synapses of every source (`fan_out`). Errors: [`ImageError`].
+//! Counts are not taken from here but from the program (`tally`), so the layout cannot change them.
 //!
 //! Compartments are laid out core by core (`lane_order`).
 
@@ -70,9 +70,11 @@ pub struct Image<'p> {
     pub(crate) fields: Vec<Fields>,
     pub(crate) shared: Vec<Shared>,
     pub(crate) field_of: Vec<u32>,
-    /// Whether each step sorts its spikes: dense blocks are found in ascending order, and lanes are not in that order.
+    /// Whether each step sorts its spikes: dense blocks are found in ascending order, and lanes are
+    /// not in that order.
     pub(crate) sorts_spikes: bool,
-    /// Lane of each compartment of the network over all shards; [`ELSEWHERE`] where another process holds it.
+    /// Lane of each compartment of the network over all shards; [`ELSEWHERE`] where another process
+    /// holds it.
     pub(crate) lanes: Vec<u32>,
     /// Compartments that are held.
     pub(crate) held: usize,
@@ -84,10 +86,12 @@ pub struct Image<'p> {
     pub(crate) bases: Vec<u32>,
     pub(crate) shards: Vec<Shard>,
     pub(crate) sum_width: SumWidth,
-    /// What a spike of each source carries, channels first, 1 for binary spikes; empty if all spikes are binary.
+    /// What a spike of each source carries, channels first, 1 for binary spikes; empty if all
+    /// spikes are binary.
     pub(crate) payloads: Vec<i32>,
     pub(crate) channels: u32,
-    /// Whether each channel is in one narrow dense block and in nothing else: then delivery counts its spikes.
+    /// Whether each channel is in one narrow dense block and in nothing else: then delivery counts
+    /// its spikes.
     pub(crate) delivery_counts_channels: bool,
     /// What steps leave out of the number of synaptic events.
     pub(crate) residual: Residual,
@@ -174,7 +178,8 @@ impl<'p> Image<'p> {
         self.rows.chunks()
     }
 
-    /// What it takes to deliver the spikes of these channels, in ascending order, that spike in one step.
+    /// What it takes to deliver the spikes of these channels, in ascending order, that spike in one
+    /// step.
     #[must_use]
     pub fn delivery_parts(&self, channels: &[ChannelId]) -> DeliveryParts {
         let mut parts = DeliveryParts::default();
@@ -233,7 +238,8 @@ impl<'p> Image<'p> {
                     })
                 })
                 .collect();
-            // Weights of dense blocks are aligned when a population begins with a core block of its own.
+            // Weights of dense blocks are aligned when a population begins with a core block of its
+            // own.
             let kind_of: Vec<(u32, usize)> =
                 ids.iter().zip(&field_of).map(|(&id, &f)| (f, order.population(id))).collect();
             let mut slot = 0;
@@ -289,8 +295,8 @@ impl<'p> Image<'p> {
         }
     }
 
-    /// Chooses the type of sums: each synapse adds at most once a step, so no sum exceeds that of all absolute weights, times
-    /// the largest payload.
+    /// Chooses the type of sums: each synapse adds at most once a step, so no sum exceeds that of
+    /// all absolute weights, times the largest payload.
     fn check_fan_in(&mut self) -> Result<(), ImageError> {
         let factor = self.payloads.iter().map(|payload| u64::from(payload.unsigned_abs())).max().unwrap_or(1).max(1);
         let bits = if self.payloads.is_empty() { 31 } else { 63 };

@@ -1,7 +1,7 @@
 //! Lists of synapses by source.
 //!
-//! Input: lanes and weights, source after source ([`ListBuilder`]). Output: a [`ListTable`] in the narrowest form that fits all.
-//! Errors: more synapses than a list position can index.
+//! Input: lanes and weights, source after source ([`ListBuilder`]). Output: a [`ListTable`] in the
+//! narrowest form that fits all. Errors: more synapses than a list position can index.
 
 use std::ops::Range;
 
@@ -36,8 +36,8 @@ pub(crate) enum ListForm {
 /// Lanes that 16 bits can address.
 pub(crate) const ADDRESSED: usize = 1 << 16;
 
-/// The fewest lanes of a shard whose lists are compact: smaller shards fit the cache anyway, and would need many times their own
-/// number of sums.
+/// The fewest lanes of a shard whose lists are compact: smaller shards fit the cache anyway, and
+/// would need many times their own number of sums.
 const COMPACT_FROM: usize = 1 << 12;
 
 impl ListForm {

@@ -1,11 +1,12 @@
 //! Padded runs: lists of synapses padded to whole runs of one size.
 //!
-//! Input: lanes and weights, source after source, and their form. Output: lane and weight of each synapse of some sources.
-//! Invariant: padding has weight 0, so it changes no sum.
+//! Input: lanes and weights, source after source, and their form. Output: lane and weight of each
+//! synapse of some sources. Invariant: padding has weight 0, so it changes no sum.
 //!
-//! Why: lengths of lists vary, and a loop over each list ends in a mispredicted branch (about 20 cycles, as long as adding ten
-//! synapses). So the runs of many sources are queued, and one loop of fixed length goes over each run. Where spikes are rare their
-//! lists are in no cache, and a synapse costs the cache lines that it lies in; so a list is aligned to touch as few as possible.
+//! Why: lengths of lists vary, and a loop over each list ends in a mispredicted branch (about 20
+//! cycles, as long as adding ten synapses). So the runs of many sources are queued, and one loop of
+//! fixed length goes over each run. Where spikes are rare their lists are in no cache, and a
+//! synapse costs the cache lines that it lies in; so a list is aligned to touch as few as possible.
 
 use std::ops::Range;
 
@@ -13,7 +14,8 @@ use crate::deliver::prefetch::{LINE, prefetch};
 use crate::layout::store::Store;
 use nsim_ir::spikes::Spike;
 
-/// Sources whose runs are queued at a time: few enough for the first-level cache if lists have up to some 16 runs.
+/// Sources whose runs are queued at a time: few enough for the first-level cache if lists have up
+/// to some 16 runs.
 const SOURCES: usize = 512;
 /// Runs of a list that are queued without looking at its length.
 const UNCHECKED: usize = 8;
@@ -37,7 +39,8 @@ pub(crate) struct ListPlace {
 }
 
 impl ListPlace {
-    /// The place of a list that begins there and has so many synapses; `None` if a number does not fit.
+    /// The place of a list that begins there and has so many synapses; `None` if a number does not
+    /// fit.
     pub fn new(start: usize, count: usize) -> Option<Self> {
         Some(ListPlace { start: start.try_into().ok()?, count: count.try_into().ok()? })
     }
@@ -91,8 +94,8 @@ impl RunForm for Compact {
     }
 }
 
-/// A synapse in a word of 32 bits: the lane in as many low bits as the shard's lanes need, the weight in the others: 16 bits
-/// of weight for 65,536 lanes, 12 for a million.
+/// A synapse in a word of 32 bits: the lane in as many low bits as the shard's lanes need, the
+/// weight in the others: 16 bits of weight for 65,536 lanes, 12 for a million.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Packing {
     target_bits: u32,
@@ -149,7 +152,8 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
     /// Runs between the prefetch of a run and its use.
     const AHEAD: usize = PREFETCH_SYNAPSES / N;
 
-    /// Stores lists of so many synapses, which come list after list; also their positions. `None` when a position does not fit.
+    /// Stores lists of so many synapses, which come list after list; also their positions. `None`
+    /// when a position does not fit.
     pub fn new(
         form: F,
         lengths: impl Iterator<Item = usize>,
@@ -178,8 +182,8 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
         self.store.bytes().len()
     }
 
-    /// Calls `add` with lane, weight and payload for every synapse that these spikes reach, and for padding; returns the number
-    /// of synapses. Lists are at `places`; `queue` is scratch memory.
+    /// Calls `add` with lane, weight and payload for every synapse that these spikes reach, and for
+    /// padding; returns the number of synapses. Lists are at `places`; `queue` is scratch memory.
     #[inline(always)]
     pub fn deliver<P: Spike>(
         &self,
@@ -214,8 +218,8 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
         events
     }
 
-    /// Adds the synapses of the run at this byte. A function, since a closure may be compiled on its own, without the
-    /// processor's widest vectors.
+    /// Adds the synapses of the run at this byte. A function, since a closure may be compiled on
+    /// its own, without the processor's widest vectors.
     #[inline(always)]
     fn add_run<Y: Copy>(&self, run: usize, payload: Y, add: &mut impl FnMut(usize, i16, Y)) {
         let run = &self.store.bytes()[run..run + Self::BYTES];
@@ -225,8 +229,8 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
         }
     }
 
-    /// Queues the runs of these spikes; returns their number and that of their synapses. The last run is repeated, so that
-    /// every run has another to prefetch.
+    /// Queues the runs of these spikes; returns their number and that of their synapses. The last
+    /// run is repeated, so that every run has another to prefetch.
     #[inline(always)]
     fn enqueue(places: &[ListPlace], spikes: &[impl Spike], queue: &mut Vec<u32>) -> (usize, u64) {
         let each = (Self::BYTES / STEP) as u32;
@@ -259,9 +263,9 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
     }
 }
 
-/// Positions for lists of so many synapses, which take so many bytes, and the bytes of all. No list touches more cache lines than
-/// its length needs. At most half of the bytes are gaps: a gap is smaller than the list after it. `None` when a position does not
-/// fit.
+/// Positions for lists of so many synapses, which take so many bytes, and the bytes of all. No list
+/// touches more cache lines than its length needs. At most half of the bytes are gaps: a gap is
+/// smaller than the list after it. `None` when a position does not fit.
 pub(crate) fn lay_out(
     lengths: impl Iterator<Item = usize>,
     bytes: impl Fn(usize) -> usize,
@@ -289,7 +293,8 @@ mod tests {
 
     const LANES: u64 = 1_000;
 
-    /// Compares with adding one synapse after the other: sums, the lanes called with, and the number of synapses.
+    /// Compares with adding one synapse after the other: sums, the lanes called with, and the
+    /// number of synapses.
     fn compare<F: RunForm, const N: usize>(form: F, heaviest: i16, most: u64) {
         let list = |source| -> Vec<(usize, i16)> {
             let of = |index| {

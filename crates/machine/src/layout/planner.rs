@@ -1,9 +1,10 @@
 //! The planner: which synapses go to dense blocks, and which to lists.
 //!
-//! Input: the lanes that each source reaches over one delay, source after source. Output: the dense blocks to make
-//! ([`PlannedBlock`]). The choice minimises an estimate of the time and memory of delivery. A chunk of sixteen lanes is added in
-//! less time than one listed synapse, so blocks pay even with many zeros. But a chunk takes the memory of ten synapses, so blocks
-//! with many zeros do not pay in networks that fit no cache.
+//! Input: the lanes that each source reaches over one delay, source after source. Output: the dense
+//! blocks to make ([`PlannedBlock`]). The choice minimises an estimate of the time and memory of
+//! delivery. A chunk of sixteen lanes is added in less time than one listed synapse, so blocks pay
+//! even with many zeros. But a chunk takes the memory of ten synapses, so blocks with many zeros do
+//! not pay in networks that fit no cache.
 
 use crate::layout::delivery_cost::DELIVERY_COST as COST;
 use crate::layout::padded_runs::{Packing, RunForm};
@@ -13,14 +14,16 @@ use crate::update::kernel::LANES;
 const LISTED: usize = Packing::SYNAPSE;
 /// Bytes of a chunk.
 const CHUNK_BYTES: usize = 2 * LANES;
-/// The fewest synapses of a chunk that is worth its memory where memory counts: 6.4 bytes a synapse.
+/// The fewest synapses of a chunk that is worth its memory where memory counts: 6.4 bytes a
+/// synapse.
 const DENSE: u32 = 5;
 /// Bytes of weights that may be mostly zeros: half of a second-level cache.
 const CACHED: usize = 1 << 20;
-/// Steps in which each source spikes about once: sources of a block that spike together find it once.
+/// Steps in which each source spikes about once: sources of a block that spike together find it
+/// once.
 const STEPS: usize = 20;
-/// Chunks of zeros a source that may be added to join two blocks, by round: similar blocks join first. The last is worth what a
-/// block costs.
+/// Chunks of zeros a source that may be added to join two blocks, by round: similar blocks join
+/// first. The last is worth what a block costs.
 const ZEROS: [usize; 5] = [1, 3, 6, 12, (COST.block + COST.range) / COST.chunk];
 
 /// Consecutive sources that become a dense block.
@@ -55,8 +58,8 @@ impl PlannedBlock {
         self.size() * COST.chunk + self.sources().min(STEPS) * (COST.block + ranges * COST.range)
     }
 
-    /// Joins the next block if that adds few zeros; returns the chunks of zeros added, or the next block. Zeros may be half of
-    /// all chunks, and `spare` more.
+    /// Joins the next block if that adds few zeros; returns the chunks of zeros added, or the next
+    /// block. Zeros may be half of all chunks, and `spare` more.
     fn join(&mut self, next: PlannedBlock, zeros: usize, spare: usize) -> Result<usize, PlannedBlock> {
         let sources = (next.end - self.first) as usize;
         let others = || next.chunks.iter().filter(|chunk| self.chunks.binary_search(chunk).is_err());

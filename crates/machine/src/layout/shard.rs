@@ -1,9 +1,11 @@
 //! How the compartments of a shard are laid out, and where their synapses come from.
 //!
-//! A *core block* is consecutive compartments of one core. It starts at a multiple of sixteen lanes, unless it is updated as
-//! vectors together with the block before it, of another core. A *vector run* is core blocks that are updated together. A *skip
-//! block* is 64 lanes: it is updated only if something in it is not at rest. Lanes without a compartment are padding. Weights of
-//! dense blocks are padded with zeros to whole chunks, so what they add to padding or to a neighbour changes nothing.
+//! A *core block* is consecutive compartments of one core. It starts at a multiple of sixteen
+//! lanes, unless it is updated as vectors together with the block before it, of another core. A
+//! *vector run* is core blocks that are updated together. A *skip block* is 64 lanes: it is updated
+//! only if something in it is not at rest. Lanes without a compartment are padding. Weights of
+//! dense blocks are padded with zeros to whole chunks, so what they add to padding or to a
+//! neighbour changes nothing.
 
 use crate::layout::fan_out::FanOut;
 use nsim_ir::base::id::{CompartmentId, CoreId};
@@ -46,15 +48,18 @@ pub(crate) struct VectorRun {
     pub start: u32,
     /// Its lanes, padding up to the next multiple of sixteen included.
     pub lanes: u32,
-    /// The earliest step from which one of its compartments is not held at zero; all its blocks have the same fields.
+    /// The earliest step from which one of its compartments is not held at zero; all its blocks
+    /// have the same fields.
     pub starts: u32,
-    /// The parameters that all share, if they can be updated as vectors; otherwise the run is one block.
+    /// The parameters that all share, if they can be updated as vectors; otherwise the run is one
+    /// block.
     pub vector: Option<u32>,
     /// Its lanes that are no padding, a bit each.
     pub mask: u64,
 }
 
-/// The lanes that one thread updates, and the synapses that lead to them. Lanes are counted within the shard.
+/// The lanes that one thread updates, and the synapses that lead to them. Lanes are counted within
+/// the shard.
 #[derive(Debug)]
 pub(crate) struct Shard {
     /// Number of lanes, padding included.

@@ -1,8 +1,9 @@
 //! Zeroed buffers, aligned for the caches.
 //!
-//! Input: a size. Output: a zeroed buffer. [`Store`] is for bytes that are read in random order (lists of synapses): large ones
-//! are mapped in pages of 2 MiB, so that the TLB holds them all. [`Aligned`] is for numbers that are read as vectors. Both begin
-//! at a cache line. Alignment and page size are best effort: only time depends on them.
+//! Input: a size. Output: a zeroed buffer. [`Store`] is for bytes that are read in random order
+//! (lists of synapses): large ones are mapped in pages of 2 MiB, so that the TLB holds them all.
+//! [`Aligned`] is for numbers that are read as vectors. Both begin at a cache line. Alignment and
+//! page size are best effort: only time depends on them.
 
 use std::ops::{Deref, DerefMut, Range};
 
@@ -62,7 +63,8 @@ impl Store {
     }
 }
 
-/// Numbers that begin at a cache line, so that a vector of 64 bytes is one line and not parts of two.
+/// Numbers that begin at a cache line, so that a vector of 64 bytes is one line and not parts of
+/// two.
 #[derive(Debug)]
 pub(crate) struct Aligned<T> {
     items: Vec<T>,

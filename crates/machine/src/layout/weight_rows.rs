@@ -1,13 +1,15 @@
-//! Rows of weights: consecutive lanes that many sources reach with the same weights, each source from another lane on.
+//! Rows of weights: consecutive lanes that many sources reach with the same weights, each source
+//! from another lane on.
 //!
-//! Input: the input axons of a program's cores. Output: the distinct rows ([`WeightRows`]), which rows the axons consist of
-//! ([`ProgramRows`]), and for each source its rows and the lane at which they begin ([`RowTable`]). Axons that share no rows, or whose
-//! rows would cost more than their synapses, are left to dense blocks and lists. Nothing is taken from kernels but what the
-//! tables of the cores say.
+//! Input: the input axons of a program's cores. Output: the distinct rows ([`WeightRows`]), which
+//! rows the axons consist of ([`ProgramRows`]), and for each source its rows and the lane at which
+//! they begin ([`RowTable`]). Axons that share no rows, or whose rows would cost more than their
+//! synapses, are left to dense blocks and lists. Nothing is taken from kernels but what the tables
+//! of the cores say.
 //!
-//! Why: a spike into a convolution adds a few rows of its kernel, the same ones at every position, so that their weights stay
-//! in the cache and are added as vectors. The lanes of a core have channels innermost (`lane_order`), so what a row of the kernel
-//! reaches are lanes side by side.
+//! Why: a spike into a convolution adds a few rows of its kernel, the same ones at every position,
+//! so that their weights stay in the cache and are added as vectors. The lanes of a core have
+//! channels innermost (`lane_order`), so what a row of the kernel reaches are lanes side by side.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -27,8 +29,8 @@ use nsim_ir::program::{CoreFormat, CoreImage, Program, Selected, Stored, Synapse
 const BRIDGED: u16 = LANES as u16;
 /// How often rows must be used on average: rows of one source each belong to dense blocks.
 const USES: usize = 3;
-/// Synapses of a program from which on rows that only other cores use too are shared: the weights of fewer fit a cache, where
-/// dense blocks are faster.
+/// Synapses of a program from which on rows that only other cores use too are shared: the weights
+/// of fewer fit a cache, where dense blocks are faster.
 const MANY: u64 = 1 << 26;
 
 /// A row: its first chunk in the high bits, its number of chunks in the others.
@@ -229,8 +231,8 @@ impl CoreRows {
     }
 }
 
-/// The rows of an input axon: rank of the first lane, delay, weights. `None` where they would cost more than the synapses one by
-/// one, or do not fit.
+/// The rows of an input axon: rank of the first lane, delay, weights. `None` where they would cost
+/// more than the synapses one by one, or do not fit.
 fn rows_of(
     axon: Selected<'_>,
     ranks: &[u16],
@@ -267,8 +269,9 @@ fn rows_of(
     scratch.chunk_by(together).map(content).collect()
 }
 
-/// A row, in the high bits, and the lane at which it begins, in the low ones; in a stencil, how many lanes after the first. One
-/// number, so that the rows of a stencil are moved to their lanes by one addition.
+/// A row, in the high bits, and the lane at which it begins, in the low ones; in a stencil, how
+/// many lanes after the first. One number, so that the rows of a stencil are moved to their lanes
+/// by one addition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct RowPlace(u64);
 
@@ -326,7 +329,8 @@ pub(crate) struct Origin {
     pub stencil: u32,
 }
 
-/// The rows of each source, of one delay, into one shard. Sources of a convolution have few stencils, which the cache holds.
+/// The rows of each source, of one delay, into one shard. Sources of a convolution have few
+/// stencils, which the cache holds.
 #[derive(Debug)]
 pub(crate) struct RowTable {
     /// By source.

@@ -1,9 +1,11 @@
 //! The exchange of spikes between the ranks that run the parts of a program.
 //!
-//! Input: the part that this rank holds, and the spikes of its compartments, step by step. Output: the spikes of others of which this
-//! rank has axons. Before the first step each rank tells the others which of their compartments it has axons of; from then on a
-//! step sends each neighbour, in one message, the numbers of those of its own that spiked. A message is sent in every step, empty or
-//! not: its arrival is the barrier. What a spike carries is known by its source, so numbers are all that is sent.
+//! Input: the part that this rank holds, and the spikes of its compartments, step by step. Output:
+//! the spikes of others of which this rank has axons. Before the first step each rank tells the
+//! others which of their compartments it has axons of; from then on a step sends each neighbour, in
+//! one message, the numbers of those of its own that spiked. A message is sent in every step, empty
+//! or not: its arrival is the barrier. What a spike carries is known by its source, so numbers are
+//! all that is sent.
 
 use crate::ranks::transport::Ranks;
 use nsim_ir::activity::{CoreCounts, HopCounts, StepActivity};
@@ -36,7 +38,8 @@ pub(crate) struct Exchange {
     pending: bool,
     /// The output population, where its spikes are shown to every rank.
     pub shown: Option<(CompartmentId, u32)>,
-    /// Whether rounds end with the step in which they begin, because somebody asks for what the step did.
+    /// Whether rounds end with the step in which they begin, because somebody asks for what the
+    /// step did.
     pub at_once: bool,
 }
 
@@ -61,7 +64,8 @@ impl Exchange {
     /// Tells the other ranks what this one wants of them, and hears what they want.
     ///
     /// # Panics
-    /// When the program is no part, or the ranks have made different mappings: faults of the caller and of the compiler.
+    /// When the program is no part, or the ranks have made different mappings: faults of the caller
+    /// and of the compiler.
     pub fn new(program: &Program, ranks: &Ranks, shown: Option<(CompartmentId, u32)>, at_once: bool) -> Self {
         let dealt = program.parts().dealt.as_ref().expect("a program of several ranks is dealt out");
         assert_eq!((dealt.held, dealt.ranks), (Some(ranks.rank()), ranks.ranks()), "the part of another rank");
@@ -119,7 +123,8 @@ impl Exchange {
         self.pending = true;
     }
 
-    /// The others' spikes of the step whose own were posted last; false where they have been taken already.
+    /// The others' spikes of the step whose own were posted last; false where they have been taken
+    /// already.
     pub fn take(&mut self, spikes: &mut Vec<CompartmentId>) -> bool {
         if !std::mem::take(&mut self.pending) {
             return false;

@@ -1,11 +1,12 @@
 //! Ranks of an MPI job. All calls into MPI are in this file.
 //!
-//! Input: the environment that `mpirun` or `srun` sets. Output: [`Ranks`]. Rounds are nonblocking: receives are begun before sends, so
-//! that words go straight to where they belong, and both end in one wait. Errors of MPI end the job, as is its default; so does
-//! a rank that ends without [`finish`].
+//! Input: the environment that `mpirun` or `srun` sets. Output: [`Ranks`]. Rounds are nonblocking:
+//! receives are begun before sends, so that words go straight to where they belong, and both end in
+//! one wait. Errors of MPI end the job, as is its default; so does a rank that ends without
+//! [`finish`].
 //!
-//! Why the calls are MPI's own and not those of the crate that binds it: a round begins in one call and ends in another, and the
-//! crate's requests cannot outlive the call in which they begin.
+//! Why the calls are MPI's own and not those of the crate that binds it: a round begins in one call
+//! and ends in another, and the crate's requests cannot outlive the call in which they begin.
 
 use std::ffi::{c_int, c_void};
 use std::sync::Mutex;
@@ -59,13 +60,15 @@ pub fn start() -> Option<Ranks> {
     }))
 }
 
-/// Leaves the job, which waits until every rank does. Without it, the end of this process ends the job.
+/// Leaves the job, which waits until every rank does. Without it, the end of this process ends the
+/// job.
 pub fn finish() {
     let job = JOB.lock().ok().and_then(|mut job| job.take());
     drop(job);
 }
 
-/// Tells the other ranks that this one has failed and says why, so that they say nothing when they are ended for it.
+/// Tells the other ranks that this one has failed and says why, so that they say nothing when they
+/// are ended for it.
 pub fn tell_failed(ranks: &Ranks) {
     let mut requests = Vec::new();
     for to in (0..ranks.ranks()).filter(|&to| to != ranks.rank()) {

@@ -1,9 +1,10 @@
 //! What processes that run a program together say to each other.
 //!
-//! Input: words for others. Output: the words of others. All other calls but [`Transport::post`] and [`Transport::take`] are made by
-//! every rank, in the same order, and return when every rank that matters has made its own; [`Transport::give`] and [`Transport::given`] by the two
-//! that they are between. A rank that ends without its part takes the
-//! job down with it, so that nothing here returns an error.
+//! Input: words for others. Output: the words of others. All other calls but [`Transport::post`]
+//! and [`Transport::take`] are made by every rank, in the same order, and return when every rank
+//! that matters has made its own; [`Transport::give`] and [`Transport::given`] by the two that they
+//! are between. A rank that ends without its part takes the job down with it, so that nothing here
+//! returns an error.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,13 +26,15 @@ pub trait Transport: fmt::Debug + Send {
     /// Gives words to another rank, which takes them with [`Transport::given`]; on rank 0 only.
     fn give(&mut self, to: u32, words: Vec<u32>);
 
-    /// The words that rank 0 gives to this one, which sleeps until they come: what they hold may take minutes to find.
+    /// The words that rank 0 gives to this one, which sleeps until they come: what they hold may
+    /// take minutes to find.
     fn given(&mut self) -> Vec<u32>;
 
     /// Whether it is so on every rank.
     fn all(&mut self, here: bool) -> bool;
 
-    /// Prepares rounds: by rank, whether words go to it, and the most words that come from it, where any do.
+    /// Prepares rounds: by rank, whether words go to it, and the most words that come from it,
+    /// where any do.
     fn prepare(&mut self, to: &[bool], most: &[Option<usize>]);
 
     /// Begins a round with these words for each rank, and returns at once.

@@ -1,15 +1,19 @@
-//! Sixteen compartments at a time, in the chip's semantics: the vector form of [`nsim_dynamics::update`].
+//! Sixteen compartments at a time, in the chip's semantics: the vector form of
+//! [`nsim_dynamics::update`].
 //!
-//! Comes in: registers and sums of a block whose compartments share their fields, padded to whole chunks of sixteen.
-//! Goes out: the new registers, who spiked, who was not at rest, and which lanes left their field. Written as plain loops
-//! over arrays of sixteen that the compiler turns into vector instructions; `pulp` picks the widest set that the processor
-//! has, and all of them compute the same integers; for AVX-512 they are named one by one (`vectors`). A test holds every
-//! result of either against the scalar update.
+//! Comes in: registers and sums of a block whose compartments share their fields, padded to whole
+//! chunks of sixteen. Goes out: the new registers, who spiked, who was not at rest, and which lanes
+//! left their field. Written as plain loops over arrays of sixteen that the compiler turns into
+//! vector instructions; `pulp` picks the widest set that the processor has, and all of them compute
+//! the same integers; for AVX-512 they are named one by one (`vectors`). A test holds every result
+//! of either against the scalar update.
 //!
-//! A voltage and its refractory counter share a register, so that a step streams through less memory.
+//! A voltage and its refractory counter share a register, so that a step streams through less
+//! memory.
 //!
-//! All arithmetic fits 32 bits: |u|, |v| <= 2^23 and q is below 2^21, so sums stay below 2^25. The 36-bit product of a
-//! decay is split at bit 12: with x = 4096 h + l, (x k) >> 12 = h k + ((l k) >> 12) exactly.
+//! All arithmetic fits 32 bits: |u|, |v| <= 2^23 and q is below 2^21, so sums stay below 2^25. The
+//! 36-bit product of a decay is split at bit 12: with x = 4096 h + l, (x k) >> 12 = h k + ((l k)
+//! >> 12) exactly.
 
 use std::array::from_mut;
 
@@ -82,11 +86,12 @@ pub struct Block<'a, S> {
     pub sums: &'a mut [S],
 }
 
-/// The voltage register while v is held: this and the steps until v is free again. It is above every voltage, |v| < 2^23.
+/// The voltage register while v is held: this and the steps until v is free again. It is above
+/// every voltage, |v| < 2^23.
 pub(crate) const HELD: i32 = 1 << 30;
 
-/// A voltage and the steps until it is free again, in one register. As on the chip, where the register of a held voltage
-/// counts: v is 0 meanwhile.
+/// A voltage and the steps until it is free again, in one register. As on the chip, where the
+/// register of a held voltage counts: v is 0 meanwhile.
 #[inline(always)]
 #[must_use]
 pub fn store(v: i32, hold: u8) -> i32 {
@@ -136,8 +141,8 @@ impl Sum for i16 {
     }
 }
 
-/// Equation (3) in 32 bits. The masks change nothing, as |x| <= 2^23 and keep <= 4096: they show the compiler that both
-/// factors fit 16 bits, for which it has a multiplication of half the cost.
+/// Equation (3) in 32 bits. The masks change nothing, as |x| <= 2^23 and keep <= 4096: they show
+/// the compiler that both factors fit 16 bits, for which it has a multiplication of half the cost.
 #[inline(always)]
 fn kept(x: i32, keep: i32) -> i32 {
     let sign = x >> 31;
@@ -177,8 +182,8 @@ pub struct Effect {
 
 /// Instructions for chunks.
 pub trait Vectors: Copy {
-    /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing has changed. `PLAIN` only
-    /// for fields that are.
+    /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing
+    /// has changed. `PLAIN` only for fields that are.
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
 
     /// The same of some chunks at once, for whoever has the registers; `None` also if not.
@@ -236,8 +241,8 @@ impl Vectors for Portable {
 
 /// Updates a block of at most 64 lanes, a multiple of sixteen.
 ///
-/// Chunks in which a value leaves its field are not updated but named in the result: they are rare, and what happened in
-/// them has to be told lane by lane.
+/// Chunks in which a value leaves its field are not updated but named in the result: they are rare,
+/// and what happened in them has to be told lane by lane.
 #[inline(always)]
 pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
     match shared.plain {
@@ -288,7 +293,8 @@ fn some<S: Sum, const PLAIN: bool, const N: usize>(
     vectors.update_some::<S, PLAIN, N>(Chunks { u, v, sums }, shared)
 }
 
-/// One bit a lane: the product gathers the lowest bits of eight bytes in its highest byte, as no two of its terms meet.
+/// One bit a lane: the product gathers the lowest bits of eight bytes in its highest byte, as no
+/// two of its terms meet.
 #[inline(always)]
 fn bits(lanes: [bool; LANES]) -> u16 {
     let bytes = bytes(lanes);
@@ -318,7 +324,8 @@ mod tests {
     use nsim_ir::neurons::NeuronKind;
     use nsim_ir::quantised::Neuron;
 
-    /// A number whose magnitude has a random number of bits, so that edges come up as often as middles.
+    /// A number whose magnitude has a random number of bits, so that edges come up as often as
+    /// middles.
     fn draw(seed: u64, index: u64, bits: u64) -> i64 {
         let width = rng::below(bits + 1, seed, index, 0);
         let magnitude = (rng::bits(seed, index, 1) & ((1 << width) - 1)) as i64;
@@ -373,7 +380,8 @@ mod tests {
         effects
     }
 
-    /// What some compartments do, one by one and as vectors; returns how many spiked and how many chunks left a field.
+    /// What some compartments do, one by one and as vectors; returns how many spiked and how many
+    /// chunks left a field.
     fn compare<S: Sum, const COUNT: usize>(
         arch: pulp::Arch,
         seed: u64,
@@ -426,7 +434,8 @@ mod tests {
         (effects.spiked.count_ones(), effects.overflowed.count_ones())
     }
 
-    /// A million lane-updates over random fields and registers, edges included, with sums of both widths.
+    /// A million lane-updates over random fields and registers, edges included, with sums of both
+    /// widths.
     #[test]
     fn sixteen_lanes_are_sixteen_compartments() {
         let (mut spikes, mut overflows) = (0, 0);

@@ -1,8 +1,9 @@
 //! The state of a shard, and a timestep of it.
 //!
-//! Input: a shard of an [`Image`], and the spikes to deliver. Output: the next spikes, what was not at rest, what left its field.
-//! A skip block is updated if something arrived at it, if it was not at rest after its last update, or if a bias drives it. For
-//! all others the result of the update is known.
+//! Input: a shard of an [`Image`], and the spikes to deliver. Output: the next spikes, what was not
+//! at rest, what left its field. A skip block is updated if something arrived at it, if it was not
+//! at rest after its last update, or if a bias drives it. For all others the result of the update
+//! is known.
 
 use std::ops::Range;
 
@@ -56,8 +57,9 @@ pub(crate) struct StepInput<'a> {
     pub list_active: bool,
 }
 
-/// A step of a shard, in the form in which `pulp` runs it with the processor's widest vectors: everything below is inlined into
-/// one function that is compiled for them. (A closure would not be.)
+/// A step of a shard, in the form in which `pulp` runs it with the processor's widest vectors:
+/// everything below is inlined into one function that is compiled for them. (A closure would not
+/// be.)
 pub(crate) struct Step<'a> {
     /// The shard's state.
     pub state: &'a mut ShardState,
@@ -130,7 +132,8 @@ pub(crate) struct CompartmentState {
     u: Aligned<i32>,
     /// As `kernel::store` writes them; plain where `hold` is not empty.
     v: Aligned<i32>,
-    /// Steps until v is free again, in SLAYER's semantics, where a voltage may need its whole register.
+    /// Steps until v is free again, in SLAYER's semantics, where a voltage may need its whole
+    /// register.
     hold: Vec<u8>,
     /// Skip blocks that are not at rest, a bit each.
     busy: Vec<u64>,
@@ -148,7 +151,8 @@ pub(crate) struct CompartmentState {
     pub active: Vec<(CoreId, u32)>,
     /// How many were not at rest in the last step.
     pub active_now: u64,
-    /// The same by core block since it was last taken, without the steps in which the whole vector run moved.
+    /// The same by core block since it was last taken, without the steps in which the whole vector
+    /// run moved.
     active_by_block: Vec<u64>,
     /// Those steps, by vector run.
     whole: Vec<u64>,
@@ -258,7 +262,8 @@ impl ShardState {
 }
 
 impl CompartmentState {
-    /// How many compartments of each core block were not at rest, summed over the steps since this was last asked.
+    /// How many compartments of each core block were not at rest, summed over the steps since this
+    /// was last asked.
     pub fn take_active(&mut self, shard: &Shard) -> Vec<u64> {
         for (run, steps) in shard.vector_runs.iter().zip(&mut self.whole) {
             let steps = std::mem::take(steps);
@@ -455,7 +460,8 @@ impl CompartmentState {
         effects.busy
     }
 
-    /// Records and counts the spikes. In a loop of its own, so that the cache misses on names and counts overlap.
+    /// Records and counts the spikes. In a loop of its own, so that the cache misses on names and
+    /// counts overlap.
     #[inline(always)]
     fn record_spikes(&mut self, shard: &Shard) {
         let spiked = &self.spiked[..self.spiking];

@@ -1,8 +1,9 @@
 //! Chunks of sixteen compartments in the instructions of AVX-512, named one by one.
 //!
-//! Comes in and goes out: as for [`Portable`], which says the same as loops that the compiler turns into vectors. It does so
-//! well but for what is said of lanes, bits and flags: AVX-512 has registers of one bit a lane for them, which the loops'
-//! booleans do not become. The test of the kernel runs both against the update of a single compartment.
+//! Comes in and goes out: as for [`Portable`], which says the same as loops that the compiler turns
+//! into vectors. It does so well but for what is said of lanes, bits and flags: AVX-512 has
+//! registers of one bit a lane for them, which the loops' booleans do not become. The test of the
+//! kernel runs both against the update of a single compartment.
 
 use pulp::cast;
 use pulp::x86::V4;
@@ -19,8 +20,9 @@ fn all(simd: V4, x: i32) -> __m512i {
     simd.avx512f._mm512_set1_epi32(x)
 }
 
-/// Equation (3), as `kernel::kept`, of integers as floats. Floats hold the integers exactly, as |x| <= 2^23, and the product,
-/// rounded toward zero to 24 bits, loses nothing of its integer part, as it is no greater than x.
+/// Equation (3), as `kernel::kept`, of integers as floats. Floats hold the integers exactly, as |x|
+/// <= 2^23, and the product, rounded toward zero to 24 bits, loses nothing of its integer part, as
+/// it is no greater than x.
 #[inline(always)]
 fn kept(simd: V4, x: __m512, share: __m512) -> __m512i {
     let f = simd.avx512f;
@@ -46,7 +48,8 @@ impl Vectors for V4 {
     }
 }
 
-/// As [`Vectors::update`]: the loop over chunks is unrolled, so that none waits for the one before it.
+/// As [`Vectors::update`]: the loop over chunks is unrolled, so that none waits for the one before
+/// it.
 #[inline(always)]
 fn update<S: Sum, const PLAIN: bool, const N: usize>(
     simd: V4,
@@ -59,7 +62,8 @@ fn update<S: Sum, const PLAIN: bool, const N: usize>(
     let (share_u, share_v) = (f._mm512_set1_ps(shared.share_u), f._mm512_set1_ps(shared.share_v));
     let (mut next_u, mut next_v) = ([zero; N], [zero; N]);
     let (mut spiked, mut moved, mut left) = (0u64, 0u64, zero);
-    // Bits that a value in its field does not have, distances from vmin, lanes whose sum is too wide.
+    // Bits that a value in its field does not have, distances from vmin, lanes whose sum is too
+    // wide.
     let (mut outside, mut highest, mut wrapped) = (zero, zero, 0);
     for i in 0..N {
         let arrived: [i32; LANES] = std::array::from_fn(|lane| sums[i][lane].value());

@@ -1,8 +1,9 @@
 //! Which vectors of the processor steps use.
 //!
-//! Input: the processor, and the variable `NSIM_VECTORS`, read once: `avx2` for vectors of half the width of AVX-512, `scalar` for none
-//! that the program was not built for. Output: the widest that the processor has and the variable allows. Results do not depend
-//! on it; it is there for measuring what narrower processors would do. Errors: another value.
+//! Input: the processor, and the variable `NSIM_VECTORS`, read once: `avx2` for vectors of half the
+//! width of AVX-512, `scalar` for none that the program was not built for. Output: the widest that
+//! the processor has and the variable allows. Results do not depend on it; it is there for
+//! measuring what narrower processors would do. Errors: another value.
 
 use std::sync::LazyLock;
 

@@ -1,17 +1,19 @@
 //! Which compartments can never spike, proved by a bound on v.
 //!
-//! Input: the channels that never fire. Output: the compartments that may fire. A synapse delivers at most one spike a
-//! step, whatever its delay, so what arrives in a step lies between the sum of a compartment's negative scaled weights and
-//! the sum of its positive ones, each times the payload of its source's spikes, over the sources that can fire.
+//! Input: the channels that never fire. Output: the compartments that may fire. A synapse delivers
+//! at most one spike a step, whatever its delay, so what arrives in a step lies between the sum of
+//! a compartment's negative scaled weights and the sum of its positive ones, each times the payload
+//! of its source's spikes, over the sources that can fire.
 //!
-//! From that [`nsim_dynamics`] bounds the registers of each kind. A compartment is silent when the bound on v does not pass
-//! the threshold test (7). One that never spikes is never refractory.
+//! From that [`nsim_dynamics`] bounds the registers of each kind. A compartment is silent when the
+//! bound on v does not pass the threshold test (7). One that never spikes is never refractory.
 //!
-//! *Fixpoint.* Which compartments can fire is the least set F such that F holds every compartment whose bound, with the
-//! living channels and F as its sources, passes the threshold. The others are silent by induction over time: a first spike
-//! outside F in step t would have arrivals of living channels and of spikes before t only, which were all from F. So a loop
-//! that nothing starts is silent. F grows one source at a time and each synapse is visited once; a larger F only widens the
-//! bounds, so nothing needs to be taken back.
+//! *Fixpoint.* Which compartments can fire is the least set F such that F holds every compartment
+//! whose bound, with the living channels and F as its sources, passes the threshold. The others are
+//! silent by induction over time: a first spike outside F in step t would have arrivals of living
+//! channels and of spikes before t only, which were all from F. So a loop that nothing starts is
+//! silent. F grows one source at a time and each synapse is visited once; a larger F only widens
+//! the bounds, so nothing needs to be taken back.
 
 use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;

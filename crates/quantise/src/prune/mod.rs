@@ -1,27 +1,34 @@
 //! Leaves out of a network what cannot change its output.
 //!
-//! Input: a [`Quantised`] network and a [`Plan`]. Output: a smaller one with the record ([`Pruned`]) of what was left out
-//! and why. Every output spike of every sample is the same, and so is every spike of a compartment that is left, for every
-//! stimulus that fires no dead channel ([`check_stimulus`] refuses the others):
+//! Input: a [`Quantised`] network and a [`Plan`]. Output: a smaller one with the record
+//! ([`Pruned`]) of what was left out and why. Every output spike of every sample is the same, and
+//! so is every spike of a compartment that is left, for every stimulus that fires no dead channel
+//! ([`check_stimulus`] refuses the others):
 //!
-//! 1. *Dead inputs* are channels that a given stimulus never fires. They stay in their population, so channels keep their
-//!    numbers, but have no synapses; a channel without synapses takes no axon.
+//! 1. *Dead inputs* are channels that a given stimulus never fires. They stay in their population,
+//!    so channels keep their numbers, but have no synapses; a channel without synapses takes no
+//!    axon.
 //! 2. *Zero synapses* add nothing (equation 1 turns small weights of negative exponents to 0 too).
 //! 3. *Silent compartments* never spike, as [`bound`] proves.
-//! 4. *Unreachable compartments* have no way to an output or a probed compartment over synapses that are left.
+//! 4. *Unreachable compartments* have no way to an output or a probed compartment over synapses
+//!    that are left.
 //! 5. *Loose synapses* are those of the three that go.
 //!
-//! The output population and those that are to be probed stay whole. What can fire and reaches them stays too, so also u
-//! and v of every compartment that is left are the same at every step: all that it may receive is there.
+//! The output population and those that are to be probed stay whole. What can fire and reaches them
+//! stays too, so also u and v of every compartment that is left are the same at every step: all
+//! that it may receive is there.
 //!
-//! *Why a network of its own.* A mask beside the whole network would have to be obeyed by the partitioner, the router, the
-//! checker, the interpreter and the machine, and each could forget it. A smaller network needs none of them to know:
-//! `compile::check::equivalence` proves the program equal to it, synapse by synapse, and the interpreter runs it as any other. What
-//! people see keeps the model's names and numbers through the record: populations keep their order and names, channels and
-//! outputs their numbers, and mappings, probes and messages count compartments as the model does.
+//! *Why a network of its own.* A mask beside the whole network would have to be obeyed by the
+//! partitioner, the router, the checker, the interpreter and the machine, and each could forget it.
+//! A smaller network needs none of them to know: `compile::check::equivalence` proves the program
+//! equal to it, synapse by synapse, and the interpreter runs it as any other. What people see keeps
+//! the model's names and numbers through the record: populations keep their order and names,
+//! channels and outputs their numbers, and mappings, probes and messages count compartments as the
+//! model does.
 //!
-//! Left out on purpose: what the order of spikes or refractory periods would prove; and packing. A list from which a zero
-//! was taken has a gap, so a core stores it with an index for each synapse, which can take more words than the zero did.
+//! Left out on purpose: what the order of spikes or refractory periods would prove; and packing. A
+//! list from which a zero was taken has a gap, so a core stores it with an index for each synapse,
+//! which can take more words than the zero did.
 
 pub mod bound;
 
@@ -141,7 +148,8 @@ pub fn check_stimulus(network: &Quantised, samples: &[&Sample], first: usize) ->
             let (name, index) = found.map_or(("?", channel.0), |(population, index)| (population.name.as_str(), index));
             let stimulus = pruned.stimulus.as_deref().unwrap_or_default().join(" ");
             let message = format!(
-                "sample {} fires channel {index} of '{name}' in step {step}, but the network was pruned for {stimulus}, \
+                "sample {} fires channel {index} of '{name}' in step {step}, but the network was pruned for \
+                 {stimulus}, \
                  which never fires that channel",
                 first + number
             );
@@ -180,7 +188,8 @@ impl Tally {
     }
 }
 
-/// Which compartments reach one of a population that stays whole, over synapses of sources that can fire.
+/// Which compartments reach one of a population that stays whole, over synapses of sources that can
+/// fire.
 fn reaches(
     network: &Quantised,
     fires: &IdVec<CompartmentId, bool>,
@@ -208,7 +217,8 @@ fn reaches(
     reaches
 }
 
-/// Calls `f(source, target)` for every synapse between compartments that adds something when its source can fire.
+/// Calls `f(source, target)` for every synapse between compartments that adds something when its
+/// source can fire.
 fn for_each_living(
     network: &Quantised,
     fires: &IdVec<CompartmentId, bool>,
@@ -318,7 +328,8 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
     (parts, kept)
 }
 
-/// The synapses of a projection that are left, `None` when there is none; as they were when none goes.
+/// The synapses of a projection that are left, `None` when there is none; as they were when none
+/// goes.
 fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally: &mut Tally) -> Option<Connectivity> {
     let (source, target) = (&network.populations()[projection.source], &network.populations()[projection.target]);
     let to = target.first_compartment()?;

@@ -37,8 +37,8 @@ fn points(group: &TrialGroup) -> Vec<Point> {
         .collect()
 }
 
-/// The time from which samples that end right are right for good, in the mean of each model: mean and median over the
-/// models.
+/// The time from which samples that end right are right for good, in the mean of each model: mean
+/// and median over the models.
 fn decided_ms(group: &TrialGroup) -> Option<(f64, f64)> {
     let mean = |trial: &Trial| {
         let times: Vec<f64> = trial.decided_ms.iter().copied().flatten().collect();

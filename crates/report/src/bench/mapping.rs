@@ -19,7 +19,8 @@ pub struct MapReport<'a> {
     pub refused: &'a [Refusal],
 }
 
-/// The least part that a network counts in a mean of ratios, so that one that fits a tile does not make it zero.
+/// The least part that a network counts in a mean of ratios, so that one that fits a tile does not
+/// make it zero.
 const LEAST_RATIO: f64 = 0.05;
 
 /// How the placed mappings of a strategy compare with unplaced sequential ones.

@@ -117,7 +117,8 @@ impl PaperReport<'_> {
         let accuracies = self.rows_of("accuracy");
         let have = accuracies.iter().filter(|row| row.measured.is_some()).count();
         let mut out = self.tables();
-        let said = "cells of the table of accuracies are measured, of scenes that were simulated unless the note says otherwise";
+        let said = "cells of the table of accuracies are measured, of scenes that were simulated unless the note says \
+                    otherwise";
         out += &format!("{have} {said}\n");
         let run: Vec<_> = accuracies.iter().filter_map(|row| Some((row, row.shipped?))).collect();
         if !run.is_empty() {
@@ -125,7 +126,8 @@ impl PaperReport<'_> {
             let same = run.iter().filter(as_stored).count();
             let all = run.len();
             out += &format!(
-                "{all} shipped networks, the first fold of a cell each, ran on simulated cores: {same} came to what is stored\n"
+                "{all} shipped networks, the first fold of a cell each, ran on simulated cores: {same} came to what \
+                 is stored\n"
             );
         }
         for lead in leads(self.rows) {

@@ -17,10 +17,11 @@ pub struct StepRow {
     pub skip: bool,
     /// What was measured.
     pub measured: StepTiming,
-    /// Bytes of the machine, state and flattened tables, divided by synapses; the program that was mapped is not counted.
+    /// Bytes of the machine, state and flattened tables, divided by synapses; the program that was
+    /// mapped is not counted.
     pub bytes_per_synapse: f64,
-    /// Milliseconds that the sums by core (messages, hops) take, once a run: the machine notes who spiked and multiplies
-    /// at the end.
+    /// Milliseconds that the sums by core (messages, hops) take, once a run: the machine notes who
+    /// spiked and multiplies at the end.
     pub sums_ms: f64,
     /// Processes that ran it together.
     pub ranks: u32,

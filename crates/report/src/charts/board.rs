@@ -1,9 +1,11 @@
-//! A mapping as a picture: cores on their chips, what they hold, what links carry, and how full they are.
+//! A mapping as a picture: cores on their chips, what they hold, what links carry, and how full
+//! they are.
 //!
-//! In come a compiled program, its target and the load of every link; out goes one SVG text, the same for the same
-//! mapping. Chips without a core in use are left out, row by row and column by column of chips. A core is a square filled
-//! from below by the resource that it uses most of, in the colour of the population that most of its compartments belong
-//! to; a link between tiles is as thick as it is loaded. Below, a bar a core shows the use of each resource.
+//! In come a compiled program, its target and the load of every link; out goes one SVG text, the
+//! same for the same mapping. Chips without a core in use are left out, row by row and column by
+//! column of chips. A core is a square filled from below by the resource that it uses most of, in
+//! the colour of the population that most of its compartments belong to; a link between tiles is as
+//! thick as it is loaded. Below, a bar a core shows the use of each resource.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -222,7 +224,8 @@ fn bars<P>(out: &mut String, compiled: &Mapping<P>, target: &Target, top: f64, w
             let tall = BAR_HEIGHT * (need as f64 / f64::from(limit.max(1))).clamp(0.0, 1.0);
             let _ = writeln!(
                 out,
-                "<rect x=\"{:.2}\" y=\"{:.1}\" width=\"{:.2}\" height=\"{tall:.1}\" fill=\"{}\"><title>{core}: {need} of \
+                "<rect x=\"{:.2}\" y=\"{:.1}\" width=\"{:.2}\" height=\"{tall:.1}\" fill=\"{}\"><title>{core}: {need} \
+                 of \
                  {limit}</title></rect>",
                 LEFT + f64::from(core.0) * each,
                 y + BAR_HEIGHT - tall,

@@ -1,8 +1,9 @@
 //! Pictures as files: SVG with its font in it, PNG, PDF.
 //!
-//! Input: an SVG text of this crate's charts. Output: the bytes of a file that looks the same on every machine. In SVG words stay
-//! words and the font (Roboto, `assets/roboto`, Apache License 2.0) is embedded; in PNG and PDF words become outlines of that font,
-//! so that no font is looked for. PNG and PDF need the feature `pictures`.
+//! Input: an SVG text of this crate's charts. Output: the bytes of a file that looks the same on
+//! every machine. In SVG words stay words and the font (Roboto, `assets/roboto`, Apache License
+//! 2.0) is embedded; in PNG and PDF words become outlines of that font, so that no font is looked
+//! for. PNG and PDF need the feature `pictures`.
 //!
 //! Errors: a message when a picture cannot be drawn, or when this build cannot draw it.
 
@@ -89,7 +90,8 @@ mod drawn {
     use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
     const FONT: &[u8] = include_bytes!("../../../../assets/roboto/roboto-subset.ttf");
-    /// Pixels of a picture for each of its units, unless it is so large that this would make more than [`MOST_PIXELS`].
+    /// Pixels of a picture for each of its units, unless it is so large that this would make more
+    /// than [`MOST_PIXELS`].
     const SCALE: f32 = 3.0;
     const MOST_PIXELS: f32 = 6e7;
 

@@ -1,9 +1,10 @@
 //! Charts as SVG: lines with bands, scattered points with a front, bars.
 //!
-//! Input: named series of finite numbers. Output: one SVG text, the same for the same numbers. Written by hand: the
-//! three charts that results need are a few rectangles, lines and words. Colours are those of Okabe and Ito ("Color
-//! universal design", 2008), then five of Tol's muted ones ("Colour schemes", SRON 2021), told apart by people who see fewer;
-//! series differ in dashes or marks too.
+//! Input: named series of finite numbers. Output: one SVG text, the same for the same numbers.
+//! Written by hand: the three charts that results need are a few rectangles, lines and words.
+//! Colours are those of Okabe and Ito ("Color universal design", 2008), then five of Tol's muted
+//! ones ("Colour schemes", SRON 2021), told apart by people who see fewer; series differ in dashes
+//! or marks too.
 
 use std::fmt::Write as _;
 
@@ -168,7 +169,8 @@ pub fn bars(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec
     barred(title, y, categories, series, false)
 }
 
-/// A chart of bars: one a category, its series on top of each other. Their numbers are not negative.
+/// A chart of bars: one a category, its series on top of each other. Their numbers are not
+/// negative.
 #[must_use]
 pub fn stacked(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
     barred(title, y, categories, series, true)
@@ -244,8 +246,8 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
     out + "</svg>\n"
 }
 
-/// Words beside points, where there is room around them. Those that would lie over others or over points everywhere are left
-/// out; a front's come first.
+/// Words beside points, where there is room around them. Those that would lie over others or over
+/// points everywhere are left out; a front's come first.
 #[derive(Default)]
 struct Labels(Vec<(bool, f64, f64, String)>);
 

@@ -1,7 +1,8 @@
 //! A recording as SVG: a dot for each spike, step by channel, one panel a sense.
 //!
-//! Input: the spikes of each sense and when what decides the class begins. Output: one SVG text, the same for the
-//! same spikes. Dots of one kind are one path, so that ten thousand of them stay a file of some hundred kilobytes.
+//! Input: the spikes of each sense and when what decides the class begins. Output: one SVG text,
+//! the same for the same spikes. Dots of one kind are one path, so that ten thousand of them stay a
+//! file of some hundred kilobytes.
 
 use std::fmt::Write as _;
 

@@ -1,7 +1,8 @@
 //! Pictures of results: from the JSON objects that commands print.
 //!
-//! Input: a result of `nsim energy`, `bench pareto`, `bench early`, `map --pareto` or `agree`. Output: an SVG text, or none when the
-//! result has not what is drawn. A command draws its own result by the same function, so that a stored one looks the same.
+//! Input: a result of `nsim energy`, `bench pareto`, `bench early`, `map --pareto` or `agree`.
+//! Output: an SVG text, or none when the result has not what is drawn. A command draws its own
+//! result by the same function, so that a stored one looks the same.
 
 use serde_json::Value;
 
@@ -55,7 +56,8 @@ pub fn hardware(result: &Value) -> Option<String> {
         .then(|| plot::bars(&title, &Axis::log("mW, us, uJ"), &names, &columns))
 }
 
-/// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the neuron cores.
+/// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the
+/// neuron cores.
 #[must_use]
 pub fn energy(result: &Value) -> Option<String> {
     let chip = &rows(&result["rows"]).first()?["hardware"];
@@ -102,7 +104,8 @@ pub fn time(result: &Value) -> Option<String> {
         .then(|| plot::bars(&title, &Axis::linear("time of a mean timestep (us)"), &labels, &[(String::new(), values)]))
 }
 
-/// Run time against error of `nsim bench pareto`, or energy against time of `nsim map --pareto`, with the front.
+/// Run time against error of `nsim bench pareto`, or energy against time of `nsim map --pareto`,
+/// with the front.
 #[must_use]
 pub fn pareto(result: &Value) -> Option<String> {
     let benched = result["name"] == "pareto";
@@ -149,7 +152,8 @@ pub fn pareto(result: &Value) -> Option<String> {
     Some(plot::chart(&title, &x, &y, series))
 }
 
-/// Causes of disagreement of `nsim agree`, forward and reversed; without them, how far each layer agrees.
+/// Causes of disagreement of `nsim agree`, forward and reversed; without them, how far each layer
+/// agrees.
 #[must_use]
 pub fn agreement(result: &Value) -> Option<String> {
     let model = words(&result["model"]);
@@ -188,7 +192,8 @@ pub enum Over {
     Energy,
 }
 
-/// Accuracy over time or energy of `nsim bench early`, with one standard deviation over the models of a group, and chance.
+/// Accuracy over time or energy of `nsim bench early`, with one standard deviation over the models
+/// of a group, and chance.
 #[must_use]
 pub fn early(result: &Value, over: Over) -> Option<String> {
     let (key, title, label) = match over {

@@ -1,6 +1,7 @@
 //! A sample step by step as pictures: spikes of populations, potentials of compartments.
 //!
-//! Input: a [`Timeline`] of a network. Output: one SVG text each. What a timeline left out is said in the picture.
+//! Input: a [`Timeline`] of a network. Output: one SVG text each. What a timeline left out is said
+//! in the picture.
 
 use std::fmt::Write as _;
 
@@ -68,8 +69,8 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
     .svg()
 }
 
-/// Potentials over time in parts of their thresholds, a panel for each compartment; the timeline holds those of `traced`, in this
-/// order.
+/// Potentials over time in parts of their thresholds, a panel for each compartment; the timeline
+/// holds those of `traced`, in this order.
 #[must_use]
 pub fn voltage(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced]) -> String {
     let timestep_ms = network.parts().timestep_ms;

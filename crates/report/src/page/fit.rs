@@ -1,4 +1,5 @@
-//! A mapping as rows of numbers: where its cores lie, how full they are, what links carry. For a page.
+//! A mapping as rows of numbers: where its cores lie, how full they are, what links carry. For a
+//! page.
 
 use std::collections::BTreeMap;
 
@@ -49,7 +50,8 @@ pub fn json(compiled: &Compiled, target: &Target, links: &Links) -> Value {
     })
 }
 
-/// The population of one copy that most compartments of a core belong to, by its place in the network.
+/// The population of one copy that most compartments of a core belong to, by its place in the
+/// network.
 fn mostly(compiled: &Compiled, core: CoreId) -> u32 {
     let per_copy = compiled.one.populations().len().max(1) as u32;
     let mut counts: BTreeMap<u32, usize> = BTreeMap::new();

@@ -1,7 +1,8 @@
 //! What the page of a run shows (`nsim report`).
 //!
-//! Input: a priced run, the network as its file says. Output: [`Sections`], which `report::page` makes a page of. Of the first sample
-//! every step is shown; a network in real numbers is compared with itself as it was trained. Left out on purpose: files.
+//! Input: a priced run, the network as its file says. Output: [`Sections`], which `report::page`
+//! makes a page of. Of the first sample every step is shown; a network in real numbers is compared
+//! with itself as it was trained. Left out on purpose: files.
 
 use serde_json::Value;
 
@@ -62,7 +63,8 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Trans
     Ok(sections)
 }
 
-/// The network as it was trained, from its file, where it has real numbers and is small enough to be compared with its deployed form.
+/// The network as it was trained, from its file, where it has real numbers and is small enough to
+/// be compared with its deployed form.
 ///
 /// # Errors
 /// As [`real_and_integers`].
@@ -77,7 +79,8 @@ pub fn compared(workload: &Workload<'_>) -> usize {
     workload.samples().len().min(COMPARED)
 }
 
-/// How the deployed network agrees with the trained one, as [`Sections`] has it; `progress` is called after each sample.
+/// How the deployed network agrees with the trained one, as [`Sections`] has it; `progress` is
+/// called after each sample.
 ///
 /// # Errors
 /// As [`compare_networks`].
@@ -95,7 +98,8 @@ pub fn agreement(workload: &Workload<'_>, trained: &Graph, progress: Progress<'_
     Ok(report.json())
 }
 
-/// The compartments whose potentials are drawn: of the output, then of each population, those that spike most.
+/// The compartments whose potentials are drawn: of the output, then of each population, those that
+/// spike most.
 fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Watched>) {
     let thresholds = neuron::thresholds(network);
     let (mut ids, mut watched) = (Vec::new(), Vec::new());

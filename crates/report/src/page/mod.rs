@@ -1,8 +1,9 @@
 //! A run as one page that opens in any browser without a network: `nsim report`.
 //!
-//! Input: what a run did and cost, as JSON; its network, mapping and first sample. Output: HTML with everything in it: the data,
-//! the program that draws them (`page.js`), and Apache ECharts (`assets/echarts`, Apache License 2.0), unchanged. What is drawn
-//! is reduced where it would be too much to look at; the page says by how much.
+//! Input: what a run did and cost, as JSON; its network, mapping and first sample. Output: HTML
+//! with everything in it: the data, the program that draws them (`page.js`), and Apache ECharts
+//! (`assets/echarts`, Apache License 2.0), unchanged. What is drawn is reduced where it would be
+//! too much to look at; the page says by how much.
 
 pub mod fit;
 pub mod job;

@@ -127,7 +127,8 @@ fn kind(connectivity: &Connectivity) -> &'static str {
     }
 }
 
-/// How often weights of each size are stored: of a kernel those of the kernel. None for weights that are drawn from a seed.
+/// How often weights of each size are stored: of a kernel those of the kernel. None for weights
+/// that are drawn from a seed.
 fn histogram(connectivity: &Connectivity) -> Value {
     let one;
     let weights: &[i16] = match connectivity {

@@ -23,8 +23,8 @@ pub struct Watched {
     pub threshold: f64,
 }
 
-/// A sample over its steps: means of so many steps in a row of everything that is counted, the largest potential of each such
-/// group, every kept spike of the populations that are [`drawn`].
+/// A sample over its steps: means of so many steps in a row of everything that is counted, the
+/// largest potential of each such group, every kept spike of the populations that are [`drawn`].
 #[must_use]
 pub fn json(
     network: &Quantised,
@@ -80,7 +80,8 @@ pub fn json(
     })
 }
 
-/// Samples of each class (rows) by the class that the network gave (columns; the last is none); null without labels.
+/// Samples of each class (rows) by the class that the network gave (columns; the last is none);
+/// null without labels.
 #[must_use]
 pub fn confusion(network: &Quantised, samples: &[&Sample], outcomes: &[Outcome]) -> Value {
     let outputs = network.populations()[network.parts().output].shape.len() as usize;

@@ -22,7 +22,8 @@ pub struct Detail {
 }
 
 impl Detail {
-    /// Adds the keys `populations`, `inputs`, `cores` and `warnings` to an object, and `ranks` where there are any.
+    /// Adds the keys `populations`, `inputs`, `cores` and `warnings` to an object, and `ranks`
+    /// where there are any.
     pub fn add_to(&self, object: &mut Value) {
         let populations = self.sums.populations.iter().map(|row| {
             json!({

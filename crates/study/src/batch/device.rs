@@ -1,7 +1,8 @@
 //! The GPU: found through Vulkan, its buffers, and the steps that run on it.
 //!
-//! Input: a network in words and samples. Output: their spikes. The only file that names `wgpu`. Errors: no Vulkan
-//! driver or device; buffers above the device's limits, named with value and limit; what the driver reports.
+//! Input: a network in words and samples. Output: their spikes. The only file that names `wgpu`.
+//! Errors: no Vulkan driver or device; buffers above the device's limits, named with value and
+//! limit; what the driver reports.
 
 use std::future::Future;
 use std::marker::PhantomData;
@@ -48,7 +49,8 @@ fn bytes(words: &[u32]) -> Vec<u8> {
 }
 
 impl Gpu {
-    /// The first device that Vulkan offers: a card before the processor's own graphics, those before software.
+    /// The first device that Vulkan offers: a card before the processor's own graphics, those
+    /// before software.
     ///
     /// # Errors
     /// Why there is none.
@@ -145,7 +147,8 @@ impl Gpu {
         Ok(view.chunks_exact(4).map(word).collect())
     }
 
-    /// What the device's decay (equation 3) makes of values and what is kept of them in 4096ths: to be held against 64 bits.
+    /// What the device's decay (equation 3) makes of values and what is kept of them in 4096ths: to
+    /// be held against 64 bits.
     ///
     /// # Errors
     /// What the driver reports.
@@ -291,7 +294,8 @@ pub struct Batches<'a, A> {
 }
 
 impl<A: Arithmetic> Batches<'_, A> {
-    /// Runs samples from zero, to the end of the batch's window: input to the device, all steps, spikes back.
+    /// Runs samples from zero, to the end of the batch's window: input to the device, all steps,
+    /// spikes back.
     ///
     /// # Errors
     /// More or longer samples than there is room for, or what the driver reports.

@@ -1,7 +1,9 @@
-//! A network and its samples as the words that a GPU reads, and the words of spikes that it gives back.
+//! A network and its samples as the words that a GPU reads, and the words of spikes that it gives
+//! back.
 //!
-//! Input: a network in integers or in real numbers; samples. Output: lists of 32-bit words in the layouts of `common.wgsl`,
-//! `step.wgsl` and `real.wgsl`. Errors: an arithmetic other than the chip's, more synapses than are ever listed, a sample longer than its batch.
+//! Input: a network in integers or in real numbers; samples. Output: lists of 32-bit words in the
+//! layouts of `common.wgsl`, `step.wgsl` and `real.wgsl`. Errors: an arithmetic other than the
+//! chip's, more synapses than are ever listed, a sample longer than its batch.
 
 use std::cmp::Reverse;
 use std::fmt::Debug;
@@ -149,8 +151,8 @@ impl BatchForm<Integers> {
 impl BatchForm<Single> {
     /// The words of a network in real numbers, spike response kernels without end.
     ///
-    /// A compartment's synapses are listed in the order in which the reference adds what arrives: earlier steps first,
-    /// channels before compartments, each ascending.
+    /// A compartment's synapses are listed in the order in which the reference adds what arrives:
+    /// earlier steps first, channels before compartments, each ascending.
     ///
     /// # Errors
     /// Why there are none: it has too many synapses.
@@ -259,7 +261,8 @@ pub struct Trains<A> {
 }
 
 impl<A: Arithmetic> Trains<A> {
-    /// The compartments of a sample that spiked in a step, ascending. Steps after a sample's end mean nothing.
+    /// The compartments of a sample that spiked in a step, ascending. Steps after a sample's end
+    /// mean nothing.
     #[must_use]
     pub fn spikes(&self, sample: usize, step: u32) -> Vec<CompartmentId> {
         let words = self.samples.div_ceil(WORD);

@@ -1,6 +1,7 @@
 //! Builds the benches' networks in integers, population by population.
 //!
-//! Input: sizes, parameters and synapses in order. Output: a [`Quantised`] network. Errors: a value that does not fit its field.
+//! Input: sizes, parameters and synapses in order. Output: a [`Quantised`] network. Errors: a value
+//! that does not fit its field.
 
 use nsim_ir::base::fixed::{
     Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
@@ -11,8 +12,8 @@ use nsim_ir::graph::{PerCompartment, Shape};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Inconsistent, Neuron, Parts, Population, Projection, Quantised, Units};
 
-/// Threshold of a random network, in units of the weight. A driving spike gives 254 * 2^3 = 2,032 at
-/// once and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.
+/// Threshold of a random network, in units of the weight. A driving spike gives 254 * 2^3 = 2,032
+/// at once and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.
 const THRESHOLD: i64 = 1_400;
 /// Refractory period of a random network, in steps.
 const REFRACTORY: i64 = 8;
@@ -63,7 +64,8 @@ impl Builder {
         }
     }
 
-    /// Compartments with the decays of the published visual-tactile network; the last population is the output.
+    /// Compartments with the decays of the published visual-tactile network; the last population is
+    /// the output.
     pub(crate) fn loihi(
         &mut self,
         name: &str,

@@ -1,7 +1,9 @@
-//! Networks whose steps deliver mostly synapses of one form: on them the table is measured by which the machine chooses forms.
+//! Networks whose steps deliver mostly synapses of one form: on them the table is measured by which
+//! the machine chooses forms.
 //!
-//! Output: for each a network that never fires, and which channels spike in a step. The first half of those are another step
-//! of it: the difference is what the deliveries of the others take, without the update of compartments. All but [`lists_beyond_caches`] fit a second-level cache.
+//! Output: for each a network that never fires, and which channels spike in a step. The first half
+//! of those are another step of it: the difference is what the deliveries of the others take,
+//! without the update of compartments. All but [`lists_beyond_caches`] fit a second-level cache.
 
 use crate::networks::builder::Builder;
 use crate::networks::layers::Layers;

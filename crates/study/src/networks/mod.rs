@@ -1,34 +1,40 @@
 //! The standard networks on which speed is measured, as code: no file can change them unnoticed.
 //!
-//! Input: a name. Output: the network in integers, its input for a period of steps (repeated for as long as a
-//! measurement takes) and the board that it is mapped onto. The same on every machine: all randomness is `base::rng`.
+//! Input: a name. Output: the network in integers, its input for a period of steps (repeated for as
+//! long as a measurement takes) and the board that it is mapped onto. The same on every machine:
+//! all randomness is `base::rng`.
 //!
-//! - `vtsnn-1pct`, `vtsnn-5pct`: the layers of the shipped `vtsnn-slip`, 156 / 3,150 -> 50 / 10 -> 2, every channel
-//!   spiking independently in 1 % and 5 % of the steps: about 400 and 2,000 synaptic events a step.
-//! - `random-32k`, `random-1m`: 32,768 and 1,000,000 compartments with 64 random synapses each. The neurons are the usual
-//!   ones with decaying current and voltage, so every compartment moves in almost every step and nothing is saved by
-//!   skipping. They fire at a set rate because a *drive* makes them: an input channel for each compartment, over one
-//!   strong synapse. A driven compartment fires at once and is refractory until too little of that current is left to
-//!   fire again; recurrent weights of both signs sum to nothing and keep the voltage more than five standard deviations below
-//!   the threshold (their sum has sd 95 of 1,400). So the rate follows the input alone and cannot run away.
-//!   `random-32k` has four weak random synapses a channel besides, for the input events that published runs of
-//!   such a network count.
+//! - `vtsnn-1pct`, `vtsnn-5pct`: the layers of the shipped `vtsnn-slip`, 156 / 3,150 -> 50 / 10 ->
+//!   2, every channel spiking independently in 1 % and 5 % of the steps: about 400 and 2,000
+//!   synaptic events a step.
+//! - `random-32k`, `random-1m`: 32,768 and 1,000,000 compartments with 64 random synapses each. The
+//!   neurons are the usual ones with decaying current and voltage, so every compartment moves in
+//!   almost every step and nothing is saved by skipping. They fire at a set rate because a *drive*
+//!   makes them: an input channel for each compartment, over one strong synapse. A driven
+//!   compartment fires at once and is refractory until too little of that current is left to fire
+//!   again; recurrent weights of both signs sum to nothing and keep the voltage more than five
+//!   standard deviations below the threshold (their sum has sd 95 of 1,400). So the rate follows
+//!   the input alone and cannot run away. `random-32k` has four weak random synapses a channel
+//!   besides, for the input events that published runs of such a network count.
 //! - `silent-1m`: the compartments and synapses of `random-1m`, and an input that never fires.
-//! - `pilotnet`: lava-dl's PilotNet: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x 49, 36 @ 7 x 24 and 64 @ 3 x
-//!   11, one more to 64 @ 1 x 9, then 200, 100, 50, 10, 1.
-//! - `dvs-gesture`: SANA-FE's `snn/dvs.yaml`: 32 x 32, 3 x 3 convolutions to 16 @ 15 x 15 (stride 2), 32 @ 13 x 13, 64 @ 11 x 11
-//!   and 11 @ 9 x 9, then 11.
-//! - `conv-98k`: 2 @ 128 x 128, 3 x 3 convolutions to 4 @ 128 x 128 and 8 @ 64 x 64 (stride 2): 98,304 compartments.
-//! - `conv-10m`: 2 @ 512 x 512, 3 x 3 convolutions to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32 @ 256 x 256, 64 @ 128 x 128
-//!   (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x 16, 11: 11,012,107 compartments, whose 2.2 thousand million
-//!   synapses are never written out ([`nsim_compile::Form::Symbolic`]); made up, to be as large.
-//! - `delays-32k`: the neurons and the drive of `random-32k`, whose 64 synapses each have eight delays: eight with each of 0, 3,
-//!   9, 17, 25, 38, 50 and 62.
-//! - `delays-busy`: 32,768 channels, of which 70 % spike in each step, with 64 synapses of those delays to as many compartments
-//!   that never fire.
+//! - `pilotnet`: lava-dl's PilotNet: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x
+//!   49, 36 @ 7 x 24 and 64 @ 3 x 11, one more to 64 @ 1 x 9, then 200, 100, 50, 10, 1.
+//! - `dvs-gesture`: SANA-FE's `snn/dvs.yaml`: 32 x 32, 3 x 3 convolutions to 16 @ 15 x 15 (stride
+//!   2), 32 @ 13 x 13, 64 @ 11 x 11 and 11 @ 9 x 9, then 11.
+//! - `conv-98k`: 2 @ 128 x 128, 3 x 3 convolutions to 4 @ 128 x 128 and 8 @ 64 x 64 (stride 2):
+//!   98,304 compartments.
+//! - `conv-10m`: 2 @ 512 x 512, 3 x 3 convolutions to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32
+//!   @ 256 x 256, 64 @ 128 x 128 (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x
+//!   16, 11: 11,012,107 compartments, whose 2.2 thousand million synapses are never written out
+//!   ([`nsim_compile::Form::Symbolic`]); made up, to be as large.
+//! - `delays-32k`: the neurons and the drive of `random-32k`, whose 64 synapses each have eight
+//!   delays: eight with each of 0, 3, 9, 17, 25, 38, 50 and 62.
+//! - `delays-busy`: 32,768 channels, of which 70 % spike in each step, with 64 synapses of those
+//!   delays to as many compartments that never fire.
 //!
-//! Channels of the convolutions spike independently: 5 % a step, in `conv-10m` 1 %, in `conv-98k` 8 %, whose compartments
-//! have thirteen times the threshold of the others, so that about 4 % of them fire.
+//! Channels of the convolutions spike independently: 5 % a step, in `conv-10m` 1 %, in `conv-98k` 8
+//! %, whose compartments have thirteen times the threshold of the others, so that about 4 % of them
+//! fire.
 
 pub(super) mod builder;
 pub mod delivery;
@@ -123,7 +129,8 @@ impl StandardNetwork {
         matches!(self, StandardNetwork::Random32k | StandardNetwork::Random1m | StandardNetwork::Conv10m)
     }
 
-    /// The standard network with the same compartments and synapses: its program serves both, only the input differs.
+    /// The standard network with the same compartments and synapses: its program serves both, only
+    /// the input differs.
     #[must_use]
     pub fn program_of(self) -> StandardNetwork {
         match self {
@@ -164,11 +171,12 @@ impl StandardNetwork {
     }
 }
 
-/// Steps of input of the visual-tactile network: 20 samples of 150 steps, as long as the slip task's.
+/// Steps of input of the visual-tactile network: 20 samples of 150 steps, as long as the slip
+/// task's.
 const VTSNN_STEPS: u32 = 20 * 150;
 
-/// The layers, weights and thresholds of `models/vtsnn-slip.ron`, without its file: a retrained model would change what
-/// is measured.
+/// The layers, weights and thresholds of `models/vtsnn-slip.ron`, without its file: a retrained
+/// model would change what is measured.
 pub(super) fn vtsnn(name: &str, percent: u64) -> Result<BenchNetwork, BuildError> {
     let mut net = Builder::new(name);
     let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));
@@ -206,7 +214,8 @@ pub struct Random {
     pub compartments: u32,
     /// Weak random synapses of a channel besides the driving one.
     pub background: u32,
-    /// Channels that spike in a step; drawn with replacement, so a few are drawn twice and spike once.
+    /// Channels that spike in a step; drawn with replacement, so a few are drawn twice and spike
+    /// once.
     pub driven: u32,
     /// Steps of input, to be repeated.
     pub period: u32,
@@ -309,8 +318,9 @@ pub fn random(name: &str, sizes: Random, delays: &[i64]) -> Result<BenchNetwork,
     Ok(BenchNetwork { network: net.build()?, period, target })
 }
 
-/// A network whose steps have any number of synaptic events and nothing else: channels with 64 random synapses each,
-/// onto compartments that forget at once and never fire. `driven` channels spike in each step.
+/// A network whose steps have any number of synaptic events and nothing else: channels with 64
+/// random synapses each, onto compartments that forget at once and never fire. `driven` channels
+/// spike in each step.
 ///
 /// # Errors
 /// [`BuildError`] when there is no compartment.
@@ -392,7 +402,8 @@ mod tests {
 
     #[test]
     fn a_random_network_of_any_size_fires_as_it_is_driven() {
-        // random-1m in small: 1 % firing and 64 synapses give 0.64 synaptic events a compartment besides the inputs'.
+        // random-1m in small: 1 % firing and 64 synapses give 0.64 synaptic events a compartment
+        // besides the inputs'.
         let bench =
             random("small", Random { compartments: 10_000, background: 0, driven: 102, period: 64 }, &[0]).unwrap();
         let (spikes, events, _) = settled(&bench, 120);
@@ -418,7 +429,8 @@ mod tests {
                 let parts = bench.network.parts();
                 format!("{:?} {:?}", parts.populations, parts.projections)
             };
-            // Printing a million one-to-one synapses takes long; what is described by a seed is the same code.
+            // Printing a million one-to-one synapses takes long; what is described by a seed is the
+            // same code.
             if own.network.compartments() < 100_000 {
                 assert_eq!(said(&own), said(&other), "{}", standard.name());
             }

@@ -1,7 +1,10 @@
-//! The cells of the paper's tables of accuracy: the training file of each, the loss, and what its folds came to.
+//! The cells of the paper's tables of accuracy: the training file of each, the loss, and what its
+//! folds came to.
 //!
-//! Input: trained networks on the samples that their training left out ([`Trial`]), with the chip's neurons or spike-response neurons. Output: rows of accuracy, of early decisions and of
-//! energy; which sense leads when. Left out on purpose: training and simulating, which need a folder and a target.
+//! Input: trained networks on the samples that their training left out ([`Trial`]), with the chip's
+//! neurons or spike-response neurons. Output: rows of accuracy, of early decisions and of energy;
+//! which sense leads when. Left out on purpose: training and simulating, which need a folder and a
+//! target.
 
 use crate::early::Trial;
 use crate::published::paper::{PaperRow, blank};
@@ -13,7 +16,8 @@ use nsim_session::error::{Error, Result};
 /// The losses of the tables, by name.
 pub const LOSSES: [&str; 2] = ["count", "weighted"];
 
-/// Coefficients of `omega(t) = beta t^2 + gamma` over a sample of length 1. The paper asks for a beta below 0 and prints neither.
+/// Coefficients of `omega(t) = beta t^2 + gamma` over a sample of length 1. The paper asks for a
+/// beta below 0 and prints neither.
 const OMEGA: (f64, f64) = (-1.0, 1.0);
 
 /// A task and the senses that a network has.
@@ -48,7 +52,8 @@ impl Cell {
         format!("paper-{}-{loss}", self.name())
     }
 
-    /// The losses of a training file with the paper's spike-count loss, as the field `loss` has them: in the order of [`LOSSES`].
+    /// The losses of a training file with the paper's spike-count loss, as the field `loss` has
+    /// them: in the order of [`LOSSES`].
     ///
     /// # Errors
     /// [`Error::Fault`] for another loss.
@@ -93,8 +98,8 @@ impl Neurons {
         }
     }
 
-    /// The field `neuron` of a training file with these; none: as the file has it. Time constants are the paper's 10 and 1 bins (clear-nus/VT_SNN,
-    /// network parameters).
+    /// The field `neuron` of a training file with these; none: as the file has it. Time constants
+    /// are the paper's 10 and 1 bins (clear-nus/VT_SNN, network parameters).
     #[must_use]
     pub fn field(self, file: &TrainingFile) -> Option<String> {
         let bin_ms = *file.timestep_ms;
@@ -125,7 +130,8 @@ pub struct Tested<'a> {
 }
 
 impl Tested<'_> {
-    /// A figure of each fold, and the share that they are of all tested samples where they are shares.
+    /// A figure of each fold, and the share that they are of all tested samples where they are
+    /// shares.
     fn row(&self, table: &str, quantity: &str, note: String, figures: Vec<f64>) -> PaperRow {
         let (mean, deviation) = mean_sd(&figures);
         PaperRow {
@@ -199,9 +205,11 @@ struct At {
     high: f64,
 }
 
-/// Which sense alone leads when: a sentence for each task, loss and kind of neuron of which both senses are measured over time.
+/// Which sense alone leads when: a sentence for each task, loss and kind of neuron of which both
+/// senses are measured over time.
 ///
-/// A sense leads at a time when the whole interval of its accuracy is above that of the other, and above what naming any one class reaches.
+/// A sense leads at a time when the whole interval of its accuracy is above that of the other, and
+/// above what naming any one class reaches.
 #[must_use]
 pub fn leads(rows: &[PaperRow]) -> Vec<String> {
     let mut said = Vec::new();

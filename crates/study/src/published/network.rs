@@ -1,9 +1,10 @@
 //! A published workload as a network that fires at its rates.
 //!
-//! Input: a workload file, and which end of each rate's range. Output: a network in integers and its input. What a compartment
-//! receives does not make it fire: a bias of its own does, drawn between half of what its rate needs and one and a half, so that
-//! compartments do not fire together; weights of +2 and -2 are too small to change when. Synapses, axons and messages are those
-//! of the workload, so that counts are too.
+//! Input: a workload file, and which end of each rate's range. Output: a network in integers and
+//! its input. What a compartment receives does not make it fire: a bias of its own does, drawn
+//! between half of what its rate needs and one and a half, so that compartments do not fire
+//! together; weights of +2 and -2 are too small to change when. Synapses, axons and messages are
+//! those of the workload, so that counts are too.
 
 use crate::networks::BuildError;
 use nsim_energy::published::workload::{Between, WorkloadFile, WorkloadPopulation, WorkloadProjection};
@@ -55,7 +56,8 @@ pub fn warm_up(file: &WorkloadFile, rates: Rates) -> u32 {
     rates.map(|rate| (2.0 / rate).ceil() as u32).max().unwrap_or(0).clamp(COUNTED, MOST_WARM_UP)
 }
 
-/// Threshold mantissa of every compartment: a threshold of 1,280,000, far above what weights of 2 sum up to.
+/// Threshold mantissa of every compartment: a threshold of 1,280,000, far above what weights of 2
+/// sum up to.
 const THRESHOLD: i64 = 20_000;
 
 /// A bias that makes a compartment fire once in `1 / rate` steps, in mantissa and exponent.

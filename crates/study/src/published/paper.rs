@@ -1,8 +1,10 @@
-//! The tables of the paper on visual and tactile sensing (Taunyazov et al., RSS 2020) beside stored results.
+//! The tables of the paper on visual and tactile sensing (Taunyazov et al., RSS 2020) beside stored
+//! results.
 //!
-//! Input: files of rows that trainings left, `{"rows": [..]}` each. Output: one row for each printed figure and for each
-//! stored one, in the order of the tables. A figure that nothing was measured for has none, and its note says why.
-//! Errors: `paper.results` for a file that cannot be read as rows.
+//! Input: files of rows that trainings left, `{"rows": [..]}` each. Output: one row for each
+//! printed figure and for each stored one, in the order of the tables. A figure that nothing was
+//! measured for has none, and its note says why. Errors: `paper.results` for a file that cannot be
+//! read as rows.
 
 use serde::{Deserialize, Serialize};
 
@@ -34,7 +36,8 @@ pub struct PaperRow {
     /// Standard deviation of what was measured, over the folds.
     #[serde(default)]
     pub deviation: Option<f64>,
-    /// Ends of the interval that holds the share behind what was measured in 95 of 100 cases, over all samples tested.
+    /// Ends of the interval that holds the share behind what was measured in 95 of 100 cases, over
+    /// all samples tested.
     #[serde(default)]
     pub low: Option<f64>,
     /// See `low`.
@@ -125,8 +128,8 @@ const MODALITIES: [&str; 3] = ["tactile", "vision", "both"];
 /// A printed figure with its deviation.
 type Printed = (f64, f64);
 
-/// Accuracies by task, then loss, for touch, vision and both (tables "Container & Weight Classification" and "Slip Detection
-/// Accuracy").
+/// Accuracies by task, then loss, for touch, vision and both (tables "Container & Weight
+/// Classification" and "Slip Detection Accuracy").
 const ACCURACIES: [(&str, &str, [Printed; 3]); 4] = [
     ("slip", "count", [(0.82, 0.045), (1.0, 0.0), (1.0, 0.0)]),
     ("slip", "weighted", [(0.91, 0.020), (1.0, 0.0), (1.0, 0.0)]),

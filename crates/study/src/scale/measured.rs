@@ -1,7 +1,7 @@
 //! Time, exchange and memory of a step, measured.
 //!
-//! Input: a network of random synapses, mapped and dealt out, and the ranks of a job. Output: what a step takes on one rank and on all of
-//! them, and how long an exchange takes by itself.
+//! Input: a network of random synapses, mapped and dealt out, and the ranks of a job. Output: what
+//! a step takes on one rank and on all of them, and how long an exchange takes by itself.
 
 use std::time::Instant;
 
@@ -16,7 +16,8 @@ use nsim_machine::{Machine, Settings};
 use nsim_session::ranks::{RankRow, part_of};
 use nsim_session::samples::{Division, laid_out};
 
-/// What the program holds of each compartment on every rank: its seat, its number, its parameters and where its messages begin.
+/// What the program holds of each compartment on every rank: its seat, its number, its parameters
+/// and where its messages begin.
 pub const PROGRAM_BYTES: usize =
     size_of::<Seat>() + size_of::<CompartmentId>() + size_of::<Compartment>() + size_of::<u32>();
 /// Rounds of an exchange that is measured by itself.

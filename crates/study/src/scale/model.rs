@@ -1,7 +1,8 @@
 //! A step on many ranks, from what it takes on one and what its messages take.
 //!
-//! Input: the costs of a rank (measured), a network between ranks (given), a job. Output: time of a step by part, and memory. With N
-//! compartments that fire at a rate f and have F synapses each, on R ranks, of which a share L of the synapses stays on the rank:
+//! Input: the costs of a rank (measured), a network between ranks (given), a job. Output: time of a
+//! step by part, and memory. With N compartments that fire at a rate f and have F synapses each, on
+//! R ranks, of which a share L of the synapses stays on the rank:
 //!
 //! ```text
 //! compute  = c N / R                         c: time of a compartment and its events on one rank
@@ -12,8 +13,9 @@
 //! memory   = a N + b N F / R                 a: what every rank holds of each compartment, b: a synapse
 //! ```
 //!
-//! A message is sent to each neighbour in each step, empty or not. Nothing is assumed to overlap, so steps are no shorter than said; nothing
-//! is assumed to wait, so they may be longer: a rank that is late holds its neighbours up.
+//! A message is sent to each neighbour in each step, empty or not. Nothing is assumed to overlap,
+//! so steps are no shorter than said; nothing is assumed to wait, so they may be longer: a rank
+//! that is late holds its neighbours up.
 
 /// What ranks and the network between them cost.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]

@@ -1,9 +1,11 @@
 //! Variants that differ in populations whose spikes go nowhere share all that happens before these.
 //!
-//! Input: a network on cores, samples, and what each step of a run did. Output: a [`Record`], from which a network with other neurons in
-//! its last populations is run: their compartments are updated with what arrived at them, and nothing else is simulated. Outputs,
-//! counts, energy and time are those of a whole run, digit for digit: what arrives does not depend on who receives it, and a step costs
-//! the same whenever the same compartments of the last populations move and fire in it, so that it is priced once for each such set.
+//! Input: a network on cores, samples, and what each step of a run did. Output: a [`Record`], from
+//! which a network with other neurons in its last populations is run: their compartments are
+//! updated with what arrived at them, and nothing else is simulated. Outputs, counts, energy and
+//! time are those of a whole run, digit for digit: what arrives does not depend on who receives it,
+//! and a step costs the same whenever the same compartments of the last populations move and fire
+//! in it, so that it is priced once for each such set.
 //!
 //! Left out on purpose: several copies, payloads, outputs whose potentials decide, more than 64
 //! compartments in last populations, runs of more steps than 4 MiB hold. Their variants are run
@@ -61,7 +63,8 @@ struct Last {
     core: CoreId,
 }
 
-/// What last compartments did in a step: a bit for each that was not at rest, and for each that fired.
+/// What last compartments did in a step: a bit for each that was not at rest, and for each that
+/// fired.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Moves {
     active: u64,
@@ -71,7 +74,8 @@ struct Moves {
 /// A sample as it was recorded.
 #[derive(Debug)]
 struct SampleRecord {
-    /// What each step did, without the last compartments' activity and spikes, and without the names of channels.
+    /// What each step did, without the last compartments' activity and spikes, and without the
+    /// names of channels.
     steps: Vec<StepActivity>,
     /// What arrives at each last compartment in each step, in units of 64.
     arrivals: Vec<i32>,
@@ -101,7 +105,8 @@ struct Wiring {
     compartments: Vec<Vec<Arrival>>,
 }
 
-/// What a spike brings: to which of the last compartments, how many steps later, how much in units of 64.
+/// What a spike brings: to which of the last compartments, how many steps later, how much in units
+/// of 64.
 #[derive(Clone, Copy)]
 struct Arrival {
     to: usize,
@@ -137,7 +142,8 @@ impl Wiring {
         wiring
     }
 
-    /// What arrives in each step at each of so many last compartments; `None` where a sum needs more than 32 bits.
+    /// What arrives in each step at each of so many last compartments; `None` where a sum needs
+    /// more than 32 bits.
     fn arrivals(&self, sample: &Sample, steps: &[StepActivity], last: usize) -> Option<Vec<i32>> {
         let mut sums = vec![0i64; steps.len() * last];
         for (at, step) in steps.iter().enumerate() {
@@ -241,7 +247,8 @@ fn bytes(compiled: &Compiled, last: usize, samples: &[&Sample]) -> usize {
 }
 
 impl Record {
-    /// Runs samples and records what happens before the last populations. The record is `None` where nothing could follow from it.
+    /// Runs samples and records what happens before the last populations. The record is `None`
+    /// where nothing could follow from it.
     ///
     /// # Errors
     /// As [`Metered::run`].
@@ -319,7 +326,8 @@ impl Record {
         &self.compiled
     }
 
-    /// What a network does that differs from the recorded one in the neurons of last populations alone, shown the same samples.
+    /// What a network does that differs from the recorded one in the neurons of last populations
+    /// alone, shown the same samples.
     pub fn follow(&self, network: &Quantised, samples: &[&Sample]) -> Ran {
         let mut running = Running::new(network, &self.last);
         let mut meter = StepMeter::new(Arc::clone(&self.settings));

@@ -1,7 +1,8 @@
 //! What variants share, made by the first that needs it.
 //!
-//! Input: a key, and how to make its value. Output: the value, made once however many threads ask for it. What could not be made is made
-//! again for the next that asks. At most `MOST` values are kept.
+//! Input: a key, and how to make its value. Output: the value, made once however many threads ask
+//! for it. What could not be made is made again for the next that asks. At most `MOST` values are
+//! kept.
 
 use std::collections::HashMap;
 use std::hash::Hash;

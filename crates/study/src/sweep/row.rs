@@ -1,11 +1,12 @@
 //! Runs one variant: what `nsim run` and `nsim energy --baseline` print of it, in a row.
 //!
-//! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; a figure that is not known is empty. Energies, power and latency are the
-//! total of one copy. What variants have in common is made once: models and their arrays, targets and their constants, samples, and
-//! mappings, which networks share that differ in the parameters of neurons alone.
+//! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; a figure that is not known is empty.
+//! Energies, power and latency are the total of one copy. What variants have in common is made
+//! once: models and their arrays, targets and their constants, samples, and mappings, which
+//! networks share that differ in the parameters of neurons alone.
 //!
-//! Errors: whatever no variant could be run with, such as a path that leads nowhere. What is wrong with one variant stands in its
-//! row under `error`.
+//! Errors: whatever no variant could be run with, such as a path that leads nowhere. What is wrong
+//! with one variant stands in its row under `error`.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
@@ -81,8 +82,8 @@ fn shared_by(job: &Job) -> String {
     format!("{:?}", (&job.model, others, &job.target, &job.of_target, &job.options))
 }
 
-/// What variants have to have in common for one to follow from the record of another: all but the neurons of the last populations.
-/// `None` where the last populations do not vary.
+/// What variants have to have in common for one to follow from the record of another: all but the
+/// neurons of the last populations. `None` where the last populations do not vary.
 fn recorded_by(job: &Job, mapped: &Mapped, scene: Option<&str>) -> Option<String> {
     let network = &mapped.network;
     let last: Vec<PopulationId> = last_populations(network).collect();

@@ -67,7 +67,8 @@ fn first_wrong(cells: &Cells) -> Option<&'static str> {
 }
 
 fn wrong(message: impl Into<String>) -> Diagnostic {
-    let help = "give each part of this sweep once, as nsim wrote it; nsim sweep SWEEP.ron --shard I/N -o FILE.csv makes one again";
+    let help = "give each part of this sweep once, as nsim wrote it; nsim sweep SWEEP.ron --shard I/N -o FILE.csv \
+                makes one again";
     Diagnostic::new("sweep.shard", message).help(help)
 }
 

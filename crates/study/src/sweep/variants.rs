@@ -1,8 +1,9 @@
 //! From a sweep file to its variants, by number.
 //!
-//! Input: a [`SweepFile`]. Output: a [`Sweep`], which says how many variants there are, the columns of what varies, and the [`Job`] of each.
-//! Variants are numbered from 0: the list's entries in order, of each the combinations of the grid, the last axis changing fastest.
-//! Errors: `sweep.axis`, `sweep.path`, `sweep.value`, `sweep.size`.
+//! Input: a [`SweepFile`]. Output: a [`Sweep`], which says how many variants there are, the columns
+//! of what varies, and the [`Job`] of each. Variants are numbered from 0: the list's entries in
+//! order, of each the combinations of the grid, the last axis changing fastest. Errors:
+//! `sweep.axis`, `sweep.path`, `sweep.value`, `sweep.size`.
 
 use std::collections::BTreeSet;
 use std::ops::Range;

@@ -1,7 +1,8 @@
 //! Runs many variants on several threads, the largest first.
 //!
-//! Input: a sweep, the numbers of its variants that are to be run. Output: their cells, handed over one by one as they are finished, in
-//! any order. Each variant has one thread. The first error ends the work once the variants that run are finished.
+//! Input: a sweep, the numbers of its variants that are to be run. Output: their cells, handed over
+//! one by one as they are finished, in any order. Each variant has one thread. The first error ends
+//! the work once the variants that run are finished.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

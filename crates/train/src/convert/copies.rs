@@ -1,15 +1,19 @@
-//! Current and voltage with delayed copies of what comes in, as near to a spike response as they can be.
+//! Current and voltage with delayed copies of what comes in, as near to a spike response as they
+//! can be.
 //!
-//! Input: what arrives at a population on calibration samples, and its spike response parameters. Output: decays of current and
-//! voltage with the delays and factors of the copies, from which the search chooses.
+//! Input: what arrives at a population on calibration samples, and its spike response parameters.
+//! Output: decays of current and voltage with the delays and factors of the copies, from which the
+//! search chooses.
 //!
-//! A hard reset takes the voltage and leaves the current. So the faster the voltage forgets, the less a reset takes: with dv =
-//! 4096 the voltage is the current, and nothing is taken. What is lost is the alpha kernel, which has two equal decays. With
-//! F(t) the response of such a compartment to what arrives, without resets, and P(t) the potential of the trained neuron, the
-//! factors a of the copies with delays d are those of least squares, `sum over t of w(t) (P(t) - sum_i a_i F(t - d_i))^2`. The
-//! delays are chosen one after the other, each the one that leaves the least. What arrives in the calibration samples weighs: a
-//! population with thousands of sources needs the slow part of the kernel, one with few also its shape. Steps count by
-//! [`relevance`].
+//! A hard reset takes the voltage and leaves the current. So the faster the voltage forgets, the
+//! less a reset takes: with dv = 4096 the voltage is the current, and nothing is taken. What is
+//! lost is the alpha kernel, which has two equal decays. With F(t) the response of such a
+//! compartment to what arrives, without resets, and P(t) the potential of the trained neuron, the
+//! factors a of the copies with delays d are those of least squares,
+//! `sum over t of w(t) (P(t) - sum_i a_i F(t - d_i))^2`. The delays are chosen one after the other,
+//! each the one that leaves the least. What arrives in the calibration samples weighs: a population
+//! with thousands of sources needs the slow part of the kernel, one with few also its shape. Steps
+//! count by [`relevance`].
 
 use rayon::prelude::*;
 
@@ -19,11 +23,12 @@ use nsim_quantise::analytic;
 
 /// The most copies that can be asked for.
 pub const MOST: usize = 32;
-/// The most copies where nothing is asked: the synapses of a source onto one compartment, delayed by up to 62 steps, then take 310
-/// bits, which are five words of a Loihi core's memory.
+/// The most copies where nothing is asked: the synapses of a source onto one compartment, delayed
+/// by up to 62 steps, then take 310 bits, which are five words of a Loihi core's memory.
 pub const USUAL: usize = 15;
 
-/// Time constants of the current in those of the response, voltages kept in a step, delays in time constants.
+/// Time constants of the current in those of the response, voltages kept in a step, delays in time
+/// constants.
 const CURRENTS: [f64; 4] = [1.2, 1.4, 1.65, 2.0];
 const VOLTAGES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
 /// The latest copy in time constants, and how many delays up to there are tried.
@@ -67,8 +72,8 @@ impl Copies {
     }
 }
 
-/// What an error counts where the potential is so many thresholds: less, the further it is from where spikes are decided. A neuron
-/// that spikes in every step has about six.
+/// What an error counts where the potential is so many thresholds: less, the further it is from
+/// where spikes are decided. A neuron that spikes in every step has about six.
 pub fn relevance(potential: f64) -> f64 {
     let away = (potential - 2.0) / 3.0;
     1.0 / (1.0 + away * away)
@@ -97,9 +102,9 @@ fn kept(keep: f64) -> f64 {
     1.0 - libm::rint(DECAY_ONE as f64 * (1.0 - keep)).clamp(1.0, DECAY_ONE as f64) / DECAY_ONE as f64
 }
 
-/// Decays and copies to choose from: (current kept in a step, voltage kept, copies), for each number of copies up to `most` those
-/// that leave the least error: with each decay of the current where the voltage forgets all, with the best elsewhere. Delays up to
-/// `room`.
+/// Decays and copies to choose from: (current kept in a step, voltage kept, copies), for each
+/// number of copies up to `most` those that leave the least error: with each decay of the current
+/// where the voltage forgets all, with the best elsewhere. Delays up to `room`.
 pub fn candidates(
     task: Arrivals<'_>,
     srm: &SrmParameters,
@@ -137,7 +142,8 @@ pub fn candidates(
     each.into_iter().flatten().collect()
 }
 
-/// The potential of the trained neurons without their own spikes, in thresholds, `[neuron][step]` of each sample.
+/// The potential of the trained neurons without their own spikes, in thresholds, `[neuron][step]`
+/// of each sample.
 pub fn potentials(task: Arrivals<'_>, srm: &SrmParameters, timestep_ms: f64) -> Vec<Vec<f64>> {
     let (tau, r) = (srm.tau_sr_ms / timestep_ms, analytic::real_keep(srm, timestep_ms));
     let gain = std::f64::consts::E * r / tau / srm.theta;
@@ -172,7 +178,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + a[rest..].iter().zip(&b[rest..]).map(|(x, y)| x * y).sum::<f64>()
 }
 
-/// Sums of products of the responses of all delays and of the potentials wanted, relevance as weight.
+/// Sums of products of the responses of all delays and of the potentials wanted, relevance as
+/// weight.
 struct Products {
     /// Row by row, those of a delay with itself a trifle greater.
     between: Vec<Vec<f64>>,

@@ -1,7 +1,8 @@
 //! The integers of a network beside what was trained: what `nsim agree` compares.
 //!
-//! Input: a network with its analytic integers, how better ones are searched for, samples. Output: [`Integers`], whose ladder leads from
-//! the trained network to the machine. Left out on purpose: the comparison itself (`agree`).
+//! Input: a network with its analytic integers, how better ones are searched for, samples. Output:
+//! [`Integers`], whose ladder leads from the trained network to the machine. Left out on purpose:
+//! the comparison itself (`agree`).
 
 use crate::convert::calibration;
 use crate::convert::calibration::RunInput;
@@ -63,8 +64,8 @@ pub struct Integers {
 }
 
 impl Integers {
-    /// Finds integers for a network. `searching` is told each population in turn, and `None` before where it has to be searched on the
-    /// samples that are compared.
+    /// Finds integers for a network. `searching` is told each population in turn, and `None` before
+    /// where it has to be searched on the samples that are compared.
     ///
     /// # Errors
     /// When a source cannot be used.

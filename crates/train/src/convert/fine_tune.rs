@@ -1,18 +1,21 @@
 //! A few epochs of training with the integers in the forward pass.
 //!
-//! Input: a network of spike response neurons, what stands for each of its populations, a training plan and labelled training
-//! samples. Output: the trained weights whose integers decide best, and how well they do. Invariants: in every minibatch the
-//! weights become integers as `quantise` makes them, and the samples run through exactly these (`agree::ladder`, whose last rung
-//! equals the golden interpreter bit for bit). The gradient is that of the trained neurons at the integers' potentials, in
-//! thresholds, and at their spikes; rounding is passed straight through, and so are the reset and the delayed copies. The
-//! epoch that is kept is the one that does best on the training samples as they are, the start included: most right, then least
-//! loss. Held-out samples are only counted, at the start and at the end. Errors: networks that the plan does not describe.
+//! Input: a network of spike response neurons, what stands for each of its populations, a training
+//! plan and labelled training samples. Output: the trained weights whose integers decide best, and
+//! how well they do. Invariants: in every minibatch the weights become integers as `quantise` makes
+//! them, and the samples run through exactly these (`agree::ladder`, whose last rung equals the
+//! golden interpreter bit for bit). The gradient is that of the trained neurons at the integers'
+//! potentials, in thresholds, and at their spikes; rounding is passed straight through, and so are
+//! the reset and the delayed copies. The epoch that is kept is the one that does best on the
+//! training samples as they are, the start included: most right, then least loss. Held-out samples
+//! are only counted, at the start and at the end. Errors: networks that the plan does not describe.
 //!
-//! No part of the training samples is set aside to choose the epoch: the network was trained on all of them, so the start would be
-//! judged by what it knows.
+//! No part of the training samples is set aside to choose the epoch: the network was trained on all
+//! of them, so the start would be judged by what it knows.
 //!
-//! A converted layer answers one step earlier than the trained one (`docs/semantics.md`, 18). So samples get one more, empty
-//! step, the integers run without it, and what they do is read one step later.
+//! A converted layer answers one step earlier than the trained one (`docs/semantics.md`, 18). So
+//! samples get one more, empty step, the integers run without it, and what they do is read one step
+//! later.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -48,7 +51,8 @@ pub struct Task {
     fits: Vec<Option<Fit>>,
     detail: Detail,
     plan: Plan,
-    /// For each projection of the graph, the layer that it leads to and the place of its first source among the layer's.
+    /// For each projection of the graph, the layer that it leads to and the place of its first
+    /// source among the layer's.
     places: Vec<Place>,
     /// The plan's layers as the integers number their compartments.
     layers: Vec<Layer>,
@@ -149,7 +153,8 @@ impl Tuned {
             format!(", {change} on {} held-out samples (as trained {:.4})", held.samples, held.trained)
         });
         format!(
-            "fine-tuned for {} with seed {seed} on {samples} training samples of {}, SHA-256 of plan and samples {fingerprint}; epoch \
+            "fine-tuned for {} with seed {seed} on {samples} training samples of {}, SHA-256 of plan and samples \
+             {fingerprint}; epoch \
              {kept} is kept; accuracy {} on the training samples{unseen}",
             if self.epochs == 1 { "1 epoch".to_string() } else { format!("{} epochs", self.epochs) },
             self.samples.join(" "),
@@ -200,7 +205,8 @@ pub fn trainable(graph: &Graph) -> Result<()> {
 }
 
 impl Task {
-    /// A network, what stands for its populations, and how it is trained; the plan is that of the training file.
+    /// A network, what stands for its populations, and how it is trained; the plan is that of the
+    /// training file.
     ///
     /// # Errors
     /// `convert.fine-tune` where the training file describes another network.
@@ -309,7 +315,8 @@ impl Task {
         all
     }
 
-    /// The network with other weights. Projections that are declared as one stay one: they share an array.
+    /// The network with other weights. Projections that are declared as one stay one: they share an
+    /// array.
     #[must_use]
     pub fn with_weights(&self, weights: &Weights) -> Graph {
         let mut declared: Vec<(Arc<Tensor>, Vec<f64>)> = Vec::new();
@@ -381,7 +388,8 @@ impl Task {
         all + 2 * u64::from(epochs) * all + 2 * held_out
     }
 
-    /// Trains for so many epochs. `shown` is called after each sample, `after` with the best epoch whenever there is a better one.
+    /// Trains for so many epochs. `shown` is called after each sample, `after` with the best epoch
+    /// whenever there is a better one.
     ///
     /// # Errors
     /// As [`Task::integers`], where weights grow beyond what the integers hold.

@@ -1,7 +1,9 @@
-//! A conversion from a network to integers that can be kept, with samples to search on and others to judge by.
+//! A conversion from a network to integers that can be kept, with samples to search on and others
+//! to judge by.
 //!
-//! Input: a network with real numbers, what it is for, samples. Output: [`Converted`] with its measures, fine-tuned where that is asked for;
-//! the model of the integers, and the sentence that says how they were made. Errors: `convert.*`, `train.label`.
+//! Input: a network with real numbers, what it is for, samples. Output: [`Converted`] with its
+//! measures, fine-tuned where that is asked for; the model of the integers, and the sentence that
+//! says how they were made. Errors: `convert.*`, `train.label`.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -51,7 +53,8 @@ pub struct Split<'s> {
 }
 
 impl<'s> Split<'s> {
-    /// All that is shown is held out where there are samples apart for the search; otherwise the first half of it is searched on.
+    /// All that is shown is held out where there are samples apart for the search; otherwise the
+    /// first half of it is searched on.
     #[must_use]
     pub fn new((origin, shown): (&'s [String], &[&'s Sample]), apart: Option<&'s Stimulus>, wanted: usize) -> Self {
         match apart {
@@ -181,7 +184,8 @@ impl FineTuning {
     /// So many epochs as a training file says, on the samples that it names or those of `sources`.
     ///
     /// # Errors
-    /// `convert.fine-tune` for the file of another network, `train.sources` without samples, `train.label`.
+    /// `convert.fine-tune` for the file of another network, `train.sources` without samples,
+    /// `train.label`.
     pub fn new(
         job: &Job,
         converted: &Converted,
@@ -218,7 +222,8 @@ impl FineTuning {
         Task::work(&self.examples, &self.unseen, self.epochs)
     }
 
-    /// Trains; `shown` is called after each sample, `after` with the best epoch whenever there is a better one.
+    /// Trains; `shown` is called after each sample, `after` with the best epoch whenever there is a
+    /// better one.
     ///
     /// # Errors
     /// As [`Task::integers`].

@@ -1,7 +1,8 @@
 //! A network in integers -> the model file that holds them.
 //!
-//! Input: a network as `quantise` left it. Output: a model whose quantisation is that network again, number by number. Errors:
-//! synapses that a seed stands for, and spikes with a payload, which a written model does not hold.
+//! Input: a network as `quantise` left it. Output: a model whose quantisation is that network
+//! again, number by number. Errors: synapses that a seed stands for, and spikes with a payload,
+//! which a written model does not hold.
 
 use nsim_dynamics::synapses::Enumerate;
 use nsim_files::model_builder::{

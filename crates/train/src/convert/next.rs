@@ -192,7 +192,8 @@ fn remedy(
         let changes = ladder.pipeline()?.changes(graph)?;
         let without = attribution.shares.iter().find(|share| share.cause == cause)?.without;
         let what = format!(
-            "lets each layer start at the step of its depth, and samples last until the output has answered: {} (now {})",
+            "lets each layer start at the step of its depth, and samples last until the output has answered: {} (now \
+             {})",
             figures(&without),
             figures(before)
         );

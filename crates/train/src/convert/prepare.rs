@@ -1,8 +1,10 @@
-//! A model file as a network that is ready to be mapped: what every command and the Python module start from.
+//! A model file as a network that is ready to be mapped: what every command and the Python module
+//! start from.
 //!
-//! Input: a network as its file says. Output: the same in integers. Spike response neurons become Loihi compartments as `nsim convert`
-//! makes them, on samples of the model's own scene, or by analysis where it has none. Deterministic, so that a saved mapping fits
-//! the same network again. Errors: a network that cannot be converted.
+//! Input: a network as its file says. Output: the same in integers. Spike response neurons become
+//! Loihi compartments as `nsim convert` makes them, on samples of the model's own scene, or by
+//! analysis where it has none. Deterministic, so that a saved mapping fits the same network again.
+//! Errors: a network that cannot be converted.
 
 use crate::convert::calibration;
 use crate::convert::calibration::RunInput;
@@ -22,7 +24,8 @@ pub fn has_srm(network: &Network) -> bool {
     network.file().populations.iter().any(|population| matches!(population.value, PopulationDesc::Srm(_)))
 }
 
-/// A network in integers, with at most so many delayed copies of what a spike response population takes in.
+/// A network in integers, with at most so many delayed copies of what a spike response population
+/// takes in.
 ///
 /// # Errors
 /// [`Error`] when the network cannot be used.
@@ -35,7 +38,8 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     let run = RunInput { sources: &[], seed: None, scene: network.file().scene.as_deref() };
     let Some(stimulus) = calibration::stimulus(&start, &[], run, CALIBRATION_SAMPLES)? else {
         tracing::warn!(
-            "{name}: its spike response neurons become Loihi compartments by analysis alone (equal decays, matched peaks), as \
+            "{name}: its spike response neurons become Loihi compartments by analysis alone (equal decays, matched \
+             peaks), as \
              it has no scene to convert on; `nsim convert` takes samples and keeps the result"
         );
         return Ok(start.into());
@@ -43,7 +47,8 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     let samples: Vec<&Sample> = stimulus.samples.iter().collect();
     let found = search(&graph, &samples, most_copies, |_| ())?;
     tracing::warn!(
-        "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes agree in \
+        "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes \
+         agree in \
          {:.4}, coincidence {:.3}; `nsim convert -o` keeps them",
         found.samples,
         found.end.classes.kept(),

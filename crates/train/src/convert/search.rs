@@ -1,18 +1,23 @@
-//! The integers with which a spike response network is best deployed, by a deterministic search over calibration samples.
+//! The integers with which a spike response network is best deployed, by a deterministic search
+//! over calibration samples.
 //!
-//! Input: the graph and calibration samples. Output: a [`Fit`] for each population, and how near each stage comes. From the
-//! analytic start (`compile::frontend::analytic`) each stage goes through the populations from the input on. A population gets the
-//! spikes that its converted sources send, and is to send those that the trained population sends, step by step:
+//! Input: the graph and calibration samples. Output: a [`Fit`] for each population, and how near
+//! each stage comes. From the analytic start (`compile::frontend::analytic`) each stage goes
+//! through the populations from the input on. A population gets the spikes that its converted
+//! sources send, and is to send those that the trained population sends, step by step:
 //!
-//! 1. [`Stage::Shape`]: du, dv, and delayed copies of all that comes in (`super::copies`), with synapses of each
-//!    compartment onto itself for the refractory response; then threshold and those synapses in finer steps while they help. A
-//!    voltage that forgets everything in a step loses nothing at a reset, and the copies make the current's single exponential
-//!    an alpha kernel again.
-//! 2. [`Stage::Rounding`]: what rounding a copy leaves goes to the next one (`compile::frontend::carry`).
+//! 1. [`Stage::Shape`]: du, dv, and delayed copies of all that comes in (`super::copies`), with
+//!    synapses of each compartment onto itself for the refractory response; then threshold and
+//!    those synapses in finer steps while they help. A voltage that forgets everything in a step
+//!    loses nothing at a reset, and the copies make the current's single exponential an alpha
+//!    kernel again.
+//! 2. [`Stage::Rounding`]: what rounding a copy leaves goes to the next one
+//!    (`compile::frontend::carry`).
 //!
-//! What is minimised is 1 minus the coincidence factor, and a share of the difference of spike counts (a greater one for the
-//! output, whose counts are classes). The start and every stage are run as integers; what is nearest to the trained network is
-//! returned: the search never makes things worse on the calibration samples. No randomness; ties go to the first.
+//! What is minimised is 1 minus the coincidence factor, and a share of the difference of spike
+//! counts (a greater one for the output, whose counts are classes). The start and every stage are
+//! run as integers; what is nearest to the trained network is returned: the search never makes
+//! things worse on the calibration samples. No randomness; ties go to the first.
 
 use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
@@ -47,25 +52,29 @@ const DRAWING: usize = 240_000;
 /// The least number of samples of either.
 const LEAST: usize = 8;
 
-/// Synapses of a compartment onto itself: the paper's refractory response is below 0.001 thresholds after so many steps. With 10
-/// what is left of it, which decays with the current, costs 0.01 to 0.03 in coincidence.
+/// Synapses of a compartment onto itself: the paper's refractory response is below 0.001 thresholds
+/// after so many steps. With 10 what is left of it, which decays with the current, costs 0.01 to
+/// 0.03 in coincidence.
 const OWN: usize = 12;
 
 /// How much more than on the calibration samples may arrive before a register wraps.
 const FORESEEN: f64 = 2.0;
 
-/// What a copy more of all that comes in has to gain in distance, and what it has to gain besides for each synapse.
+/// What a copy more of all that comes in has to gain in distance, and what it has to gain besides
+/// for each synapse.
 const COPY_PRICE: f64 = 0.0005;
 const SYNAPSE_PRICE: f64 = 5e-8;
 
-/// The most synapses that the copies of a compartment's input may have together: what one core of Loihi holds of a compartment, at
-/// 20 bits a synapse.
+/// The most synapses that the copies of a compartment's input may have together: what one core of
+/// Loihi holds of a compartment, at 20 bits a synapse.
 const MOST_SYNAPSES: usize = 49_152;
 
-/// Synapses that all copies of a population's input may have for it to be given twice as many copies as others: half a core.
+/// Synapses that all copies of a population's input may have for it to be given twice as many
+/// copies as others: half a core.
 const FEW_SYNAPSES: f64 = 24_576.0;
 
-/// The most compartments of a population that get synapses onto themselves, which are listed one by one.
+/// The most compartments of a population that get synapses onto themselves, which are listed one by
+/// one.
 const MOST_OWN: u32 = 1 << 16;
 
 /// What of the search is done, each stage on top of the last.
@@ -73,7 +82,8 @@ const MOST_OWN: u32 = 1 << 16;
 pub enum Stage {
     /// The analytic start.
     Start,
-    /// Decays, delayed copies of what comes in, threshold and synapses onto itself of each population together.
+    /// Decays, delayed copies of what comes in, threshold and synapses onto itself of each
+    /// population together.
     Shape,
     /// Rounding errors carried over to the next copy.
     Rounding,
@@ -257,7 +267,8 @@ impl Task {
         gap
     }
 
-    /// The greatest input of a step to foresee: some times that of these samples, or what, held for ever, brings the current there.
+    /// The greatest input of a step to foresee: some times that of these samples, or what, held for
+    /// ever, brings the current there.
     fn greatest_input(&self, c: &Candidate) -> f64 {
         let of_sample = |copied: &Vec<f64>| {
             let (mut most, mut spikes) = (0.0, Vec::new());
@@ -446,7 +457,8 @@ fn scored(
     }
 }
 
-/// What arrives at a population from its sources, and what it should send, in the converted network's time.
+/// What arrives at a population from its sources, and what it should send, in the converted
+/// network's time.
 fn task(
     graph: &Graph,
     node: NodeIndex,

@@ -1,9 +1,10 @@
 //! Conversion stage by stage: what each stage gains, what is left, and what to change about it.
 //!
-//! Input: a network with real numbers and calibration samples. Output: the network in integers, how near it is after each stage,
-//! and for each layer what it lost. Spike response networks go through [`super::search`], all others through the choice of
-//! exponents (`compile::frontend::exponents`). Where the target
-//! cannot reset by subtraction, that becomes a reset to zero first, a stage of its own. What the rest costs is found by putting the real number in the place of each kind of
+//! Input: a network with real numbers and calibration samples. Output: the network in integers, how
+//! near it is after each stage, and for each layer what it lost. Spike response networks go through
+//! [`super::search`], all others through the choice of exponents (`compile::frontend::exponents`).
+//! Where the target cannot reset by subtraction, that becomes a reset to zero first, a stage of its
+//! own. What the rest costs is found by putting the real number in the place of each kind of
 //! integer, all others staying (`agree::ladder`).
 
 use crate::convert::resets;
@@ -42,7 +43,8 @@ pub struct StageRow {
     pub kept: bool,
     /// Coincidence beyond the stage before; none for the first.
     pub gain: Option<f64>,
-    /// Coincidence that real numbers would add in the place of what the stage chooses; none for the start.
+    /// Coincidence that real numbers would add in the place of what the stage chooses; none for the
+    /// start.
     pub left: Option<f64>,
 }
 

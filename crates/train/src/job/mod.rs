@@ -1,7 +1,8 @@
 //! A training from its file to its result.
 //!
-//! Input: the text of a training file, labelled samples. Output: [`Trained`]: weights, their score, the digest of their output spikes;
-//! and the model that holds them. Errors: `train.*`. Left out on purpose: studies of many trainings.
+//! Input: the text of a training file, labelled samples. Output: [`Trained`]: weights, their score,
+//! the digest of their output spikes; and the model that holds them. Errors: `train.*`. Left out on
+//! purpose: studies of many trainings.
 
 mod text;
 
@@ -86,7 +87,8 @@ pub struct Trained {
     pub train_accuracy: f64,
     /// Share of the test samples that is right; none without any.
     pub test_accuracy: Option<f64>,
-    /// Of the output spikes on the test samples (without any, the training samples), as `nsim run` computes it.
+    /// Of the output spikes on the test samples (without any, the training samples), as `nsim run`
+    /// computes it.
     pub digest: String,
     /// Accuracy on each fold left out of the training samples.
     pub folds: Vec<f64>,
@@ -174,7 +176,8 @@ impl Job {
         Ok(Data { train: self.read(Part::Train, train)?, test: self.read(Part::Test, test)? })
     }
 
-    /// So many stratified folds of samples, drawn from a fixed seed so that every setting is tried on the same ones.
+    /// So many stratified folds of samples, drawn from a fixed seed so that every setting is tried
+    /// on the same ones.
     #[must_use]
     pub fn folds(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
         let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();
@@ -227,8 +230,8 @@ impl Job {
         Ok(export::model(&self.file, &self.plan.topology, weights, weights_file, comment, provenance)?)
     }
 
-    /// Writes the model of trained weights to a path, with `force` in the place of a file that is there, and the weights beside it; the
-    /// names of both.
+    /// Writes the model of trained weights to a path, with `force` in the place of a file that is
+    /// there, and the weights beside it; the names of both.
     ///
     /// # Errors
     /// As [`Self::model`]; `write.*`.
@@ -309,7 +312,8 @@ impl Checkpoint {
     }
 }
 
-/// Trains to the end, from the checkpoint when there is one; `after` sees the state after each epoch. Also gives the seconds that it took.
+/// Trains to the end, from the checkpoint when there is one; `after` sees the state after each
+/// epoch. Also gives the seconds that it took.
 ///
 /// # Errors
 /// `train.checkpoint` for a file of another training; `write.*` when a state cannot be saved.

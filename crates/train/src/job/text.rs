@@ -1,8 +1,10 @@
 //! Fields of a training file replaced in its text, for studies that vary them.
 
-/// The text with the value of a field of the outermost struct replaced, or added when the field is not there.
+/// The text with the value of a field of the outermost struct replaced, or added when the field is
+/// not there.
 ///
-/// Returns `None` when the text has no outermost struct. What the new value means is for the parser to say.
+/// Returns `None` when the text has no outermost struct. What the new value means is for the parser
+/// to say.
 #[must_use]
 pub fn with_field(text: &str, key: &str, value: &str) -> Option<String> {
     let mut fields = Vec::new();

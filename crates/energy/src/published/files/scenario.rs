@@ -1,14 +1,16 @@
 //! Scenarios, checked.
 //!
-//! Input: the text of a scenario, or the name of a shipped model. Output: a [`ScenarioFile`] whose numbers of cores are
-//! possible and whose tables of measurements are shipped. Errors: `scenario.syntax`, `scenario.number`, `scenario.measured`.
+//! Input: the text of a scenario, or the name of a shipped model. Output: a [`ScenarioFile`] whose
+//! numbers of cores are possible and whose tables of measurements are shipped. Errors:
+//! `scenario.syntax`, `scenario.number`, `scenario.measured`.
 
 use crate::published::scenario::ScenarioFile;
 use nsim_files::shipped;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::spanned::parse;
 
-/// The scenario that ships for a model, given as on the command line: a path names no shipped model.
+/// The scenario that ships for a model, given as on the command line: a path names no shipped
+/// model.
 ///
 /// # Errors
 /// As [`scenario`].
@@ -23,8 +25,8 @@ pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
 /// A scenario from its text.
 ///
 /// # Errors
-/// A diagnostic where the file is malformed, a number of cores is 0 or exceeds what contains it, or a table of
-/// measurements does not ship.
+/// A diagnostic where the file is malformed, a number of cores is 0 or exceeds what contains it, or
+/// a table of measurements does not ship.
 pub fn scenario(source: &SourceText) -> Result<ScenarioFile> {
     let file: ScenarioFile = parse(source, "scenario.syntax")?;
     if file.copies.value == 0 {

@@ -1,7 +1,8 @@
 //! Published workloads, checked.
 //!
-//! Input: the name of a shipped workload. Output: a [`WorkloadFile`] whose shapes and rates are possible and whose projections
-//! join populations that it has. Errors: `workload.syntax`, `workload.population`, `workload.rate`, `workload.figure`.
+//! Input: the name of a shipped workload. Output: a [`WorkloadFile`] whose shapes and rates are
+//! possible and whose projections join populations that it has. Errors: `workload.syntax`,
+//! `workload.population`, `workload.rate`, `workload.figure`.
 
 use crate::published::workload::{Between, WorkloadDeployment, WorkloadFile, WorkloadPopulation};
 use nsim_files::shipped;

@@ -1,7 +1,8 @@
 //! The kinds of layers that have weights.
 //!
-//! Input: a layer and what reaches it. Output: a population and the projection to it. Kernels are cross-correlated as
-//! stored; shapes and counts of weights are checked before anything is made of them.
+//! Input: a layer and what reaches it. Output: a population and the projection to it. Kernels are
+//! cross-correlated as stored; shapes and counts of weights are checked before anything is made of
+//! them.
 
 use super::layer::{Geometry, Layer, geometry, input_of_window, volume};
 use super::neuron::integrator;
@@ -47,8 +48,8 @@ impl Reader<'_> {
             if layer.numbers("weight_rec")?.len() as u64 != shape[0].saturating_mul(shape[0]) {
                 return Err(layer.wrong("'weight_rec' is not square"));
             }
-            // What SLAYER feeds back are the spikes of the step before, which is what a delay field of 0 means here. The
-            // layer's own delay is for what follows it.
+            // What SLAYER feeds back are the spikes of the step before, which is what a delay field
+            // of 0 means here. The layer's own delay is for what follows it.
             let undelayed = Last { delays: Vec::new(), ..recurrent };
             self.project(layer, &undelayed, &name, "weight_rec", |weights| {
                 Ok(ProjectionKind::Dense(tensor(square, weights)))
@@ -122,8 +123,9 @@ impl Reader<'_> {
         self.delays(layer)
     }
 
-    /// A transposed convolution, synapse by synapse: output `i * stride - padding + k * dilation` receives input `i` over
-    /// the kernel's place `k` (torch, ConvTranspose; the kernel is `[in][out / groups][kh][kw]`).
+    /// A transposed convolution, synapse by synapse: output `i * stride - padding + k * dilation`
+    /// receives input `i` over the kernel's place `k` (torch, ConvTranspose; the kernel is
+    /// `[in][out / groups][kh][kw]`).
     pub(super) fn transposed(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = volume(layer)?;
         let mut geometry = geometry(layer, (1, 1))?;
@@ -204,7 +206,8 @@ impl Reader<'_> {
         self.delays(layer)
     }
 
-    /// The mean over groups of equal size is a read-out: integrators whose voltage counts what its group spiked.
+    /// The mean over groups of equal size is a read-out: integrators whose voltage counts what its
+    /// group spiked.
     pub(super) fn average(&mut self, layer: &Layer<'_>) -> Result<()> {
         let source = self.last.clone().ok_or_else(|| layer.wrong("there is nothing before it"))?;
         let outputs = units(&layer.shape()?).unwrap_or(0);

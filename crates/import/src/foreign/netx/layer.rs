@@ -1,6 +1,7 @@
 //! A layer of a file: its arrays, shape and window.
 //!
-//! Input: the group of a layer. Output: finite numbers, pairs, shapes, the geometry of a window; errors that name the layer.
+//! Input: the group of a layer. Output: finite numbers, pairs, shapes, the geometry of a window;
+//! errors that name the layer.
 
 use super::reader::wrong;
 use crate::foreign::hdf5::{Group, Numbers};

@@ -1,12 +1,14 @@
 //! Networks that lava-dl exports for its netx (`.net`, HDF5).
 //!
-//! Input: the tree of a file. Output: a model with one population a layer. Layers are taken in the order of their
-//! numbers. `iDecay` is the effective decay of the current, the threshold is `vThMant` times 64, a bias is a mantissa
-//! with exponent 6 (lava-dl d825ac5, `netx/hdf5.py`, `netx/blocks/models.py`). Kernels are cross-correlated as stored;
-//! what is flattened is flattened in the order C, H, W. A network of chip time has one step between layers; one with the
-//! older neuron type `LOIHI` has SLAYER's time, in which layer k starts at step k + 1.
+//! Input: the tree of a file. Output: a model with one population a layer. Layers are taken in the
+//! order of their numbers. `iDecay` is the effective decay of the current, the threshold is
+//! `vThMant` times 64, a bias is a mantissa with exponent 6 (lava-dl d825ac5, `netx/hdf5.py`,
+//! `netx/blocks/models.py`). Kernels are cross-correlated as stored; what is flattened is flattened
+//! in the order C, H, W. A network of chip time has one step between layers; one with the older
+//! neuron type `LOIHI` has SLAYER's time, in which layer k starts at step k + 1.
 //!
-//! Left out on purpose: neurons with another dynamics (ALIF, RF, SDNN, complex weights), graded spikes, concatenation.
+//! Left out on purpose: neurons with another dynamics (ALIF, RF, SDNN, complex weights), graded
+//! spikes, concatenation.
 
 mod kinds;
 mod layer;
@@ -29,8 +31,8 @@ use reader::{Reader, units, wrong};
 /// Reads the tree of a file.
 ///
 /// # Errors
-/// `import.netx` for what is malformed, `import.unsupported` for what is known and has no counterpart, `import.option`
-/// for what the file does not say.
+/// `import.netx` for what is malformed, `import.unsupported` for what is known and has no
+/// counterpart, `import.option` for what the file does not say.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let layers = layers(root)?;
     let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
@@ -157,7 +159,8 @@ impl Reader<'_> {
             (Some(mut parameters), Some(path)) => {
                 let (weight, bias) = (scalar("weight", 64.0)?.trunc(), scalar("bias", 0.0)?.trunc());
                 let drive = image(path, &shape)?;
-                // netx, `create_input`: an image of 0 to 1 becomes -weight to weight, rounded toward zero.
+                // netx, `create_input`: an image of 0 to 1 becomes -weight to weight, rounded
+                // toward zero.
                 let biases = drive.iter().map(|x| (2.0 * weight * x - weight + bias).trunc()).collect();
                 set_bias(&mut parameters, biases);
                 self.notes.push(format!(
@@ -176,11 +179,13 @@ impl Reader<'_> {
             (parameters, None) => {
                 if parameters.is_some() {
                     self.notes.push(format!(
-                        "layer {}: an input layer with neurons, imported as spikes of those neurons; to drive them with \
+                        "layer {}: an input layer with neurons, imported as spikes of those neurons; to drive them \
+                         with \
                          an image give --image FILE.npy",
                         layer.number
                     ));
-                    // Its spikes are given, as recorded; the layers behind it start as if it were there.
+                    // Its spikes are given, as recorded; the layers behind it start as if it were
+                    // there.
                 }
                 self.push("input", shape, None);
             }
@@ -243,7 +248,8 @@ impl Reader<'_> {
         if self.model.threshold == ThresholdTest::Inclusive {
             self.notes.push("a neuron spikes at v >= threshold, as in SLAYER 2; the chip compares with >".to_string());
         }
-        // Layer k receives the spikes of layer k - 1 a step later; in SLAYER's time all begin together at step 1.
+        // Layer k receives the spikes of layer k - 1 a step later; in SLAYER's time all begin
+        // together at step 1.
         let first = self.options.first_step.or_else(|| {
             let staggered = self.slayer_time || self.options.reset_interval.is_some() || self.options.image.is_some();
             staggered.then_some(u32::from(self.slayer_time || self.options.image.is_some()))
@@ -274,9 +280,9 @@ impl Reader<'_> {
     }
 }
 
-/// An image as one number from 0 to 1 for each unit of `[channels, height, width]`: an array `[height, width]`,
-/// `[height, width, channels]` or `[channels, height, width]`; 8-bit unsigned integers count 255ths, other numbers are
-/// from 0 to 1.
+/// An image as one number from 0 to 1 for each unit of `[channels, height, width]`: an array
+/// `[height, width]`, `[height, width, channels]` or `[channels, height, width]`; 8-bit unsigned
+/// integers count 255ths, other numbers are from 0 to 1.
 fn image(path: &std::path::Path, shape: &[u64]) -> Result<Vec<f64>> {
     let array = npy::open(path)?;
     let scale = if array.dtype().ends_with("u1") { 255.0 } else { 1.0 };

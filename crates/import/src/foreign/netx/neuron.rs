@@ -1,6 +1,7 @@
 //! Neurons of a layer as parameters of compartments.
 //!
-//! Input: a layer with a group `neuron`, or none. Output: decays, thresholds and biases, one for all or one a unit.
+//! Input: a layer with a group `neuron`, or none. Output: decays, thresholds and biases, one for
+//! all or one a unit.
 
 use super::layer::Layer;
 use super::reader::{BIAS_EXP, MOST_EXPANDED, Reader, units};

@@ -1,7 +1,7 @@
 //! Weights and delays of a layer as projections.
 //!
-//! Input: weights of any range, delays of synapses, channels or units. Output: a projection in a synapse format, or one for
-//! each delay, listed synapse by synapse where delays differ.
+//! Input: weights of any range, delays of synapses, channels or units. Output: a projection in a
+//! synapse format, or one for each delay, listed synapse by synapse where delays differ.
 
 use std::collections::BTreeMap;
 
@@ -43,7 +43,8 @@ impl Reader<'_> {
         let encoded = encode::encode(whole, exponent as i64);
         if encoded.changed > 0 {
             self.notes.push(format!(
-                "layer {}: {} of {} numbers of '{key}' fit no synapse format; they are rounded to even steps and clipped",
+                "layer {}: {} of {} numbers of '{key}' fit no synapse format; they are rounded to even steps and \
+                 clipped",
                 layer.number,
                 encoded.changed,
                 given.len()
@@ -52,8 +53,10 @@ impl Reader<'_> {
         let made = encoded.in_units(exponent as i64);
         let line = LayerWeights::new(to, layer.numbers(key)?.shape(), 1.0, &given, &made);
         if line.is_lost() {
-            return Err(layer.wrong(format!("the weights are too small for integers: {line}"))
-                .help("netx weights are integers, as lava-dl's export_hdf5 writes them; quantise the network before it is exported"));
+            return Err(layer.wrong(format!("the weights are too small for integers: {line}")).help(
+                "netx weights are integers, as lava-dl's export_hdf5 writes them; quantise the network before \
+                       it is exported",
+            ));
         }
         self.layers.push(line);
         let kind = kind(encoded.weights)?;

@@ -6,7 +6,8 @@ use crate::foreign::imported::{LayerWeights, Options};
 use nsim_files::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// Parameters that are given for each channel are expanded to at most so many numbers, all layers together.
+/// Parameters that are given for each channel are expanded to at most so many numbers, all layers
+/// together.
 pub(super) const MOST_EXPANDED: u64 = 1 << 22;
 /// The exponent of a bias (netx, `bias_exp`).
 pub(super) const BIAS_EXP: f64 = 6.0;

@@ -105,7 +105,8 @@ impl Reader<'_> {
             let Some(most) = steps.iter().copied().max_by(|a, b| off(*a).total_cmp(&off(*b))) else { continue };
             if off(most) > 1e-3 {
                 self.notes.push(format!(
-                    "node '{name}': {} of its {} delays are no whole number of steps and are rounded, the furthest from {most:.3} \
+                    "node '{name}': {} of its {} delays are no whole number of steps and are rounded, the furthest \
+                     from {most:.3} \
                      to {} (--dt gives other steps)",
                     steps.iter().filter(|steps| off(**steps) > 1e-3).count(),
                     steps.len(),

@@ -1,6 +1,7 @@
 //! Paths and neurons as projections and populations of a model.
 //!
-//! Input: paths that end at a population. Output: its projections, biases, and the population that decides.
+//! Input: paths that end at a population. Output: its projections, biases, and the population that
+//! decides.
 
 use std::collections::BTreeMap;
 
@@ -133,7 +134,8 @@ impl Reader<'_> {
         Ok(synapses)
     }
 
-    /// A name that no population has: the one that is asked for, with underscores behind it where that is taken.
+    /// A name that no population has: the one that is asked for, with underscores behind it where
+    /// that is taken.
     fn free_name(&self, wanted: &str) -> String {
         let mut name = wanted.to_string();
         while self.names.values().any(|taken| *taken == name) {
@@ -274,7 +276,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The population that decides: the one that leads to the output, or integrators that show what does.
+    /// The population that decides: the one that leads to the output, or integrators that show what
+    /// does.
     pub(super) fn output(&mut self, order: &[String]) -> Result<()> {
         let outputs: Vec<String> =
             self.flat.nodes.iter().filter(|(_, node)| node.kind == "Output").map(|(name, _)| name.clone()).collect();
@@ -336,7 +339,8 @@ impl Reader<'_> {
         self.model.drain = depth;
         if depth > 0 {
             self.notes.push(format!(
-                "layer k starts at step k, as a spike takes a step from layer to layer; {depth} more after the last step of the \
+                "layer k starts at step k, as a spike takes a step from layer to layer; {depth} more after the last \
+                 step of the \
                  input (drain), as the tools that train such networks let a spike pass all layers in one step"
             ));
         }

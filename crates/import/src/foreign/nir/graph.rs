@@ -1,6 +1,8 @@
-//! The graph of a file: graphs within graphs unfolded, populations named and given shapes, the paths between them.
+//! The graph of a file: graphs within graphs unfolded, populations named and given shapes, the
+//! paths between them.
 //!
-//! Input: groups of the file. Output: nodes and edges without nesting, and what leads from which population to which.
+//! Input: groups of the file. Output: nodes and edges without nesting, and what leads from which
+//! population to which.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,7 +12,8 @@ use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::imported::population_name;
 use nsim_ir::base::diagnostic::Result;
 
-/// Adds a graph's nodes under a prefix; edges that end at a graph end at its inputs, those that leave it leave its outputs.
+/// Adds a graph's nodes under a prefix; edges that end at a graph end at its inputs, those that
+/// leave it leave its outputs.
 pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mut Flat<'a>) -> Result<()> {
     if depth > DEEPEST {
         return Err(wrong(format!("graphs are nested deeper than {DEEPEST}")));

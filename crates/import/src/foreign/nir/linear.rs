@@ -1,7 +1,8 @@
-//! Linear maps from one population to another, as far as they can stay what they are: one factor a unit, a matrix, a window, a
-//! list of synapses.
+//! Linear maps from one population to another, as far as they can stay what they are: one factor a
+//! unit, a matrix, a window, a list of synapses.
 //!
-//! Input: the arrays of nodes. Output: products and scaled copies; nothing where a product has too many synapses.
+//! Input: the arrays of nodes. Output: products and scaled copies; nothing where a product has too
+//! many synapses.
 
 use super::reader::product;
 use crate::foreign::window::{MOST_LISTED, Sliding, each3};
@@ -52,7 +53,8 @@ impl Window {
         Some(self.sliding.synapses()?.map(|(from, to, index)| (from, to, self.weight(index))).collect())
     }
 
-    /// This window and, behind it, another, as one: a pool without overlap or remainder before a convolution.
+    /// This window and, behind it, another, as one: a pool without overlap or remainder before a
+    /// convolution.
     pub(super) fn then(&self, next: &Window) -> Option<Window> {
         let weight = *self.kernel.as_ref().err()?;
         let (pool, after) = (&self.sliding, &next.sliding);

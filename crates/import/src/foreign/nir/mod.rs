@@ -1,8 +1,9 @@
 //! Networks in the neuromorphic intermediate representation (`.nir`, HDF5).
 //!
-//! Input: the tree of a file. Output: a model with one population for each node that has a state. The nodes
-//! between two populations (`Linear`, `Affine`, `Scale`, `Conv1d`, `Conv2d`, `SumPool2d`, `AvgPool2d`, `Flatten`,
-//! `Delay`) become one projection; graphs within graphs are unfolded; edges may form cycles.
+//! Input: the tree of a file. Output: a model with one population for each node that has a state.
+//! The nodes between two populations (`Linear`, `Affine`, `Scale`, `Conv1d`, `Conv2d`, `SumPool2d`,
+//! `AvgPool2d`, `Flatten`, `Delay`) become one projection; graphs within graphs are unfolded; edges
+//! may form cycles.
 //!
 //! The equations are of continuous time (NIR 7232ada, `docs/source/primitives.md`); they are
 //! discretised as their exporters do, by Euler's rule with the new current: `I <- (1 - dt /
@@ -46,8 +47,8 @@ use reader::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsup
 /// Reads the tree of a file.
 ///
 /// # Errors
-/// `import.nir` for what is malformed, `import.unsupported` for what a core cannot do, `import.option` for what the file
-/// does not say.
+/// `import.nir` for what is malformed, `import.unsupported` for what a core cannot do,
+/// `import.option` for what the file does not say.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
     let mut notes = Vec::new();
@@ -160,8 +161,10 @@ impl Reader<'_> {
                         format!("node '{name}' has v_reset 0, which --reset {} contradicts", self.reset_name()),
                     )
                     .help(
-                        "leave --reset out: a neuron with v_reset returns to that value. snnTorch and sinabs write v_reset 0 for \
-                         networks that subtract too: read such a network of snnTorch from its state dict (torch.save), or delete \
+                        "leave --reset out: a neuron with v_reset returns to that value. snnTorch and sinabs write \
+                         v_reset 0 for \
+                         networks that subtract too: read such a network of snnTorch from its state dict \
+                         (torch.save), or delete \
                          the field from each node with h5py: del file['node/nodes/NAME/v_reset']",
                     ));
                 }
@@ -236,7 +239,8 @@ impl Reader<'_> {
             if !is_population(&node.kind) && !LINEAR.contains(&node.kind.as_str()) {
                 return Err(unsupported(
                     format!("node '{name}' is of the type '{}'", node.kind),
-                    "imported are Input, Output, Linear, Affine, Scale, CubaLIF, LIF, IF, CubaLI, LI, I, Threshold, Conv1d, \
+                    "imported are Input, Output, Linear, Affine, Scale, CubaLIF, LIF, IF, CubaLI, LI, I, Threshold, \
+                     Conv1d, \
                      Conv2d, SumPool2d, AvgPool2d, Flatten, Delay and graphs of them",
                 ));
             }

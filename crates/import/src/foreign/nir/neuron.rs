@@ -1,7 +1,7 @@
 //! Neurons in continuous time as compartments in steps.
 //!
-//! Input: time constants, resistances, thresholds of a node. Output: the timestep of the file, and decays, gain, threshold
-//! and bias in that step.
+//! Input: time constants, resistances, thresholds of a node. Output: the timestep of the file, and
+//! decays, gain, threshold and bias in that step.
 
 use std::cmp::Ordering;
 
@@ -170,7 +170,8 @@ impl Reader<'_> {
                     format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3),
                 )
                 .help(
-                    "give a shorter one with --dt MS; time constants of a file are in seconds. A tool whose states decay by \
+                    "give a shorter one with --dt MS; time constants of a file are in seconds. A tool whose states \
+                     decay by \
                      exp(-dt / tau) is read with --decay exponential",
                 ));
             }
@@ -236,7 +237,8 @@ impl Reader<'_> {
                 }
             }
             "IF" | "I" => {
-                // Where nothing else has a timestep, exporters mean sums: a spike counts its weight.
+                // Where nothing else has a timestep, exporters mean sums: a spike counts its
+                // weight.
                 let said = self.options.dt_ms.is_some();
                 let r = get("r", Some(1.0))?;
                 let gain = if said && !all(&r, |r| r == 1.0) { r.map(|r| r * dt) } else { r };

@@ -1,4 +1,5 @@
-//! The state of reading a NIR file: its flat graph and the model so far; limits and errors of all its parts.
+//! The state of reading a NIR file: its flat graph and the model so far; limits and errors of all
+//! its parts.
 
 use std::collections::{BTreeMap, BTreeSet};
 

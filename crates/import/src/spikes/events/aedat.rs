@@ -7,7 +7,8 @@
 //! are skipped. The description names the streams; events of two streams are never read as one. A
 //! packet is read whole: it and what it decompresses to take at most 64 MiB each.
 //!
-//! Flatbuffers are read with `planus`, which checks each access: the accessors of the crate `flatbuffers` are unsafe.
+//! Flatbuffers are read with `planus`, which checks each access: the accessors of the crate
+//! `flatbuffers` are unsafe.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
@@ -105,7 +106,8 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
             None => "this is no AEDAT4".to_string(),
         };
         return Err(wrong(what).help(
-            "DV converts AEDAT 2 and 3 to AEDAT4 when it opens them; rows of text with the header t_us,x,y,p are read too",
+            "DV converts AEDAT 2 and 3 to AEDAT4 when it opens them; rows of text with the header t_us,x,y,p are read \
+             too",
         ));
     }
     let mut at = magic.len() as u64;

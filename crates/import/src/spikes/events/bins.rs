@@ -1,7 +1,7 @@
 //! Sorts events into bins of time and space, which become spikes.
 //!
-//! Input: events one by one. Output: the spikes of a sample. Only occupied bins are kept, each with its number of events;
-//! new events are sorted into them in batches.
+//! Input: events one by one. Output: the spikes of a sample. Only occupied bins are kept, each with
+//! its number of events; new events are sorted into them in batches.
 
 use super::event::{Counts, Event, Remark, Sink, wrong};
 use super::text::unit_unknown;
@@ -89,7 +89,8 @@ impl Bins {
         }
     }
 
-    /// The grid, from the options, the file, the population or the format's usual sensor, in this order.
+    /// The grid, from the options, the file, the population or the format's usual sensor, in this
+    /// order.
     fn grid(&mut self) -> Result<Grid> {
         if let Some(grid) = self.grid {
             return Ok(grid);

@@ -1,4 +1,5 @@
-//! What decoders and their receivers share: an event, the receiver's trait, counts, and reading by fixed sizes.
+//! What decoders and their receivers share: an event, the receiver's trait, counts, and reading by
+//! fixed sizes.
 
 use std::io::BufRead;
 

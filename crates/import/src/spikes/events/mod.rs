@@ -1,13 +1,16 @@
 //! Recordings of event cameras and tactile sensors, streamed into spikes.
 //!
-//! Input: a file in one of the formats below, and [`super::options::EventOptions`]. Output: the spikes of one sample and
-//! [`event::Counts`]. Each event passes from a buffered reader through crop, pool, polarity and binning into a table of the
-//! occupied bins, so memory grows with the spikes that are kept and not with the file. Events outside the window are
-//! counted as dropped; events earlier than one before them are counted as out of order and kept in the bin of their time.
+//! Input: a file in one of the formats below, and [`super::options::EventOptions`]. Output: the
+//! spikes of one sample and [`event::Counts`]. Each event passes from a buffered reader through
+//! crop, pool, polarity and binning into a table of the occupied bins, so memory grows with the
+//! spikes that are kept and not with the file. Events outside the window are counted as dropped;
+//! events earlier than one before them are counted as out of order and kept in the bin of their
+//! time.
 //!
-//! Formats: [`address`] (N-MNIST `.bin`, SLAYER `.bs1` and `.bs2`, Prophesee `.dat`), [`evt`] (Prophesee EVT2 and EVT3),
-//! [`aedat`] (AEDAT4), [`tact`] (VT_SNN's NeuTouch text), [`mod@text`] (CSV with a header of x, y and time), [`nir_data`] (NIR's event and time-gridded data, which are whole
-//! arrays and not streams).
+//! Formats: [`address`] (N-MNIST `.bin`, SLAYER `.bs1` and `.bs2`, Prophesee `.dat`), [`evt`]
+//! (Prophesee EVT2 and EVT3), [`aedat`] (AEDAT4), [`tact`] (VT_SNN's NeuTouch text), [`mod@text`]
+//! (CSV with a header of x, y and time), [`nir_data`] (NIR's event and time-gridded data, which are
+//! whole arrays and not streams).
 
 pub mod address;
 pub mod aedat;

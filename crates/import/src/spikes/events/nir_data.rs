@@ -1,9 +1,9 @@
 //! NIR's data files: events, or values on a grid of time.
 //!
-//! Input: the tree of a file that `nir.write_data` made (NIR 1.0.8, `data_ir`). Output: the spikes of its samples. Of
-//! several observables the one named `spikes` of the population's node is read, else the only one. Times are in seconds;
-//! a grid's own step is a timestep unless bins are asked for. Also makes such trees, for spikes (as events) and for other
-//! registers (on a grid).
+//! Input: the tree of a file that `nir.write_data` made (NIR 1.0.8, `data_ir`). Output: the spikes
+//! of its samples. Of several observables the one named `spikes` of the population's node is read,
+//! else the only one. Times are in seconds; a grid's own step is a timestep unless bins are asked
+//! for. Also makes such trees, for spikes (as events) and for other registers (on a grid).
 
 use std::path::Path;
 

@@ -96,7 +96,8 @@ pub fn read_input(
     bins.finish(name)
 }
 
-/// The moment that is step 0 unless the options say otherwise. Clocks of cameras run since they were switched on.
+/// The moment that is step 0 unless the options say otherwise. Clocks of cameras run since they
+/// were switched on.
 fn default_origin(format: EventFormat) -> Origin {
     match format {
         EventFormat::Bin | EventFormat::Bs1 | EventFormat::Bs2 | EventFormat::Tact => Origin::At(0),

@@ -1,8 +1,9 @@
 //! VT_SNN's recordings of the NeuTouch fingertips, `.tact`.
 //!
-//! Rows of text: polarity, cell from 1 to 80 and seconds; an older variant has whole seconds and nanoseconds (VT_SNN
-//! 9215087, `preprocess.py`; facts only). Cells 17 and 49 are no taxels: 78 remain, 39 of each finger. A channel is
-//! `2 taxel + polarity`, the order in which VT_SNN flattens its arrays `[78, 2, T]`.
+//! Rows of text: polarity, cell from 1 to 80 and seconds; an older variant has whole seconds and
+//! nanoseconds (VT_SNN 9215087, `preprocess.py`; facts only). Cells 17 and 49 are no taxels: 78
+//! remain, 39 of each finger. A channel is `2 taxel + polarity`, the order in which VT_SNN flattens
+//! its arrays `[78, 2, T]`.
 
 use std::io::BufRead;
 
