@@ -1,7 +1,7 @@
 //! nsim maps trained spiking networks onto simulated Loihi-style cores, runs them with the chip's
 //! own integer arithmetic, and reports energy, latency and power.
 //!
-//! The way through is one line: files become a [`desc::network::Network`], then an
+//! The way through is one line: files become a [`files::network::Network`], then an
 //! [`ir::graph::Graph`], an [`ir::quantised::Quantised`] network, an [`ir::partition::Partition`],
 //! an [`ir::placement::Placement`], an [`ir::program::Program`]; the machine runs it and counts an
 //! [`ir::activity::Activity`], from which energy and time are computed. `docs/architecture.md` has
@@ -42,6 +42,7 @@ pub use nsim_golden as golden;
 pub use nsim_import as import;
 pub use nsim_ir as ir;
 pub use nsim_machine as machine;
+pub use nsim_partition as partition;
 pub use nsim_quantise as quantise;
 pub use nsim_reference as reference;
 pub use nsim_report as report;

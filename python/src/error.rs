@@ -3,7 +3,7 @@
 use std::ffi::CString;
 
 use nsim::compile::CompileError;
-use nsim::compile::reason::Reason;
+use nsim::partition::reason::Reason;
 use nsim::ir::base::diagnostic::{Diagnostic, Position};
 use nsim::report::map::reason_json;
 use pyo3::exceptions::{PyException, PyUserWarning};

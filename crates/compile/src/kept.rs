@@ -13,11 +13,7 @@ use std::hash::{Hash, Hasher};
 
 use sha2::{Digest, Sha256};
 
-use crate::error::CompileError;
-use crate::form::Form;
 use crate::mapping::Mapping;
-use crate::options::{Effort, Options};
-use crate::partition::members::Members;
 use crate::place;
 use crate::stages::{Front, Placed};
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
@@ -28,6 +24,10 @@ use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Placement, Site};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Parts, Population, Projection, Quantised, Units};
+use nsim_partition::error::CompileError;
+use nsim_partition::form::Form;
+use nsim_partition::options::{Effort, Options};
+use nsim_partition::strategy::members::Members;
 
 /// Begins every entry; another layout of the bytes begins otherwise.
 const MAGIC: &[u8; 8] = b"nsim-m01";

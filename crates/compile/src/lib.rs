@@ -1,28 +1,22 @@
-//! From a network to a program for the cores of a target.
+//! From a network in integers to a program for the cores of a target.
 //!
-//! Input: a [`Network`], a [`Target`], [`Options`]. Output: a [`Mapping`], or every reason why the
-//! network does not fit. Its limits have been verified and its synapses compared with the network's
-//! by code that shares nothing with the stages that made it. [`map()`] makes one mapping;
+//! Input: a network in integers, a [`Target`], [`Options`]. Output: a [`Mapping`], or every reason
+//! why the network does not fit. Its limits have been verified and its synapses compared with the
+//! network's by code that shares nothing with the stages that made it. [`map()`] makes one mapping;
 //! [`explore::map`] compares several for an objective.
 
 #[cfg(test)]
 mod copies_tests;
 pub mod emit;
-pub mod error;
 pub mod explore;
-pub mod form;
 pub mod groups;
 pub mod kept;
 pub mod mapping;
 pub mod mapping_file;
-pub mod options;
 pub mod parcel;
-pub mod partition;
 pub mod place;
 #[cfg(test)]
 mod prune_tests;
-pub mod reason;
-pub mod resources;
 pub mod reuse;
 pub mod stages;
 #[cfg(test)]
@@ -33,11 +27,13 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;
 
-pub use error::CompileError;
-pub use form::Form;
 pub use mapping::{Checked, Compiled, Mapping, Synapses};
-pub use options::{CopyPlacement, DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy};
-pub use reason::Reason;
+pub use nsim_partition::error::CompileError;
+pub use nsim_partition::form::Form;
+pub use nsim_partition::options::{
+    CopyPlacement, DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy,
+};
+pub use nsim_partition::reason::Reason;
 pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked, with_program};
 
 /// A mapping by one partition and one placement, for sources of one copy that spike this often.

@@ -5,15 +5,15 @@
 //! and can run; one of a network that is mapped by its kernels has boxes instead, from which
 //! everything but single synapses can be counted.
 
-use crate::error::CompileError;
-use crate::form::Form;
-use crate::options::Options;
-use crate::partition::boxes::Boxes;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
+use nsim_partition::error::CompileError;
+use nsim_partition::form::Form;
+use nsim_partition::options::Options;
+use nsim_partition::strategy::boxes::Boxes;
 
 /// How the synapses of each core are given.
 #[derive(Debug, Clone)]

@@ -11,13 +11,13 @@ use std::collections::HashMap;
 use std::hash::Hash;
 
 use crate::emit::route::compartments;
-use crate::error::{CompileError, Result};
 use crate::mapping::Compiled;
 use nsim_check::{equivalence, verify};
 use nsim_ir::base::shared::Shared;
 use nsim_ir::hardware::Target;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Parts, Population, Quantised, Units};
+use nsim_partition::error::{CompileError, Result};
 use nsim_quantise::copies::copies;
 
 /// Numbers for values, in the order in which they are first seen.

@@ -9,22 +9,12 @@ use std::time::Instant;
 use crate::emit::boxes::route_boxes;
 use crate::emit::route::route;
 use crate::emit::sample::sample;
-use crate::error::{CompileError, Result};
-use crate::form::Form;
 use crate::mapping::{Checked, Compiled, Mapping, Synapses};
 use crate::mapping_file;
 use crate::mapping_file::pruned::plan;
-use crate::options::{DEFAULT_RATE, Effort, Options};
-use crate::partition;
-use crate::partition::boxes;
-use crate::partition::boxes::Boxes;
-use crate::partition::members::Members;
-use crate::partition::{partition, within_bounds};
 use crate::place;
 use crate::place::anneal;
 use crate::place::deal::deal;
-use crate::resources::axon_sharing::Places;
-use crate::resources::even_draws;
 use nsim_check::sampled::SampledCore;
 use nsim_check::{equivalence, relays, sampled, verify};
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -39,6 +29,16 @@ use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Note, Parts, Quantised, Units};
 use nsim_ir::resource::Resource;
+use nsim_partition::error::{CompileError, Result};
+use nsim_partition::form::Form;
+use nsim_partition::options::{DEFAULT_RATE, Effort, Options};
+use nsim_partition::resources::axon_sharing::Places;
+use nsim_partition::resources::even_draws;
+use nsim_partition::strategy;
+use nsim_partition::strategy::boxes;
+use nsim_partition::strategy::boxes::Boxes;
+use nsim_partition::strategy::members::Members;
+use nsim_partition::strategy::{partition, within_bounds};
 use nsim_quantise::copies::copies;
 use nsim_quantise::prune::{Plan, prune};
 use nsim_quantise::relays::{Relayed, relayed};
@@ -191,7 +191,7 @@ impl Front {
     /// # Errors
     /// [`CompileError`].
     pub fn partition(self, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Partitioned> {
-        let search = partition::Search::new(options, rates);
+        let search = strategy::Search::new(options, rates);
         let (front, all) = self.copied(target, options, search, form)?;
         let Front { one, mut clock, .. } = front;
         let (partition, boxes) = clock.stage("partition", || match form {
@@ -214,7 +214,7 @@ impl Front {
             Form::Written => self.prune_as(file)?,
             Form::Symbolic => self,
         };
-        let (front, all) = pruned.copied(target, options, partition::Search::new(options, &rates), form)?;
+        let (front, all) = pruned.copied(target, options, strategy::Search::new(options, &rates), form)?;
         let Front { one, mut clock, .. } = front;
         let (partition, placement, boxes) = clock.stage("mapping", || mapping_file::load(file, &all, target, form))?;
         Ok(Placed {
@@ -237,7 +237,7 @@ impl Front {
         (members, sites): (Members, IdVec<CoreId, Site>),
         name: &'static str,
     ) -> Result<Placed> {
-        let search = partition::Search::new(options, rates);
+        let search = strategy::Search::new(options, rates);
         let (front, all) = self.copied(target, options, search, Form::Written)?;
         let Front { one, mut clock, .. } = front;
         let partition = clock.stage("partition", || mapping_file::partition_on(&all, members, &sites, target))?;
@@ -252,7 +252,7 @@ impl Front {
         mut self,
         target: &Target,
         options: &Options,
-        search: partition::Search<'_>,
+        search: strategy::Search<'_>,
         form: Form,
     ) -> Result<(Self, Quantised)> {
         let (one, clock) = (&self.one, &mut self.clock);

@@ -6,11 +6,7 @@ use std::sync::Arc;
 
 use crate::emit::route::route;
 use crate::emit::testing as memory;
-use crate::partition::tiles;
 use crate::place;
-use crate::resources::exact::usage;
-use crate::resources::fan_in::FanIn;
-use crate::resources::incremental::{Filling, Newcomer};
 use crate::{CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Options, Reason, compile, explore};
 use nsim_check::equivalence::{Difference, check};
 use nsim_check::verify::{Violation, verify};
@@ -26,6 +22,10 @@ use nsim_ir::program::{AxonTarget, Parts, Program, Stored, Synapse};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Neuron, Quantised, Reset, Units};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Pool, Resource};
+use nsim_partition::resources::exact::usage;
+use nsim_partition::resources::fan_in::FanIn;
+use nsim_partition::resources::incremental::{Filling, Newcomer};
+use nsim_partition::strategy::tiles;
 use nsim_testing::{Builder, limits, neurons, plain_format, random_network, slip, target};
 
 fn compiled(network: Quantised, limits: Limits) -> Compiled {
@@ -664,4 +664,29 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
         assert_eq!([tables.len(), stored, image.inputs.populations.len()], theirs, "{source:?}");
         assert_eq!(image.inputs.iter_discrete().count(), 0);
     }
+}
+
+#[test]
+fn no_network_that_fits_is_refused_and_bounds_are_near_what_is_needed() {
+    let mut refused = 0;
+    let cases = [(600, 20, 200, 1), (600, 20, 60, 1), (2_000, 8, 64, 1), (4_400, 500, 520, 32), (4_400, 500, 4_096, 1)];
+    for (size, fan_out, axons, chips) in cases {
+        let mut builder = Builder::new();
+        let (input, all) = (builder.input("in", 4), builder.loihi("all", size));
+        builder.random(input, all, 10, 1);
+        builder.random(all, all, fan_out, 2);
+        let network = builder.build();
+        for axons_out in [4_096, 1_024] {
+            let limits = limits().with(Resource::AxonsIn, axons).with(Resource::AxonsOut, axons_out);
+            let board = target(chips, 1, Limits { axon_out_slots_off_chip: 1, ..limits });
+            let found = nsim_partition::resources::even_draws::reasons(&network, &board, 1, false);
+            match compile(network.clone(), &board, &Options { effort: crate::Effort::Work(0), ..Options::default() }) {
+                Ok(_) => assert!(found.is_empty(), "{found:?}"),
+                Err(CompileError::DoesNotFit(_)) => refused += usize::from(!found.is_empty()),
+                Err(other) => panic!("{other}"),
+            }
+        }
+    }
+    // 4,400 compartments take a core each, of 4,096.
+    assert!(refused > 1, "{refused}");
 }

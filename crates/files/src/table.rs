@@ -5,7 +5,7 @@ use std::io::IsTerminal;
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 
 /// The width of text for people.
-const WIDTH: usize = 80;
+pub const WIDTH: usize = 80;
 
 /// An empty table without lines, as wide as what it holds.
 pub fn table(header: impl IntoIterator<Item = impl Into<Cell>>) -> Table {

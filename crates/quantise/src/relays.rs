@@ -4,7 +4,7 @@
 //! Input: a network and the most targets that one compartment may have. Output: the same network in
 //! which every compartment that had more sends to relays, which are populations of their own behind
 //! the others, so that all numbers of the original stay. What relays do not change is for
-//! [`check::relays`](nsim_check::relays) to prove, which shares nothing with this. Errors: delays
+//! `nsim_check::relays` to prove, which shares nothing with this. Errors: delays
 //! that leave no time for relays; graded spikes, which a relay does not carry.
 //!
 //! A relay is a compartment without memory that spikes in the step in which its only synapse brings

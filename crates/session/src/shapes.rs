@@ -9,8 +9,7 @@
 
 use std::collections::HashMap;
 
-use nsim_compile::error::{CompileError, Result};
-use nsim_compile::reason::Reason;
+use nsim_compile::{CompileError, Reason};
 use nsim_files::network::{Network, ProjectionDesc};
 use nsim_ir::graph::MOST_UNITS;
 use nsim_ir::hardware::Target;
@@ -27,7 +26,7 @@ const SMALL: u128 = 1 << 24;
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`].
-pub fn check(network: &Network, target: &Target, copies: u32) -> Result<()> {
+pub fn check(network: &Network, target: &Target, copies: u32) -> Result<(), CompileError> {
     let file = network.file();
     let limit = u64::from(target.limits()[Resource::SynapseWords]);
     let units = |shape: &[u64]| shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));

@@ -18,10 +18,6 @@ use rayon::prelude::*;
 
 use crate::emit::route::{assemble, compartments};
 use crate::emit::sample::sample;
-use crate::partition::lattice;
-use crate::resources::closed_form::Layer;
-use crate::resources::fan_in::first_source;
-use crate::resources::receptive_field::{ReceptiveField, WindowAxis};
 use nsim_check::sampled::SampledCore;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
@@ -32,6 +28,10 @@ use nsim_ir::placement::Placement;
 use nsim_ir::program::{CoreImage, Program, Stored};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Limits;
+use nsim_partition::resources::closed_form::Layer;
+use nsim_partition::resources::fan_in::first_source;
+use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
+use nsim_partition::strategy::lattice;
 
 /// The program, and the tables of one core of each pattern.
 ///

@@ -3,10 +3,10 @@
 //! Input: a network, its partition and placement. Output: a [`Program`]. Each source sends one
 //! message to each core that holds a target of it, the own core included; there an input axon of
 //! its own leads to the list of its synapses, which is one of a table where
-//! [`crate::resources::axon_sharing`] says so. Input axons of a core are numbered by source:
-//! channels in order, then compartments in order. A list is sorted by format, then slot, delay and
-//! weight; formats are numbered as they first appear. Widths are those of
-//! [`crate::resources::packing`].
+//! [`nsim_partition::resources::axon_sharing`] says so. Input axons of a core are numbered by
+//! source: channels in order, then compartments in order. A list is sorted by format, then slot,
+//! delay and weight; formats are numbered as they first appear. Widths are those of
+//! [`nsim_partition::resources::packing`].
 //!
 //! Cores are written down in parallel, from their own synapses alone; then messages are sorted from
 //! cores to sources, a range of sources each.
@@ -14,14 +14,6 @@
 use rayon::prelude::*;
 
 use crate::emit::twins::{Twin, twins};
-use crate::resources::axon_sharing::{EqualPlace, Places};
-use crate::resources::by_core;
-use crate::resources::by_core::{Key, by_core_from};
-use crate::resources::counter::stored;
-use crate::resources::exact::{StoredLists, group_of, longest_delays};
-use crate::resources::fan_in::first_source;
-use crate::resources::formats::Formats;
-use crate::resources::packing::{Compression, Group, Widths};
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, PopulationId};
@@ -35,6 +27,14 @@ use nsim_ir::program::{
 };
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::resource::Limits;
+use nsim_partition::resources::axon_sharing::{EqualPlace, Places};
+use nsim_partition::resources::by_core;
+use nsim_partition::resources::by_core::{Key, by_core_from};
+use nsim_partition::resources::counter::stored;
+use nsim_partition::resources::exact::{StoredLists, group_of, longest_delays};
+use nsim_partition::resources::fan_in::first_source;
+use nsim_partition::resources::formats::Formats;
+use nsim_partition::resources::packing::{Compression, Group, Widths};
 
 /// Sources whose messages are sorted by one task. With fewer the sources of each core are read in
 /// shorter runs: 4,096 took twice the time.

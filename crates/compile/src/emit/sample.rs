@@ -9,8 +9,6 @@
 use rayon::prelude::*;
 
 use crate::emit::route::Tables;
-use crate::resources::by_core::Key;
-use crate::resources::fan_in::{FanIn, first_source};
 use nsim_check::sampled::SampledCore;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
@@ -20,6 +18,8 @@ use nsim_ir::placement::Placement;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::Limits;
+use nsim_partition::resources::by_core::Key;
+use nsim_partition::resources::fan_in::{FanIn, first_source};
 
 /// The tables of these cores.
 ///

@@ -2,8 +2,8 @@
 //!
 //! Input: a core's image. Output: its 64-bit words as the formats say, and the lists that these
 //! words decode to. They show that what was counted can be stored: as many words as
-//! [`crate::resources::packing`] counts, and every synapse back. `verify` counts words by the
-//! formula; the tests hold the formula to this.
+//! [`nsim_partition::resources::packing`] counts, and every synapse back. `verify` counts words by
+//! the formula; the tests hold the formula to this.
 //!
 //! An entry: number of the format (4 bits), synapses less one (6 bits), the first slot (as wide as
 //! the core's indices; in run-length entries, and with NxTF's counting in dense ones), then the
@@ -18,11 +18,11 @@
 
 use std::collections::BTreeMap;
 
-use crate::resources::packing;
-use crate::resources::packing::{Compression, Group, Widths};
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::program::{CoreFormat, CoreImage, InputAxon, Synapse};
 use nsim_ir::resource::{Limits, Packing};
+use nsim_partition::resources::packing;
+use nsim_partition::resources::packing::{Compression, Group, Widths};
 
 /// An entry of the synapse map.
 #[derive(Debug, Clone, PartialEq, Eq)]

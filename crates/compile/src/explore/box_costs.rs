@@ -7,8 +7,6 @@
 use crate::explore::cost_estimate::{Score, score_of};
 use crate::explore::traffic;
 use crate::explore::traffic::{Links, Traffic};
-use crate::partition::box_fan_out::PopulationRates;
-use crate::partition::boxes::Boxes;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::{CoreId, Id};
@@ -17,6 +15,8 @@ use nsim_ir::hardware::Target;
 use nsim_ir::placement::Placement;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::Resource;
+use nsim_partition::strategy::box_fan_out::PopulationRates;
+use nsim_partition::strategy::boxes::Boxes;
 
 /// Boxes with their places.
 #[derive(Debug, Clone, Copy)]

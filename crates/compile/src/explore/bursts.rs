@@ -8,8 +8,6 @@
 //! and that is most of a step in which many compartments spike.
 
 use crate::explore::cost_estimate::first_constants;
-use crate::partition::box_fan_out::{PopulationRates, everywhere, only};
-use crate::resources::fan_in::first_source;
 use nsim_cost::deployment::{Deployment, HostWork};
 use nsim_cost::transport::{MessageRoutes, QueueMemory, Transport};
 use nsim_ir::activity::StepActivity;
@@ -21,6 +19,8 @@ use nsim_ir::hardware::Target;
 use nsim_ir::placement::Placement;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
+use nsim_partition::resources::fan_in::first_source;
+use nsim_partition::strategy::box_fan_out::{PopulationRates, everywhere, only};
 
 /// Populations whose bursts candidates are compared in.
 const MOST_BURSTS: usize = 16;

@@ -15,9 +15,9 @@
 //! is saved has to be a part of the whole, too (`OF_WHOLE`). Last, a step in which drawn
 //! compartments spike and every message is followed may take no longer, with the same allowance.
 
-use crate::error::Result;
 use crate::explore::cost_estimate::Score;
-use crate::options::{Objective, Strategy};
+use nsim_partition::error::Result;
+use nsim_partition::options::{Objective, Strategy};
 
 /// How much less a mean step must take to be trusted to take no longer in a burst.
 const MARGIN: f64 = 0.9;

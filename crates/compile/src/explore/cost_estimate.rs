@@ -13,7 +13,6 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::explore::traffic::{Traffic, parts, traffic};
-use crate::options::Objective;
 use nsim_cost::constants::CostTable;
 use nsim_cost::deployment::{Deployment, HostWork};
 use nsim_cost::estimate::job_power;
@@ -27,6 +26,7 @@ use nsim_ir::firing_rates::{Rates, UNIT};
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::{Placement, Site};
 use nsim_ir::program::{AxonTarget, Program};
+use nsim_partition::options::Objective;
 
 /// What a mapping is expected to be worth.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]

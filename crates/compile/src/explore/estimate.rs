@@ -6,11 +6,11 @@ use crate::explore::cost_estimate::{Score, expected, score_at, score_of};
 use crate::explore::traffic;
 use crate::explore::traffic::{Links, Traffic};
 use crate::mapping::{Compiled, Mapping, Synapses};
-use crate::partition::box_fan_out::everywhere;
-use crate::partition::boxes::Boxes;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
+use nsim_partition::strategy::box_fan_out::everywhere;
+use nsim_partition::strategy::boxes::Boxes;
 
 impl Mapping {
     fn at_places<'a>(&'a self, boxes: &'a Boxes) -> PlacedBoxes<'a> {

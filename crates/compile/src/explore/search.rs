@@ -11,19 +11,13 @@ use std::time::{Duration, Instant};
 use rayon::prelude::*;
 
 use crate as compile;
-use crate::error::{CompileError, Result};
 use crate::explore::box_costs::PlacedBoxes;
 use crate::explore::bursts::{bursts, followed_us, messages, population_bursts};
 use crate::explore::choice::{Bursts, Candidate, Choice, Found, Made};
 use crate::explore::cost_estimate::{Score, score_at};
-use crate::form::Form;
 use crate::mapping::{Mapping, Synapses};
 use crate::mapping_file::file_of_boxes;
-use crate::options::{Effort, Objective, Options, Strategy};
-use crate::partition::box_fan_out::{PopulationRates, everywhere};
-use crate::partition::boxes::{Boxes, Layers};
 use crate::place::spread::spread;
-use crate::reason::Reason;
 use crate::stages::{Front, Unchecked};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -31,6 +25,12 @@ use nsim_ir::mapping::MappingFile;
 use nsim_ir::placement::Placement;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Resource;
+use nsim_partition::error::{CompileError, Result};
+use nsim_partition::form::Form;
+use nsim_partition::options::{Effort, Objective, Options, Strategy};
+use nsim_partition::reason::Reason;
+use nsim_partition::strategy::box_fan_out::{PopulationRates, everywhere};
+use nsim_partition::strategy::boxes::{Boxes, Layers};
 
 /// Parts of a core, as divisors, that candidates fill.
 const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];

@@ -8,11 +8,6 @@ use crate::explore::cost_estimate::{Score, score_at};
 use crate::explore::traffic;
 use crate::explore::traffic::traffic;
 use crate::mapping_file::one_copy;
-use crate::partition::box_fan_out::{PopulationRates, everywhere, only};
-use crate::partition::boxes::Boxes;
-use crate::partition::lattice;
-use crate::partition::members::row_of_chips;
-use crate::resources::fan_in::first_source;
 use crate::*;
 use nsim_check::sampled;
 use nsim_check::sampled::SampledCore;
@@ -25,6 +20,11 @@ use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, Resource};
+use nsim_partition::resources::fan_in::first_source;
+use nsim_partition::strategy::box_fan_out::{PopulationRates, everywhere, only};
+use nsim_partition::strategy::boxes::Boxes;
+use nsim_partition::strategy::lattice;
+use nsim_partition::strategy::members::row_of_chips;
 use nsim_testing::{Builder, format, neurons, plain_format, target};
 
 /// Limits with which output axons are counted by compartment.
@@ -160,9 +160,9 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         let network = &made.quantised;
         let chips = row_of_chips(made.partition.cores(), &board);
         let (members, seats) = (made.partition.members(), made.partition.seats());
-        let exact = resources::exact::usage(network, members, seats, &chips, board.limits());
+        let exact = nsim_partition::resources::exact::usage(network, members, seats, &chips, board.limits());
         let each = Limits { output_axons: OutputAxons::PerCompartment, ..board.limits().clone() };
-        let each = resources::exact::usage(network, members, seats, &chips, &each);
+        let each = nsim_partition::resources::exact::usage(network, members, seats, &chips, &each);
         assert_eq!(made.partition.usage().as_slice(), exact.as_slice(), "seed {seed}");
         let slots = exact.iter().map(|used| used[Resource::AxonsOut]);
         fewer += slots.zip(&each).filter(|(slots, each)| *slots < each[Resource::AxonsOut]).count();

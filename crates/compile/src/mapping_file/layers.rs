@@ -5,18 +5,18 @@
 //! counted again. Nothing is allocated by a number in the file before the file has been found to
 //! hold as many entries.
 
-use crate::partition::boxes::Lattices;
-use crate::partition::lattice;
-use crate::partition::lattice::Lattice;
-use crate::partition::members::Members;
-use crate::resources::closed_form::Layer;
-use crate::resources::packing::MOST_SLOTS;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::{MappedLayer, MappingFile, OnChip};
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::Quantised;
+use nsim_partition::resources::closed_form::Layer;
+use nsim_partition::resources::packing::MOST_SLOTS;
+use nsim_partition::strategy::boxes::Lattices;
+use nsim_partition::strategy::lattice;
+use nsim_partition::strategy::lattice::Lattice;
+use nsim_partition::strategy::members::Members;
 
 /// The layers of a file.
 #[must_use]

@@ -11,15 +11,8 @@ pub mod pruned;
 
 use std::path::Path;
 
-use crate::error::CompileError;
-use crate::form::Form;
 use crate::mapping::{Compiled, Mapping, Synapses};
 use crate::mapping_file::pruned::pruned_file;
-use crate::options::Options;
-use crate::partition::boxes::{Boxes, Layers};
-use crate::partition::members::{Members, partition_of};
-use crate::resources::exact::usage;
-use crate::resources::packing::MOST_SLOTS;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
@@ -28,6 +21,13 @@ use nsim_ir::mapping::{MappedCore, MappingFile, Run};
 use nsim_ir::partition::{Partition, seats};
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::Quantised;
+use nsim_partition::error::CompileError;
+use nsim_partition::form::Form;
+use nsim_partition::options::Options;
+use nsim_partition::resources::exact::usage;
+use nsim_partition::resources::packing::MOST_SLOTS;
+use nsim_partition::strategy::boxes::{Boxes, Layers};
+use nsim_partition::strategy::members::{Members, partition_of};
 
 impl Mapping {
     /// The mapping as a file.

@@ -20,13 +20,9 @@
 pub mod network;
 pub mod words;
 
-use crate::error::{CompileError, Result};
-use crate::form::Form;
 use crate::mapping::Compiled;
-use crate::options::Options;
 use crate::parcel::network::Wanted;
 use crate::parcel::words::{Damaged, Reader, Writer};
-use crate::partition::members::Members;
 use crate::place;
 use crate::stages::{Placed, PlacedPart};
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
@@ -36,6 +32,10 @@ use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{PerResource, Resource};
+use nsim_partition::error::{CompileError, Result};
+use nsim_partition::form::Form;
+use nsim_partition::options::Options;
+use nsim_partition::strategy::members::Members;
 use nsim_quantise::copies::copies;
 
 /// Begins every parcel; another layout of the words begins otherwise.

@@ -17,7 +17,6 @@
 
 use std::sync::Arc;
 
-use crate::error::CompileError;
 use crate::parcel::words::{Damaged, Reader, Writer};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
@@ -30,6 +29,7 @@ use nsim_ir::graph::{PerCompartment, Shape, Window};
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Parts, Population, Projection, Pruned, Quantised, Reset, Units};
+use nsim_partition::error::CompileError;
 
 const SIGNS: [SignMode; 3] = [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory];
 const SEMANTICS: [Semantics; 3] = [Semantics::Hardware, Semantics::Lava, Semantics::Slayer];

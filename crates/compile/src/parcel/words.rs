@@ -4,7 +4,7 @@
 //! Invariant: nothing is allocated by a length that is read before as many words are known to be
 //! left. Errors: [`Damaged`] where words end too early or no value is meant by them.
 
-use crate::error::CompileError;
+use nsim_partition::error::CompileError;
 
 /// Words that mean nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]

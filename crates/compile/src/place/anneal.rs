@@ -16,12 +16,12 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use crate::options::{Objective, Options, is_over};
 use crate::place::nets::{Columns, Nets};
 use nsim_ir::base::id::{CoreId, Id, IdVec};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::placement::{Mesh, Site};
+use nsim_partition::options::{Objective, Options, is_over};
 
 /// How many times a link of a tree counts as much as one of a single message, as in the objective.
 const TREE: i64 = 2;

@@ -11,11 +11,11 @@
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use crate::resources::fan_out::by_source;
 use nsim_ir::base::id::{CoreId, Id, IdVec};
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Placement, Site};
 use nsim_ir::quantised::Quantised;
+use nsim_partition::resources::fan_out::by_source;
 
 /// Load of a compartment, in synapses: with one update a step and 1 % firing, an update costs as
 /// much as a few events.

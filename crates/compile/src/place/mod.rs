@@ -24,17 +24,17 @@ pub mod link_loads;
 pub mod nets;
 pub mod spread;
 
-use crate::options::Objective;
-use crate::partition::box_fan_out::everywhere;
-use crate::partition::boxes::Boxes;
 use crate::place::anneal::Search;
 use crate::place::nets::Nets;
-use crate::reason::Reason;
 use nsim_ir::base::id::{CoreId, IdVec};
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::Quantised;
+use nsim_partition::options::Objective;
+use nsim_partition::reason::Reason;
+use nsim_partition::strategy::box_fan_out::everywhere;
+use nsim_partition::strategy::boxes::Boxes;
 
 /// The name of the sequential placement in results.
 pub const SEQUENTIAL: &str = "sequential";

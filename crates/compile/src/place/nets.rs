@@ -10,15 +10,15 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
-use crate::options::Objective;
 use crate::place::link_loads::LinkLoads;
-use crate::resources::fan_out::by_source;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{CoreId, Id, IdVec};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Mesh, Site};
 use nsim_ir::quantised::Quantised;
+use nsim_partition::options::Objective;
+use nsim_partition::resources::fan_out::by_source;
 
 /// Nets that a thread takes at once.
 const PIECE: usize = 1 << 11;

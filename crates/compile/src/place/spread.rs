@@ -9,15 +9,15 @@
 //! Invariant: no two copies share a core, so that what one copy costs does not depend on the
 //! others.
 
-use crate::error::Result;
-use crate::form::Form;
-use crate::options::{CopyPlacement, Options};
-use crate::partition::members::Members;
 use crate::stages::{Front, Placed};
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::{Mesh, Placement, Site};
+use nsim_partition::error::Result;
+use nsim_partition::form::Form;
+use nsim_partition::options::{CopyPlacement, Options};
+use nsim_partition::strategy::members::Members;
 
 /// All copies, given how `one` maps a single copy; `None` where they are to be packed.
 ///

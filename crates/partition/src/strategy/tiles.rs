@@ -21,7 +21,6 @@
 
 use std::collections::BTreeSet;
 
-use crate::partition::order::{Indices, Segment};
 use crate::resources::axon_sharing::Places;
 use crate::resources::closed_form::{Incoming, Layer, middle, middle_of, part};
 use crate::resources::fan_out::ALONE;
@@ -29,6 +28,7 @@ use crate::resources::formats::Formats;
 use crate::resources::incremental::{Filling, Newcomer};
 use crate::resources::packing::MOST_SLOTS;
 use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
+use crate::strategy::order::{Indices, Segment};
 use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId};
 use nsim_ir::graph::Window;
 use nsim_ir::quantised::connectivity::Connectivity;

@@ -11,9 +11,9 @@
 
 use std::collections::HashMap;
 
-use crate::partition::members::Members;
-use crate::partition::order::{Filler, file_order};
 use crate::resources::exact::usage;
+use crate::strategy::members::Members;
+use crate::strategy::order::{Filler, file_order};
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::{CoreUsage, seats};
@@ -151,7 +151,7 @@ impl Pattern {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::partition::members::row_of_chips;
+    use crate::strategy::members::row_of_chips;
     use nsim_ir::base::rng;
     use nsim_ir::resource::Resource;
     use nsim_testing::{limits, random_network, slip, target};

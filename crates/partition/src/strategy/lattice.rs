@@ -7,13 +7,13 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use crate::partition::tiles;
-use crate::partition::tiles::Grid;
 use crate::resources::axon_sharing::Places;
 use crate::resources::closed_form::{BoxUse, Channels, Layer, Side, part, use_of};
 use crate::resources::formats::Formats;
 use crate::resources::packing;
 use crate::resources::receptive_field::WindowAxis;
+use crate::strategy::tiles;
+use crate::strategy::tiles::Grid;
 use nsim_ir::base::id::{IdVec, PopulationId};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Limits, Resource};

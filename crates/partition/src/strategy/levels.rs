@@ -11,7 +11,7 @@
 use std::time::Instant;
 
 use crate::options::is_over;
-use crate::partition::hyper::{Groups, Hypergraph, transposed};
+use crate::strategy::hyper::{Groups, Hypergraph, transposed};
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::rng;
 

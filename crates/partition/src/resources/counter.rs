@@ -25,8 +25,8 @@
 //! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse
 //!   into the core.
 //!
-//! [`check::verify`](nsim_check::verify) counts again from finished tables and shares none of this
-//! but the formula of [`packing`], which tests hold to the words that tables encode to.
+//! `nsim_check::verify` counts again from finished tables and shares none of this, packing
+//! included.
 
 use std::collections::BTreeSet;
 

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::partition::lattice::layers;
+use crate::strategy::lattice::layers;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
@@ -22,7 +22,8 @@ pub enum Form {
     /// Every synapse is written into a program.
     Written,
     /// Kernels stay kernels: layers are cut into boxes and counted from their geometry. A program
-    /// is written only where the network is run, once for all boxes alike ([`crate::emit::boxes`]).
+    /// is written only where the network is run, once for all boxes alike
+    /// (`nsim_compile::emit::boxes`).
     Symbolic,
 }
 

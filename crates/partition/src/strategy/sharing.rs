@@ -15,10 +15,10 @@
 
 use rayon::prelude::*;
 
-use crate::partition::members::Members;
-use crate::partition::order::{Chips, Filler, Found};
 use crate::resources::fan_out::{ALONE, slots_of_core};
 use crate::resources::incremental::{Filling, Newcomer};
+use crate::strategy::members::Members;
+use crate::strategy::order::{Chips, Filler, Found};
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{CompartmentId, Id, PopulationId};
 use nsim_ir::quantised::connectivity::Connectivity;

@@ -8,7 +8,7 @@
 //!   current one. Both ways are tried for the whole network; the one with fewer cores is taken, on
 //!   a tie the one that keeps segments whole, because it sends fewer messages.
 //! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores
-//!   are numbered chip by chip, as [`mod@crate::place`] keeps them). The first filling ignores
+//!   are numbered chip by chip, as `nsim_compile::place` keeps them). The first filling ignores
 //!   them, or in large networks what is not drawn evenly; if a core then sends too much, each
 //!   compartment is charged what it sent and a margin, which doubles from round to round, and the
 //!   filling is repeated. It ends because estimates only grow, and a core with a single compartment
@@ -19,7 +19,6 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::error::CompileError;
-use crate::partition::members::{Members, row_of_chips};
 use crate::reason::Reason;
 use crate::resources::axon_sharing::Places;
 use crate::resources::even_draws;
@@ -28,6 +27,7 @@ use crate::resources::fan_out::{
     ALONE, FanOut, MembersOfCores, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core,
 };
 use crate::resources::incremental::{Filling, Newcomer};
+use crate::strategy::members::{Members, row_of_chips};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;

@@ -200,8 +200,7 @@ pub fn expected_slots(network: &Quantised, id: PopulationId, target: &Target) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CompileError, Effort, Options, compile};
-    use nsim_ir::resource::{Capacity, Limits};
+    use nsim_ir::resource::Capacity;
     use nsim_testing::{Builder, limits, target};
 
     fn recurrent(size: u32, fan_out: u32) -> Quantised {
@@ -235,27 +234,5 @@ mod tests {
         assert!(need(&relayed, Capacity::Cores).unwrap() > 98_304);
         let wide = limits().with(Resource::AxonsIn, 65_536).with(Resource::AxonsOut, 65_536);
         assert!(reasons(&network, &target(32, 24, wide), 1, true).is_empty());
-    }
-
-    #[test]
-    fn no_network_that_fits_is_refused_and_bounds_are_near_what_is_needed() {
-        let mut refused = 0;
-        let cases =
-            [(600, 20, 200, 1), (600, 20, 60, 1), (2_000, 8, 64, 1), (4_400, 500, 520, 32), (4_400, 500, 4_096, 1)];
-        for (size, fan_out, axons, chips) in cases {
-            let network = recurrent(size, fan_out);
-            for axons_out in [4_096, 1_024] {
-                let limits = limits().with(Resource::AxonsIn, axons).with(Resource::AxonsOut, axons_out);
-                let board = target(chips, 1, Limits { axon_out_slots_off_chip: 1, ..limits });
-                let found = reasons(&network, &board, 1, false);
-                match compile(network.clone(), &board, &Options { effort: Effort::Work(0), ..Options::default() }) {
-                    Ok(_) => assert!(found.is_empty(), "{found:?}"),
-                    Err(CompileError::DoesNotFit(_)) => refused += usize::from(!found.is_empty()),
-                    Err(other) => panic!("{other}"),
-                }
-            }
-        }
-        // 4,400 compartments take a core each, of 4,096.
-        assert!(refused > 1, "{refused}");
     }
 }

@@ -15,7 +15,7 @@ use std::collections::BinaryHeap;
 use std::time::Instant;
 
 use crate::options::is_over;
-use crate::partition::hyper::{Groups, State};
+use crate::strategy::hyper::{Groups, State};
 use nsim_ir::base::rng;
 
 /// Moves without a new best after which a pass ends.

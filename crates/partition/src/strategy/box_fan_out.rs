@@ -10,11 +10,11 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::partition::lattice::Cut;
-use crate::partition::members::Members;
 use crate::resources::closed_form::{Incoming, Layer, Membership, Side, part};
 use crate::resources::fan_out::axon_slots;
 use crate::resources::receptive_field::WindowAxis;
+use crate::strategy::lattice::Cut;
+use crate::strategy::members::Members;
 use nsim_ir::base::id::{CoreId, IdVec, PopulationId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::quantised::Quantised;
