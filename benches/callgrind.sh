@@ -30,13 +30,13 @@ trap 'rm -rf "$folder"' EXIT
 
 # Whole instructions of a timestep of a network.
 count() {
-    valgrind --tool=callgrind --callgrind-out-file="$folder/out" --toggle-collect='nsim::bench::measure::steps*' \
+    valgrind --tool=callgrind --callgrind-out-file="$folder/out" --toggle-collect='nsim_energy::measure::steps*' \
         "${CARGO_TARGET_DIR:-target}/release/nsim" bench step --network "$1" --steps "$steps" --threads 1 --format csv \
         > "$folder/result" 2> "$folder/log" || { cat "$folder/log" >&2; return 1; }
     local sum
     sum=$(sed -n 's/^\(summary\|totals\): *//p' "$folder/out" | head -n 1)
     if [ "${sum:-0}" -eq 0 ]; then
-        echo "callgrind counted nothing in bench::measure::steps: has it been renamed or inlined?" >&2
+        echo "callgrind counted nothing in nsim_energy::measure::steps: has it been renamed or inlined?" >&2
         return 1
     fi
     echo $((sum / steps))

@@ -35,7 +35,7 @@ const WRITING: [Case; 51] = [
     case("map i/GEN.ron -o m.ron", "a", "b"),
     case("map i/GEN.ron --plot m.svg", "a", "b"),
     case("map i/GEN.ron --pareto p.svg --time-budget 0", "a", "b"),
-    case("map i/GEN.ron -o deep/er/m.ron --plot m.png --pareto p.pdf", "a", "b"),
+    case("map i/GEN.ron -o deep/er/m.ron --plot m.svg --pareto p.svg", "a", "b"),
     // These are large enough for the cache: what it holds is old or complete, and no fault in it is
     // one of the command.
     case("map i/GEN.ron", "large-a", "large-b"),
@@ -43,8 +43,8 @@ const WRITING: [Case; 51] = [
     case("map i/GEN.ron -o -", "a", "b"),
     case("map i/GEN.ron --svg -", "a", "b"),
     case("plot raster i/GEN.ron --input scene:noise?samples=1&steps=9 -o r.svg", "a", "b"),
-    case("plot voltage i/GEN.ron --input i/labels.ron --probe o -o v.pdf", "a", "b"),
-    case("plot map i/GEN.ron -o m.png", "a", "b"),
+    case("plot voltage i/GEN.ron --input i/labels.ron --probe o -o v.svg", "a", "b"),
+    case("plot map i/GEN.ron -o m.svg", "a", "b"),
     case("plot agreement i/GEN.json -o a.svg", "agree-one", "agree-two"),
     case("export i/GEN.ron -o m.nir", "a", "b"),
     case("export i/GEN.ron -o m.nir --format csv", "w", "x"),

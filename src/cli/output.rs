@@ -68,7 +68,7 @@ fn picture_format(path: &Path) -> Result<PictureFormat, Error> {
     }
     let known = PictureFormat::from_name(path).ok_or_else(|| format!("name the picture {ENDINGS}"));
     known
-        .and_then(|format| format.check().map(|()| format))
+        .and_then(|format| format.check(path).map(|()| format))
         .map_err(|message| Error::Usage(format!("{}: {message}", path.display())))
 }
 

@@ -327,7 +327,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     let named = ["m.ron", "slip-tactile", "self.ron", input.as_str(), "absent"];
     let model = if draw.chance(60) { named[draw.below(2)] } else { named[draw.below(5)] }.to_string();
     let words = |line: &str| line.split(' ').map(str::to_string).collect::<Vec<_>>();
-    let out = ["-o out.ron", "--plot out.png", "--pareto out.svg", "-q"];
+    let out = ["-o out.ron", "--plot out2.svg", "--pareto out.svg", "-q"];
     let mut arguments = match command {
         0 | 1 => [words("inspect"), vec![input]].concat(),
         2 => [words("import"), vec![input], words("-o out.ron")].concat(),
@@ -344,7 +344,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
             4 => {
                 let what = draw.one(&["raster", "voltage", "map", "time", "pareto"]);
                 let probe = draw.one(&["--probe p0", "--probe p0[0]", "--probe *", "--probe x[9]", "-q"]);
-                let line = format!("plot {what} -o out.png --samples 0..1 {probe} --input");
+                let line = format!("plot {what} -o out.svg --samples 0..1 {probe} --input");
                 [words(&line), vec![source, model]].concat()
             }
             5 => {
@@ -354,9 +354,9 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
                 mutate(draw, &mut bytes);
                 std::fs::write(folder.join("r.json"), bytes).unwrap();
                 words(draw.one(&[
-                    "plot early r.json -o o.pdf",
+                    "plot early r.json -o o.svg",
                     "plot pareto r.json -o o.svg",
-                    "plot early-energy r.json -o o.png",
+                    "plot early-energy r.json -o o.svg",
                 ]))
             }
             0 => [words("report"), vec![model], words("-o out.html --samples 0..1 --input"), vec![source]].concat(),

@@ -22,7 +22,7 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench early                                                      the shipped network on its shipped scene
   nsim bench early vtsnn-slip slip-tactile --input 'scene:slip?samples=200&seed=5' -o early
-  nsim bench early --plot early.pdf                                     accuracy over time as a picture
+  nsim bench early --plot early.svg                                     accuracy over time as a picture
   nsim bench early --study runs --input ev-containers/train -o early    the models of a study with --folds, each on the
                                                                         samples that its training left out";
 

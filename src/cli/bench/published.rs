@@ -17,7 +17,7 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench published                            every published figure, predicted with and without its own work
   nsim bench published --only vt-snn              of one work
-  nsim bench published --plot published.pdf       published against predicted, with intervals
+  nsim bench published --plot published.svg       published against predicted, with intervals
   nsim bench published --format csv > rows.csv    a row a figure";
 
 /// Energies, powers and times that others measured on the chip, beside what nsim predicts for their

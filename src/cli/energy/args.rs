@@ -28,7 +28,7 @@ EXAMPLES:
   nsim energy --transport analytic                no queues: the longest route and the busiest link
   nsim energy --host none                         the neuron cores alone, without x86 cores
   nsim energy --steps steps.csv                   a row a timestep: where spikes, time and energy go
-  nsim energy --plot energy.pdf                   power, time and energy of all hardware side by side
+  nsim energy --plot energy.svg                   power, time and energy of all hardware side by side
   nsim energy --export-sanafe DIR                 the same program for SANA-FE
   nsim energy slip-tactile --input tactile=recording.npy --format json";
 

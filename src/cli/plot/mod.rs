@@ -36,14 +36,14 @@ use nsim_session::priced::Metered;
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim plot raster -o raster.svg                        spikes of inputs and populations in one sample
-  nsim plot raster model.ron --input s.npy --samples 3..4 --probe 'hid*' -o raster.png
-  nsim plot voltage model.ron --probe 'out[2]' --probe hidden -o voltage.pdf
-  nsim plot energy --copies 32 -o energy.pdf            where the energy of a timestep goes
+  nsim plot raster model.ron --input s.npy --samples 3..4 --probe 'hid*' -o raster.svg
+  nsim plot voltage model.ron --probe 'out[2]' --probe hidden -o voltage.svg
+  nsim plot energy --copies 32 -o energy.svg            where the energy of a timestep goes
   nsim plot time result.json -o time.svg                where its time goes, of a result that was saved
-  nsim plot map model.ron --copies 8 -o map.png         cores on their chips, and what links carry
+  nsim plot map model.ron --copies 8 -o map.svg         cores on their chips, and what links carry
   nsim agree --format json > a.json && nsim plot agreement a.json -o causes.svg
-  nsim bench early --format json > e.json && nsim plot early e.json -o early.pdf
-  nsim map --pareto p.svg --format json > m.json && nsim plot pareto m.json -o pareto.png";
+  nsim bench early --format json > e.json && nsim plot early e.json -o early.svg
+  nsim map --pareto p.svg --format json > m.json && nsim plot pareto m.json -o pareto.svg";
 
 /// What is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -3,6 +3,9 @@
 
 use std::io::Write;
 
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::prelude::*;
+
 use crate::cli::diagnostics;
 
 /// Stderr, whose errors are ignored.
@@ -24,19 +27,19 @@ impl Write for Unheard {
 /// Starts the log at the level that `--verbose` and `--quiet` ask for; by default with a line for
 /// each recording where `recordings` asks for them.
 pub fn start(verbose: u8, quiet: bool, recordings: bool) {
+    let all = |level| Targets::new().with_default(level);
     let level = match (quiet, verbose) {
-        (true, _) => "error",
-        (false, 0) if recordings => "warn,recording=info",
-        (false, 0) => "warn",
-        (false, 1) => "info",
-        (false, _) => "debug",
+        (true, _) => all(LevelFilter::ERROR),
+        (false, 0) if recordings => all(LevelFilter::WARN).with_target("recording", LevelFilter::INFO),
+        (false, 0) => all(LevelFilter::WARN),
+        (false, 1) => all(LevelFilter::INFO),
+        (false, _) => all(LevelFilter::DEBUG),
     };
-    tracing_subscriber::fmt()
-        .with_env_filter(tracing_subscriber::EnvFilter::new(level))
+    let lines = tracing_subscriber::fmt::layer()
         .with_writer(|| Unheard)
         .with_ansi(diagnostics::colour())
         .log_internal_errors(false)
         .without_time()
-        .with_target(false)
-        .init();
+        .with_target(false);
+    tracing_subscriber::registry().with(lines.with_filter(level)).init();
 }

@@ -35,17 +35,19 @@ impl PictureFormat {
         }
     }
 
-    /// Whether this build can draw it; otherwise why not.
+    /// Whether this build can draw the picture of this name; otherwise why not.
     ///
     /// # Errors
-    /// How to get a build that can.
-    pub fn check(self) -> Result<(), String> {
+    /// What to name it instead, and how to get a build that can.
+    pub fn check(self, path: &Path) -> Result<(), String> {
         match self {
             PictureFormat::Svg => Ok(()),
             _ if cfg!(feature = "pictures") => Ok(()),
-            _ => Err("this nsim was built without PNG and PDF: name the picture .svg, or build nsim with \
-                      --features pictures"
-                .to_string()),
+            _ => Err(format!(
+                "this nsim was built without the feature 'pictures', which draws PNG and PDF: name it {}, or build nsim \
+                 with --features pictures",
+                path.with_extension("svg").display()
+            )),
         }
     }
 
@@ -61,7 +63,7 @@ impl PictureFormat {
             #[cfg(feature = "pictures")]
             PictureFormat::Pdf => drawn::pdf(svg),
             #[cfg(not(feature = "pictures"))]
-            _ => self.check().map(|()| Vec::new()),
+            _ => Err("PNG and PDF are drawn by the feature 'pictures' alone".to_string()),
         }
     }
 }
