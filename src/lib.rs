@@ -58,3 +58,8 @@ pub use nsim_session::error::Error;
 pub use nsim_session::front::front;
 pub use nsim_session::inputs::stimulus;
 pub use nsim_session::priced::{Priced, run_priced};
+
+/// The library's example in README.md, which is compiled and run with the other examples.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -9,6 +9,7 @@ mod common;
 
 use common::random::{self, Draw};
 use common::{Net, format, neuron};
+use nsim::check::equivalence::check;
 use nsim::compile::{Options, compile};
 use nsim::dynamics::synapses::Enumerate;
 use nsim::files::target::load_target;
@@ -18,6 +19,7 @@ use nsim::ir::arithmetic::Semantics;
 use nsim::ir::base::fixed::{Payload, SignMode};
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
+use nsim::ir::program::{Graded, Program};
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Parts, Quantised};
 use nsim::ir::resource::Resource;
@@ -248,5 +250,42 @@ fn a_payload_multiplies_the_weight_in_every_semantics() {
         assert!(one.totals.spikes > 0);
         assert_eq!(seven.totals.synaptic_events, 7 * one.totals.synaptic_events);
         assert_machine(&graded, &sample(1), &one, &format!("{semantics:?}"));
+    }
+}
+
+#[test]
+fn a_payload_that_is_lost_moved_or_changed_in_a_program_is_found() {
+    let mut net = Net::new();
+    let a = net.input(Shape::Line(3));
+    let plain = neuron(1024, 128, 80, 1);
+    let b = net.loihi(Shape::Line(4), &[plain; 4], 0);
+    let c = net.loihi(Shape::Line(2), &[plain; 2], 0);
+    net.dense(a, b, 0, &[40; 12]);
+    net.dense(b, c, 0, &[20; 8]);
+    let mut parts = net.build().parts().clone();
+    parts.populations[b].payload = Payload::new(3).ok();
+    let network = Quantised::new(parts).unwrap();
+    let target = load_target("loihi1-chip").unwrap();
+    let mapped = compile(network, &target, &Options::default()).unwrap();
+    assert_eq!(check(&mapped.quantised, &mapped.program).map(drop), Ok(()));
+    let changed = |change: &dyn Fn(&mut Vec<Graded>)| {
+        let mut parts = mapped.program.clone().into_parts();
+        assert_eq!(parts.graded.len(), 1, "the compartments of one population");
+        change(&mut parts.graded);
+        Program::new(parts)
+    };
+    let differs = |program: Program| check(&mapped.quantised, &program).unwrap_err().to_string();
+    let wrong: [&dyn Fn(&mut Vec<Graded>); 3] =
+        [&Vec::clear, &|graded| graded[0].payload = Payload::new(4).unwrap(), &|graded| graded[0].sources.end -= 1];
+    for change in wrong {
+        assert!(differs(changed(change).unwrap()).contains("payload"));
+    }
+    let open: [&dyn Fn(&mut Vec<Graded>); 2] = [
+        // A source that is not there, and one with two payloads.
+        &|graded| graded[0].sources.end = 10_000,
+        &|graded| graded.push(graded[0].clone()),
+    ];
+    for change in open {
+        assert!(changed(change).unwrap_err().to_string().contains("payload"));
     }
 }
