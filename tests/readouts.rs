@@ -450,6 +450,7 @@ fn what_reads_spikes_alone_refuses_an_output_read_out_by_its_potential() {
     assert!(code == 2 && stderr.contains("potentials decide this model"), "{code}: {stderr}");
     let (code, _, stderr) = nsim(folder, "convert m.ron --input in.npy --fine-tune 1");
     assert!(code == 3 && stderr.contains("its potentials decide"), "{code}: {stderr}");
+    assert!(stderr.contains("nsim train, with the loss Potential"), "{stderr}");
     // An imported network is refused before it is converted, and nothing advises to fine-tune it.
     write_layered(folder, &[(0, 1), (1, 2), (2, 3)]);
     let (code, _, stderr) = nsim(folder, "convert net.nir --input in.npy --fine-tune 1");

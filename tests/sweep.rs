@@ -230,6 +230,31 @@ fn what_no_variant_can_be_run_with_ends_the_sweep() {
     }
 }
 
+#[test]
+fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let model = r#"Network(name: "own", timestep_ms: 1.0, populations: [Input(name: "in", shape: [4]),
+        Loihi(name: "out", shape: [2], du: 4095, dv: 4095, vth_mant: 1)], projections: [
+        Random(from: ["in"], to: "out", fan_out: 2, low: 8, high: 64, seed: 1)], output: "out")"#;
+    std::fs::write(folder.join("own.ron"), model).unwrap();
+    std::fs::write(folder.join("s.ron"), r#"Sweep(model: "own.ron")"#).unwrap();
+    let refused = |line: &str| -> Value {
+        let output = nsim(folder, &format!("{line} --format json")).output().unwrap();
+        assert!(!output.status.success(), "{line}");
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let (sweep, energy) = (refused("sweep s.ron"), refused("energy own.ron"));
+    assert_eq!((&sweep["code"], &sweep["message"]), (&energy["code"], &energy["message"]));
+    assert_eq!(sweep["code"], "energy.input");
+    // The printed remedy.
+    let help = sweep["help"].as_str().unwrap();
+    let field = help.split(", or ").nth(1).and_then(|field| field.strip_suffix(" to try")).unwrap();
+    std::fs::write(folder.join("s.ron"), format!("Sweep(model: \"own.ron\", {field})")).unwrap();
+    let table = rows(&ran(folder, "sweep s.ron"));
+    assert_eq!(cell(&table[0], "error"), "");
+}
+
 /// The network with other neurons in the populations whose spikes go nowhere, which are alike where
 /// they were.
 fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {

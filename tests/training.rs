@@ -177,6 +177,83 @@ fn the_deployed_network_decides_as_the_trained_one() {
     assert_eq!(trained["digest"], run["digest"]);
 }
 
+const OUTPUT: &str =
+    r#"size: 3, neuron: Loihi(tau_u_ms: Same(2), tau_v_ms: Spread(4, 12, 3), weight_scale: 16, theta: inf)"#;
+
+#[test]
+fn outputs_are_read_out_by_their_potential_as_they_were_trained() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    samples(folder);
+    let config = std::fs::read_to_string(folder.join("config.ron")).unwrap().replace("size: 3", OUTPUT);
+    for (decision, temperature) in [("GreatestV", 5), ("SumOfV", 50), ("LastV", 5)] {
+        let loss = format!("Potential(decision: {decision}, temperature: {temperature})");
+        std::fs::write(folder.join("v.ron"), config.replace("SpikeCount(right: 12, wrong: 2)", &loss)).unwrap();
+        let trained = nsim(folder, &["train", "v.ron", "--epochs", "30", "-o", "m.ron", "--force"]);
+        let model = std::fs::read_to_string(folder.join("m.ron")).unwrap();
+        assert!(model.contains(&format!("decision: {decision}")), "{model}");
+        for engine in ["fast", "golden"] {
+            let run = nsim(folder, &["run", "m.ron", "--input", "set.ron", "--engine", engine]);
+            assert_eq!(run["accuracy"], trained["test_accuracy"], "{decision}, {engine}");
+        }
+        assert!(trained["test_accuracy"].as_f64().unwrap() > 0.8, "{decision}: {trained}");
+    }
+}
+
+/// What `nsim train` says of a training file that it refuses.
+fn refused(folder: &Path, config: &str) -> String {
+    std::fs::write(folder.join("refused.ron"), config).unwrap();
+    let run = Command::new(env!("CARGO_BIN_EXE_nsim"))
+        .current_dir(folder)
+        .args(["train", "refused.ron", "--epochs", "1"])
+        .output()
+        .unwrap();
+    assert_eq!(run.status.code(), Some(3), "{run:?}");
+    String::from_utf8_lossy(&run.stderr).into_owned()
+}
+
+#[test]
+fn potentials_decide_where_the_output_never_spikes_and_nowhere_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    samples(folder);
+    let spiking = std::fs::read_to_string(folder.join("config.ron")).unwrap();
+    let count = "SpikeCount(right: 12, wrong: 2)";
+    let by = |text: &str, loss: &str| text.replace(count, loss);
+    let silent = spiking.replace("size: 3", OUTPUT);
+    let trains = |text: &str| {
+        std::fs::write(folder.join("mended.ron"), text).unwrap();
+        nsim(folder, &["train", "mended.ron", "--epochs", "1"]);
+    };
+
+    // The output spikes: its layer gets the printed threshold.
+    let potential = "Potential(decision: LastV, temperature: 1)";
+    let said = refused(folder, &by(&spiking, potential));
+    assert!(said.contains("layer 'out' spikes") && said.contains("theta: inf"), "{said}");
+    trains(&by(&silent, potential));
+
+    // The output never spikes, and spikes are counted: the printed loss, or the printed threshold.
+    let said = refused(folder, &silent);
+    assert!(said.contains("layer 'out' has theta inf"), "{said}");
+    assert!(said.contains(potential) && said.contains("theta: 10"), "{said}");
+    trains(&silent.replace("theta: inf", "theta: 10"));
+
+    // A hidden layer needs its spikes.
+    let said = refused(folder, &by(&spiking, potential).replace("size: 8", &OUTPUT.replace("size: 3", "size: 8")));
+    assert!(said.contains("layer 'a' has theta inf"), "{said}");
+
+    // Spikes are no potential: the printed loss, or a printed decision.
+    let said = refused(folder, &by(&silent, "Potential(decision: Spikes, temperature: 1)"));
+    assert!(said.contains("not by Spikes") && said.contains("CrossEntropy(scale: 0.5)"), "{said}");
+    trains(&by(&spiking, "CrossEntropy(scale: 0.5)"));
+    for decision in ["GreatestV", "SumOfV"] {
+        assert!(said.contains(decision), "{said}");
+        trains(&by(&silent, &format!("Potential(decision: {decision}, temperature: 1)")));
+    }
+    let said = refused(folder, &by(&silent, "Potential(decision: LastV, temperature: 0)"));
+    assert!(said.contains("temperature 0 is outside"), "{said}");
+}
+
 #[test]
 fn a_study_is_taken_up_where_it_was_left() {
     let folder = tempfile::tempdir().unwrap();

@@ -9,6 +9,7 @@
 //! Numbers are read in parts of bounded size by `numpy.nditer`, and a converted copy of the whole
 //! array is never made: an array may claim more numbers than it stores (`numpy.broadcast_to`).
 
+use nsim::import::spikes::options::WHOLE;
 use nsim::ir::base::diagnostic::Diagnostic;
 use numpy::{Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::PyException;
@@ -144,12 +145,12 @@ impl<'py> Array<'py> {
         Ok(numbers)
     }
 
-    /// Calls `add` with the index in C order of every number that is not zero; returns the first
-    /// that is not whole.
+    /// Calls `add` with the index in C order of every number that is not zero; refuses one that is
+    /// not whole, as the reader of files does.
     ///
     /// Most numbers of recordings are zero, so many are compared at a time.
-    pub fn each_non_zero(&self, mut add: impl FnMut(usize) -> Result<(), Problem>) -> PyResult<Option<(usize, f64)>> {
-        let (mut index, mut fraction) = (0, None);
+    pub fn each_non_zero(&self, mut add: impl FnMut(usize) -> Result<(), Problem>) -> PyResult<()> {
+        let mut index = 0;
         if self.array.dtype().itemsize() == 1 {
             let bytes = self.array.call_method1("view", ("u1",))?.cast_into::<PyUntypedArray>()?;
             let mut read = |part: &[u8]| {
@@ -168,7 +169,7 @@ impl<'py> Array<'py> {
                     .map_err(|problem| raised(bytes.py(), problem))?,
                 false => parts(&bytes, "u1", read)?,
             }
-            return Ok(None);
+            return Ok(());
         }
         parts(&self.array, "f8", |part: &[f64]| {
             for numbers in part.chunks(TOGETHER) {
@@ -178,7 +179,9 @@ impl<'py> Array<'py> {
                             return Err(self.not_finite(index + place, number).into());
                         }
                         if number.fract() != 0.0 {
-                            fraction.get_or_insert((index + place, number));
+                            let wrong = self.wrong(index + place, number, WHOLE);
+                            let help = "encode real numbers as spikes, or take those from 0.5 on: array >= 0.5";
+                            return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
                         }
                         add(index + place)?;
                     }
@@ -186,8 +189,7 @@ impl<'py> Array<'py> {
                 index += numbers.len();
             }
             Ok(())
-        })?;
-        Ok(fraction)
+        })
     }
 }
 

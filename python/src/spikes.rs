@@ -2,10 +2,10 @@
 //! scene.
 //!
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a
-//! dictionary from populations to arrays, text, or nothing. A number other than zero is a spike.
-//! Output: samples and the order in which they run. Contiguous arrays of `uint8` and `bool` are
-//! read in place. Invariant: what samples take is bounded before they are made. Errors: `input.*`,
-//! `usage`.
+//! dictionary from populations to arrays, text, or nothing. A whole number other than zero is a
+//! spike. Output: samples and the order in which they run. Contiguous arrays of `uint8` and `bool`
+//! are read in place. Invariant: what samples take is bounded before they are made. Errors:
+//! `input.*`, `usage`.
 
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::PopulationSpikes;
@@ -17,7 +17,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 
 use crate::arrays::{Array, Counted};
-use crate::error::{raised, warn_of};
+use crate::error::raised;
 use crate::events::{Events, Records};
 use crate::keywords::{Keywords, usage};
 use crate::work::detached;
@@ -241,7 +241,7 @@ fn read(
     // Rows of an array: the steps of a channel, or the channels of a step.
     let (width, rows) = if time_first { (units, steps) } else { (steps, units) };
     let (mut spikes, mut sample, mut row, mut begin) = (0, 0, 0, 0);
-    let fraction = array.each_non_zero(|index| {
+    array.each_non_zero(|index| {
         while index - begin >= width {
             begin += width;
             row += 1;
@@ -259,9 +259,5 @@ fn read(
         recordings[sample].events.push((step as u32, channel as u32));
         Ok(())
     })?;
-    if let Some((index, value)) = fraction {
-        let problem = array.wrong(index, value, "and every number other than zero is one spike");
-        warn_of(py, &format!("{}; array != 0 says that this is meant", problem.message))?;
-    }
     Ok(recordings)
 }

@@ -171,18 +171,23 @@ class Spikes(Case):
         self.assertIn("time_first=True", error.help)
         self.mapping.run(np.zeros((STEPS, CHANNELS)), time_first=True)
 
-    def test_fractions_are_spikes_with_a_warning(self):
+    def test_fractions_are_refused_in_the_words_of_files(self):
         spikes = np.zeros((CHANNELS, STEPS))
-        spikes[1, 2] = 0.3
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], 1)
-        self.assertTrue(any("spikes[1, 2] is 0.3" in str(one.message) for one in said), said)
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            self.mapping.run(spikes != 0)
-            self.mapping.run(spikes.round() + 2)
-        self.assertFalse([one for one in said if "0.3" in str(one.message)])
+        spikes[1, 2], spikes[2, 3] = 0.3, 0.7
+        error = self.refused(lambda: self.mapping.run(spikes), "spikes[1, 2] is 0.3", code="input.value")
+        self.refused(lambda: self.mapping.run([spikes.astype("f4")]), code="input.value")
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "fractions.npy")
+            np.save(path, spikes)
+            of_file = self.refused(lambda: self.mapping.run(path), code="input.value")
+            words = "a spike is a whole number"
+            self.assertIn(words, str(of_file))
+            self.assertIn(words, str(error))
+            kept = self.mapping.run(f"{path}?least=0.5").activity["spikes_in"]
+        # The printed remedy.
+        self.assertTrue(error.help.endswith("array >= 0.5"), error.help)
+        self.assertEqual(self.mapping.run(spikes >= 0.5).activity["spikes_in"], kept)
+        self.mapping.run(spikes.round() + 2)
 
     def test_labels_are_whole_numbers(self):
         spikes = np.ones((3, CHANNELS, STEPS), "u1")

@@ -4,6 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::base::diagnostic::{Result, SourceText};
 use nsim_ir::spanned::{Spanned, parse};
 
@@ -89,7 +90,7 @@ pub enum NeuronDesc {
         #[serde(default = "one_step")]
         refractory: i64,
         /// Threshold in the units of the trained weights, when a neuron's response to a weight of 1
-        /// peaks at 1.
+        /// peaks at 1; `inf` for outputs that are read out by their potential.
         theta: f64,
         /// How credit is assigned.
         #[serde(default)]
@@ -146,6 +147,13 @@ pub enum LossDesc {
     CrossEntropy {
         /// A spike's contribution to the logit of its class.
         scale: f64,
+    },
+    /// Cross-entropy of the softmax of potentials; the model has this `decision`.
+    Potential {
+        /// What of the potential is the score.
+        decision: ReadOut,
+        /// The score, in the units of the trained weights, that is a logit of 1.
+        temperature: f64,
     },
 }
 

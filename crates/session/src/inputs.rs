@@ -37,6 +37,21 @@ pub fn stimulus(
     Ok(stimulus)
 }
 
+/// Refuses to price a model that names no scene, where no spikes are given; `help` says how they
+/// are given.
+///
+/// # Errors
+/// `energy.input`.
+pub fn require_scene(model: &str, scene: Option<&str>, help: &str) -> Result<(), Diagnostic> {
+    match scene {
+        Some(_) => Ok(()),
+        None => {
+            let message = format!("energy follows activity, and the model {model} names no scene");
+            Err(Diagnostic::new("energy.input", message).help(help))
+        }
+    }
+}
+
 /// How often the samples of a run are repeated at most.
 pub const MOST_REPEATS: u32 = 1_000_000;
 /// The most samples of a run, each of which has results of its own.

@@ -46,7 +46,8 @@ pub struct Loihi {
     /// For each compartment the share of u and v that a step leaves, and one over the peak of its
     /// response.
     pub leaves: Vec<(f32, f32, f32)>,
-    /// The threshold in the units of the trained weights.
+    /// The threshold in the units of the trained weights; infinite where their potential is read
+    /// out.
     pub theta: f32,
     /// What a trained weight of 1 counts in the units that [`update`] takes.
     pub weight_unit: f32,
@@ -71,7 +72,8 @@ const HELD: u8 = 2;
 /// What a forward pass records of a layer, for the backward pass.
 #[derive(Debug, Clone, Default)]
 pub struct Trace {
-    /// Potentials before the reset by a spike, `[step][neuron]`.
+    /// Potentials before the reset by a spike, `[step][neuron]`; of neurons that never spike, the
+    /// register v after the step.
     pub potential: Vec<f32>,
     /// `FREE`, `SPIKED` or `HELD`, `[step][neuron]`.
     state: Vec<u8>,
@@ -115,7 +117,20 @@ impl Loihi {
             let (du, dv) = (f.neuron.du, f.neuron.dv);
             (left(du), left(dv), (1.0 / response_peak(du, dv)) as f32)
         };
-        Loihi { leaves: fields.iter().map(leaves).collect(), fields, theta, weight_unit, credit }
+        let mut leaves: Vec<_> = fields.iter().map(leaves).collect();
+        if theta.is_infinite() {
+            // The registers are compared, so their units are equal.
+            let unit = leaves.first().map_or(1.0, |first| first.2);
+            leaves.iter_mut().for_each(|leaves| leaves.2 = unit);
+        }
+        Loihi { leaves, fields, theta, weight_unit, credit }
+    }
+
+    /// The register v that is a potential of 1, in the units of the trained weights, of the first
+    /// compartment.
+    #[must_use]
+    pub fn unit(&self) -> f32 {
+        64.0 * self.weight_unit / self.leaves.first().map_or(1.0, |leaves| leaves.2)
     }
 }
 
@@ -212,11 +227,12 @@ impl Cells {
         }
     }
 
-    /// From the derivative of the loss by each spike (`error`, `[step][neuron]`) to that by each
-    /// step's input in the units of the trained weights, in place.
+    /// From the derivative of the loss by each spike (`error`, `[step][neuron]`), or by each
+    /// potential of neurons that never spike, to that by each step's input in the units of the
+    /// trained weights, in place.
     pub fn backward(&self, trace: &Trace, surrogate: &Surrogate, error: &mut [f32]) {
-        for (e, &u) in error.iter_mut().zip(&trace.potential) {
-            *e *= surrogate.slope(u);
+        if self.theta().is_finite() {
+            error.iter_mut().zip(&trace.potential).for_each(|(e, &u)| *e *= surrogate.slope(u));
         }
         match self {
             Cells::Srm(srm) => srm.correlate(error),
@@ -335,7 +351,9 @@ impl Loihi {
     fn forward(&self, drive: &[f32], trace: &mut Trace) {
         let n = self.fields.len();
         let mut registers = vec![Registers::default(); n];
-        let unit: Vec<f32> = self.leaves.iter().map(|leaves| leaves.2 / (64.0 * self.weight_unit)).collect();
+        let reads_register = self.theta.is_infinite();
+        let unit = |leaves: &(f32, f32, f32)| if reads_register { 1.0 } else { leaves.2 / (64.0 * self.weight_unit) };
+        let unit: Vec<f32> = self.leaves.iter().map(unit).collect();
         for (t, z) in drive.chunks_exact(n).enumerate() {
             for j in 0..n {
                 let f = &self.fields[j];
@@ -345,7 +363,7 @@ impl Loihi {
                 registers[j] = now;
                 // The register reads 0 at a spike; what crossed the threshold is u plus what v had
                 // left.
-                let v = if effect.spiked {
+                let v = if effect.spiked && !reads_register {
                     nsim_dynamics::arithmetic::decay(i64::from(was.v), f.neuron.dv) as i32 + now.u + f.bias
                 } else {
                     now.v
@@ -371,7 +389,11 @@ impl Loihi {
                 current[j] = a * current[j] + z[j] / self.weight_unit;
                 voltage[j] = b * voltage[j] + current[j];
                 trace.potential[t * n + j] = gain * voltage[j];
-                trace.spikes.push(j as u32, surrogate.smooth(gain * voltage[j]));
+                if self.theta.is_infinite() {
+                    trace.potential[t * n + j] *= self.unit();
+                } else {
+                    trace.spikes.push(j as u32, surrogate.smooth(gain * voltage[j]));
+                }
             }
             trace.spikes.end_step();
         }

@@ -51,6 +51,7 @@ fn described(plan: &Plan) -> Value {
         Form::Weighted { beta, gamma } => json!(["weighted", beta, gamma]),
         Form::NumSpikes { kernel } => json!(["num-spikes", kernel]),
         Form::CrossEntropy { scale } => json!(["cross-entropy", scale]),
+        Form::Potential { decision, unit, temperature } => json!(["potential", decision, unit, temperature]),
     };
     let rule = match optimiser.rule {
         Rule::Adam => "adam",

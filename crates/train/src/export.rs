@@ -9,7 +9,7 @@ use safetensors::tensor::{Dtype, TensorView};
 
 use super::cells::Cells;
 use super::network::{Layer, Topology, Weights};
-use nsim_files::training::{LayerDesc, NeuronDesc, TimesDesc, TrainingFile};
+use nsim_files::training::{LayerDesc, LossDesc, NeuronDesc, TimesDesc, TrainingFile};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// A model, ready to be written.
@@ -71,6 +71,9 @@ pub fn model(
     }
     let output = file.layers.last().map_or("", |layer| &layer.name);
     let _ = writeln!(out, "    ],\n    output: {output:?},");
+    if let LossDesc::Potential { decision, .. } = file.loss.value {
+        let _ = writeln!(out, "    decision: {decision:?},");
+    }
     if !file.classes.is_empty() {
         let _ = writeln!(out, "    classes: {:?},", file.classes);
     }

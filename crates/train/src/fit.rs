@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use super::augment::vary;
 use super::cells::Spiking;
-use super::loss::{Loss, class_of};
+use super::loss::Loss;
 use super::network::{Deployed, Topology, Weights, Workspace};
 use super::optimiser::{Moments, Optimiser};
 use super::raster::Raster;
@@ -144,7 +144,7 @@ pub struct EpochRow {
 pub struct Score {
     /// Share of samples that are right.
     pub accuracy: f64,
-    /// Classes, `None` where all outputs are silent.
+    /// Classes, `None` where the output decides for none.
     pub predicted: Vec<Option<u32>>,
 }
 
@@ -282,10 +282,8 @@ impl Plan {
         };
         self.drop_units(index, epoch, work);
         forward.run(network, deployed, inputs, work);
-        let output = std::mem::take(work.output_mut());
-        let loss = self.loss.evaluate(&output, example.label, work.output_error());
-        let right = class_of(&output.counts()) == Some(example.label);
-        *work.output_mut() = output;
+        let loss = work.evaluate(&self.loss, example.label);
+        let right = self.loss.class(work.output()) == Some(example.label);
         self.topology.backward(deployed, inputs, work);
         (loss, right)
     }
@@ -308,13 +306,13 @@ impl Plan {
         if self.averaging > 0.0 { &state.average } else { &state.weights }
     }
 
-    /// The output spikes of each example.
+    /// The output spikes and the class of each example.
     #[must_use]
-    pub fn outputs(&self, weights: &Weights, examples: &[Example]) -> Vec<Raster> {
+    pub fn outputs(&self, weights: &Weights, examples: &[Example]) -> Vec<(Raster, Option<u32>)> {
         let deployed = self.topology.deploy(weights, Spiking::Hard);
         let run = |work: &mut Workspace, example: &Example| {
             self.topology.forward(&deployed, &example.inputs, Spiking::Hard, work);
-            work.output().clone()
+            (work.output().spikes.clone(), self.loss.class(work.output()))
         };
         examples.par_iter().map_init(|| Workspace::new(&self.topology), run).collect()
     }
@@ -323,7 +321,7 @@ impl Plan {
     #[must_use]
     pub fn score(&self, weights: &Weights, examples: &[Example]) -> Score {
         let outputs = self.outputs(weights, examples);
-        let predicted: Vec<Option<u32>> = outputs.iter().map(|output| class_of(&output.counts())).collect();
+        let predicted: Vec<Option<u32>> = outputs.iter().map(|(_, class)| *class).collect();
         let right = predicted.iter().zip(examples).filter(|(class, example)| **class == Some(example.label)).count();
         Score { accuracy: right as f64 / examples.len().max(1) as f64, predicted }
     }

@@ -1,6 +1,7 @@
-//! Losses of spike counts, and their derivative by each output spike.
+//! Losses of spike counts and of potentials, and their derivative by each output spike or
+//! potential.
 //!
-//! Counts are compared with a target for the right class and one for every other. Four forms:
+//! Counts are compared with a target for the right class and one for every other, in four forms:
 //!
 //! - [`Form::SpikeCount`]: `1/2 sum_n (sum_t s_n(t) - target_n)^2` (Taunyazov et al. 2020,
 //!   spike-count loss). The derivative by a spike is the same at every step: the excess of the
@@ -15,8 +16,15 @@
 //!   errors fade toward the end of the sample.
 //! - [`Form::CrossEntropy`]: `-log softmax(scale * count)` of the right class, without targets; not
 //!   in the paper.
+//!
+//! [`Form::Potential`] compares the potentials of outputs that never spike:
+//! `-log softmax(score / temperature)` of the right class. The score of an output is the greatest
+//! of its potentials, their sum or the last, as the model's `decision` says. The derivative by a
+//! potential is exact, at the steps that enter the score: the first of the greatest, all, the last.
 
-use super::raster::Raster;
+use super::cells::Trace;
+use nsim_ir::arithmetic::ReadOut;
+use nsim_ir::potentials::Potentials;
 
 /// Which loss.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,6 +48,15 @@ pub enum Form {
         /// What a spike adds to its class's logit.
         scale: f32,
     },
+    /// Cross-entropy of the softmax of potentials.
+    Potential {
+        /// What of the potential is the score.
+        decision: ReadOut,
+        /// The register v that is a potential of 1 in the units of the trained weights.
+        unit: f32,
+        /// The score, in the units of the trained weights, that is a logit of 1.
+        temperature: f32,
+    },
 }
 
 /// A loss with its targets.
@@ -54,9 +71,29 @@ pub struct Loss {
 }
 
 impl Loss {
-    /// Returns the loss of a sample and adds its derivative by each output spike to `error`,
-    /// `[step][output]`.
-    pub fn evaluate(&self, output: &Raster, label: u32, error: &mut [f32]) -> f64 {
+    /// The class that an output decides for, as `nsim run` decides.
+    #[must_use]
+    pub fn class(&self, trace: &Trace) -> Option<u32> {
+        match self.potentials(trace) {
+            Some(potentials) => potentials.class(),
+            None => class_of(&trace.spikes.counts()),
+        }
+    }
+
+    /// The scores of the outputs in units of the register v, where their potentials decide.
+    fn potentials(&self, trace: &Trace) -> Option<Potentials> {
+        let Form::Potential { decision, .. } = self.form else { return None };
+        let n = trace.spikes.units();
+        let mut potentials = Potentials::new(decision, n as u32)?;
+        let steps = trace.potential.chunks_exact(n);
+        steps.for_each(|step| potentials.add(|output| step[output as usize].into()));
+        Some(potentials)
+    }
+
+    /// Returns the loss of a sample and adds its derivative to `error`, `[step][output]`: by each
+    /// output spike, or by each output potential in the units of the trained weights.
+    pub fn evaluate(&self, trace: &Trace, label: u32, error: &mut [f32]) -> f64 {
+        let output = &trace.spikes;
         let (n, steps) = (output.units(), output.steps());
         let target = |class: usize| if class == label as usize { self.right } else { self.wrong };
         let counts = output.counts();
@@ -91,18 +128,43 @@ impl Loss {
                 squares(&excess) * steps as f64
             }
             Form::CrossEntropy { scale } => {
-                let most = counts.iter().copied().fold(0.0, f32::max);
-                let powers: Vec<f64> =
-                    counts.iter().map(|count| libm::exp(f64::from(scale * (count - most)))).collect();
-                let sum: f64 = powers.iter().sum();
-                let right = |class: usize| f64::from(u8::from(class == label as usize));
-                let excess: Vec<f32> =
-                    (0..n).map(|class| scale * (powers[class] / sum - right(class)) as f32).collect();
+                let logits: Vec<f64> = counts.iter().map(|count| f64::from(scale * count)).collect();
+                let (loss, excess) = cross_entropy(&logits, label, *scale);
                 error.chunks_exact_mut(n).for_each(|error| add(error, &excess, 1.0));
-                -libm::log(powers[label as usize] / sum)
+                loss
+            }
+            Form::Potential { decision, unit, temperature } => {
+                let Some(potentials) = self.potentials(trace) else { return 0.0 };
+                let scale = 1.0 / (f64::from(*unit) * f64::from(*temperature));
+                let logits: Vec<f64> = potentials.scores().iter().map(|score| score * scale).collect();
+                let (loss, excess) = cross_entropy(&logits, label, 1.0 / temperature);
+                match decision {
+                    ReadOut::SumOfV => error.chunks_exact_mut(n).for_each(|error| add(error, &excess, 1.0)),
+                    ReadOut::GreatestV => {
+                        for (class, excess) in excess.iter().enumerate() {
+                            let greatest = potentials.scores()[class];
+                            let is_greatest = |&t: &usize| f64::from(trace.potential[t * n + class]) == greatest;
+                            if let Some(t) = (0..steps).find(is_greatest) {
+                                error[t * n + class] += excess;
+                            }
+                        }
+                    }
+                    _ => error.rchunks_exact_mut(n).take(1).for_each(|error| add(error, &excess, 1.0)),
+                }
+                loss
             }
         }
     }
+}
+
+/// The cross-entropy of the softmax of logits, and its derivative by what adds `scale` to a logit.
+fn cross_entropy(logits: &[f64], label: u32, scale: f32) -> (f64, Vec<f32>) {
+    let most = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let powers: Vec<f64> = logits.iter().map(|logit| libm::exp(logit - most)).collect();
+    let sum: f64 = powers.iter().sum();
+    let right = |class: usize| f64::from(u8::from(class == label as usize));
+    let excess = (0..logits.len()).map(|class| scale * (powers[class] / sum - right(class)) as f32).collect();
+    (libm::log(sum) - (logits[label as usize] - most), excess)
 }
 
 fn add(error: &mut [f32], excess: &[f32], factor: f32) {
@@ -124,9 +186,11 @@ pub fn class_of(counts: &[f32]) -> Option<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raster::Raster;
 
-    fn output() -> Raster {
-        Raster::from_events(2, 4, vec![(0, 0), (1, 0), (3, 0), (2, 1)])
+    fn output() -> Trace {
+        let spikes = Raster::from_events(2, 4, vec![(0, 0), (1, 0), (3, 0), (2, 1)]);
+        Trace::of_stand_in(vec![3.0, -1.0, 5.0, 2.0, 5.0, 6.0, -2.0, 4.0], spikes)
     }
 
     fn loss(form: Form) -> (f64, Vec<f32>) {
@@ -156,6 +220,28 @@ mod tests {
         let (value, error) = loss(Form::NumSpikes { kernel: vec![0.0, 1.0, 0.5] });
         assert!((value - loss(Form::SpikeCount).0 / 4.0).abs() < 1e-9);
         assert_eq!([error[0], error[2], error[4], error[6]], [1.125, 1.125, 0.75, 0.0]);
+    }
+
+    #[test]
+    fn potentials_are_compared_where_they_are_the_score() {
+        // Scores of the two outputs in units of 2, by a temperature of 4.
+        for (decision, scores, steps) in [
+            (ReadOut::GreatestV, [5.0f64, 6.0], [&[1][..], &[2]]),
+            (ReadOut::SumOfV, [11.0, 11.0], [&[0, 1, 2, 3], &[0, 1, 2, 3]]),
+            (ReadOut::LastV, [-2.0, 4.0], [&[3], &[3]]),
+        ] {
+            let form = Form::Potential { decision, unit: 2.0, temperature: 4.0 };
+            let (value, error) = loss(form.clone());
+            let power = ((scores[0] - scores[1]) / 8.0).exp();
+            assert!((value - (1.0 + power).ln()).abs() < 1e-12, "{decision:?}");
+            let excess = (power / (1.0 + power) / 4.0) as f32;
+            for (at, error) in error.iter().enumerate() {
+                let wanted = if steps[at % 2].contains(&(at / 2)) { [excess, -excess][at % 2] } else { 0.0 };
+                assert!((error - wanted).abs() < 1e-6, "{decision:?}: {at}");
+            }
+            let class = Loss { form, right: 0.0, wrong: 0.0 }.class(&output());
+            assert_eq!(class, Some(u32::from(scores[1] > scores[0])), "a tie goes to the lower index");
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! between layers are dense.
 
 use super::cells::{Cells, Spiking, Trace};
+use super::loss::Loss;
 use super::raster::Raster;
 use super::surrogate::Surrogate;
 use nsim_dynamics::arithmetic::scaled_weight;
@@ -163,25 +164,20 @@ impl Workspace {
         }
     }
 
-    /// The spikes of the last layer.
+    /// The trace of the last layer.
     #[must_use]
-    pub fn output(&self) -> &Raster {
-        &self.traces[self.traces.len() - 1].spikes
+    pub fn output(&self) -> &Trace {
+        &self.traces[self.traces.len() - 1]
     }
 
-    pub(super) fn output_mut(&mut self) -> &mut Raster {
+    /// The loss of the sample that ran; its derivative by each output spike, or each output
+    /// potential, is what [`Topology::backward`] begins with.
+    pub fn evaluate(&mut self, loss: &Loss, label: u32) -> f64 {
         let last = self.traces.len() - 1;
-        &mut self.traces[last].spikes
-    }
-
-    /// What the loss's derivative by each output spike is written to, `[step][output]`, zero at
-    /// first.
-    pub fn output_error(&mut self) -> &mut Vec<f32> {
-        let last = self.traces.len() - 1;
-        let error = &mut self.errors[last];
+        let (trace, error) = (&self.traces[last], &mut self.errors[last]);
         error.clear();
-        error.resize(self.traces[last].potential.len(), 0.0);
-        error
+        error.resize(trace.potential.len(), 0.0);
+        loss.evaluate(trace, label, error)
     }
 }
 
@@ -217,7 +213,7 @@ impl Topology {
         }
     }
 
-    /// Sets the gradient from the output error that was written into [`Workspace::output_error`].
+    /// Sets the gradient from the output error of [`Workspace::evaluate`].
     pub fn backward(&self, deployed: &Deployed, inputs: &[Raster], work: &mut Workspace) {
         let steps = inputs.first().map_or(0, Raster::steps);
         let last = self.layers.len() - 1;
@@ -293,11 +289,11 @@ mod tests {
     use nsim_ir::base::diagnostic::SourceText;
     use nsim_ir::base::rng;
 
-    fn smooth_plan(neuron: &str, loss: &str) -> Plan {
+    fn smooth_plan(neuron: &str, output: &str, loss: &str) -> Plan {
         let text = format!(
             "Training(name: \"x\", timestep_ms: 1, inputs: [(name: \"a\", shape: [5]), (name: \"b\", shape: [7])],
             layers: [(name: \"p\", from: [\"a\"], size: 4), (name: \"q\", from: [\"b\"], size: 3),
-                     (name: \"o\", from: [\"p\", \"b\", \"q\"], size: 3)],
+                     (name: \"o\", from: [\"p\", \"b\", \"q\"], size: 3{output})],
             neuron: {neuron}, loss: {loss}, optimiser: Adam(rate: 1), surrogate: (0.5, 0.5), batch: 1, epochs: 1, seed: 7)"
         );
         let source = SourceText::new("x", text);
@@ -314,19 +310,30 @@ mod tests {
             "Loihi(tau_u_ms: Same(3), tau_v_ms: Same(5), weight_scale: 16, theta: 10)",
             "Loihi(tau_u_ms: Same(3), tau_v_ms: Same(5), weight_scale: 16, theta: 10, credit: UpToReset)",
         ];
+        let reads_potential =
+            ", neuron: Loihi(tau_u_ms: Same(4), tau_v_ms: Spread(6, 12, 3), weight_scale: 16, theta: inf)";
         let losses = [
             "SpikeCount(right: 6, wrong: 1)",
             "Weighted(right: 6, wrong: 1, beta: -1, gamma: 1)",
             "CrossEntropy(scale: 0.5)",
         ];
-        for (case, neuron) in neurons.iter().enumerate() {
-            let plan = smooth_plan(neuron, losses[case % losses.len()]);
+        let by_spikes = neurons.iter().enumerate().map(|(case, neuron)| (*neuron, "", losses[case % losses.len()]));
+        let by_potential = [
+            (neurons[2], reads_potential, "Potential(decision: GreatestV, temperature: 20)"),
+            (neurons[3], reads_potential, "Potential(decision: SumOfV, temperature: 200)"),
+            (neurons[2], reads_potential, "Potential(decision: LastV, temperature: 20)"),
+        ];
+        for (case, (neuron, output, loss)) in by_spikes.chain(by_potential).enumerate() {
+            let plan = smooth_plan(neuron, output, loss);
             let topology = &plan.topology;
+            // Potentials fall after the input, so that their maximum is not the last.
+            let until = if output.is_empty() { 25 } else { 12 };
             let inputs: Vec<Raster> = [5u64, 7]
                 .iter()
                 .map(|&units| {
                     let all = (0..25).flat_map(|t| (0..units as u32).map(move |u| (t, u)));
-                    let some = all.filter(|&(t, u)| rng::unit(1, units, u64::from(8 * t + u)) < 0.25);
+                    let spikes = |&(t, u): &(u32, u32)| rng::unit(1, units, u64::from(8 * t + u)) < 0.25;
+                    let some = all.filter(|spike| spike.0 < until && spikes(spike));
                     Raster::from_events(units as usize, 25, some.collect())
                 })
                 .collect();
@@ -338,16 +345,14 @@ mod tests {
             let loss_of = |weights: &Weights, work: &mut Workspace| {
                 let deployed = topology.deploy(weights, Spiking::Smooth);
                 topology.forward(&deployed, &inputs, Spiking::Smooth, work);
-                let output = work.output().clone();
-                let loss = plan.loss.evaluate(&output, 1, work.output_error());
-                (loss, deployed)
+                (work.evaluate(&plan.loss, 1), deployed)
             };
             let mut weights = plan.start().weights;
             let (_, deployed) = loss_of(&weights, &mut work);
             topology.backward(&deployed, &inputs, &mut work);
             let gradient = work.gradient.clone();
             let norm = gradient.iter().flatten().map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
-            assert!(norm > 1e-3, "{neuron}");
+            assert!(norm > 1e-3, "{neuron}, {loss}");
             let mut worst = 0.0f64;
             for layer in 0..weights.len() {
                 for i in 0..weights[layer].len() {
@@ -362,7 +367,7 @@ mod tests {
                     worst = worst.max((difference - f64::from(gradient[layer][i])).abs());
                 }
             }
-            assert!(worst < 2e-3 * norm, "{neuron}: {worst} of {norm}");
+            assert!(worst < 2e-3 * norm, "{neuron}, {loss}: {worst} of {norm}");
         }
     }
 }

@@ -8,7 +8,7 @@ use super::optimiser::{Optimiser, Rule};
 use super::surrogate::Surrogate;
 use nsim_dynamics as neuron;
 use nsim_files::training::{LossDesc, NeuronDesc, OptimiserDesc, TimesDesc, TrainingFile};
-use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::{Decay, OutOfRange, Refractory, ThresholdMantissa, WeightExponent};
 use nsim_ir::quantised::Neuron;
@@ -103,10 +103,10 @@ pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
     let rates = file.layers.iter().map(|layer| (rate * layer.rate) as f32).collect();
     let weight_decay = problems.number(whole, "weight_decay", file.weight_decay, 0.0, 1e3)? as f32;
     let l1 = problems.number(whole, "l1", file.l1, 0.0, 1e3)? as f32;
-    let last = layers[layers.len() - 1].cells.clone();
+    let loss = loss(&problems, file, &layers)?;
     Ok(Plan {
         topology: Topology { inputs, layers },
-        loss: loss(file.loss.value, &last),
+        loss,
         optimiser: Optimiser { rule, weight_decay, l1, decoupled: file.decoupled },
         rates,
         last_rate: problems.number(whole, "last_rate", file.last_rate, 0.0, 1.0)? as f32,
@@ -120,16 +120,48 @@ pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
     })
 }
 
-fn loss(desc: LossDesc, output: &Cells) -> Loss {
-    let (form, right, wrong) = match desc {
+/// The loss; potentials decide where the last layer never spikes, and nowhere else.
+fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Loss> {
+    let span = file.loss.span;
+    let last = layers.len() - 1;
+    let by_potential = matches!(file.loss.value, LossDesc::Potential { .. });
+    for (index, layer) in layers.iter().enumerate() {
+        let never_spikes = layer.cells.theta().is_infinite();
+        if never_spikes && (index < last || !by_potential) {
+            let message = format!("layer '{}' has theta inf and never spikes, and its spikes are needed", layer.name);
+            return Err(problems.at("train.layer", file.layers[index].span, message).help(
+                "give it a threshold such as theta: 10; only the last layer is read out by its potential, with the \
+                 loss Potential(decision: LastV, temperature: 1)",
+            ));
+        }
+        if by_potential && index == last && !never_spikes {
+            let message = format!("layer '{}' spikes, and a spike resets the potential that is to decide", layer.name);
+            return Err(problems
+                .at("train.layer", file.layers[index].span, message)
+                .help("give this layer a neuron of its own that never spikes: neuron: Loihi(.., theta: inf)"));
+        }
+    }
+    let output = &layers[last].cells;
+    let (form, right, wrong) = match file.loss.value {
         LossDesc::SpikeCount { right, wrong } => (Form::SpikeCount, right, wrong),
         LossDesc::Weighted { right, wrong, beta, gamma } => {
             (Form::Weighted { beta: beta as f32, gamma: gamma as f32 }, right, wrong)
         }
         LossDesc::NumSpikes { right, wrong } => (Form::NumSpikes { kernel: output.kernel(1000) }, right, wrong),
         LossDesc::CrossEntropy { scale } => (Form::CrossEntropy { scale: scale as f32 }, 0.0, 0.0),
+        LossDesc::Potential { decision: ReadOut::Spikes, .. } => {
+            let message = "the loss Potential is of a decision by potential, not by Spikes";
+            return Err(problems
+                .at("train.loss", span, message)
+                .help("decision is GreatestV, SumOfV or LastV; the loss of spikes is CrossEntropy(scale: 0.5)"));
+        }
+        LossDesc::Potential { decision, temperature } => {
+            let temperature = problems.number(span, "temperature", temperature, 1e-6, 1e9)? as f32;
+            let unit = if let Cells::Loihi(loihi) = output { loihi.unit() } else { 1.0 };
+            (Form::Potential { decision, unit, temperature }, 0.0, 0.0)
+        }
     };
-    Loss { form, right: right as f32, wrong: wrong as f32 }
+    Ok(Loss { form, right: right as f32, wrong: wrong as f32 })
 }
 
 /// The time constant of each neuron in steps.
@@ -173,7 +205,8 @@ fn cells(
             let u = times(problems, span, "tau_u_ms in steps", tau_u_ms, n, step)?;
             let v = times(problems, span, "tau_v_ms in steps", tau_v_ms, n, step)?;
             let scale = problems.number(span, "weight_scale", weight_scale, 1e-6, 1e6)?;
-            let theta = problems.number(span, "theta", theta, 1e-6, 1e6)?;
+            let never_spikes = theta == f64::INFINITY;
+            let theta = if never_spikes { theta } else { problems.number(span, "theta", theta, 1e-6, 1e6)? };
             let exponent = problems.field(span, WeightExponent::new(weight_exp))?;
             let refractory = problems.field(span, Refractory::new(refractory))?;
             let mantissas = Mantissas { scale: scale as f32, exponent };
@@ -181,7 +214,10 @@ fn cells(
             for (u, v) in u.into_iter().zip(v) {
                 let (du, dv) = (problems.field(span, decay_of(u))?, problems.field(span, decay_of(v))?);
                 let threshold = theta * f64::from(mantissas.unit()) * response_peak(du, dv);
-                let vth = problems.field(span, ThresholdMantissa::new(threshold.round() as i64))?;
+                let vth = match never_spikes {
+                    true => ThresholdMantissa::MAX,
+                    false => problems.field(span, ThresholdMantissa::new(threshold.round() as i64))?,
+                };
                 let neuron = Neuron { du, dv, vth, refractory, ..Neuron::PLAIN };
                 fields.push(neuron::fields(&neuron, 0, Semantics::Hardware, ThresholdTest::Strict));
             }

@@ -18,7 +18,6 @@ use nsim_compile::{
 };
 use nsim_files as io;
 use nsim_files::network::Network;
-use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::base::names::fits_pattern;
 use nsim_ir::firing_rates::Rates;
@@ -32,6 +31,7 @@ use nsim_report as report;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
 use nsim_session::handed;
+use nsim_session::inputs;
 use nsim_train::convert::copies;
 use nsim_train::convert::prepare::{has_srm, integers};
 
@@ -255,11 +255,9 @@ fn received(args: &JobArgs, ranks: &Ranks) -> Result<Prepared, Error> {
 fn prepare_here(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
-    if args.needs_scene && scene.is_none() {
-        let message = format!("energy follows activity, and the model {} names no scene", args.model);
-        return Err(Diagnostic::new("energy.input", message)
-            .help("give spikes with --input FILE, or --input scene:noise to try")
-            .into());
+    if args.needs_scene {
+        let help = "give spikes with --input FILE, or --input scene:noise to try";
+        inputs::require_scene(&args.model, scene.as_deref(), help)?;
     }
     let real = match wanted {
         Wanted::Mapped | Wanted::Quantised => false,

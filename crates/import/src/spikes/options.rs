@@ -110,6 +110,9 @@ pub struct ArrayOptions {
     pub least: Option<f64>,
 }
 
+/// What the number of a spike is.
+pub const WHOLE: &str = "a spike is a whole number";
+
 impl ArrayOptions {
     /// Whether a number is a spike.
     ///
@@ -119,7 +122,7 @@ impl ArrayOptions {
         match self.least {
             Some(least) => Ok(number >= least),
             None if number.fract() == 0.0 => Ok(number != 0.0),
-            None => Err(Diagnostic::new("input.value", format!("the array holds {number}: a spike is a whole number"))
+            None => Err(Diagnostic::new("input.value", format!("the array holds {number}: {WHOLE}"))
                 .help(format!("encode real numbers as spikes, or take those from 0.5 on: {}?least=0.5", path.display()))
                 .in_file(path)),
         }

@@ -32,7 +32,7 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_session::error::Error;
-use nsim_session::inputs::stimulus;
+use nsim_session::inputs::{require_scene, stimulus};
 use nsim_session::priced::{Metered, SampleRun, steps_per_sample};
 use nsim_session::samples::Run;
 use nsim_session::shapes;
@@ -118,6 +118,7 @@ fn ends_all(error: &Error) -> bool {
             code.starts_with("set.")
                 || code.starts_with("import.")
                 || code.starts_with("io.")
+                || code == "energy.input"
                 || code.ends_with(".unknown")
                 || code.ends_with(".syntax")
         }
@@ -228,6 +229,10 @@ impl Runner {
 
     fn figures(&self, job: &Job) -> Result<Cells, Error> {
         let network = self.network(job)?;
+        if job.input.is_empty() {
+            let help = "give spikes with input: [\"FILE\"] in the sweep, or input: [\"scene:noise\"] to try";
+            require_scene(&job.model, network.file().scene.as_deref(), help)?;
+        }
         let priced = self.target(job)?;
         let target = &priced.target;
         let mapped = self.mapped(job, &network, target)?;

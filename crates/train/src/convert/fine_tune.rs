@@ -186,7 +186,10 @@ fn unlike(graph: &Graph, message: &str) -> Diagnostic {
 /// `convert.fine-tune` with what it does not take.
 pub fn trainable(graph: &Graph) -> Result<()> {
     if graph.facts().decision != ReadOut::Spikes {
-        return Err(unlike(graph, "its potentials decide, and training is by the spikes of the output"));
+        let message = "its potentials decide, and fine-tuning is by the spikes of the output";
+        return Err(unlike(graph, message).help(
+            "train it as Loihi neurons instead: nsim train, with the loss Potential and theta: inf for its output",
+        ));
     }
     for (_, population) in graph.populations() {
         if matches!(population.kind, PopulationKind::Neurons(_)) {
@@ -369,7 +372,8 @@ impl Task {
         let one = |example: &Example| {
             let trace = ladder.run(Rung::MACHINE, &sample(&example.inputs), false);
             let mut error = vec![0.0; (trace.steps as usize + 1) * output.count as usize];
-            let loss = self.plan.loss.evaluate(&raster(&trace, &output), example.label, &mut error);
+            let spikes = cells::Trace::of_stand_in(Vec::new(), raster(&trace, &output));
+            let loss = self.plan.loss.evaluate(&spikes, example.label, &mut error);
             step();
             (loss, trace.class(&output) == Some(example.label))
         };

@@ -205,7 +205,7 @@ impl Job {
         let score = |examples: &[Example]| self.plan.score(weights, examples).accuracy;
         let test_accuracy = (!data.test.is_empty()).then(|| score(&data.test));
         let seen = if data.test.is_empty() { &data.train } else { &data.test };
-        let outcome = |output: &Raster| Outcome { spikes: output.events().collect(), ..Outcome::default() };
+        let outcome = |(output, _): &(Raster, _)| Outcome { spikes: output.events().collect(), ..Outcome::default() };
         let outcomes: Vec<Outcome> = self.plan.outputs(weights, seen).iter().map(outcome).collect();
         let mut accuracies = Vec::new();
         for fold in folds {
