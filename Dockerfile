@@ -2,7 +2,7 @@
 FROM rust:1-bookworm AS build
 WORKDIR /nsim
 COPY . .
-RUN cargo build --locked --profile dist
+RUN cargo build --locked --profile dist --features pictures
 
 FROM debian:bookworm-slim
 COPY --from=build /nsim/target/dist/nsim /usr/local/bin/nsim
