@@ -44,13 +44,17 @@ impl<'ast> Visit<'ast> for Asked {
     }
 }
 
-fn test_files() -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
-    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let as_file = |path: PathBuf| if path.is_dir() { path.join("main.rs") } else { path };
-    let mut files: Vec<PathBuf> = entries.map(as_file).filter(|path| path.is_file()).collect();
+/// The Rust files below a folder, but for the fuzzers' own crate.
+fn test_files(folder: &Path) -> Vec<PathBuf> {
+    let mut entries: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    entries.sort();
+    let below = |path: PathBuf| match path.is_dir() {
+        true if path.ends_with("fuzz") => Vec::new(),
+        true => test_files(&path),
+        false => vec![path],
+    };
+    let mut files: Vec<PathBuf> = entries.into_iter().flat_map(below).collect();
     files.retain(|path| path.extension().is_some_and(|extension| extension == "rs"));
-    files.sort();
     files
 }
 
@@ -59,7 +63,7 @@ fn skipped_tests_are_named() {
     let root = common::data_root();
     let mut skipped: BTreeMap<String, Vec<String>> = BTreeMap::new();
     let (mut asking, mut unknown) = (0, Vec::new());
-    for path in test_files() {
+    for path in test_files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests")) {
         let mut asked = Asked::default();
         asked.visit_file(&syn::parse_file(&std::fs::read_to_string(&path).unwrap()).unwrap());
         let relative = path.strip_prefix(env!("CARGO_MANIFEST_DIR")).unwrap().display().to_string();

@@ -1,15 +1,29 @@
-//! The command line end to end: exit status, result objects, files, determinism.
+//! Commands from outside, pages and pictures, and the examples of the documents.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
 
 mod advice;
 mod agreement;
+mod book;
+mod cache;
+#[path = "../common/mod.rs"]
+mod common;
+mod convert;
 mod energy;
 mod errors;
+mod examples;
+mod jobs;
 mod mapping;
+mod neurobench;
+mod page;
+mod pictures;
 mod results;
 mod runs;
+mod saved_mappings;
+mod side_by_side;
+mod sweep;
+mod training;
 
 use assert_cmd::Command;
 use serde_json::Value;

@@ -7,11 +7,13 @@ use std::process::Command;
 const ALONE: &str = "NSIM_TEST_ALONE";
 
 /// Runs the body of a test in a process that runs nothing else, and passes it what measures the
-/// growth of that process. `test` is the name of the calling test.
+/// growth of that process. `module` and `test` are the path and the name of the calling test.
 ///
 /// # Panics
 /// When the body does.
-pub fn alone(test: &str, body: impl FnOnce(&Growth)) {
+pub fn alone(module: &str, test: &str, body: impl FnOnce(&Growth)) {
+    let within = module.split_once("::").map_or(String::new(), |(_, module)| format!("{module}::"));
+    let test = &format!("{within}{test}");
     if std::env::var_os(ALONE).is_some_and(|name| name == test) {
         return body(&Growth { before_kib: peak_kib() });
     }

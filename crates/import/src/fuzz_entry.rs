@@ -1,4 +1,4 @@
-//! What the fuzz targets of `tests/fuzz` and the tests of their corpora run: each parser on any
+//! What the fuzz targets of `tests/hostile/lines.rs` and the tests of their corpora run: each parser on any
 //! bytes.
 //!
 //! Input: bytes. Output: nothing; a parser may refuse them, and may not panic or take memory beyond

@@ -1,0 +1,355 @@
+//! The pages of `nsim report`, opened by a browser without a network.
+//!
+//! Chromium draws every section of five pages, a pointer moves over each chart, each zoom is set,
+//! each button of choices is pressed; what the page says of errors and of loads from a network is
+//! collected. Without Chromium that test says `skipped`, and what can be told from the text of a
+//! page is still tested.
+
+use crate::common;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+
+fn nsim(folder: &Path, line: &[&str]) -> (i32, String) {
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
+    let output = command.args(line).arg("--no-cache").current_dir(folder).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    (output.status.code().unwrap_or(-1), said)
+}
+
+fn page(folder: &Path, name: &str, line: &[&str]) -> PathBuf {
+    let path = folder.join(name);
+    let (status, said) = nsim(folder, &[&["report"], line, &["-o", name, "--force"]].concat());
+    assert_eq!(status, 0, "{line:?}: {said}");
+    path
+}
+
+/// The data of a page.
+fn data(path: &Path) -> Value {
+    let text = std::fs::read_to_string(path).unwrap();
+    let (_, rest) = text.split_once("<script type=\"application/json\" id=\"data\">").unwrap();
+    serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+}
+
+/// Two convolutions and a dense layer.
+fn convolutions() -> String {
+    let mut weight = (0..).map(|at: i64| 2 * (at * 7 % 31) - 20);
+    let mut list = |count: usize| (0..count).map(|_| weight.next().unwrap().to_string()).collect::<Vec<_>>().join(", ");
+    let mut nested = |sizes: &[usize]| {
+        let [outer, inner, height, width] = sizes else { unreachable!() };
+        let mut row = || format!("[{}]", list(*width));
+        let mut plane = || format!("[{}]", (0..*height).map(|_| row()).collect::<Vec<_>>().join(", "));
+        let mut volume = || format!("[{}]", (0..*inner).map(|_| plane()).collect::<Vec<_>>().join(", "));
+        format!("[{}]", (0..*outer).map(|_| volume()).collect::<Vec<_>>().join(", "))
+    };
+    let (first, second) = (nested(&[6, 2, 3, 3]), nested(&[8, 6, 3, 3]));
+    let dense = nested(&[1, 1, 4, 128]);
+    let dense = &dense[2..dense.len() - 2];
+    format!(
+        "Network(name: \"convolutions\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [2, 16, 16]),
+          Loihi(name: \"c1\", shape: [6, 8, 8], du: 2048, dv: 512, vth_mant: 60),
+          Loihi(name: \"c2\", shape: [8, 4, 4], du: 2048, dv: 512, vth_mant: 60),
+          Loihi(name: \"out\", shape: [4], du: 2048, dv: 512, vth_mant: 60)],
+        projections: [Conv2d(from: [\"in\"], to: \"c1\", weights: {first}, stride: (2, 2), padding: (1, 1)),
+          Conv2d(from: [\"c1\"], to: \"c2\", weights: {second}, stride: (2, 2), padding: (1, 1)),
+          Dense(from: [\"c2\"], to: \"out\", weights: {dense})], output: \"out\")"
+    )
+}
+
+/// Four pages: the shipped network with 32 copies, a trained one beside its integers, convolutions
+/// from another format, and 1,024 copies.
+fn pages(folder: &Path) -> Vec<(&'static str, PathBuf)> {
+    let slip = page(folder, "slip.html", &["vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti"]);
+    let trained = page(folder, "trained.html", &["vtsnn-slip-srm", "--samples", "0..4", "--baseline"]);
+    std::fs::write(folder.join("conv.ron"), convolutions()).unwrap();
+    let (status, said) = nsim(folder, &["export", "conv.ron", "-o", "conv.nir"]);
+    assert_eq!(status, 0, "{said}");
+    let noise = "scene:noise?samples=2&steps=60&seed=2&rate=0.1";
+    let conv = page(folder, "conv.html", &["conv.nir", "--input", noise, "--baseline"]);
+    let many = ["vtsnn-slip", "--copies", "1024", "--target", "pohoiki-springs", "--samples", "0..2", "--baseline"];
+    let many = page(folder, "many.html", &many);
+    vec![("slip", slip), ("trained", trained), ("conv", conv), ("many", many)]
+}
+
+/// A chain of this many populations.
+fn chain(count: u32) -> String {
+    let one = |n: u32| format!("Loihi(name: \"p{n}\", shape: [2], du: 1, dv: 1, vth_mant: 1)");
+    let into = |n: u32| {
+        let from = if n == 0 { "in".to_string() } else { format!("p{}", n - 1) };
+        format!("Sparse(from: [\"{from}\"], to: \"p{n}\", synapses: [(0, 0, 2)])")
+    };
+    let list = |of: &dyn Fn(u32) -> String| (0..count).map(of).collect::<Vec<_>>().join(",");
+    format!(
+        "Network(name: \"chain\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), {}], projections: \
+         [{}],
+        output: \"p{}\")",
+        list(&one),
+        list(&into),
+        count - 1
+    )
+}
+
+#[test]
+fn of_many_populations_some_are_drawn_and_the_page_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    std::fs::write(here.join("chain.ron"), chain(3_000)).unwrap();
+    let noise = "scene:noise?samples=1&steps=20&seed=1";
+    let path = page(here, "chain.html", &["chain.ron", "--input", noise, "--baseline"]);
+    let data = data(&path);
+    let network = &data["network"];
+    let names: Vec<&str> =
+        network["populations"].as_array().unwrap().iter().filter_map(|one| one["name"].as_str()).collect();
+    assert!(names.len() == 40 && names[..2] == ["in", "p0"] && names[39] == "p2999", "{names:?}");
+    assert_eq!((&network["populations_in_all"], &network["projections_in_all"]), (&3_001.into(), &3_000.into()));
+    assert_eq!(data["sample"]["rasters"].as_array().unwrap().len(), 40);
+    assert_eq!(data["results"][0]["populations"].as_array().unwrap().len(), 3_000, "the result is whole");
+    let Some(browser) = chromium() else {
+        common::say("skipped: no Chromium: the page of 3,000 populations was not opened");
+        return;
+    };
+    let output = Command::new(browser)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--virtual-time-budget=60000"])
+        .arg("--dump-dom")
+        .arg(format!("--user-data-dir={}", here.join("profile").display()))
+        .arg(format!("file://{}", path.display()))
+        .output()
+        .unwrap();
+    let document = String::from_utf8_lossy(&output.stdout);
+    assert!(document.contains("data-drawn=\"all\""), "not drawn");
+    assert!(document.contains("Drawn are 40 of 3\u{2009}001 populations"));
+}
+
+#[test]
+fn a_page_holds_what_energy_prints_and_loads_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    for (name, path) in pages(here) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let data = data(&path);
+        // What any of these begin would be fetched when the page opens.
+        for load in [
+            "src=\"http",
+            "src='http",
+            "@import",
+            "url(http",
+            "fetch(",
+            "XMLHttpRequest",
+            "<iframe",
+            "<link rel=\"stylesheet\"",
+        ] {
+            assert!(!text.contains(load), "{name} contains {load}");
+        }
+        let own = text.len() - data.to_string().len();
+        assert!(own < 5 << 20, "{name}: {own} bytes beside the data");
+        let (result, sample) = (&data["results"][0], &data["sample"]);
+        let steps = sample["steps"].as_u64().unwrap();
+        assert!(steps > 0 && steps == sample["steps_of_sample"]);
+        // The curves of a page that reduces nothing are those of the first sample: their spikes are
+        // the rasters'.
+        assert_eq!(sample["steps_a_point"], 1);
+        let copies = result["copies"].as_u64().unwrap();
+        for raster in sample["rasters"].as_array().unwrap() {
+            let curve = &sample["curves"][format!("spikes.{}", raster["name"].as_str().unwrap())];
+            let spikes: f64 = curve.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).sum();
+            let marks = raster["step"].as_array().unwrap().len() as u64;
+            assert_eq!(raster["unit"].as_array().unwrap().len() as u64, marks);
+            match raster["every"].as_u64() {
+                Some(1) => assert_eq!(spikes, (marks * copies) as f64, "{name} {}", raster["name"]),
+                _ => assert!(marks * copies <= spikes as u64),
+            }
+        }
+        assert_eq!(
+            data["fit"]["cores"].as_array().unwrap().len() as u64,
+            result["cores_used"].as_u64().unwrap(),
+            "{name}"
+        );
+        assert!(name != "trained" || data["agreement"]["layers"].as_array().is_some_and(|layers| layers.len() == 3));
+        let right = |index: usize| data["confusion"]["counts"][index][index].as_u64().unwrap_or(0);
+        assert!(data["confusion"].is_null() || (0..3).map(right).sum::<u64>() <= result["samples"].as_u64().unwrap());
+    }
+    let energy = ["energy", "vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti", "--format", "json"];
+    let (status, said) = nsim(here, &energy);
+    assert_eq!(status, 0, "{said}");
+    let printed: Value = serde_json::from_str(&said[..=said.rfind('}').unwrap()]).unwrap();
+    assert_eq!(data(&here.join("slip.html"))["results"][0], printed);
+}
+
+#[test]
+fn results_are_compared_and_other_files_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let save = |line: &[&str], name: &str| {
+        let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
+        let output = command.args(line).args(["--format", "json", "--no-cache"]).output().unwrap();
+        std::fs::write(here.join(name), output.stdout).unwrap();
+    };
+    save(&["energy", "--samples", "0..1", "--baseline"], "a.json");
+    save(&["run", "--samples", "0..1"], "b.json");
+    std::fs::write(here.join("c.json"), "{\"schema\": \"nsim.map/1\"}").unwrap();
+    std::fs::write(here.join("d.json"), "{\"schema\": ").unwrap();
+    let both = data(&page(here, "both.html", &["a.json", "b.json"]));
+    assert_eq!(
+        (&both["results"][0]["schema"], &both["results"][1]["schema"]),
+        (&"nsim.energy/1".into(), &"nsim.run/1".into())
+    );
+    assert_eq!(both["origins"].as_array().unwrap().len(), 2);
+    for (line, status, word) in [
+        (&["c.json", "-o", "c.html"][..], 3, "report.result"),
+        (&["a.json", "d.json", "-o", "d.html"], 3, "report.result"),
+        (&["a.json", "-o", "d.pdf"], 2, ".html"),
+        (&["vtsnn-slip", "b.json", "-o", "d.html"], 2, "b.json"),
+        (&["vtsnn-slip", "-o", "d.html", "--format", "csv"], 2, "page"),
+        (&["a.json", "b.json", "-o", "both.html"], 3, "--force"),
+    ] {
+        let (found, said) = nsim(here, &[&["report"], line].concat());
+        assert!(found == status && said.contains(word), "{line:?}: {found} {said}");
+    }
+    assert!(!here.join("c.html").exists() && !here.join("d.html").exists());
+}
+
+#[test]
+fn a_model_comes_through_a_pipe() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join("models/slip-tactile.ron")).unwrap();
+    std::fs::copy(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("models/slip-tactile.safetensors"),
+        folder.path().join("slip-tactile.safetensors"),
+    )
+    .unwrap();
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
+    let line = ["report", "-", "--samples", "0..1", "--baseline", "-o", "piped.html", "--no-cache"];
+    let output = command.args(line).current_dir(folder.path()).stdin(model).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let data = data(&folder.path().join("piped.html"));
+    assert_eq!((&data["network"]["name"], data["origins"].as_array().unwrap().len()), (&"slip-tactile".into(), 0));
+}
+
+/// What a page's own script cannot say of itself: put behind it, it moves the pointer over every
+/// chart, turns the wheel, sets its zoom, takes the focus to every control as the tabulator key
+/// does, reads what is drawn, and leaves the findings in the document.
+const OBSERVER: &str = r#"<script>
+(() => {
+  const found = { sections: [], blank: [], silent: [], zoomed: 0, wheeled: 0, buttons: 0, unreachable: [] };
+  const wait = () => {
+    if (document.documentElement.dataset.drawn !== "all") return setTimeout(wait, 20);
+    found.ready_ms = performance.now();
+    found.sections = [...document.querySelectorAll("main section")].map((section) => section.id);
+    const charts = [...document.querySelectorAll(".chart")];
+    for (const box of charts) {
+      const chart = echarts.getInstanceByDom(box);
+      const canvas = box.querySelector("canvas");
+      if (!chart || !canvas) { found.blank.push(box.getAttribute("aria-label")); continue; }
+      const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+      let ink = 0;
+      for (let at = 3; at < pixels.length; at += 4) ink += pixels[at] > 0 && pixels[at - 1] < 230;
+      if (ink < 60) found.blank.push(box.getAttribute("aria-label"));
+      const move = (type, x, y, more) => chart.getZr().dom.firstChild.dispatchEvent(new MouseEvent(type, { bubbles: true, clientX: x, clientY: y, ...more }));
+      const place = box.getBoundingClientRect();
+      box.scrollIntoView();
+      const seen = () => [...box.querySelectorAll("div")].some((div) => div.style.pointerEvents === "none" && div.style.visibility !== "hidden" && div.textContent.trim().length > 2);
+      const at = box.getBoundingClientRect();
+      let hit = false;
+      for (let y = 0.1; y < 0.95 && !hit; y += 0.04) for (let x = 0.02; x < 0.98 && !hit; x += 0.02) { move("mousemove", at.left + x * place.width, at.top + y * place.height); hit = seen(); }
+      if (!hit) found.silent.push(box.getAttribute("aria-label"));
+      const zooms = () => JSON.stringify((chart.getOption().dataZoom || []).map((zoom) => [zoom.start, zoom.end]));
+      const unwheeled = zooms();
+      for (let x = 0.2; x < 0.9 && unwheeled !== "[]" && unwheeled === zooms(); x += 0.2) for (let y = 0.1; y < 0.95 && unwheeled === zooms(); y += 0.08) {
+        // Of an event that a script makes, Chromium takes a positive delta for a turn away from the
+        // user.
+        const wheel = { bubbles: true, cancelable: true, ctrlKey: true, deltaY: 240, clientX: at.left + x * place.width, clientY: at.top + y * place.height };
+        chart.getZr().dom.firstChild.dispatchEvent(new WheelEvent("wheel", wheel));
+      }
+      found.wheeled += unwheeled !== "[]" && unwheeled !== zooms();
+      const before = zooms();
+      chart.dispatchAction({ type: "dataZoom", dataZoomIndex: 0, start: 20, end: 60 });
+      found.zoomed += before !== "[]" && before !== zooms();
+    }
+    found.charts = charts.length;
+    found.buttons = document.querySelectorAll("button, select, summary, nav a").length;
+    for (const control of document.querySelectorAll("a[href], button, select, summary, input")) {
+      if (control.offsetParent === null) continue;
+      control.focus();
+      if (document.activeElement !== control || control.tabIndex !== 0) found.unreachable.push(control.outerHTML.slice(0, 80));
+    }
+    for (const button of document.querySelectorAll(".choices button")) button.click();
+    found.loads = performance.getEntriesByType("resource").map((entry) => entry.name).filter((name) => !name.startsWith("data:"));
+    const result = document.createElement("pre");
+    result.id = "found";
+    result.textContent = JSON.stringify(found);
+    document.body.append(result);
+  };
+  wait();
+})();
+</script>"#;
+
+fn chromium() -> Option<&'static str> {
+    ["chromium", "chromium-browser", "google-chrome"]
+        .into_iter()
+        .find(|name| Command::new(name).arg("--version").output().is_ok_and(|output| output.status.success()))
+}
+
+#[test]
+fn a_browser_draws_every_section_without_an_error_or_a_network() {
+    let Some(browser) = chromium() else {
+        common::say("skipped: no Chromium: the pages of nsim report were not opened");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let mut all = pages(here);
+    std::fs::write(here.join("a.json"), data(&all[0].1)["results"][0].to_string()).unwrap();
+    std::fs::write(here.join("b.json"), data(&all[1].1)["results"][0].to_string()).unwrap();
+    all.push(("two", page(here, "two.html", &["a.json", "b.json"])));
+    for (name, path) in all {
+        let compared = data(&path)["agreement"].is_object();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let (before, after) = text.rsplit_once("</body>").unwrap();
+        let text = format!("{before}{OBSERVER}</body>{after}");
+        std::fs::write(&path, text).unwrap();
+        let profile = here.join(format!("profile-{name}"));
+        let output = Command::new(browser)
+            .args([
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--disable-dev-shm-usage",
+                "--hide-scrollbars",
+                "--enable-logging=stderr",
+            ])
+            .args([
+                "--window-size=1280,900",
+                "--virtual-time-budget=60000",
+                "--host-resolver-rules=MAP * ~NOTFOUND",
+                "--dump-dom",
+            ])
+            .arg(format!("--user-data-dir={}", profile.display()))
+            .arg(format!("file://{}", path.display()))
+            .output()
+            .unwrap();
+        let (document, log) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        let complaints: Vec<&str> = log.lines().filter(|line| line.contains("CONSOLE")).collect();
+        assert!(complaints.is_empty(), "{name}: {complaints:?}");
+        let (_, rest) = document.split_once("<pre id=\"found\">").unwrap_or_else(|| panic!("{name}: not drawn: {log}"));
+        let found: Value = serde_json::from_str(rest.split_once("</pre>").unwrap().0).unwrap();
+        let sections: Vec<&str> = found["sections"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+        let common = ["network", "fit", "spikes", "potentials", "steps", "goes", "hardware"];
+        let expected: Vec<&str> = match name {
+            "two" => vec!["compared", "origin"],
+            _ => {
+                let agreement = ["agreement"].into_iter().filter(|_| compared);
+                let classes = ["classes"].into_iter().filter(|_| name != "conv");
+                common.into_iter().chain(agreement).chain(classes).chain(["origin"]).collect()
+            }
+        };
+        assert_eq!(sections, expected, "{name}");
+        let number = |key: &str| found[key].as_u64().unwrap_or(0);
+        let empty = Value::Array(vec![]);
+        assert_eq!((&found["blank"], &found["loads"], &found["silent"]), (&empty, &empty, &empty), "{name}");
+        assert!(number("charts") >= 3 && number("buttons") > 5, "{name}: {found}");
+        assert!(name == "two" || number("zoomed") >= 4, "{name}: {found}");
+        assert!(name == "two" || number("wheeled") >= 4, "{name}: {found}");
+        assert_eq!(found["unreachable"], empty, "{name}");
+    }
+}

@@ -1,0 +1,331 @@
+//! `nsim sweep`: its rows are those of the single commands, and ending it at any moment changes
+//! nothing.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::common::random;
+use nsim::compile::reuse::{is_mapped_alike, with_neurons_of};
+use nsim::compile::{Options, compile, compile_saved};
+use nsim::files::target::load_target;
+use nsim::ir::activity::Overflow;
+use nsim::ir::base::fixed::{BiasMantissa, Decay, ThresholdMantissa};
+use nsim::ir::graph::PerCompartment;
+use nsim::ir::neurons::NeuronKind;
+use nsim::ir::placement::Mesh;
+use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::resource::Resource;
+use nsim::ir::spikes::Sample;
+use nsim::session::Outcome;
+use nsim::session::priced::{Metered, SampleRun};
+use nsim::study::sweep::last_layers::{Record, last_populations};
+use serde_json::Value;
+
+fn nsim(folder: &Path, line: &str) -> Command {
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
+    command.args(line.split(' ')).current_dir(folder).env("XDG_CACHE_HOME", folder.join("cache"));
+    command
+}
+
+/// What a command prints.
+fn ran(folder: &Path, line: &str) -> String {
+    let output = nsim(folder, line).output().unwrap();
+    assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(folder: &Path, line: &str) -> Value {
+    serde_json::from_str(&ran(folder, &format!("{line} --format json"))).unwrap()
+}
+
+/// The rows of a table, by column.
+fn rows(text: &str) -> Vec<Vec<(String, String)>> {
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let heads: Vec<String> = reader.headers().unwrap().iter().map(str::to_string).collect();
+    let row = |record: csv::StringRecord| heads.iter().cloned().zip(record.iter().map(str::to_string)).collect();
+    reader.records().map(|record| row(record.unwrap())).collect()
+}
+
+fn cell<'a>(row: &'a [(String, String)], column: &str) -> &'a str {
+    &row.iter().find(|(name, _)| name == column).unwrap().1
+}
+
+const SMALL: &str = r#"Sweep(samples: "0..2", grid: [
+    (name: "threshold", paths: ["populations.touch.vth_mant", "populations.sight.vth_mant"], values: [1000, 1300]),
+    (name: "decay", paths: ["populations.out.dv"], from: 300, to: 390, step: 90),
+    (name: "bits", paths: ["projections.0.weight_bits", "projections.1.weight_bits"], values: [8, 4]),
+])"#;
+
+#[test]
+fn rows_are_those_of_the_single_commands() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("s.ron"), SMALL).unwrap();
+    std::fs::write(
+        folder.join("l.ron"),
+        r#"Sweep(samples: "0..2", list: [
+            {"model": "slip-tactile", "target": "loihi1-chip"}, {"constants.injection_time": "0.4us"},
+            {"options.copies": 3, "options.mode": "realtime"}, {"options.constants": "davies2018", "input.seed": 9},
+            {"model": "container-tactile-srm"}, {"target.limits.axons_in": 100}, {"populations.out.vth_mant": -7},
+        ])"#,
+    )
+    .unwrap();
+    for (file, settings) in [
+        ("s.ron", None),
+        (
+            "l.ron",
+            Some([
+                "slip-tactile --target loihi1-chip",
+                "vtsnn-slip --set constants.injection_time=0.4us",
+                "vtsnn-slip --copies 3 --mode realtime",
+                "vtsnn-slip --constants davies2018 --seed 9",
+                "container-tactile-srm",
+                "",
+                "",
+            ]),
+        ),
+    ] {
+        let found = rows(&ran(folder, &format!("sweep {file}")));
+        assert_eq!(found.len(), if settings.is_some() { 7 } else { 8 });
+        for (number, row) in found.iter().enumerate() {
+            assert_eq!(cell(row, "variant"), number.to_string());
+            let line = match settings {
+                Some(settings) => settings[number].to_string(),
+                None => {
+                    let [threshold, decay, bits] = ["threshold", "decay", "bits"].map(|name| cell(row, name));
+                    let set = |path: &str, value: &str| format!(" --set {path}={value}");
+                    "vtsnn-slip".to_string()
+                        + &set("populations.touch.vth_mant", threshold)
+                        + &set("populations.sight.vth_mant", threshold)
+                        + &set("populations.out.dv", decay)
+                        + &set("projections.0.weight_bits", bits)
+                        + &set("projections.1.weight_bits", bits)
+                }
+            };
+            if line.is_empty() {
+                let code = ["map.does-not-fit", "model.range"][number - 5];
+                assert_eq!(cell(row, "fits"), ["false", ""][number - 5]);
+                assert_eq!(cell(row, "error").split('.').next(), code.split('.').next(), "{row:?}");
+                continue;
+            }
+            let copies = if line.contains("--copies") { "" } else { " --copies 1" };
+            let energy = json(folder, &format!("energy {line}{copies} --baseline rtx-2080-ti --samples 0..2"));
+            let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
+            for figure in ["static_mw", "dynamic_mw", "total_mw", "latency_us", "energy_uj", "edp_pjs"] {
+                let number = cell(row, figure).parse::<f64>().ok();
+                assert_eq!(number, total[figure].as_f64(), "{line}: {figure}");
+            }
+            let line: Vec<&str> = line.split(" --copies 3 --mode realtime").collect();
+            let line = line.concat().replace(" --constants davies2018", "");
+            // The reference engine is what runs spike response neurons otherwise.
+            let run = json(folder, &format!("run {line} --engine fast --samples 0..2"));
+            for (column, value) in [
+                ("digest", &run["digest"]),
+                ("accuracy", &run["accuracy"]),
+                ("timesteps", &run["timesteps"]),
+                ("samples", &run["samples"]),
+                ("spikes", &run["activity"]["spikes"]),
+                ("synaptic_events", &run["activity"]["synaptic_events"]),
+            ] {
+                let value = value
+                    .as_str()
+                    .map_or_else(|| value.as_f64().map_or(String::new(), |number| number.to_string()), str::to_string);
+                assert_eq!(cell(row, column), value, "{line}: {column}");
+            }
+            assert_eq!((cell(row, "fits"), cell(row, "error")), ("true", ""));
+        }
+    }
+}
+
+#[test]
+fn threads_shards_and_kills_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let text = r#"Sweep(samples: "0..4", grid: [
+        (paths: ["populations.out.vth_mant"], from: 900, to: 1500, step: 10),
+        (paths: ["populations.touch.dv", "populations.sight.dv"], name: "decay", values: [300, 390, 500]),
+    ])"#;
+    std::fs::write(folder.join("s.ron"), text).unwrap();
+    ran(folder, "sweep s.ron -o whole.csv --threads 2");
+    let whole = std::fs::read(folder.join("whole.csv")).unwrap();
+    assert_eq!(rows(std::str::from_utf8(&whole).unwrap()).len(), 183);
+    assert!(!folder.join("whole.csv.journal").exists());
+    assert_eq!(ran(folder, "sweep s.ron --threads 1").as_bytes(), whole);
+    // Killed at moments that are spread over the run; what was finished is not run again.
+    let (mut kept, mut kills) = (0, 0);
+    for after in 0..400 {
+        let mut child = nsim(folder, "sweep s.ron -o k.csv --threads 2")
+            .stderr(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(20 + 37 * (after % 10)));
+        let _ = child.kill();
+        child.wait().unwrap();
+        // The journal goes when the table is written, which may be just before a process is killed.
+        let ended = folder.join("k.csv").exists() && !folder.join("k.csv.journal").exists();
+        let journal = std::fs::read_to_string(folder.join("k.csv.journal")).unwrap_or_default();
+        assert!(ended || journal.lines().count() >= kept, "rows are lost");
+        kept = journal.lines().count();
+        kills += u32::from(!ended);
+        if ended {
+            break;
+        }
+    }
+    assert!(kills > 0);
+    if !folder.join("k.csv").exists() || folder.join("k.csv.journal").exists() {
+        ran(folder, "sweep s.ron -o k.csv");
+    }
+    assert!(std::fs::read(folder.join("k.csv")).unwrap() == whole, "after {kills} kills");
+    assert!(!folder.join("k.csv.journal").exists());
+    // A journal whose last line is cut goes on behind the one before.
+    for shard in 1..=3 {
+        ran(folder, &format!("sweep s.ron -o {shard}.csv --shard {shard}/3"));
+    }
+    ran(folder, "sweep s.ron -o merged.csv --merge 3.csv 1.csv 2.csv");
+    assert!(std::fs::read(folder.join("merged.csv")).unwrap() == whole);
+    let part = std::fs::read_to_string(folder.join("2.csv")).unwrap();
+    let digit = part.rfind(|c: char| c.is_ascii_digit()).unwrap();
+    for bad in [
+        &part[..part.len() - 1],
+        &part[..digit - 20],
+        &part.replacen(",true,", ",false,", 1),
+        &part.replacen('7', "8", 1),
+    ] {
+        std::fs::write(folder.join("bad.csv"), bad).unwrap();
+        let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv bad.csv 3.csv").output().unwrap();
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(refused.status.code() == Some(3) && said.contains("error[sweep.shard]"), "{bad}: {said}");
+    }
+    let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv").output().unwrap();
+    assert_eq!(refused.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("variant 2 has no row"));
+    ran(folder, "sweep s.ron -o p.csv --plot p.svg --axes populations.out.vth_mant,energy_uj");
+    assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ)"));
+}
+
+#[test]
+fn what_no_variant_can_be_run_with_ends_the_sweep() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for (text, code) in [
+        (r#"Sweep(grid: [(paths: ["populations.nothing.vth_mant"], values: [1])])"#, "set.path"),
+        (r#"Sweep(grid: [(paths: ["constants.nothing"], values: [1])])"#, "set.path"),
+        (r#"Sweep(model: "nothing", grid: [(paths: ["options.seed"], values: [1, 2])])"#, "model.unknown"),
+        (r#"Sweep(grid: [(paths: ["options.nothing"], values: [1])])"#, "sweep.path"),
+        (r#"Sweep(input: ["absent.npy"])"#, "io.missing"),
+    ] {
+        std::fs::write(folder.join("s.ron"), text).unwrap();
+        let output = nsim(folder, "sweep s.ron --format json").output().unwrap();
+        assert!(!output.status.success(), "{text}");
+        let error: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(error["code"], code, "{text}: {error}");
+    }
+}
+
+#[test]
+fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let model = r#"Network(name: "own", timestep_ms: 1.0, populations: [Input(name: "in", shape: [4]),
+        Loihi(name: "out", shape: [2], du: 4095, dv: 4095, vth_mant: 1)], projections: [
+        Random(from: ["in"], to: "out", fan_out: 2, low: 8, high: 64, seed: 1)], output: "out")"#;
+    std::fs::write(folder.join("own.ron"), model).unwrap();
+    std::fs::write(folder.join("s.ron"), r#"Sweep(model: "own.ron")"#).unwrap();
+    let refused = |line: &str| -> Value {
+        let output = nsim(folder, &format!("{line} --format json")).output().unwrap();
+        assert!(!output.status.success(), "{line}");
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let (sweep, energy) = (refused("sweep s.ron"), refused("energy own.ron"));
+    assert_eq!((&sweep["code"], &sweep["message"]), (&energy["code"], &energy["message"]));
+    assert_eq!(sweep["code"], "energy.input");
+    // The printed remedy.
+    let help = sweep["help"].as_str().unwrap();
+    let field = help.split(", or ").nth(1).and_then(|field| field.strip_suffix(" to try")).unwrap();
+    std::fs::write(folder.join("s.ron"), format!("Sweep(model: \"own.ron\", {field})")).unwrap();
+    let table = rows(&ran(folder, "sweep s.ron"));
+    assert_eq!(cell(&table[0], "error"), "");
+}
+
+/// The network with other neurons in the populations whose spikes go nowhere, which are alike where
+/// they were.
+fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {
+    let last: Vec<_> = last_populations(network).collect();
+    let mut parts = network.parts().clone();
+    for (id, population) in parts.populations.ids().zip(parts.populations.clone().iter()) {
+        let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
+        if !last.contains(&id) {
+            continue;
+        }
+        let other = |index| {
+            let old = neurons.get(index);
+            let turned = |field: i64, by: i64, size: i64| (field + by * variant) % size;
+            let vth = ThresholdMantissa::new(turned(old.vth.get().into(), 37, 1 << 17)).unwrap();
+            let bias = BiasMantissa::new(turned(i64::from(old.bias_mant.get()) + 4096, 11, 8192) - 4096).unwrap();
+            let decay = |field: Decay, by| Decay::new(turned(field.get().into(), by, 4097)).unwrap();
+            match old.kind {
+                NeuronKind::If => Neuron { vth, bias_mant: bias, ..old },
+                _ => Neuron { vth, bias_mant: bias, du: decay(old.du, 97), dv: decay(old.dv, 1201), ..old },
+            }
+        };
+        let each = PerCompartment::Each((0..population.shape.len()).map(other).collect());
+        parts.populations[id].units = Units::Compartments { first: *first, neurons: each, start_step: *start_step };
+    }
+    Quantised::new(parts).unwrap()
+}
+
+/// Random networks on random cores of a chip: what follows from a record is what a whole run gives.
+#[test]
+fn variants_of_last_populations_follow_from_one_run() {
+    let target = load_target("loihi1-chip").unwrap();
+    // Cores hold any mix of parameters.
+    let mut limits = target.limits().clone();
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
+        (1024, 1024, 1 << 16);
+    limits[Resource::SynapseFormats] = 64;
+    let target = target.with_limits(limits);
+    let (mut followed, mut fired) = (0, 0);
+    for seed in 0..400 {
+        let network = if seed % 4 == 0 { random::convolutional(seed) } else { random::network(seed) };
+        let mapping = random::mapping(&network, &Mesh::for_target(&target), seed);
+        let compiled = match network.compartments() {
+            0..=1024 => compile_saved(network.clone(), &target, &Options::default(), &mapping),
+            _ => compile(network.clone(), &target, &Options::default()),
+        };
+        let compiled = Arc::new(compiled.unwrap_or_else(|error| panic!("{seed}: {error}")));
+        let samples = [random::sample(&network, seed), random::sample(&network, seed + 1_000)];
+        let samples: Vec<&Sample> = samples.iter().collect();
+        let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
+        let metered = Metered::new(&compiled);
+        let settings = |metered: &Metered<'_>| metered.offline(&target).unwrap().0;
+        let (ran, record) = Record::run(&compiled, &metered, settings(&metered), run.clone()).unwrap();
+        let whole = metered.run(settings(&metered), run.clone()).unwrap();
+        assert_eq!((ran.outcomes, ran.activity), (whole.outcomes, whole.activity), "seed {seed}");
+        assert_eq!(ran.meter.lanes(), whole.meter.lanes(), "seed {seed}");
+        let Some(record) = record else { continue };
+        for variant in 0..4 {
+            let other = with_other_last_neurons(&network, variant);
+            if !is_mapped_alike(&compiled.one, &other) {
+                continue;
+            }
+            let compiled = with_neurons_of(&compiled, other.clone(), &target).unwrap();
+            let metered = Metered::new(&compiled);
+            let whole = metered.run(settings(&metered), run.clone()).unwrap();
+            let ran = record.follow(&other, &samples);
+            // A record follows neither what left its field nor steps in which nothing happened.
+            let known =
+                |outcome: &Outcome| Outcome { overflow: Overflow::default(), skipped_steps: 0, ..outcome.clone() };
+            let outcomes: Vec<Outcome> = whole.outcomes.iter().map(known).collect();
+            assert_eq!(ran.outcomes, outcomes, "seed {seed}, variant {variant}");
+            assert_eq!(ran.activity, whole.activity, "seed {seed}, variant {variant}");
+            assert_eq!(ran.meter.lanes(), whole.meter.lanes(), "seed {seed}, variant {variant}");
+            assert_eq!(ran.meter.hops(), whole.meter.hops(), "seed {seed}, variant {variant}");
+            followed += 1;
+            fired += outcomes.iter().map(|outcome| outcome.totals.spikes).sum::<u64>();
+        }
+    }
+    assert!(followed > 300 && fired > 10_000, "{followed} variants, {fired} spikes");
+}

@@ -1,0 +1,285 @@
+//! The fast machine against the golden interpreter, bit for bit, on random networks: under three
+//! partitions, with skipping on and off, in 1, 2 and 8 shares run by as many threads.
+
+use crate::common::{Net, format, neuron, random};
+use nsim::compile::{Compiled, DEFAULT_RATE, Form, Options, compile, compile_saved, with_program};
+use nsim::files::target::load_target;
+use nsim::golden::Golden;
+use nsim::import::model::load_model;
+use nsim::ir::activity::{Activity, Overflow, Totals};
+use nsim::ir::base::fixed::SignMode;
+use nsim::ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim::ir::base::rng;
+use nsim::ir::firing_rates::Rates;
+use nsim::ir::graph::{Shape, Window};
+use nsim::ir::hardware::Target;
+use nsim::ir::placement::Mesh;
+use nsim::ir::quantised::Quantised;
+use nsim::ir::quantised::connectivity::Connectivity;
+use nsim::ir::resource::Resource;
+use nsim::ir::spikes::{Engine, Sample};
+use nsim::ir::stimulus::SceneArg;
+use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::prune::{Plan, prune};
+use nsim::session::front::front;
+use nsim::study::networks::{Random, random as random_network};
+use rayon::prelude::*;
+
+const NETWORKS: u64 = 1000;
+const CONVOLUTIONS: u64 = 500;
+
+/// What an engine showed: after each step the spikes and all of u, v and the probed register.
+#[derive(Debug, PartialEq)]
+struct Trace {
+    steps: Vec<(Vec<CompartmentId>, Vec<[i32; 3]>)>,
+    totals: Totals,
+    overflow: Overflow,
+}
+
+fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Trace {
+    engine.begin(sample.steps());
+    let mut steps = Vec::new();
+    let mut step = 0;
+    while step < sample.steps() {
+        let next = sample.next_spike(step);
+        if next > step && engine.rest(next - step) {
+            for _ in step..next {
+                steps.push((Vec::new(), registers(engine, compartments)));
+            }
+            step = next;
+            continue;
+        }
+        engine.step(sample.at(step));
+        steps.push((engine.ascending_spikes(), registers(engine, compartments)));
+        step += 1;
+    }
+    Trace { steps, totals: engine.totals(), overflow: engine.overflow() }
+}
+
+fn registers(engine: &dyn Engine, compartments: u32) -> Vec<[i32; 3]> {
+    (0..compartments).map(CompartmentId).map(|c| [engine.u(c), engine.v(c), engine.v_register(c)]).collect()
+}
+
+fn assert_same(golden: &Trace, fast: &Trace, what: &str) {
+    for (step, (g, f)) in golden.steps.iter().zip(&fast.steps).enumerate() {
+        assert_eq!(g.0, f.0, "{what}: spikes of step {step}");
+        if let Some(at) = g.1.iter().zip(&f.1).position(|(g, f)| g != f) {
+            let id = CompartmentId::new(at);
+            panic!("{what}: step {step}, {id}: golden [u, v, register] {:?}, fast {:?}", g.1[at], f.1[at]);
+        }
+    }
+    // Not the traces as a whole: a failure would print them.
+    assert_eq!(golden.steps.len(), fast.steps.len(), "{what}: steps");
+    assert_eq!((golden.totals, golden.overflow), (fast.totals, fast.overflow), "{what}: counts");
+}
+
+/// Three partitions: as few cores as possible, at most so many compartments a core, dealt out at
+/// random.
+fn partitions(network: &Quantised, chip: &Target, few: u32, seed: u64) -> Vec<(&'static str, Compiled)> {
+    // Searching for places takes most of the time and decides nothing here; dealt out, cores stand
+    // anywhere.
+    let options = Options { place: seed.is_multiple_of(8), ..Options::default() };
+    let mut compiled = Vec::new();
+    let mut limits = chip.limits().clone();
+    // Mixed parameters and long delays are not what this test is about: let them share a core.
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
+        (1024, 1024, 1 << 16);
+    limits[Resource::SynapseFormats] = 64;
+    let roomy = chip.clone().with_limits(limits.clone());
+    compiled.push(("sequential", compile(network.clone(), &roomy, &options)));
+    limits[Resource::Compartments] = few;
+    compiled.push(("small cores", compile(network.clone(), &chip.clone().with_limits(limits), &options)));
+    // More might be dealt to one core than it holds.
+    if network.compartments() <= chip.limits()[Resource::Compartments] {
+        let mapping = random::mapping(network, &Mesh::for_target(chip), seed);
+        compiled.push(("dealt out", compile_saved(network.clone(), &roomy, &options, &mapping)));
+    }
+    compiled.into_iter().map(|(name, result)| (name, result.unwrap_or_else(|e| panic!("{seed} {name}: {e}")))).collect()
+}
+
+/// One network on every partition and setting; returns how many spikes it made.
+fn compare(seed: u64, chip: &Target) -> u64 {
+    let network = random::network(seed);
+    let sample = random::sample(&network, seed);
+    let n = network.compartments();
+    let golden = trace(&mut Golden::new(&network), n, &sample);
+    compare_on(&golden, &sample, partitions(&network, chip, 5, seed), seed);
+    golden.totals.spikes
+}
+
+/// A golden trace against the machine's on every mapping and setting; returns how many chunks of
+/// shared weights it added.
+fn compare_on(golden: &Trace, sample: &Sample, mapped: Vec<(&'static str, Compiled)>, seed: u64) -> usize {
+    let mut shared = 0;
+    for (name, compiled) in mapped {
+        let n = compiled.program.compartments();
+        let mut counts: Option<Activity> = None;
+        for shares in [1, 2, 8] {
+            let image = Image::new(&compiled.program, shares).unwrap();
+            shared += image.shared_chunks();
+            for (skip, per_step) in [(true, false), (false, true)] {
+                let mut machine = Machine::new(&image, Settings { skip, per_step });
+                let fast = trace(&mut machine, n, sample);
+                let what = format!("network {seed}, {name}, {shares} shares, skip {skip}");
+                assert_same(golden, &fast, &what);
+                let activity = machine.take_activity();
+                assert_eq!(activity.totals(), golden.totals, "{what}: counts by core add up");
+                let expected = counts.get_or_insert_with(|| activity.clone());
+                assert_eq!(&activity, expected, "{what}: counts by core are the program's");
+            }
+        }
+    }
+    shared
+}
+
+/// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles,
+/// compartments dealt out, and the program that is written box by box where kernels stay kernels.
+#[test]
+fn random_convolutions_are_the_same_in_both_engines() {
+    let chip = load_target("loihi1-chip").unwrap();
+    let board = load_target("nahuku-32").unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
+    let compare = |seed: u64| {
+        let network = random::convolutional(seed);
+        let sample = random::sample(&network, seed);
+        let golden = trace(&mut Golden::new(&network), network.compartments(), &sample);
+        let (mut mapped, mut boxes) = (partitions(&network, &chip, 32, seed), 0);
+        let limits = board.limits().clone().with(Resource::Compartments, 30);
+        let small = Options { place: false, ..Options::default() };
+        for (name, target) in [("boxes", board.clone()), ("small boxes", board.clone().with_limits(limits))] {
+            let rates = Rates::assumed(DEFAULT_RATE);
+            let symbolic = nsim::compile::map(network.clone().into(), &target, &small, &rates, Form::Symbolic);
+            if let Ok(symbolic) = symbolic {
+                mapped.push((name, with_program(symbolic, &target).unwrap()));
+                boxes += 1;
+            }
+        }
+        (golden.totals.spikes, compare_on(&golden, &sample, mapped, seed), boxes)
+    };
+    let found: Vec<_> = pool.install(|| (0..CONVOLUTIONS).into_par_iter().map(compare).collect());
+    let (spiking, shared) = (found.iter().filter(|found| found.0 > 0), found.iter().filter(|found| found.1 > 0));
+    let (spiking, shared, boxes) = (spiking.count(), shared.count(), found.iter().map(|found| found.2).sum::<u64>());
+    assert!(spiking > 250 && shared > 350 && boxes > 900, "{spiking} spike, {shared} share weights, {boxes} in boxes");
+}
+
+#[test]
+fn random_networks_are_the_same_in_both_engines() {
+    let chip = load_target("loihi1-chip").unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
+    let spikes: Vec<u64> = pool.install(|| (0..NETWORKS).into_par_iter().map(|seed| compare(seed, &chip)).collect());
+    let silent = spikes.iter().filter(|&&spikes| spikes == 0).count();
+    assert!(silent < NETWORKS as usize / 3, "{silent} of {NETWORKS} networks never spike: they test too little");
+}
+
+/// Networks large enough that their lists of synapses take the form of three bytes each, and shares
+/// of them that do not.
+#[test]
+fn a_large_random_network_is_the_same_in_both_engines() {
+    let sizes = Random { compartments: 4_500, background: 4, driven: 100, period: 30 };
+    let bench = random_network("large", sizes, &[0]).unwrap();
+    let n = bench.network.compartments();
+    let golden = trace(&mut Golden::new(&bench.network), n, &bench.period);
+    assert!(golden.totals.spikes > 1_000 && golden.totals.synaptic_events > 64_000);
+    let compiled = compile(bench.network, &load_target(bench.target).unwrap(), &Options::default()).unwrap();
+    for shares in [1, 2, 8] {
+        let image = Image::new(&compiled.program, shares).unwrap();
+        for skip in [true, false] {
+            let mut machine = Machine::new(&image, Settings { skip, per_step: false });
+            assert_same(&golden, &trace(&mut machine, n, &bench.period), &format!("{shares} shares, skip {skip}"));
+        }
+    }
+}
+
+/// Where channels with rows have different numbers of synapses, steps count by a mean, and what
+/// that missed is made up from how often each spiked: whenever it is asked for, and whenever these
+/// numbers are taken.
+#[test]
+fn events_of_uneven_rows_are_right_after_every_step() {
+    let network = front(&load_model("vtsnn-slip").unwrap()).unwrap().into_quantised();
+    let samples = nsim::scene::stimulus(&network, &SceneArg::parse("slip?samples=2&seed=3").unwrap()).unwrap().samples;
+    let pruned = prune(&network, &Plan::fixed()).unwrap();
+    let compiled = compile(pruned.clone(), &load_target("nahuku-32").unwrap(), &Options::default()).unwrap();
+    let mut golden = Golden::new(&pruned);
+    for shares in [1, 2] {
+        let image = Image::new(&compiled.program, shares).unwrap();
+        let mut machine = Machine::new(&image, Settings::default());
+        for sample in &samples {
+            golden.begin(sample.steps());
+            machine.begin(sample.steps());
+            let mut events = 0;
+            for step in 0..sample.steps() {
+                golden.step(sample.at(step));
+                machine.step(sample.at(step));
+                if step % 40 == 7 {
+                    events += machine.take_activity().totals().synaptic_events;
+                }
+                assert_eq!(machine.totals(), golden.totals(), "{shares} shares, step {step}");
+            }
+            events += machine.take_activity().totals().synaptic_events;
+            assert_eq!(events, golden.totals().synaptic_events, "{shares} shares");
+        }
+    }
+}
+
+/// One convolution, 3 x 3 over 64 channels to 64, of a square side of inputs, without a border.
+fn wide_convolution(side: u32) -> Quantised {
+    let (from, to) = ((64, side, side), (64, side - 2, side - 2));
+    let mut net = Net::new();
+    let input = net.input(Shape::Volume(from.0, from.1, from.2));
+    let neurons = vec![neuron(1024, 128, 300, 2); (to.0 * to.1 * to.2) as usize];
+    let out = net.loihi(Shape::Volume(to.0, to.1, to.2), &neurons, 0);
+    let once = (1, 1);
+    let window =
+        Window { source: from, target: to, kernel: (3, 3), stride: once, padding: (0, 0), dilation: once, groups: 1 };
+    let kernel = (0..64 * 64 * 9).map(|k| rng::below(101, 7, k, 0) as i16 * 2 - 90).collect();
+    net.project(input, out, format(SignMode::Mixed, 0), 0, Connectivity::Conv2d { window, kernel });
+    net.build()
+}
+
+/// The machine runs a network of more synapses than are written out; golden runs regions of it,
+/// alone.
+#[test]
+fn regions_of_a_network_too_large_to_write_out_spike_as_they_do_alone() {
+    const SIDE: u32 = 88;
+    const PART: u32 = 14;
+    let whole = wide_convolution(SIDE);
+    assert_eq!(Form::for_network(&whole, 1), Form::Symbolic);
+    let spikes = |t: u32| (0..whole.channels()).filter(move |&c| rng::below(100, 9, c.into(), t.into()) < 4);
+    let events: Vec<_> = (0..12).flat_map(|t| spikes(t).map(move |channel| (t, ChannelId(channel)))).collect();
+    let sample = Sample::new(12, &events, None).unwrap();
+    let board = load_target("pohoiki-springs").unwrap();
+    let options = Options { place: false, ..Options::default() };
+    let compiled = compile(whole.clone(), &board, &options).unwrap();
+    let image = Image::new(&compiled.program, 2).unwrap();
+    assert!(image.shared_chunks() > 0);
+    let mut machine = Machine::new(&image, Settings::default());
+    let golden = wide_convolution(PART);
+    let mut compared = 0;
+    for (top, left) in [(0, 0), (37, 51), (SIDE - PART, SIDE - PART)] {
+        // Where a unit of the part is in the whole.
+        let place = |unit: u32, part: u32, side: u32| {
+            (unit / (part * part) * side + unit / part % part + top) * side + unit % part + left
+        };
+        let seen: std::collections::HashMap<u32, u32> =
+            (0..golden.channels()).map(|channel| (place(channel, PART, SIDE), channel)).collect();
+        let own = events.iter().filter_map(|&(t, channel)| Some((t, ChannelId(*seen.get(&channel.0)?))));
+        let own = Sample::new(12, &own.collect::<Vec<_>>(), None).unwrap();
+        let inside: std::collections::HashSet<u32> =
+            (0..golden.compartments()).map(|unit| place(unit, PART - 2, SIDE - 2)).collect();
+        let mut alone = Golden::new(&golden);
+        alone.begin(12);
+        machine.begin(12);
+        for t in 0..12 {
+            alone.step(own.at(t));
+            machine.step(sample.at(t));
+            let mut expected: Vec<u32> =
+                alone.spikes().iter().map(|spike| place(spike.0, PART - 2, SIDE - 2)).collect();
+            expected.sort_unstable();
+            let spiked: Vec<u32> =
+                machine.ascending_spikes().iter().map(|spike| spike.0).filter(|spike| inside.contains(spike)).collect();
+            assert_eq!(spiked, expected, "step {t} at {top}, {left}");
+            compared += spiked.len();
+        }
+    }
+    assert!(compared > 5_000, "{compared} spikes");
+}

@@ -1,0 +1,278 @@
+//! Ending a sample when it is decided: the same class as the whole sample for `certain`, the first
+//! steps of the whole sample for every rule, the same on every engine; and what the command line
+//! says of it.
+
+use crate::common;
+use std::num::NonZeroU32;
+
+use assert_cmd::Command;
+use nsim::compile::{Options, compile};
+use nsim::files::target::load_target;
+use nsim::golden::Golden;
+use nsim::import::model::load_model;
+use nsim::ir::activity::Activity;
+use nsim::ir::base::id::{ChannelId, CompartmentId};
+use nsim::ir::graph::Shape;
+use nsim::ir::quantised::Quantised;
+use nsim::ir::spikes::Sample;
+use nsim::machine::{Image, Machine, Settings};
+use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::front::front;
+use nsim::session::{Keep, Outcome, run_sample};
+use rayon::prelude::*;
+use serde_json::Value;
+
+fn keep(network: &Quantised, rule: Option<Rule>) -> Keep {
+    Keep { output: network.output(), probes: Vec::new(), early_exit: rule.map(|rule| EarlyExit::new(rule, network)) }
+}
+
+fn margin(margin: u32) -> Rule {
+    Rule::Margin(NonZeroU32::new(margin).unwrap())
+}
+
+/// The same but for what skipping may change.
+fn skipping_aside(outcome: &Outcome) -> Outcome {
+    Outcome { skipped_steps: 0, ..outcome.clone() }
+}
+
+fn assert_begins(early: &Outcome, whole: &Outcome, what: &str) {
+    let until = |outcome: &Outcome| -> Vec<(u32, u32)> {
+        outcome.spikes.iter().copied().filter(|spike| spike.0 < early.steps).collect()
+    };
+    assert_eq!(early.spikes, until(whole), "{what}");
+    assert_eq!(early.steps + early.steps_saved, whole.steps, "{what}");
+    match early.decided_at {
+        Some(step) => assert_eq!((early.steps, early.steps_saved > 0), (step + 1, true), "{what}"),
+        None => assert_eq!(early, &skipping_aside(whole), "{what}"),
+    }
+}
+
+#[test]
+fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
+    let decided: Vec<[u32; 2]> = (0..1000u64)
+        .into_par_iter()
+        .map(|seed| {
+            let network = common::random::network(seed);
+            let sample = common::random::sample(&network, seed);
+            let mut engines = common::engines(&network);
+            let run = |engine: &mut dyn nsim::ir::spikes::Engine, rule| {
+                run_sample(engine, &sample, &keep(&network, rule), |_, _| ())
+            };
+            let whole = run(engines[0].1.as_mut(), None);
+            [Rule::Certain, margin(1 + seed as u32 % 5)].map(|rule| {
+                let what = format!("network {seed}, {rule}");
+                let golden = run(engines[0].1.as_mut(), Some(rule));
+                assert_begins(&golden, &whole, &what);
+                if rule == Rule::Certain {
+                    assert_eq!(golden.class(), whole.class(), "{what}");
+                }
+                for (name, engine) in &mut engines {
+                    assert_eq!(skipping_aside(&run(engine.as_mut(), Some(rule))), golden, "{what}, {name}");
+                }
+                // A decision that is only noted changes nothing else.
+                let watched = Keep { early_exit: Some(EarlyExit::watched(rule, &network)), ..keep(&network, None) };
+                let Outcome { decided_at, steps_saved, .. } = golden;
+                let noted = Outcome { decided_at, steps_saved, ..skipping_aside(&whole) };
+                for (name, engine) in &mut engines {
+                    let outcome = run_sample(engine.as_mut(), &sample, &watched, |_, _| ());
+                    assert_eq!(skipping_aside(&outcome), noted, "{what}, {name}, watched");
+                }
+                u32::from(golden.decided_at.is_some())
+            })
+        })
+        .collect();
+    let [certain, margin] = decided.iter().fold([0, 0], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
+    println!("of 1000 samples {certain} were certain and {margin} had their margin before their end");
+    assert!(certain > 200 && margin > 200, "{certain} certain, {margin} by a margin: this tests too little");
+}
+
+#[test]
+fn certainty_that_comes_in_silence_is_found_in_the_same_step_when_silence_is_skipped() {
+    let mut net = common::Net::new();
+    let input = net.input(Shape::Line(2));
+    let out = net.loihi(Shape::Line(2), &[common::neuron(4096, 4096, 10, 1); 2], 0);
+    net.dense(input, out, 0, &[20, 0, 0, 20]);
+    let network = net.build();
+    // Output 1 spikes in steps 2 to 5, then nothing happens until step 15 of 20. Output 0 could
+    // tie, and so win, with four spikes: that is over when three steps are left, after step 16, in
+    // which both stand as they did.
+    let events: Vec<_> = (2..6).map(|step| (step, ChannelId(1))).collect();
+    let sample = Sample::new(20, &events, None).unwrap();
+    for (name, mut engine) in common::engines(&network) {
+        let outcome = run_sample(engine.as_mut(), &sample, &keep(&network, Some(Rule::Certain)), |_, _| ());
+        assert_eq!((outcome.decided_at, outcome.steps, outcome.steps_saved), (Some(16), 17, 3), "{name}");
+        assert_eq!((outcome.class(), outcome.totals.compartment_updates), (Some(1), 2 * 17), "{name}");
+        // At rest from step 7 on: the update of step 6 is the one that forgets.
+        assert_eq!(outcome.skipped_steps, if name == "fast" { 2 + 10 } else { 0 }, "{name}");
+    }
+}
+
+#[test]
+fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
+    let Some(data) = common::data("ev-containers") else { return };
+    let samples = common::recordings(&data, &["train", "test"]);
+    let network = load_model("container-tactile").unwrap();
+    let compiled =
+        compile(front(&network).unwrap(), &load_target("loihi1-chip").unwrap(), &Options::default()).unwrap();
+    let image = Image::new(&compiled.program, 1).unwrap();
+    let network = &compiled.quantised;
+    for rule in [Rule::Certain, margin(1), margin(5), margin(20)] {
+        let outcomes: Vec<[Outcome; 2]> = samples
+            .par_iter()
+            .map(|sample| {
+                let mut golden = Golden::new(network);
+                let early = run_sample(&mut golden, sample, &keep(network, Some(rule)), |_, _| ());
+                let mut machine = Machine::new(&image, Settings { per_step: true, ..Settings::default() });
+                // The whole sample, with the counts of the steps that the early one runs.
+                let mut counted = Activity::new(compiled.program.cores().len());
+                let mut left = early.steps;
+                let whole = run_sample(&mut machine, sample, &keep(network, None), |machine, times| {
+                    counted.add_steps(machine.last_step(), u64::from(times.min(left)));
+                    left -= times.min(left);
+                });
+                assert_begins(&early, &whole, &rule.to_string());
+                machine.take_activity();
+                let fast = run_sample(&mut machine, sample, &keep(network, Some(rule)), |_, _| ());
+                assert_eq!(skipping_aside(&fast), early);
+                assert_eq!(machine.take_activity(), counted, "the first steps of the whole sample, core by core");
+                [early, whole]
+            })
+            .collect();
+        let same = outcomes.iter().filter(|[early, whole]| early.class() == whole.class()).count();
+        let decided = outcomes.iter().filter(|[early, _]| early.decided_at.is_some()).count();
+        let saved: u32 = outcomes.iter().map(|[early, _]| early.steps_saved).sum();
+        println!("{rule}: {decided} of {} decided early, {saved} steps saved, {same} classes kept", samples.len());
+        assert!(decided > 0);
+        if rule == Rule::Certain {
+            assert_eq!(same, samples.len());
+        }
+        // One sample is one of many to a machine that goes on: nothing is left of the one that
+        // ended early.
+        let mut machine = Machine::new(&image, Settings::default());
+        for (sample, [early, _]) in samples.iter().zip(&outcomes).take(20) {
+            let again = run_sample(&mut machine, sample, &keep(network, Some(rule)), |_, _| ());
+            assert_eq!(&skipping_aside(&again), early);
+        }
+    }
+}
+
+fn nsim(arguments: &[&str]) -> (i32, String, String) {
+    let output = Command::cargo_bin("nsim").unwrap().args(arguments).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
+}
+
+fn object(arguments: &[&str]) -> Value {
+    let (code, stdout, stderr) = nsim(&[arguments, &["--format", "json"]].concat());
+    assert_eq!(code, 0, "{arguments:?}: {stderr}");
+    serde_json::from_str(&stdout).unwrap()
+}
+
+fn numbers(list: &Value) -> Vec<Option<u64>> {
+    list.as_array().unwrap().iter().map(Value::as_u64).collect()
+}
+
+#[test]
+fn what_makes_no_sense_is_wrong_usage() {
+    for wrong in ["0", "-1", "1.5", "never", ""] {
+        let (code, _, stderr) = nsim(&["run", &format!("--early-exit={wrong}")]);
+        assert_eq!(code, 2, "{stderr}");
+        assert!(stderr.contains("certain"), "{stderr}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().display().to_string();
+    let (code, _, stderr) = nsim(&["run", "--early-exit", "3", "--probe", "out.spikes", "-o", &out]);
+    assert_eq!(code, 2, "{stderr}");
+    assert!(stderr.contains("--probe") && stderr.contains("--early-exit"), "{stderr}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn a_run_says_when_samples_were_decided() {
+    let run = |more: &[&str]| object(&[&["run", "container-tactile", "--samples", "0..6"], more].concat());
+    let whole = run(&[]);
+    assert_eq!(whole["early_exit"], Value::Null);
+    assert_eq!(numbers(&whole["decided_at"]), [None; 6]);
+    for rule in ["certain", "3"] {
+        let early = run(&["--early-exit", rule]);
+        let decided = numbers(&early["decided_at"]);
+        assert!(decided.iter().flatten().count() > 0, "{rule}: {decided:?}");
+        let steps: u64 = decided.iter().map(|step| step.map_or(325, |step| step + 1)).sum();
+        assert_eq!(early["timesteps"], steps);
+        assert_eq!(early["early_exit"]["steps_saved"], 6 * 325 - steps);
+        assert_eq!(early["early_exit"]["rule"], rule);
+        assert_eq!(early["activity"]["compartment_updates"], steps * 52);
+        assert!(early["activity"]["spikes"].as_u64() < whole["activity"]["spikes"].as_u64());
+        if rule == "certain" {
+            assert_eq!(early["predicted"], whole["predicted"]);
+        }
+        for more in [["--threads", "2"], ["--skip", "off"], ["--engine", "golden"]] {
+            let other = run(&[&["--early-exit", rule][..], &more].concat());
+            for key in ["digest", "decided_at", "predicted", "output_counts", "timesteps"] {
+                assert_eq!(early[key], other[key], "{rule} {more:?} {key}");
+            }
+            for key in ["spikes_in", "spikes", "synaptic_events", "compartment_updates", "active_updates"] {
+                assert_eq!(early["activity"][key], other["activity"][key], "{rule} {more:?} {key}");
+            }
+        }
+        let text = nsim(&["run", "container-tactile", "--samples", "0..6", "--early-exit", rule]).1;
+        assert!(text.contains(&format!("early exit {rule}: ")), "{text}");
+    }
+}
+
+#[test]
+fn the_energy_saved_is_that_of_the_steps_left_off() {
+    let energy = |more: &[&str]| {
+        object(&[&["energy", "container-tactile", "--samples", "0..6", "--copies", "2", "--baseline"], more].concat())
+    };
+    let whole = energy(&[]);
+    assert_eq!(whole["early_exit"], Value::Null);
+    let total = |object: &Value, key: &str| object["rows"][2][key].as_f64().unwrap();
+    let mut saved_before = 0.0;
+    for rule in ["certain", "3"] {
+        let run = object(&["run", "container-tactile", "--samples", "0..6", "--early-exit", rule]);
+        let early = energy(&["--early-exit", rule]);
+        // The table stays that of whole samples.
+        assert_eq!((&early["rows"], &early["timesteps"]), (&whole["rows"], &whole["timesteps"]));
+        let saved = &early["early_exit"];
+        assert_eq!(saved["rule"], rule);
+        assert_eq!(saved["steps_saved"], run["early_exit"]["steps_saved"]);
+        assert_eq!(saved["decided"], run["early_exit"]["decided"]);
+        let (uj, us) = (saved["energy_saved_uj"].as_f64().unwrap(), saved["time_saved_us"].as_f64().unwrap());
+        let all_uj = total(&whole, "energy_uj") * 6.0 * 325.0;
+        assert!(uj > saved_before && uj < all_uj, "{rule}: {uj} of {all_uj}");
+        saved_before = uj;
+        assert!((saved["energy_saved_share"].as_f64().unwrap() - uj / all_uj).abs() < 1e-9);
+        // At the least, all power but the neuron cores' dynamic one during the time saved.
+        let always_mw = total(&whole, "total_mw") - whole["rows"][1]["dynamic_mw"].as_f64().unwrap();
+        assert!(uj > always_mw * us / 1e3 && uj < 1.5 * always_mw * us / 1e3 + all_uj * 0.5, "{uj} uJ in {us} us");
+    }
+    // In real time each step lasts 20 ms, whatever happens in it.
+    let paced = &energy(&["--early-exit", "3", "--mode", "realtime"])["early_exit"];
+    let (us, steps) = (paced["time_saved_us"].as_f64().unwrap(), paced["steps_saved"].as_f64().unwrap());
+    assert!((us - 20_000.0 * steps).abs() < 1e-3 * us, "{us} us for {steps} steps");
+    let text = nsim(&["energy", "container-tactile", "--samples", "0..2", "--early-exit", "1"]).1;
+    assert!(text.contains("early exit 1: ") && text.lines().count() <= 20, "{text}");
+    let text = nsim(&["energy", "container-tactile", "--samples", "0..2", "--early-exit", "1", "--full"]).1;
+    assert!(text.contains("Early exit 1: "), "{text}");
+}
+
+#[test]
+fn a_compartment_of_another_population_is_no_output() {
+    // The hidden compartment spikes often; only the output's spikes decide.
+    let mut net = common::Net::new();
+    let input = net.input(Shape::Line(1));
+    let hidden = net.loihi(Shape::Line(1), &[common::neuron(4096, 4096, 10, 1)], 0);
+    let out = net.loihi(Shape::Line(1), &[common::neuron(4096, 0, 50, 1)], 0);
+    net.dense(input, hidden, 0, &[20]);
+    net.dense(hidden, out, 0, &[20]);
+    let network = net.build();
+    let sample = Sample::new(12, &(0..12).map(|step| (step, ChannelId(0))).collect::<Vec<_>>(), None).unwrap();
+    for (name, mut engine) in common::engines(&network) {
+        // v = 20, 40, 60 > 50 in steps 1, 2, 3.
+        let outcome = run_sample(engine.as_mut(), &sample, &keep(&network, Some(margin(1))), |engine, _| {
+            assert!(engine.spikes().contains(&CompartmentId(0)));
+        });
+        assert_eq!((outcome.decided_at, outcome.counts), (Some(3), vec![1]), "{name}");
+    }
+}

@@ -1,0 +1,152 @@
+//! An `If` population against a `Loihi` one with du = 4096 and dv = 0: the same numbers from every
+//! engine.
+
+use std::path::Path;
+
+use crate::common::random;
+use nsim::compile::{Options, compile};
+use nsim::files::lower::lower;
+use nsim::files::model_builder::ModelBuilder;
+use nsim::files::shipped::Origin;
+use nsim::files::target::load_target;
+use nsim::golden::Golden;
+use nsim::import::model::network;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::base::fixed::Decay;
+use nsim::ir::base::id::CompartmentId;
+use nsim::ir::graph::Graph;
+use nsim::ir::neurons::NeuronKind;
+use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::resource::Resource;
+use nsim::ir::spikes::{Engine, Sample};
+use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::prune::{Plan, prune};
+use nsim::quantise::quantise::quantise;
+use nsim::reference::{Model, Options as RealOptions, Reference};
+use nsim::session::decision::Pace;
+
+/// The network with every population of this kind, without memory of currents and without leaks.
+fn with_kind(network: &Quantised, kind: NeuronKind) -> Quantised {
+    let mut parts = network.parts().clone();
+    parts.semantics = nsim::ir::arithmetic::Semantics::Hardware;
+    for population in parts.populations.iter_mut() {
+        if let Units::Compartments { neurons, .. } = &mut population.units {
+            let neuron = |_, neuron| Ok::<_, ()>(Neuron { kind, du: Decay::MAX, dv: Decay::MIN, ..neuron });
+            *neurons = neurons.try_map(neuron).unwrap();
+        }
+    }
+    Quantised::new(parts).unwrap()
+}
+
+/// Spikes and registers of every step, then the counts.
+fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> String {
+    engine.begin(sample.steps());
+    let mut trace = String::new();
+    for step in 0..sample.steps() {
+        engine.step(sample.at(step));
+        let registers = |c| [engine.u(c), engine.v(c), engine.v_register(c)];
+        let all: Vec<[i32; 3]> = (0..compartments).map(CompartmentId).map(registers).collect();
+        trace += &format!("{:?} {all:?}\n", engine.ascending_spikes());
+    }
+    trace + &format!("{:?} {:?}", engine.totals(), engine.overflow())
+}
+
+#[test]
+fn it_equals_a_loihi_compartment_that_forgets_all_current_and_no_voltage() {
+    let chip = load_target("loihi1-chip").unwrap();
+    let mut limits = chip.limits().clone();
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
+        (1024, 1024, 1 << 16);
+    limits[Resource::SynapseFormats] = 64;
+    let chip = chip.clone().with_limits(limits);
+    let mut spikes = 0;
+    for seed in 0..100 {
+        let drawn = random::network(seed);
+        let sample = random::sample(&drawn, seed);
+        let (loihi, simple) = (with_kind(&drawn, NeuronKind::Loihi), with_kind(&drawn, NeuronKind::If));
+        let n = loihi.compartments();
+        let mut golden = Golden::new(&loihi);
+        let expected = trace(&mut golden, n, &sample);
+        spikes += golden.totals().spikes;
+        assert_eq!(trace(&mut Golden::new(&simple), n, &sample), expected, "golden, network {seed}");
+        let compiled = compile(simple, &chip, &Options::default()).unwrap();
+        for shares in [1, 2, 8] {
+            let image = Image::new(&compiled.program, shares).unwrap();
+            for skip in [true, false] {
+                let mut machine = Machine::new(&image, Settings { skip, per_step: false });
+                let fast = trace(&mut machine, n, &sample);
+                assert_eq!(fast, expected, "network {seed}, {shares} shards, skip {skip}");
+            }
+        }
+    }
+    assert!(spikes > 10_000, "{spikes}");
+}
+
+fn read(population: &str, out: &str) -> Graph {
+    let text = format!(
+        "Network(name: \"n\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), {population}, {out}], \
+         projections: [Dense(from: [\"in\"], to: \"hidden\", weights: [[20, -6, 4, 0], [0, 8, 40, 2], [-2, -4, -6, \
+         -8]]), \
+         Dense(from: [\"hidden\"], to: \"out\", weights: [[8, 20, 2], [6, -4, 2]])], output: \"out\")"
+    );
+    lower(&network(SourceText::new("n.ron", text), Origin::File).unwrap()).unwrap()
+}
+
+const OTHERS: &str = "bias_mant: [0, 3, 0], bias_exp: 2, refractory: 3, vmin_exp: 12, vmax_exp: 3, start_step: 2";
+
+fn both() -> [Graph; 2] {
+    [
+        read(
+            &format!("Loihi(name: \"hidden\", shape: [3], du: 4096, dv: 0, vth_mant: [10, 12, 14], {OTHERS})"),
+            "Loihi(name: \"out\", shape: [2], du: 4096, dv: 0, vth_mant: 12, refractory: 2)",
+        ),
+        read(
+            &format!("If(name: \"hidden\", shape: [3], vth_mant: [10, 12, 14], {OTHERS})"),
+            "If(name: \"out\", shape: [2], vth_mant: 12, refractory: 2)",
+        ),
+    ]
+}
+
+#[test]
+fn a_model_file_names_it_and_every_stage_follows() {
+    let [loihi, simple] = both();
+    let [a, b] = [quantise(&loihi).unwrap(), quantise(&simple).unwrap()];
+    for (id, population) in a.populations().enumerate() {
+        let (Units::Compartments { neurons: a, .. }, Units::Compartments { neurons: b, .. }) =
+            (&population.units, &b.populations()[id].units)
+        else {
+            continue;
+        };
+        for index in 0..population.shape.len() {
+            assert_eq!(Neuron { kind: NeuronKind::If, ..a.get(index) }, b.get(index), "{} {index}", population.name);
+        }
+    }
+    let sample = random::sample(&a, 3);
+    assert_eq!(trace(&mut Golden::new(&a), 5, &sample), trace(&mut Golden::new(&b), 5, &sample));
+    // In real numbers, with bounds for pruning and for early exit.
+    let [x, y] =
+        [Model::<f64>::new(&loihi, RealOptions::default()), Model::<f64>::new(&simple, RealOptions::default())];
+    assert_eq!(trace(&mut Reference::new(&x), 5, &sample), trace(&mut Reference::new(&y), 5, &sample));
+    let [p, q] = [prune(&a, &Plan::fixed()).unwrap(), prune(&b, &Plan::fixed()).unwrap()];
+    assert_eq!(p.compartments(), 4, "the third hidden compartment has no positive weight and no bias");
+    assert_eq!((p.compartments(), p.synapses()), (q.compartments(), q.synapses()));
+    assert_eq!(Pace::of_output(&a), Pace::of_output(&b));
+}
+
+#[test]
+fn it_is_written_as_it_is_read_and_refuses_what_it_has_not() {
+    let text = "Network(name: \"n\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [1]), \
+                If(name: \"out\", shape: [2], vth_mant: [3, 4], refractory: 2)], \
+                projections: [Dense(from: [\"in\"], to: \"out\", weights: [[2], [4]])], output: \"out\")";
+    let model = network(SourceText::new("n.ron", text), Origin::File).unwrap();
+    let builder = ModelBuilder::from_network(&model).unwrap();
+    let again = builder.build(Path::new("again.ron")).unwrap();
+    assert_eq!(ModelBuilder::from_network(&again).unwrap(), builder);
+    assert!(builder.ron("arrays").0.contains("If(name: \"out\", shape: [2], vth_mant: [3, 4], refractory: 2)"));
+    let leak = text.replace("refractory: 2", "dv: 2");
+    let problem = network(SourceText::new("n.ron", leak), Origin::File).unwrap_err();
+    assert!(problem.message.contains("Unexpected field named `dv` in `If`"), "{problem}");
+    let lava = text.replace("output:", "semantics: Lava, output:");
+    let graph = lower(&network(SourceText::new("n.ron", lava), Origin::File).unwrap()).unwrap();
+    assert_eq!(quantise(&graph).unwrap_err().code, "model.semantics");
+}

@@ -1,0 +1,26 @@
+//! The engines against each other, against silicon and recordings, and against changed programs.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+mod agreement;
+mod big_integers;
+#[path = "../common/mod.rs"]
+mod common;
+mod differential;
+mod early_exit;
+mod integrate_and_fire;
+mod mutations;
+mod neuron_vectors;
+mod overflow;
+mod parts;
+mod payloads;
+mod pruning;
+mod ranks;
+mod reference;
+mod relays;
+mod silicon;
+mod skipping;
+mod soft_reset;
+mod step_rules;
+mod vtsnn_random;

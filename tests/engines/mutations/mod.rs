@@ -1,0 +1,208 @@
+//! Random programs with one random thing changed: whatever changes what a program means is
+//! rejected, by whom it should be.
+//!
+//! Three judges look at a program, each at what the one before let pass: `Program::new` (its tables
+//! are closed), `verify` (it keeps the target's limits and formats) and the equivalence checker (it
+//! says what its network says). Each kind of mutation states the verdict of the first two, with the
+//! rule that is broken. The verdict of the third is not stated but computed: a slow decoder written
+//! here says what the original and the mutated program mean, and the checker has to accept exactly
+//! those that mean the same, and name the first difference of the others.
+
+mod kinds;
+
+use std::collections::BTreeMap;
+
+use self::kinds::{Expected, KINDS};
+use crate::common::random::{self, Draw};
+use nsim::check::equivalence::{Difference, check};
+use nsim::check::verify::verify;
+use nsim::compile::{Compiled, Options, compile};
+use nsim::files::target::load_target;
+use nsim::ir::base::fixed::Delay;
+use nsim::ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim::ir::hardware::Target;
+use nsim::ir::program::{AxonTarget, Compartment, Parts, Program};
+use nsim::ir::quantised::Quantised;
+use nsim::ir::quantised::connectivity::SynapseFormat;
+use nsim::ir::resource::{Packing, Resource};
+use rayon::prelude::*;
+
+/// Random networks; each is mapped in three ways, and each program is mutated once by every kind.
+const NETWORKS: u64 = 60;
+
+/// A synapse as its source's spike reaches it.
+type Reached = (CompartmentId, SynapseFormat, i16, Delay);
+
+/// What a program means, decoded without a thought for speed.
+#[derive(PartialEq)]
+struct Meaning {
+    compartments: Vec<Compartment>,
+    /// Input channels in order, then compartments: name, and every synapse in ascending order.
+    sources: Vec<(String, Vec<Reached>)>,
+}
+
+impl Meaning {
+    fn decoded(parts: &Parts) -> Meaning {
+        let image = |id: usize| {
+            let seat = parts.seats[CompartmentId::new(id)];
+            (&parts.cores[seat.core], usize::from(seat.slot))
+        };
+        let reached = |messages: &[AxonTarget]| {
+            let mut reached = Vec::new();
+            for message in messages {
+                let image = &parts.cores[message.core];
+                for synapse in image.inputs.get(usize::from(message.axon)).synapses() {
+                    let format = image.formats[usize::from(synapse.format)].synapse;
+                    reached.push((image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay));
+                }
+            }
+            reached.sort_unstable();
+            reached
+        };
+        let channels = (0..parts.channels.len())
+            .map(|i| (format!("input channel {}", ChannelId::new(i)), reached(parts.channels.get(i))));
+        let compartments = (0..parts.seats.len()).map(|i| {
+            let (image, slot) = image(i);
+            (format!("compartment {}", CompartmentId::new(i)), reached(image.axons_out.get(slot)))
+        });
+        Meaning {
+            compartments: (0..parts.seats.len()).map(|i| image(i).0.compartments[image(i).1]).collect(),
+            sources: channels.chain(compartments).collect(),
+        }
+    }
+}
+
+/// The verdict that the equivalence checker must reach about a closed program.
+fn difference(good: &Parts, meant: &Meaning, mutated: &Parts) -> Result<(), Difference> {
+    let frame = [
+        (good.channels.len() == mutated.channels.len(), "number of input channels"),
+        (good.seats.len() == mutated.seats.len(), "number of compartments"),
+        (good.populations == mutated.populations, "list of populations"),
+        (good.output == mutated.output, "output population"),
+        (good.semantics == mutated.semantics, "semantics"),
+        (good.threshold == mutated.threshold, "threshold test"),
+        (good.reset == mutated.reset, "reset"),
+    ];
+    if let Some((_, what)) = frame.into_iter().find(|(same, _)| !same) {
+        return Err(Difference::Frame(what));
+    }
+    let decoded = Meaning::decoded(mutated);
+    if let Some(at) = (0..good.seats.len()).find(|&at| meant.compartments[at] != decoded.compartments[at]) {
+        return Err(Difference::Parameters(CompartmentId::new(at)));
+    }
+    match meant.sources.iter().zip(&decoded.sources).find(|(meant, decoded)| meant != decoded) {
+        Some(((source_name, meant), (_, decoded))) => {
+            let (decoded, meant) = (decoded.len(), meant.len());
+            Err(Difference::Synapses { source_name: source_name.clone(), decoded, meant })
+        }
+        None => Ok(()),
+    }
+}
+
+/// The shipped chip with room for what is not tested here, so that a mutation breaks the rule that
+/// it is meant to break.
+fn roomy(compartments: u32, packing: Packing) -> Target {
+    let chip = load_target("loihi1-chip").unwrap();
+    let mut limits = chip.limits().clone();
+    (limits[Resource::Compartments], limits.packing) = (compartments, packing);
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
+        (1024, 1024, 64);
+    (limits[Resource::Accumulators], limits[Resource::AxonsIn], limits[Resource::AxonsOut]) =
+        (1 << 16, 1 << 16, 1 << 16);
+    (limits[Resource::SynapseWords], limits[Resource::SynapseWordsPerAxon]) = (1 << 20, 1 << 16);
+    chip.with_limits(limits)
+}
+
+/// A kind's verdicts over all programs.
+#[derive(Default, Clone)]
+struct Tally {
+    applied: u64,
+    /// How often each judge was the one to reject, and how often none did.
+    rejected_by: BTreeMap<&'static str, u64>,
+    wrong: Vec<String>,
+}
+
+/// Mutates a program once by every kind.
+fn mutate(network: &Quantised, target: &Target, program: Program, seed: u64, tallies: &mut [Tally]) {
+    assert_eq!((verify(&program, target), check(network, &program)), (Ok(()), Ok(())), "seed {seed}");
+    let good = program.into_parts();
+    let meant = Meaning::decoded(&good);
+    for (number, ((name, kind), tally)) in KINDS.iter().zip(tallies).enumerate() {
+        let mut draw = Draw::new(seed << 8 | number as u64);
+        let mut parts = good.clone();
+        let Some(expected) = kind(&mut parts, &mut draw) else { continue };
+        if parts == good {
+            continue;
+        }
+        tally.applied += 1;
+        let mut wrong = |what: String| tally.wrong.push(format!("{name}, seed {seed}: {what}"));
+        let judge = match Program::new(parts) {
+            Err(reason) => {
+                if !matches!(expected, Expected::NotClosed | Expected::Anything) {
+                    wrong(format!("rejected as not closed: {reason}"));
+                }
+                "Program::new"
+            }
+            Ok(mutated) => {
+                let (verified, checked) = (verify(&mutated, target), check(network, &mutated));
+                let difference = difference(&good, &meant, mutated.parts());
+                if checked != difference {
+                    wrong(format!("the checker says {checked:?}, which should be {difference:?}"));
+                }
+                match (&expected, &verified) {
+                    (Expected::NotClosed, _) => wrong("is closed".to_string()),
+                    (Expected::Breaks(rule), Err(violation)) if rule(violation) => {}
+                    (Expected::Breaks(_), verdict) => wrong(format!("the verifier says {verdict:?}")),
+                    (Expected::Verified, Err(violation)) => wrong(format!("the verifier says {violation:?}")),
+                    (Expected::Verified, Ok(())) | (Expected::Closed | Expected::Anything, _) => {}
+                }
+                match (verified, checked) {
+                    (Err(_), _) => "verify",
+                    (Ok(()), Err(_)) => "equivalence",
+                    (Ok(()), Ok(())) => "nobody",
+                }
+            }
+        };
+        *tally.rejected_by.entry(judge).or_default() += 1;
+    }
+}
+
+#[test]
+fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
+    let targets = [roomy(1024, Packing::Nengo), roomy(5, Packing::Nengo), roomy(9, Packing::Nxtf)];
+    // Where cores stand is drawn by a mutation, not searched for.
+    let options = Options { place: false, ..Options::default() };
+    let tallies = (0..NETWORKS)
+        .into_par_iter()
+        .map(|seed| {
+            let network = random::network(seed);
+            let mut tallies = vec![Tally::default(); KINDS.len()];
+            for target in &targets {
+                let Compiled { program, .. } = compile(network.clone(), target, &options).unwrap();
+                mutate(&network, target, program, seed, &mut tallies);
+            }
+            tallies
+        })
+        .reduce(
+            || vec![Tally::default(); KINDS.len()],
+            |mut all, some| {
+                for (all, some) in all.iter_mut().zip(some) {
+                    all.applied += some.applied;
+                    some.rejected_by.into_iter().for_each(|(judge, n)| *all.rejected_by.entry(judge).or_default() += n);
+                    all.wrong.extend(some.wrong);
+                }
+                all
+            },
+        );
+    let mut wrong: Vec<String> = Vec::new();
+    for ((name, _), tally) in KINDS.iter().zip(&tallies) {
+        println!("{name}: {} times, rejected by {:?}", tally.applied, tally.rejected_by);
+        // A kind that never comes into play would prove nothing.
+        if tally.applied < 5 {
+            wrong.push(format!("{name}: applied {} times only", tally.applied));
+        }
+        // The first few of a kind say enough.
+        wrong.extend(tally.wrong.iter().take(3).cloned());
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}

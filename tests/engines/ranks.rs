@@ -1,0 +1,244 @@
+//! One network on several ranks against the same network on one: spikes, counts, probes, times and
+//! energies, bit for bit; and that no rank holds more than its part. Here ranks are threads;
+//! `tests/cli/jobs.rs` starts them as processes.
+
+use crate::common::random;
+use nsim::compile::{CompileError, Compiled, Options, compile};
+use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
+use nsim::files::target::load_target;
+use nsim::ir::arithmetic::ReadOut;
+use nsim::ir::base::units::Picoseconds;
+use nsim::ir::dealt::Share;
+use nsim::ir::hardware::Target;
+use nsim::ir::quantised::{Output, Parts, Quantised};
+use nsim::ir::resource::Resource;
+use nsim::ir::spikes::{Copies, Sample};
+use nsim::machine::ranks::threads::ranks;
+use nsim::machine::ranks::transport::Ranks;
+use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::handed::compile_on;
+use nsim::session::priced::{Metered, SampleRun};
+use nsim::session::samples::{Run, Running, fast};
+use nsim::session::{Keep, Outcome, Probe, Quantity};
+use rayon::prelude::*;
+
+const NETWORKS: u64 = 200;
+const MOST_RANKS: u32 = 4;
+
+/// A board of several chips whose cores hold a few compartments of any kind.
+fn small_cores(few: u32) -> Target {
+    let board = load_target("nahuku-32").unwrap();
+    let mut limits = board.limits().clone();
+    limits[Resource::Compartments] = few;
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles]) = (1024, 1024);
+    (limits[Resource::SynapseFormats], limits[Resource::Accumulators]) = (64, 1 << 16);
+    board.with_limits(limits)
+}
+
+/// The share of a rank among several; all of it where there is one.
+fn share(rank: u32, ranks: u32, whole: bool) -> Share {
+    if ranks > 1 { Share { rank, ranks, whole } } else { Share::ALL }
+}
+
+/// What the ranks return, each on a thread of its own; the first's.
+fn on_ranks<T: Send>(count: u32, run: impl Fn(u32, Option<&Ranks>) -> T + Sync) -> T {
+    if count == 1 {
+        return run(0, None);
+    }
+    let all: Vec<T> = std::thread::scope(|scope| {
+        let run = &run;
+        // Each in a pool of its own: threads of one pool would wait for each other.
+        let pool = || rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let start = |ranks: Ranks| scope.spawn(move || pool().install(|| run(ranks.rank(), Some(&ranks))));
+        let threads: Vec<_> = ranks(count).into_iter().map(start).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    });
+    all.into_iter().next().unwrap()
+}
+
+/// A network with what it is shown and what is kept of it.
+struct Case {
+    network: Quantised,
+    target: Target,
+    samples: Vec<Sample>,
+    copies: u32,
+    skip: bool,
+    what: String,
+}
+
+impl Case {
+    fn new(seed: u64) -> Case {
+        let (network, few) = match seed % 3 {
+            0 => (random::convolutional(seed), 40),
+            _ => (random::network(seed), 4),
+        };
+        let decision = ReadOut::ALL[seed as usize / 3 % 4];
+        let network = Quantised::new(Parts { decision, ..network.parts().clone() }).unwrap();
+        let samples = (0..2).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
+        let copies = if seed % 5 == 4 { 3 } else { 1 };
+        let what = format!("network {seed}");
+        Case { network, target: small_cores(few), samples, copies, skip: !seed.is_multiple_of(4), what }
+    }
+
+    fn compiled(&self, share: Share) -> Compiled {
+        let options = Options { copies: self.copies, place: false, share, ..Options::default() };
+        compile(self.network.clone(), &self.target, &options).unwrap_or_else(|e| panic!("{}: {e}", self.what))
+    }
+
+    /// As ranks do: the first maps and tells the others.
+    fn handed(&self, share: Share, ranks: Option<&Ranks>) -> Compiled {
+        let options = Options { copies: self.copies, place: false, share, ..Options::default() };
+        let made = compile_on(ranks, self.network.clone(), &self.target, &options);
+        made.unwrap_or_else(|e| panic!("{}: {e}", self.what))
+    }
+
+    /// With probes, on parts that are written as such.
+    fn plain(&self, count: u32) -> Run<()> {
+        let samples: Vec<&Sample> = self.samples.iter().collect();
+        on_ranks(count, |rank, ranks| {
+            let compiled = self.handed(share(rank, count, false), ranks);
+            let program = &compiled.program;
+            if count > 1 {
+                let whole = self.compiled(share(rank, count, true));
+                assert_eq!(&whole.program.part(rank).unwrap(), program, "{}: part {rank} of {count}", self.what);
+                let tables = program.cores().enumerate().filter(|(core, _)| !program.holds(*core));
+                assert!(tables.into_iter().all(|(_, image)| image.inputs.is_empty()), "{}", self.what);
+            }
+            let Output { first, count, .. } = program.output();
+            let probe = |quantity| Probe { first, count, quantity };
+            let probes = Quantity::ALL.iter().map(|(quantity, _)| probe(*quantity)).collect();
+            let keep = Keep { output: program.output(), probes, early_exit: None };
+            let copies = Copies { copies: self.copies, channels: self.network.channels() };
+            let running = Running { keep: &keep, copies, skip: self.skip, per_step: false, progress: &|| (), ranks };
+            fast(program, &samples, running, || ()).unwrap()
+        })
+    }
+
+    /// Metered, with samples that are decided early; rank 0 has the whole program.
+    fn metered(&self, count: u32, rule: Option<Rule>) -> Run<StepMeter> {
+        let samples: Vec<&Sample> = self.samples.iter().collect();
+        on_ranks(count, |rank, ranks| {
+            let compiled = self.handed(share(rank, count, rank == 0), ranks);
+            let metered = Metered::new(&compiled);
+            let deployment = Deployment::from_placement(
+                "mapped",
+                &compiled.placement,
+                &self.target,
+                self.copies,
+                HostWork::default(),
+            );
+            let settings = MeterSettings {
+                tables: vec![CostTable::new(&self.target.constants()[0]).unwrap()],
+                routes: metered.routes.clone(),
+                timing: deployment.timing(Transport::Queued, self.copies),
+                timestep: Picoseconds::from_milliseconds(1.0),
+                distribution: None,
+                by_step: None,
+            };
+            let early_exit = Some(match rule {
+                Some(rule) => EarlyExit::new(rule, &compiled.one),
+                None => EarlyExit::watched(Rule::Certain, &compiled.one),
+            });
+            let sweep = SampleRun { samples: &samples, early_exit, skip: self.skip, progress: &|| (), ranks };
+            metered.run(settings, sweep).unwrap()
+        })
+    }
+}
+
+fn assert_same<M>(one: &Run<M>, several: &Run<M>, ranks: u32, what: &str) {
+    let what = format!("{what} on {ranks} ranks");
+    for (one, several) in one.outcomes.iter().zip(&several.outcomes) {
+        assert_eq!((one.totals, one.overflow), (several.totals, several.overflow), "{what}: totals");
+        assert_eq!((&one.spikes, &one.counts), (&several.spikes, &several.counts), "{what}: outputs");
+        // What is passed over depends on how compartments lie in memory.
+        let alike = Outcome { skipped_steps: one.skipped_steps, ..several.clone() };
+        assert!(*one == alike, "{what}: probes, or when a sample was decided");
+    }
+    assert_eq!(one.outcomes.len(), several.outcomes.len());
+    assert_eq!(one.activity, several.activity, "{what}: activity");
+    assert_eq!(one.counts, several.counts, "{what}: counts by source");
+    let parts = &several.ranks;
+    assert_eq!(parts.iter().map(|row| row.rank).collect::<Vec<_>>(), (0..ranks).collect::<Vec<_>>());
+}
+
+#[test]
+fn random_networks_do_the_same_on_any_number_of_ranks() {
+    let tried: Vec<(u64, usize)> = (0..NETWORKS)
+        .into_par_iter()
+        .map(|seed| {
+            let case = Case::new(seed);
+            let (one, priced) = (case.plain(1), case.metered(1, None));
+            let by_spikes = case.network.parts().decision == ReadOut::Spikes;
+            let rule =
+                if seed % 2 == 0 || !by_spikes { Rule::Certain } else { Rule::Margin(std::num::NonZeroU32::MIN) };
+            let decided = case.metered(1, Some(rule));
+            let mut parts = 0;
+            for ranks in 2..=MOST_RANKS {
+                let several = case.plain(ranks);
+                assert_same(&one, &several, ranks, &case.what);
+                let (compartments, synapses) =
+                    several.ranks.iter().fold((0, 0), |sum, row| (sum.0 + row.compartments, sum.1 + row.synapses));
+                let copies = u64::from(case.copies);
+                assert_eq!(compartments, copies * u64::from(case.network.compartments()), "{}", case.what);
+                assert_eq!(synapses, copies * case.network.synapses(), "{}", case.what);
+                parts += usize::from(several.ranks.iter().all(|row| row.compartments > 0));
+                for (one, rule, how) in [(&priced, None, "metered"), (&decided, Some(rule), "decided early")] {
+                    let several = case.metered(ranks, rule);
+                    assert_same(one, &several, ranks, &format!("{}, {how}", case.what));
+                    assert_eq!(one.meter.lanes(), several.meter.lanes(), "{}, {how}: energy and time", case.what);
+                    assert_eq!(one.meter.slowest_steps(), several.meter.slowest_steps(), "{}, {how}", case.what);
+                }
+            }
+            (one.activity.totals().spikes, parts)
+        })
+        .collect();
+    let (spikes, parts) = tried.iter().fold((0, 0), |sum, tried| (sum.0 + tried.0, sum.1 + tried.1));
+    assert!(spikes > 10_000 && parts > 300, "{spikes} spikes, {parts} runs in which every rank had a part");
+}
+
+/// Threads of a rank share its cores: with enough synapses, in a pool of three.
+#[test]
+fn threads_of_a_rank_change_nothing() {
+    use nsim::study::networks::{Random, random as driven};
+    let bench =
+        driven("small", Random { compartments: 6_000, background: 2, driven: 100, period: 32 }, &[0, 5]).unwrap();
+    let target = load_target("nahuku-32").unwrap();
+    let samples = [&bench.period];
+    let run = |count, threads| {
+        let pool = |_| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        on_ranks(count, |rank, ranks| {
+            pool(rank).install(|| {
+                let options = Options { share: share(rank, count, false), ..Options::default() };
+                let compiled = compile_on(ranks, bench.network.clone(), &target, &options).unwrap();
+                let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+                let running =
+                    Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks };
+                fast(&compiled.program, &samples, running, || ()).unwrap()
+            })
+        })
+    };
+    let one = run(1, 1);
+    for (count, threads) in [(2, 1), (2, 3), (3, 2)] {
+        let several = run(count, threads);
+        assert_same(&one, &several, count, "driven");
+        let (most, all) =
+            several.ranks.iter().fold((0, 0), |(most, all), row| (row.synapses.max(most), all + row.synapses));
+        assert!(most * u64::from(count) <= all * 12 / 10, "{most} of {all} synapses on one of {count} ranks");
+    }
+}
+
+/// What the first rank finds out is the others' answer too.
+#[test]
+fn what_does_not_fit_is_refused_on_every_rank() {
+    let case = Case::new(1);
+    let board = load_target("loihi1-chip").unwrap();
+    let mut limits = board.limits().clone();
+    limits[Resource::AxonsIn] = 1;
+    let board = board.with_limits(limits);
+    on_ranks(3, |rank, ranks| {
+        let options = Options { share: share(rank, 3, false), ..Options::default() };
+        let refused = compile_on(ranks, case.network.clone(), &board, &options);
+        let Err(CompileError::DoesNotFit(reasons)) = refused else { panic!("rank {rank}: it fits") };
+        assert_eq!(reasons.is_empty(), rank > 0, "the first rank alone says why");
+    });
+}

@@ -1,0 +1,430 @@
+//! The tables of fields in `docs/import.md`: a field that is changed to a value that means
+//! something else changes the model or is refused, and a field without meaning changes nothing.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use crate::torch::{Entry, checkpoint};
+use nsim::files::lower::lower;
+use nsim::files::model_builder::ModelBuilder;
+use nsim::import::foreign;
+use nsim::import::foreign::Options;
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use serde_json::Value;
+
+/// A row: what the field is of, its name, the other value.
+struct Row {
+    owner: String,
+    field: String,
+    other: String,
+}
+
+fn rows() -> Vec<Row> {
+    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
+    let table = text.split("\n## Fields").nth(1).unwrap().split("\n## ").next().unwrap();
+    let plain = |cell: &str| cell.trim().trim_matches('`').to_string();
+    let cells = table.lines().filter_map(|line| line.strip_prefix('|')).map(|line| line.split('|').collect::<Vec<_>>());
+    cells
+        .filter(|cells| cells.len() == 5 && !["in", "---"].contains(&cells[0].trim()))
+        .map(|cells| Row { owner: plain(cells[0]), field: plain(cells[1]), other: plain(cells[3]) })
+        .collect()
+}
+
+/// A value of the table as an item of a file: nested lists, a number, a word.
+fn item(text: &str) -> Item {
+    fn flat(value: &Value, depth: usize, shape: &mut Vec<usize>, numbers: &mut Vec<f64>) {
+        match value {
+            Value::Array(items) => {
+                if shape.len() == depth {
+                    shape.push(items.len());
+                }
+                items.iter().for_each(|item| flat(item, depth + 1, shape, numbers));
+            }
+            number => numbers.push(number.as_f64().unwrap()),
+        }
+    }
+    let Ok(value) = serde_json::from_str::<Value>(text) else { return text.into() };
+    if let Ok(pairs) = serde_json::from_str::<Vec<[String; 2]>>(text) {
+        return Item::Texts(vec![pairs.len(), 2], pairs.into_iter().flatten().collect());
+    }
+    let (mut shape, mut numbers) = (Vec::new(), Vec::new());
+    flat(&value, 0, &mut shape, &mut numbers);
+    if numbers.iter().all(|x| x.fract() == 0.0) {
+        return Numbers::i64(&shape, &numbers.iter().map(|&x| x as i64).collect::<Vec<_>>()).into();
+    }
+    Numbers::f64(&shape, &numbers).into()
+}
+
+/// A group with these members, each a value as the table writes it.
+fn group(members: &[(&str, &str)]) -> Group {
+    members.iter().fold(Group::default(), |group, (key, value)| group.with(key, item(value)))
+}
+
+/// The model of a file, or nothing where it is refused.
+fn model(root: &Group, options: &Options) -> Option<ModelBuilder> {
+    let bytes = hdf5::write(root).unwrap();
+    let mut model = foreign::from_bytes(Path::new("net.nir"), bytes, options).ok()?.model;
+    lower(&model.build(Path::new("net.nir")).ok()?).ok()?;
+    // Notes are in it.
+    model.provenance = None;
+    Some(model)
+}
+
+const LIF: [(&str, &str); 5] = [
+    ("type", "LIF"),
+    ("tau", "[0.008, 0.008, 0.008]"),
+    ("r", "[8, 8, 8]"),
+    ("v_leak", "[0, 0, 0]"),
+    ("v_threshold", "[1, 1, 1]"),
+];
+const LINEAR: [(&str, &str); 2] = [("type", "Linear"), ("weight", "[[1, 2, 3, 4], [2, 3, 4, 5], [3, 4, 5, 6]]")];
+
+/// A graph with a node of this type, `x`, that has this field if nodes of the type may have it.
+fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
+    let line = |nodes: Vec<(&'static str, Group)>| nodes;
+    let lif = |units: usize| {
+        let list = |x: f64| Numbers::f64(&[units], &vec![x; units]);
+        let node = Group::default().with("type", "LIF").with("tau", list(0.008)).with("r", list(8.0));
+        node.with("v_leak", list(0.0)).with("v_threshold", list(1.0))
+    };
+    // Neurons whose one set of parameters fits any shape.
+    let any = || group(&[("type", "LIF"), ("tau", "[0.008]"), ("r", "[8]"), ("v_leak", "[0]"), ("v_threshold", "[1]")]);
+    let (input, output) =
+        (|| group(&[("type", "Input"), ("shape", "[4]")]), || group(&[("type", "Output"), ("shape", "[3]")]));
+    let image = || group(&[("type", "Input"), ("shape", "[1, 4, 4]")]);
+    let end = || group(&[("type", "Output")]);
+    let neuron = |members: &[(&str, &str)]| {
+        line(vec![("i", input()), ("w", group(&LINEAR)), ("x", group(members)), ("o", output())])
+    };
+    let nodes = match kind {
+        "Input" => line(vec![("x", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
+        "Output" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("x", output())]),
+        "Linear" => line(vec![("i", input()), ("x", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
+        "Affine" => {
+            let affine = group(&[("bias", "[0, 0, 1]"), ("weight", LINEAR[1].1), ("type", "Affine")]);
+            line(vec![("i", input()), ("x", affine), ("n", group(&LIF)), ("o", output())])
+        }
+        "Scale" | "Delay" => {
+            let node = match kind {
+                "Scale" => group(&[("type", "Scale"), ("scale", "[1, 2, 3]")]),
+                _ => group(&[("type", "Delay"), ("delay", "[0.001, 0.002, 0]")]),
+            };
+            line(vec![("i", input()), ("w", group(&LINEAR)), ("x", node), ("n", group(&LIF)), ("o", output())])
+        }
+        "Conv2d" => {
+            let conv = group(&[
+                ("type", "Conv2d"),
+                ("weight", "[[[[1, 2], [3, 4]]]]"),
+                ("bias", "[1]"),
+                ("stride", "[1, 1]"),
+                ("padding", "[0, 0]"),
+                ("dilation", "[1, 1]"),
+                ("groups", "1"),
+                ("input_shape", "[4, 4]"),
+            ]);
+            line(vec![("i", image()), ("x", conv), ("n", any()), ("o", end())])
+        }
+        "SumPool2d" | "AvgPool2d" => {
+            let pool = group(&[("type", kind), ("kernel_size", "[2, 2]"), ("stride", "[2, 2]"), ("padding", "[0, 0]")]);
+            line(vec![("i", image()), ("x", pool), ("n", any()), ("o", end())])
+        }
+        "Conv1d" => {
+            let conv = group(&[
+                ("type", "Conv1d"),
+                ("weight", "[[[1, 2]], [[3, 4]]]"),
+                ("bias", "[1, 0]"),
+                ("stride", "1"),
+                ("padding", "0"),
+                ("dilation", "1"),
+                ("groups", "1"),
+                ("input_shape", "4"),
+            ]);
+            let image = group(&[("type", "Input"), ("shape", "[1, 4]")]);
+            line(vec![("i", image), ("x", conv), ("n", any()), ("o", end())])
+        }
+        "Flatten" => {
+            let flatten = group(&[("type", "Flatten"), ("start_dim", "0"), ("end_dim", "-1")]);
+            let weights = Group::default().with("type", "Linear").with("weight", Numbers::f64(&[2, 16], &[0.5; 32]));
+            line(vec![("i", image()), ("x", flatten), ("w", weights), ("n", lif(2)), ("o", end())])
+        }
+        "LIF" => neuron(&LIF),
+        "CubaLIF" => neuron(&[
+            ("type", "CubaLIF"),
+            ("tau_syn", "[0.004, 0.004, 0.004]"),
+            ("tau_mem", "[0.008, 0.008, 0.008]"),
+            ("w_in", "[4, 4, 4]"),
+            ("r", "[8, 8, 8]"),
+            ("v_leak", "[0, 0, 0]"),
+            ("v_threshold", "[1, 1, 1]"),
+        ]),
+        "IF" => neuron(&[("type", "IF"), ("r", "[1, 1, 1]"), ("v_threshold", "[1, 1, 1]")]),
+        "Threshold" => neuron(&[("type", "Threshold"), ("threshold", "[1, 1, 1]")]),
+        "LI" => {
+            neuron(&[("type", "LI"), ("tau", "[0.008, 0.008, 0.008]"), ("r", "[8, 8, 8]"), ("v_leak", "[0, 0, 0]")])
+        }
+        "CubaLI" => neuron(&[
+            ("type", "CubaLI"),
+            ("tau_syn", "[0.004, 0.004, 0.004]"),
+            ("tau_mem", "[0.008, 0.008, 0.008]"),
+            ("w_in", "[4, 4, 4]"),
+            ("r", "[8, 8, 8]"),
+            ("v_leak", "[0, 0, 0]"),
+        ]),
+        "NIRGraph" | "file" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
+        "I" => neuron(&[("type", "I"), ("r", "[1, 1, 1]")]),
+        other => panic!("no graph with a node {other}"),
+    };
+    let edges: Vec<String> = nodes.windows(2).flat_map(|pair| [pair[0].0.to_string(), pair[1].0.to_string()]).collect();
+    let mut all = Group::default();
+    for (name, mut node) in nodes {
+        if let Some((field, value)) = change.filter(|_| name == "x") {
+            node.items.insert((*field).to_string(), value.clone());
+        }
+        all = all.with(name, node);
+    }
+    let edges = Item::Texts(vec![edges.len() / 2, 2], edges);
+    let graph = Group::default().with("type", "NIRGraph").with("nodes", all).with("edges", edges);
+    match change {
+        Some((field, value)) if kind == "NIRGraph" => Group::default().with("node", graph.with(field, value.clone())),
+        Some((field, value)) if kind == "file" => Group::default().with("node", graph).with(field, value.clone()),
+        _ => Group::default().with("node", graph),
+    }
+}
+
+/// A netx file of an input, a convolution and a dense layer, with a field of one of them, or of the
+/// neurons, changed.
+fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
+    let changed = |mut group: Group, name: &str| {
+        if let Some((field, value)) = change.filter(|_| owner == name) {
+            group.items.insert((*field).to_string(), value.clone());
+        }
+        group
+    };
+    let neuron = || {
+        let members = [("type", "LOIHI"), ("iDecay", "1024"), ("vDecay", "128"), ("vThMant", "80"), ("theta", "5120")];
+        let mut neuron = group(&members).with("refDelay", item("1"));
+        // The threshold is said twice: a change of one is a contradiction, of the mantissa alone a
+        // change.
+        if change.is_some_and(|(field, _)| *field == "vThMant") {
+            neuron.items.remove("theta");
+        }
+        changed(neuron, "neuron")
+    };
+    let mut input = group(&[("type", "input"), ("shape", "[1, 3, 3]")]);
+    if owner == "input" {
+        input = input.with("weight", item("36")).with("bias", item("34")).with("neuron", neuron());
+    }
+    let conv = group(&[
+        ("type", "conv"),
+        ("shape", "[1, 2, 2]"),
+        ("weight", "[[[[2, 4], [6, 8]]]]"),
+        ("bias", "[2]"),
+        ("stride", "[1, 1]"),
+        ("padding", "[0, 0]"),
+        ("dilation", "[1, 1]"),
+        ("groups", "1"),
+        ("kernelSize", "[2, 2]"),
+        ("inChannels", "1"),
+        ("outChannels", "1"),
+    ]);
+    let (first, kind) = match owner {
+        "pool" => (
+            group(&[
+                ("type", "pool"),
+                ("shape", "[1, 2, 2]"),
+                ("weight", "[[[[64, 64], [64, 64]]]]"),
+                ("bias", "[2]"),
+                ("kernelSize", "[2, 2]"),
+                ("stride", "[1, 1]"),
+                ("padding", "[0, 0]"),
+                ("dilation", "[1, 1]"),
+            ]),
+            "pool",
+        ),
+        "convT" => (conv.with("type", "convT").with("shape", item("[1, 4, 4]")), "convT"),
+        "unpool" => (
+            group(&[
+                ("type", "unpool"),
+                ("shape", "[1, 6, 6]"),
+                ("weight", "[[[[64, 64], [64, 64]]]]"),
+                ("bias", "[2]"),
+                ("kernelSize", "[2, 2]"),
+                ("stride", "[2, 2]"),
+                ("padding", "[0, 0]"),
+                ("dilation", "[1, 1]"),
+            ]),
+            "unpool",
+        ),
+        _ => (conv, "conv"),
+    };
+    let features = first.numbers("shape").unwrap().reals().product::<f64>() as usize;
+    let mut dense = group(&[("type", "dense"), ("shape", "[2]"), ("bias", "[2, 2]"), ("outFeatures", "2")]);
+    let weights: Vec<i64> = (0..2 * features as i64).map(|i| 2 * (i % 50 + 1)).collect();
+    dense = dense
+        .with("weight", Numbers::i64(&[2, features], &weights))
+        .with("inFeatures", Numbers::i64(&[], &[features as i64]));
+    if owner == "dense_rec" {
+        dense = dense.with("type", "dense_rec").with("weight_rec", item("[[2, 4], [6, 8]]"));
+    }
+    let flatten = group(&[("type", "flatten"), ("shape", &format!("[{features}]"))]);
+    let average = group(&[("type", "average"), ("shape", "[1]")]);
+    let dense = changed(changed(dense, "dense"), "dense_rec");
+    let mut layers = Group::default()
+        .with("0", changed(input, "input"))
+        .with("1", changed(first, kind).with("neuron", neuron()))
+        .with("2", changed(flatten, "flatten"))
+        .with("3", dense.with("neuron", neuron()));
+    if owner == "average" {
+        layers = layers.with("4", changed(average, "average"));
+    }
+    let simulation = changed(group(&[("Ts", "1")]), "simulation");
+    Group::default().with("layer", layers).with("simulation", simulation)
+}
+
+/// A 3 x 3 image of 32-bit reals.
+fn npy_image() -> Vec<u8> {
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }";
+    let mut file = b"\x93NUMPY\x01\0".to_vec();
+    file.extend((header.len() as u16 + 1).to_le_bytes());
+    file.extend(header.bytes());
+    file.push(b'\n');
+    file.extend((0..9u8).flat_map(|i| (f32::from(i) / 9.0).to_le_bytes()));
+    file
+}
+
+/// A set of weights as VT_SNN saves them, or a state dict for neurons of real numbers, with a
+/// neuron of this text.
+fn described(kind: &str, change: Option<(&str, &str)>) -> Option<ModelBuilder> {
+    let mut fields: Vec<(&str, &str)> = match kind {
+        "simulation" => vec![("Ts", "1"), ("tSample", "9")],
+        "LOIHI" => vec![("vThMant", "80"), ("vDecay", "128"), ("iDecay", "1024"), ("refDelay", "1"), ("wgtExp", "0")],
+        "SRMALPHA" => vec![("theta", "10"), ("tauSr", "10"), ("tauRef", "1"), ("scaleRef", "2")],
+        "CUBA" => vec![("threshold", "1.25"), ("current_decay", "0.25"), ("voltage_decay", "0.03")],
+        "Synaptic" => vec![("alpha", "0.5"), ("beta", "0.5"), ("threshold", "1")],
+        "Leaky" => vec![("beta", "0.5"), ("threshold", "1")],
+        "LIF" => vec![("tau_syn_inv", "200"), ("tau_mem_inv", "50")],
+        other => panic!("no neuron {other}"),
+    };
+    if let Some((field, value)) = change {
+        fields.retain(|(key, _)| *key != field);
+        fields.push((field, value));
+    }
+    let fields: String = fields.iter().map(|(key, value)| format!(", {key}: {value}")).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("neuron.yml");
+    let text = match kind {
+        "simulation" => format!("simulation: {{{}}}\nneuron: {{type: Leaky, beta: 0.5}}\n", &fields[2..]),
+        _ => format!("neuron: {{type: {kind}{fields}}}\n"),
+    };
+    std::fs::write(&config, text).unwrap();
+    let bytes = std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/corpus/checkpoint/zip")).unwrap();
+    let options = Options { neuron: Some(config), ..Options::default() };
+    let mut model = foreign::from_bytes(Path::new("net.pt"), bytes, &options).ok()?.model;
+    lower(&model.build(Path::new("net.pt")).ok()?).ok()?;
+    model.provenance = None;
+    Some(model)
+}
+
+/// A state dict of one recurrent layer of a tool, with a tensor of this name changed.
+fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<ModelBuilder> {
+    let number = |name, x: f32| -> Entry { (name, vec![], vec![x]) };
+    let weights: Entry = ("weight", vec![2, 3], vec![0.5, 1.0, 1.5, -0.5, 0.75, 1.25]);
+    let named = |name, entry: &Entry| (name, entry.1.clone(), entry.2.clone());
+    let own = |name| -> Entry { (name, vec![2, 2], vec![0.5, 0.25, -0.5, 1.0]) };
+    let (mut entries, yaml): (Vec<Entry>, &str) = match tool {
+        "snnTorch" | "snnTorch one to one" => (
+            vec![
+                named("f.weight", &weights),
+                ("f.bias", vec![2], vec![0.0, 0.5]),
+                number("l.beta", 0.5),
+                number("l.alpha", 0.25),
+                number("l.threshold", 1.0),
+                number("l.reset_mechanism_val", 0.0),
+                number("l.graded_spikes_factor", 1.0),
+                match tool {
+                    "snnTorch" => own("l.recurrent.weight"),
+                    _ => ("l.recurrent.V", vec![2], vec![0.5, 0.25]),
+                },
+                ("l.mem", vec![2], vec![0.0; 2]),
+            ],
+            "",
+        ),
+        "Norse" => (
+            vec![named("l.input_weights", &weights), own("l.recurrent_weights")],
+            "neuron: {type: LIF, tau_syn_inv: 200, tau_mem_inv: 50}",
+        ),
+        "lava-dl" => (
+            vec![
+                named("blocks.0.synapse.weight", &weights),
+                own("blocks.0.recurrent_synapse.weight"),
+                number("blocks.0.neuron.current_decay", 1024.0),
+                number("blocks.0.neuron.voltage_decay", 128.0),
+            ],
+            "neuron: {type: CUBA, threshold: 1.25}",
+        ),
+        "weight norm" => (
+            vec![
+                ("f.weight_g", vec![2, 1], vec![64.0, 80.0]),
+                named("f.weight_v", &weights),
+                number("l.srmKernel", 1.0),
+            ],
+            "neuron: {type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024}",
+        ),
+        other => panic!("no state dict of {other}"),
+    };
+    if let Some((field, value)) = change {
+        let Item::Numbers(numbers) = item(value) else { panic!() };
+        let entry = (field, numbers.shape().to_vec(), numbers.reals().map(|x| x as f32).collect());
+        match entries.iter_mut().find(|(name, ..)| *name == field) {
+            Some(old) => *old = entry,
+            None => entries.push(entry),
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("neuron.yml");
+    std::fs::write(&config, yaml).unwrap();
+    let neuron = (!yaml.is_empty()).then_some(config);
+    let options = Options { neuron, ..Options::default() };
+    let mut model = foreign::from_bytes(Path::new("net.pt"), checkpoint(&entries), &options).ok()?.model;
+    lower(&model.build(Path::new("net.pt")).ok()?).ok()?;
+    model.provenance = None;
+    Some(model)
+}
+
+#[test]
+fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
+    let rows = rows();
+    assert!(rows.len() > 80, "{}", rows.len());
+    let unique: BTreeSet<(&str, &str)> = rows.iter().map(|row| (row.owner.as_str(), row.field.as_str())).collect();
+    assert_eq!(unique.len(), rows.len());
+    let options = Options { dt_ms: Some(1.0), ..Options::default() };
+    let folder = tempfile::tempdir().unwrap();
+    let image = folder.path().join("image.npy");
+    std::fs::write(&image, npy_image()).unwrap();
+    for Row { owner, field, other } in &rows {
+        let (format, kind) = owner.split_once(' ').unwrap();
+        let value = if other == "-" { "7" } else { other };
+        let (before, after) = match format {
+            "NIR" => {
+                let change = (field.as_str(), item(value));
+                (model(&nir(kind, None), &options), model(&nir(kind, Some(&change)), &options))
+            }
+            "netx" => {
+                let change = (field.as_str(), item(value));
+                // The timestep is the file's, and an image drives an input layer with neurons.
+                let image = (kind == "input").then(|| image.clone());
+                let options = Options { image, ..Options::default() };
+                (model(&netx(kind, None), &options), model(&netx(kind, Some(&change)), &options))
+            }
+            "torch" => {
+                let field: &'static str = field.clone().leak();
+                (tensors(kind, None), tensors(kind, Some((field, value))))
+            }
+            "YAML" => (described(kind, None), described(kind, Some((field, value)))),
+            other => panic!("no format {other}"),
+        };
+        assert!(before.is_some(), "{owner}: the graph without a change is refused");
+        assert_eq!(before == after, other == "-", "{owner}, {field}: {value}");
+    }
+}

@@ -1,0 +1,505 @@
+//! Nodes of NIR and layers of netx: what each means, what an export keeps of it, and that no field
+//! is passed over.
+
+use std::path::Path;
+
+use crate::real::{STEPS, input, spikes, total};
+use nsim::files::lower::lower;
+use nsim::files::model_builder::{ModelBuilder, Parameter, ProjectionKind};
+use nsim::import::foreign;
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::import::foreign::imported::DecayRule;
+use nsim::import::foreign::{Imported, Options, ResetMode, nir_export};
+use nsim::ir::arithmetic::ThresholdTest;
+use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::base::rng;
+
+fn typed(kind: &str) -> Group {
+    Group::default().with("type", kind)
+}
+
+fn ints(numbers: &[i64]) -> Numbers {
+    Numbers::i64(&[numbers.len()], numbers)
+}
+
+fn reals(numbers: &[f64]) -> Numbers {
+    Numbers::f64(&[numbers.len()], numbers)
+}
+
+/// Numbers from -0.5 to 1.5 in steps of 1/64.
+fn noise(count: usize, seed: u64) -> Vec<f64> {
+    (0..count as u64).map(|i| (rng::below(129, seed, i, 0) as f64 - 32.0) / 64.0).collect()
+}
+
+fn weights(shape: &[usize], seed: u64) -> Numbers {
+    Numbers::f64(shape, &noise(shape.iter().product(), seed))
+}
+
+/// A file of these nodes in a row, and edges beside.
+fn file(nodes: &[(&str, Group)], more: &[(&str, &str)]) -> Group {
+    let row = nodes.windows(2).map(|pair| (pair[0].0, pair[1].0));
+    let edges: Vec<(&str, &str)> = row.chain(more.iter().copied()).collect();
+    let texts = edges.iter().flat_map(|(from, to)| [(*from).to_string(), (*to).to_string()]).collect();
+    let all = nodes.iter().fold(Group::default(), |all, (name, node)| all.with(name, node.clone()));
+    let graph = typed("NIRGraph").with("nodes", all).with("edges", Item::Texts(vec![edges.len(), 2], texts));
+    Group::default().with("node", graph)
+}
+
+fn read(root: &Group, options: &Options) -> Result<Imported, Diagnostic> {
+    let imported = foreign::from_bytes(Path::new("net.nir"), hdf5::write(root).unwrap(), options)?;
+    lower(&imported.model.build(Path::new("net.nir"))?)?;
+    Ok(imported)
+}
+
+/// Options with a timestep of 1 ms.
+fn step() -> Options {
+    Options { dt_ms: Some(1.0), ..Options::default() }
+}
+
+fn import(root: &Group) -> ModelBuilder {
+    read(root, &step()).unwrap().model
+}
+
+fn shaped(axes: &[usize], value: f64) -> Numbers {
+    Numbers::f64(axes, &vec![value; axes.iter().product()])
+}
+
+/// Leaky neurons of which a step takes an eighth, with weights that count as they are.
+fn lif(axes: &[usize]) -> Group {
+    typed("LIF")
+        .with("tau", shaped(axes, 0.008))
+        .with("r", shaped(axes, 8.0))
+        .with("v_leak", shaped(axes, 0.0))
+        .with("v_threshold", shaped(axes, 1.0))
+}
+
+/// The same with a current of which a step takes a quarter.
+fn cuba(axes: &[usize]) -> Group {
+    typed("CubaLIF")
+        .with("tau_syn", shaped(axes, 0.004))
+        .with("w_in", shaped(axes, 4.0))
+        .with("tau_mem", shaped(axes, 0.008))
+        .with("r", shaped(axes, 8.0))
+        .with("v_leak", shaped(axes, 0.0))
+        .with("v_threshold", shaped(axes, 1.0))
+}
+
+fn source(axes: &[i64]) -> Group {
+    typed("Input").with("shape", ints(axes))
+}
+
+fn output() -> Group {
+    typed("Output")
+}
+
+fn linear(targets: usize, sources: usize, seed: u64) -> Group {
+    typed("Linear").with("weight", weights(&[targets, sources], seed))
+}
+
+/// Neurons of `lif` with these currents.
+fn leaky(currents: &[Vec<f64>]) -> Vec<Vec<bool>> {
+    let mut v = vec![0.0; currents[0].len()];
+    let step = |current: &Vec<f64>| {
+        v.iter_mut()
+            .zip(current)
+            .map(|(v, current)| {
+                *v = 0.875 * *v + current;
+                let spike = *v > 1.0;
+                *v = if spike { 0.0 } else { *v };
+                spike
+            })
+            .collect()
+    };
+    currents.iter().map(step).collect()
+}
+
+#[test]
+fn same_padding_of_even_kernels_puts_the_greater_half_behind() {
+    let (height, width, kh, kw) = (3, 5, 2, 4);
+    let kernel = noise(kh * kw, 1);
+    let conv = typed("Conv2d")
+        .with("weight", Numbers::f64(&[1, 1, kh, kw], &kernel))
+        .with("padding", "same")
+        .with("stride", i64_scalar(1))
+        .with("input_shape", ints(&[3, 5]));
+    let root = file(&[("i", source(&[1, 3, 5])), ("c", conv), ("n", lif(&[1, 3, 5])), ("o", output())], &[]);
+    let model = import(&root);
+    let currents: Vec<Vec<f64>> = (0..STEPS)
+        .map(|step| {
+            let at = |y: usize, x: usize| -> f64 {
+                let mut sum = 0.0;
+                for (ky, kx) in (0..kh).flat_map(|ky| (0..kw).map(move |kx| (ky, kx))) {
+                    // torch: one of three columns is before, two behind; the row is behind.
+                    let (Some(sy), Some(sx)) = ((y + ky).checked_sub(0), (x + kx).checked_sub(1)) else { continue };
+                    if sy < height && sx < width && input(step, sy * width + sx) {
+                        sum += kernel[ky * kw + kx];
+                    }
+                }
+                sum
+            };
+            (0..height * width).map(|i| at(i / width, i % width)).collect()
+        })
+        .collect();
+    let right = leaky(&currents);
+    assert!(total(&right) > 50);
+    assert_eq!(spikes(&model, "n", height * width), right);
+    // In NIR, which has one padding an axis, a kernel with zeros does the same.
+    assert_eq!(spikes(&bare(&model), "n", height * width), right);
+}
+
+fn i64_scalar(x: i64) -> Numbers {
+    Numbers::i64(&[], &[x])
+}
+
+/// What another tool keeps of an export: the nodes.
+fn bare(model: &ModelBuilder) -> ModelBuilder {
+    let (tree, notes) = nir_export::export(model).unwrap();
+    assert!(notes.iter().all(|note| !note.contains("nir.read")), "{notes:?}");
+    let graph = tree.group("node").unwrap();
+    for node in graph.group("nodes").unwrap().items.values() {
+        // Python's reader takes kernels for square and without groups.
+        let Item::Group(node) = node else { panic!() };
+        if node.text("type") == Some("Conv2d") {
+            let axes = node.numbers("weight").unwrap().shape();
+            assert!(axes[2] == axes[3] && node.number("groups") == Some(1.0), "{axes:?}");
+        }
+    }
+    let mut graph = graph.clone();
+    graph.items.remove("metadata");
+    import(&Group::default().with("node", graph))
+}
+
+#[test]
+fn delays_of_sources_and_of_targets_become_those_of_synapses() {
+    let (first, second) = (noise(5 * 4, 11), noise(3 * 5, 12));
+    let (before, behind) = ([0usize, 1, 2, 5, 2], [0usize, 3, 1]);
+    let delay = |steps: &[usize]| {
+        typed("Delay").with("delay", reals(&steps.iter().map(|&steps| steps as f64 / 1e3).collect::<Vec<_>>()))
+    };
+    let graph = |before: Group, behind: Group| {
+        let matrix =
+            |w: &[f64], targets: usize| typed("Linear").with("weight", Numbers::f64(&[targets, w.len() / targets], w));
+        let nodes = [
+            ("i", source(&[4])),
+            ("w1", matrix(&first, 5)),
+            ("a", lif(&[5])),
+            ("d1", before),
+            ("w2", matrix(&second, 3)),
+            ("d2", behind),
+            ("b", lif(&[3])),
+            ("o", output()),
+        ];
+        file(&nodes, &[])
+    };
+    let model = import(&graph(delay(&before), delay(&behind)));
+    let hear = |weights: &[f64], target: usize, sources: usize, spike: &dyn Fn(usize) -> bool| -> f64 {
+        (0..sources).filter(|&s| spike(s)).map(|s| weights[target * sources + s]).sum()
+    };
+    let currents =
+        (0..STEPS).map(|t| (0..5).map(|i| hear(&first, i, 4, &|s| input(t, s))).collect()).collect::<Vec<Vec<f64>>>();
+    let a = leaky(&currents);
+    let currents = (0..STEPS)
+        .map(|t| {
+            let spike = |i: usize, s: usize| t.checked_sub(1 + before[s] + behind[i]).is_some_and(|t| a[t][s]);
+            (0..3).map(|i| hear(&second, i, 5, &|s| spike(i, s))).collect()
+        })
+        .collect::<Vec<Vec<f64>>>();
+    let b = leaky(&currents);
+    assert!(total(&a) > 20 && total(&b) > 10);
+    assert_eq!((spikes(&model, "a", 4), spikes(&model, "b", 4)), (a, b.clone()));
+    assert_eq!(spikes(&bare(&model), "b", 4), b);
+    let long = read(&graph(delay(&[40; 5]), delay(&[30; 3])), &step()).unwrap_err();
+    assert!(long.code == "import.unsupported" && long.message.contains("70"), "{long}");
+}
+
+#[test]
+fn a_kernel_whose_sources_have_delays_of_their_own_is_listed() {
+    let delay = typed("Delay").with("delay", Numbers::f64(&[1, 2, 2], &[0.0, 0.001, 0.002, 0.003]));
+    let kernel = [0.5, 0.75, -0.25, 1.0];
+    let conv = typed("Conv2d").with("weight", Numbers::f64(&[1, 1, 2, 2], &kernel)).with("stride", i64_scalar(1));
+    let nodes = [("i", source(&[1, 2, 2])), ("d", delay), ("c", conv), ("n", lif(&[1, 1, 1])), ("o", output())];
+    let model = import(&file(&nodes, &[]));
+    let current = |t: usize| (0..4).filter(|&s| t.checked_sub(s).is_some_and(|t| input(t, s))).map(|s| kernel[s]).sum();
+    let right = leaky(&(0..STEPS).map(|t| vec![current(t)]).collect::<Vec<_>>());
+    assert!(total(&right) > 5);
+    assert_eq!(spikes(&model, "n", 4), right);
+}
+
+#[test]
+fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for() {
+    let says = |root: &Group, reset: Option<ResetMode>| {
+        let options = Options { reset, ..step() };
+        read(root, &options).map(|imported| imported.notes.iter().any(|note| note.contains("does not say how")))
+    };
+    let with =
+        |neuron: Group| file(&[("i", source(&[2])), ("w", linear(3, 2, 5)), ("n", neuron), ("o", output())], &[]);
+    let said = with(lif(&[3]).with("v_reset", reals(&[0.0; 3])));
+    assert!(!says(&said, None).unwrap() && !says(&said, Some(ResetMode::Zero)).unwrap());
+    for reset in [ResetMode::Subtract, ResetMode::SubtractLater] {
+        let error = says(&said, Some(reset)).unwrap_err();
+        assert!(error.code == "import.option" && error.help.unwrap().contains("leave --reset out"));
+    }
+    let unsaid = with(lif(&[3]));
+    assert!(says(&unsaid, None).unwrap() && !says(&unsaid, Some(ResetMode::SubtractLater)).unwrap());
+    let other = with(lif(&[3]).with("v_reset", reals(&[0.5; 3])));
+    assert_eq!(says(&other, None).unwrap_err().code, "import.unsupported");
+    // An export holds a model; options that contradict it are refused, those that repeat it are
+    // not.
+    let (tree, _) = nir_export::export(&import(&unsaid)).unwrap();
+    assert_eq!(says(&tree, Some(ResetMode::Subtract)).unwrap_err().code, "import.option");
+    assert_eq!(read(&tree, &Options { dt_ms: Some(2.0), ..Options::default() }).unwrap_err().code, "import.option");
+    assert!(!says(&tree, Some(ResetMode::Zero)).unwrap());
+}
+
+#[test]
+fn subtraction_a_step_later_is_snntorchs_rule_with_and_without_a_current() {
+    let w = noise(4 * 3, 21);
+    for (neuron, alpha) in [(lif(&[4]), 0.0), (cuba(&[4]), 0.75)] {
+        let root = file(
+            &[
+                ("i", source(&[3])),
+                ("w", typed("Linear").with("weight", Numbers::f64(&[4, 3], &w))),
+                ("n", neuron),
+                ("o", output()),
+            ],
+            &[],
+        );
+        let options = Options { reset: Some(ResetMode::SubtractLater), ..step() };
+        let model = read(&root, &options).unwrap().model;
+        let (mut syn, mut mem) = ([0.0; 4], [0.0; 4]);
+        let right: Vec<Vec<bool>> = (0..STEPS)
+            .map(|t| {
+                (0..4)
+                    .map(|i| {
+                        let current: f64 = (0..3).filter(|&s| input(t, s)).map(|s| w[i * 3 + s]).sum();
+                        syn[i] = alpha * syn[i] + current;
+                        mem[i] = 0.875 * mem[i] + syn[i] - f64::from(u8::from(mem[i] > 1.0));
+                        mem[i] > 1.0
+                    })
+                    .collect()
+            })
+            .collect();
+        assert!(total(&right) > 20);
+        assert_eq!(spikes(&model, "n", 3), right, "alpha {alpha}");
+        let at_once = read(&root, &Options { reset: Some(ResetMode::Subtract), ..step() }).unwrap().model;
+        assert_ne!(spikes(&at_once, "n", 3), right);
+    }
+}
+
+#[test]
+fn every_kind_of_node_keeps_its_spikes_over_an_export_that_another_tool_rewrote() {
+    let pool = |kind: &str| {
+        typed(kind).with("kernel_size", ints(&[2, 2])).with("stride", ints(&[2, 2])).with("padding", ints(&[0, 0]))
+    };
+    let affine = |targets: usize, sources: usize, seed: u64| {
+        typed("Affine").with("weight", weights(&[targets, sources], seed)).with(
+            "bias",
+            Numbers::f64(&[targets], &noise(targets, seed + 1).iter().map(|b| b / 4.0).collect::<Vec<_>>()),
+        )
+    };
+    let conv = |axes: [usize; 4], groups: i64| {
+        typed("Conv2d")
+            .with("weight", weights(&axes, 31))
+            .with("bias", Numbers::f64(&[axes[0]], &noise(axes[0], 32).iter().map(|b| b / 8.0).collect::<Vec<_>>()))
+            .with("stride", ints(&[1, 1]))
+            .with("padding", ints(&[1, 0]))
+            .with("dilation", ints(&[1, 1]))
+            .with("groups", i64_scalar(groups))
+    };
+    let line = typed("Conv1d")
+        .with("weight", weights(&[3, 2, 3], 33))
+        .with("bias", reals(&[0.25, 0.0, 0.125]))
+        .with("stride", i64_scalar(1))
+        .with("padding", i64_scalar(1))
+        .with("dilation", i64_scalar(1))
+        .with("groups", i64_scalar(1));
+    let integrate = typed("IF").with("r", shaped(&[3], 1.0)).with("v_threshold", shaped(&[3], 2.0));
+    let threshold = typed("Threshold").with("threshold", shaped(&[3], 0.5));
+    let back = [("n", "r"), ("r", "n")];
+    type Chain = (&'static str, Vec<i64>, Vec<Group>, bool);
+    let chains: Vec<Chain> = vec![
+        ("Linear LIF", vec![4], vec![linear(3, 4, 1), lif(&[3])], false),
+        ("Affine LIF", vec![4], vec![affine(3, 4, 2), lif(&[3])], false),
+        ("Affine CubaLIF", vec![4], vec![affine(3, 4, 3), cuba(&[3])], false),
+        ("recurrent", vec![4], vec![affine(3, 4, 4), cuba(&[3])], true),
+        (
+            "Scale",
+            vec![4],
+            vec![linear(3, 4, 5), typed("Scale").with("scale", reals(&[1.0, 0.5, 1.5])), lif(&[3])],
+            false,
+        ),
+        ("IF", vec![4], vec![affine(3, 4, 6), integrate], false),
+        ("Threshold", vec![4], vec![affine(3, 4, 7), threshold], false),
+        ("Conv2d", vec![2, 3, 4], vec![conv([3, 2, 3, 3], 1), lif(&[3, 3, 2])], false),
+        ("Conv2d, a current with a bias", vec![2, 3, 4], vec![conv([3, 2, 3, 3], 1), cuba(&[3, 3, 2])], false),
+        ("Conv2d in groups, not square", vec![2, 3, 4], vec![conv([4, 1, 3, 1], 2), lif(&[4, 3, 4])], false),
+        ("Conv1d", vec![2, 5], vec![line, lif(&[3, 5])], false),
+        ("SumPool2d", vec![1, 4, 4], vec![pool("SumPool2d"), lif(&[1, 2, 2])], false),
+        ("AvgPool2d", vec![1, 4, 4], vec![pool("AvgPool2d"), lif(&[1, 2, 2])], false),
+        ("Flatten", vec![1, 2, 2], vec![typed("Flatten"), linear(3, 4, 8), lif(&[3])], false),
+    ];
+    for (name, axes, nodes, recurrent) in chains {
+        let last = nodes.len() - 1;
+        let names: Vec<String> = (0..=last).map(|k| if k == last { "n".into() } else { format!("l{k}") }).collect();
+        let mut all = vec![("i", source(&axes))];
+        all.extend(names.iter().map(String::as_str).zip(nodes));
+        all.push(("o", output()));
+        let mut root = file(&all, &[]);
+        if recurrent {
+            all.push(("r", affine(3, 3, 9)));
+            let edges: Vec<(&str, &str)> = all[..all.len() - 1].windows(2).map(|pair| (pair[0].0, pair[1].0)).collect();
+            let texts = edges.iter().chain(&back).flat_map(|(a, b)| [(*a).to_string(), (*b).to_string()]).collect();
+            let nodes = all.iter().fold(Group::default(), |nodes, (name, node)| nodes.with(name, node.clone()));
+            let edges = Item::Texts(vec![edges.len() + 2, 2], texts);
+            root = Group::default().with("node", typed("NIRGraph").with("nodes", nodes).with("edges", edges));
+        }
+        let model = import(&root);
+        let channels = axes.iter().product::<i64>() as usize;
+        let right = spikes(&model, "n", channels);
+        assert!(total(&right) > 10, "{name}: {}", total(&right));
+        assert_eq!(spikes(&bare(&model), "n", channels), right, "{name}");
+        // A file that is rewritten with its metadata is restored.
+        let (tree, _) = nir_export::export(&model).unwrap();
+        assert_eq!(read(&tree, &Options::default()).unwrap().model, model, "{name}");
+    }
+    // Integrators stay what they are: no neuron that never spikes.
+    for kind in ["LI", "CubaLI", "I"] {
+        let with = |node: Group, key: &str, value: f64| node.with(key, shaped(&[3], value));
+        let node = match kind {
+            "LI" => with(with(with(typed(kind), "tau", 0.016), "r", 16.0), "v_leak", 0.0),
+            "CubaLI" => {
+                let current = with(with(typed(kind), "tau_syn", 0.004), "w_in", 4.0);
+                with(with(with(current, "tau_mem", 0.016), "r", 16.0), "v_leak", 0.0)
+            }
+            _ => with(typed(kind), "r", 1.0),
+        };
+        let model = import(&file(&[("i", source(&[4])), ("w", affine(3, 4, 41)), ("n", node), ("o", output())], &[]));
+        let (tree, _) = nir_export::export(&model).unwrap();
+        assert_eq!(tree.group("node/nodes/n").unwrap().text("type"), Some("CubaLI"), "{kind}");
+        let again = bare(&model);
+        assert_eq!(again.population("n"), model.population("n"), "{kind}");
+    }
+}
+
+#[test]
+fn a_pool_of_slayer_has_silent_rows_behind_where_the_file_says_so() {
+    let layer = |shape: [i64; 3]| {
+        let neuron = |vth: i64| {
+            typed("CUBA")
+                .with("iDecay", i64_scalar(4096))
+                .with("vDecay", i64_scalar(4096))
+                .with("vThMant", i64_scalar(vth))
+                .with("refDelay", i64_scalar(1))
+        };
+        let input = typed("input").with("shape", ints(&[1, 6, 7]));
+        let pool = typed("pool")
+            .with("shape", ints(&shape))
+            .with("neuron", neuron(100))
+            .with("weight", Numbers::i64(&[1, 1, 2, 2, 1], &[70; 4]))
+            .with("kernelSize", ints(&[2, 2]))
+            .with("stride", ints(&[2, 2]))
+            .with("padding", ints(&[0, 0]));
+        let layers = Group::default().with("0", input).with("1", pool);
+        read(&Group::default().with("layer", layers), &Options::default())
+    };
+    let after = |imported: Imported| match imported.model.projections[0].kind {
+        ProjectionKind::SumPool2d { padding_after, .. } => padding_after,
+        _ => panic!(),
+    };
+    assert_eq!(after(layer([1, 3, 4]).unwrap()), (0, 1));
+    assert_eq!(after(layer([1, 3, 3]).unwrap()), (0, 0));
+    let beyond = layer([1, 3, 5]).unwrap_err();
+    assert!(beyond.code == "model.window" && beyond.help.unwrap().contains("padding_after"));
+}
+
+#[test]
+fn a_bias_reaches_a_current_from_the_first_step_on_and_layers_wait_for_it() {
+    let (w, b) = (noise(3 * 4, 51), [0.25, 0.5, -0.125]);
+    let affine = typed("Affine").with("weight", Numbers::f64(&[3, 4], &w)).with("bias", reals(&b));
+    let second = typed("Linear").with("weight", weights(&[2, 3], 52));
+    let more = typed("Linear").with("weight", weights(&[2, 4], 53));
+    // The second layer receives the input, too.
+    let nodes =
+        [("i", source(&[4])), ("w", affine), ("n", cuba(&[3])), ("x", second), ("m", lif(&[2])), ("o", output())];
+    let mut root = file(&nodes, &[("i", "s"), ("s", "m")]);
+    let Some(Item::Group(graph)) = root.items.get_mut("node") else { panic!() };
+    let Some(Item::Group(all)) = graph.items.get_mut("nodes") else { panic!() };
+    all.items.insert("s".to_string(), more.into());
+    let model = import(&root);
+    let (mut current, mut v) = ([0.0; 3], [0.0; 3]);
+    let right: Vec<Vec<bool>> = (0..STEPS)
+        .map(|t| {
+            (0..3)
+                .map(|i| {
+                    let arrives: f64 = (0..4).filter(|&s| input(t, s)).map(|s| w[i * 4 + s]).sum();
+                    current[i] = 0.75 * current[i] + arrives + b[i];
+                    v[i] = 0.875 * v[i] + current[i];
+                    let spike = v[i] > 1.0;
+                    v[i] = if spike { 0.0 } else { v[i] };
+                    spike
+                })
+                .collect()
+        })
+        .collect();
+    assert!(total(&right) > 20);
+    assert_eq!((model.population("n").unwrap().start_step, model.drain), (1, 2));
+    assert_eq!(spikes(&model, "n", 4)[1..], right[..STEPS - 1]);
+    // Waits are the import's: a file that another tool rewrites does not have them twice.
+    assert_eq!(bare(&model).projections.iter().map(|p| p.delay).max(), model.projections.iter().map(|p| p.delay).max());
+    assert_eq!(spikes(&bare(&model), "m", 4), spikes(&model, "m", 4));
+}
+
+#[test]
+fn delays_that_are_no_whole_steps_are_rounded_with_a_note() {
+    let notes = |delays: &[f64]| {
+        let delay = typed("Delay").with("delay", reals(delays));
+        let nodes = [("i", source(&[2])), ("w", linear(2, 2, 5)), ("d", delay), ("n", lif(&[2])), ("o", output())];
+        let imported = read(&file(&nodes, &[]), &step()).unwrap();
+        imported.notes.iter().filter(|note| note.contains("no whole number of steps")).cloned().collect::<Vec<_>>()
+    };
+    assert!(notes(&[0.003, 0.0]).is_empty());
+    let [note] = &notes(&[0.003, 0.0024])[..] else { panic!() };
+    assert!(note.contains("1 of its 2 delays") && note.contains("from 2.400 to 2"), "{note}");
+}
+
+#[test]
+fn options_are_used_or_refused() {
+    let nodes = [("i", source(&[4])), ("w", linear(3, 4, 61)), ("n", lif(&[3])), ("o", output())];
+    let root = file(&nodes, &[]);
+    for (options, name) in [
+        (Options { neuron: Some("n.yml".into()), ..step() }, "--neuron"),
+        (Options { image: Some("i.npy".into()), ..step() }, "--image"),
+        (Options { first_step: Some(1), ..step() }, "--first-step"),
+        (Options { reset_interval: Some(9), ..step() }, "--reset-interval"),
+        (Options { input_shape: Some(vec![1, 2, 2]), ..step() }, "--input-shape"),
+    ] {
+        let error = read(&root, &options).unwrap_err();
+        assert!(error.code == "import.option" && error.message.contains(name), "{error}");
+    }
+    let inclusive = read(&root, &Options { threshold: Some(ThresholdTest::Inclusive), ..step() }).unwrap().model;
+    assert_eq!(inclusive.threshold, ThresholdTest::Inclusive);
+    // A time constant shorter than a step has a meaning where states decay exponentially.
+    let exponential = Options { decay: Some(DecayRule::Exponential), dt_ms: Some(16.0), ..Options::default() };
+    assert!(read(&root, &Options { decay: Some(DecayRule::Euler), ..exponential.clone() }).is_err());
+    let model = read(&root, &exponential).unwrap().model;
+    let Some(Parameter::Same(tau)) = model.population("n").unwrap().parameter("tau_v_ms").cloned() else { panic!() };
+    assert!((tau - 8.0).abs() < 1e-9, "{tau}");
+}
+
+#[test]
+fn a_threshold_of_zero_is_a_mantissa_of_zero() {
+    let root = |thresholds: &[f64]| {
+        let neuron = lif(&[3]).with("v_threshold", reals(thresholds));
+        let weights = typed("Linear").with("weight", Numbers::f64(&[3, 2], &[2.0, -4.0, 6.0, 8.0, -10.0, 12.0]));
+        file(&[("i", source(&[2])), ("w", weights), ("n", neuron), ("o", output())], &[])
+    };
+    let model = import(&root(&[0.0; 3]));
+    assert_eq!(model.population("n").unwrap().parameter("vth_mant"), Some(&Parameter::Same(0.0)));
+    assert!(total(&spikes(&model, "n", 2)) > 20);
+    let again = bare(&model);
+    assert_eq!(spikes(&again, "n", 2), spikes(&model, "n", 2));
+    assert_eq!(again.projections[0].weight_scale.unwrap_or(1.0), 1.0, "mantissas stay as they are");
+    let mixed = read(&root(&[0.0, 1.0, 1.0]), &step()).unwrap_err();
+    assert!(mixed.message.contains("one of 0 beside others"), "{mixed}");
+}

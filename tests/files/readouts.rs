@@ -1,0 +1,489 @@
+//! What decides a sample: spikes of the output, or its potential. Every engine, every command and
+//! every reader by the same rule. And how many steps it has, so that the last layer answers to the
+//! last step of the input.
+
+use crate::common;
+use std::path::Path;
+
+use crate::common::random;
+use assert_cmd::Command;
+use nsim::import::foreign::hdf5;
+use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::ir::arithmetic::ReadOut;
+use nsim::ir::base::rng;
+use nsim::ir::quantised::{Parts, Quantised};
+use nsim::session::decision::{EarlyExit, Rule};
+use nsim::session::{Keep, Outcome, Probe, Quantity, run_sample};
+use rayon::prelude::*;
+use serde_json::Value;
+
+/// The class by the definition, from the potentials `[output][step]` from the output's first step
+/// on.
+fn class(read_out: ReadOut, v: &[Vec<i32>]) -> Option<u32> {
+    let score = |v: &Vec<i32>| match read_out {
+        ReadOut::GreatestV => v.iter().copied().max().map_or(0, i64::from),
+        ReadOut::SumOfV => v.iter().copied().map(i64::from).sum(),
+        _ => v.last().copied().map_or(0, i64::from),
+    };
+    let scores: Vec<i64> = v.iter().map(score).collect();
+    let moved = v.iter().flatten().any(|&v| v != 0);
+    let best = scores.iter().max().filter(|_| moved)?;
+    scores.iter().position(|score| score == best).map(|class| class as u32)
+}
+
+fn keep(network: &Quantised, rule: Option<Rule>) -> Keep {
+    let output = network.output();
+    let probe = Probe { first: output.first, count: output.count, quantity: Quantity::V };
+    let early_exit = rule.map(|rule| EarlyExit::new(rule, network));
+    Keep { output, probes: if rule.is_none() { vec![probe] } else { Vec::new() }, early_exit }
+}
+
+#[test]
+fn every_engine_decides_by_the_potentials_that_a_probe_reads() {
+    let decided: usize = (0..240u64)
+        .into_par_iter()
+        .map(|seed| {
+            let random = random::network(seed);
+            let decision = ReadOut::ALL[1 + seed as usize % 3];
+            let network = Quantised::new(Parts { decision, ..random.parts().clone() }).unwrap();
+            let sample = random::sample(&network, seed);
+            let mut classes = Vec::new();
+            for (name, mut engine) in common::engines(&network) {
+                let what = format!("network {seed}, {name}");
+                let mut run = |rule| run_sample(engine.as_mut(), &sample, &keep(&network, rule), |_, _| ());
+                let whole = run(None);
+                let from = (network.output().start_step as usize).min(whole.steps as usize);
+                let rows = whole.probes[0].chunks(sample.steps().max(1) as usize).map(|row| row[from..].to_vec());
+                assert_eq!(whole.class(), class(decision, &rows.collect::<Vec<_>>()), "{what}");
+                // Nothing is certain before the last step, which no early exit then leaves off.
+                let certain = Outcome {
+                    probes: whole.probes.clone(),
+                    skipped_steps: whole.skipped_steps,
+                    ..run(Some(Rule::Certain))
+                };
+                assert_eq!(certain, whole, "{what}");
+                let margin = run(Some("40".parse().unwrap()));
+                let until = margin.steps as usize;
+                let row = |row: &[i32]| row[from.min(until)..until].to_vec();
+                let rows: Vec<Vec<i32>> = whole.probes[0].chunks(sample.steps().max(1) as usize).map(row).collect();
+                assert_eq!(margin.class(), class(decision, &rows), "{what}");
+                classes.push((whole.class(), whole.potentials, margin.potentials));
+            }
+            assert!(classes.iter().all(|found| *found == classes[0]), "network {seed}");
+            usize::from(classes[0].0.is_some())
+        })
+        .sum();
+    assert!(decided > 100, "{decided} decided");
+}
+
+fn nsim(folder: &Path, line: &str) -> (i32, String, String) {
+    let output = Command::cargo_bin("nsim").unwrap().current_dir(folder).args(line.split(' ')).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
+}
+
+fn object(folder: &Path, line: &str, status: i32) -> Value {
+    let (code, stdout, stderr) = nsim(folder, &format!("{line} --format json"));
+    assert_eq!(code, status, "{line}: {stderr}");
+    serde_json::from_str(&stdout).unwrap_or_else(|error| panic!("{line}: {error}: {stdout}"))
+}
+
+const STEPS: usize = 40;
+const SAMPLES: usize = 6;
+const CHANNELS: usize = 4;
+
+/// Random spikes `[samples, channels, steps]` with `empty` steps without any at the end; the last
+/// sample has none.
+fn write_input(folder: &Path, name: &str, empty: usize) {
+    let spike = |i: u64| u8::from((i as usize) < (SAMPLES - 1) * CHANNELS * STEPS && rng::below(5, 3, i, 0) == 0);
+    let spikes: Vec<u8> = (0..(SAMPLES * CHANNELS * STEPS) as u64).map(spike).collect();
+    let bytes: Vec<u8> = spikes.chunks(STEPS).flat_map(|row| [row, &vec![0; empty]].concat()).collect();
+    let steps = STEPS + empty;
+    write_array(folder, name, [SAMPLES, CHANNELS, steps], &bytes);
+}
+
+fn write_array(folder: &Path, name: &str, [samples, channels, steps]: [usize; 3], bytes: &[u8]) {
+    let shape = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({samples}, {channels}, {steps}), }}");
+    let head = format!("{shape:<117}\n");
+    let file = [b"\x93NUMPY\x01\x00", &(head.len() as u16).to_le_bytes()[..], head.as_bytes(), bytes].concat();
+    std::fs::write(folder.join(name), file).unwrap();
+}
+
+fn group<const N: usize>(members: [(&str, Item); N]) -> Group {
+    members.into_iter().fold(Group::default(), |group, (name, item)| group.with(name, item))
+}
+
+fn reals(shape: &[usize], values: &[f64]) -> Item {
+    Numbers::f64(shape, values).into()
+}
+
+const WEIGHTS: [f64; 12] = [0.5, -0.25, 0.125, 0.25, -0.5, 0.75, 0.25, -0.125, 0.25, 0.5, -0.75, 0.125];
+
+/// A NIR file: an input, weights, and this node as its output.
+fn write_nir(folder: &Path, node: Option<(&str, &[(&str, f64)])>) {
+    let weights = group([("type", "Linear".into()), ("weight", reals(&[3, CHANNELS], &WEIGHTS))]);
+    let shape = |n: i64| Item::from(Numbers::i64(&[1], &[n]));
+    let mut nodes = group([
+        ("in", group([("type", "Input".into()), ("shape", shape(CHANNELS as i64))]).into()),
+        ("w", weights.into()),
+        ("out", group([("type", "Output".into()), ("shape", shape(3))]).into()),
+    ]);
+    let mut edges = vec!["in", "w"];
+    if let Some((kind, fields)) = node {
+        let neuron = fields
+            .iter()
+            .fold(group([("type", kind.into())]), |group, (key, value)| group.with(key, reals(&[3], &[*value; 3])));
+        nodes = nodes.with("o", neuron);
+        edges.extend(["w", "o", "o", "out"]);
+    } else {
+        let fields = [("r", reals(&[CHANNELS], &[1.0; 4])), ("v_threshold", reals(&[CHANNELS], &[0.5; 4]))];
+        let spiking =
+            fields.into_iter().fold(group([("type", "IF".into())]), |group, (key, item)| group.with(key, item));
+        nodes = nodes.with("h", spiking);
+        edges = vec!["in", "h", "h", "w", "w", "out"];
+    }
+    let edges = Item::Texts(vec![edges.len() / 2, 2], edges.into_iter().map(str::to_string).collect());
+    let graph = group([("type", "NIRGraph".into()), ("nodes", nodes.into()), ("edges", edges)]);
+    let root = Group::default().with("version", "1.0.8").with("node", graph);
+    std::fs::write(folder.join("net.nir"), hdf5::write(&root).unwrap()).unwrap();
+}
+
+const LEAKY: (&str, &[(&str, f64)]) = ("LI", &[("tau", 5e-3), ("r", 5.0), ("v_leak", 0.0)]);
+
+/// The classes of a run, from a probe of v over all of its steps.
+fn by_probe(folder: &Path, model: &str, (population, drain): (&str, usize), read_out: ReadOut) -> Vec<Option<u32>> {
+    write_input(folder, "long.npy", drain);
+    let line = format!("run {model} --input long.npy --set drain=0 --probe {population}.v -o probes --force");
+    object(folder, &line, 0);
+    let v = common::Array::read(&folder.join(format!("probes/{population}.v.npy")));
+    let row =
+        |sample, output| (drain..STEPS + drain).map(|step| v.at([sample, output, step]) as i32).collect::<Vec<_>>();
+    (0..SAMPLES).map(|sample| class(read_out, &(0..3).map(|output| row(sample, output)).collect::<Vec<_>>())).collect()
+}
+
+fn predicted(object: &Value) -> Vec<Option<u32>> {
+    object["predicted"].as_array().unwrap().iter().map(|class| class.as_u64().map(|class| class as u32)).collect()
+}
+
+#[test]
+fn an_output_that_never_spikes_is_read_out_by_its_potential() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    let integrator: (&str, &[(&str, f64)]) = ("I", &[("r", 1.0)]);
+    for (node, output, decision, name) in [
+        (Some(LEAKY), ("o", 0), ReadOut::GreatestV, "greatest_v"),
+        (Some(integrator), ("o", 0), ReadOut::LastV, "last_v"),
+        // A layer behind the first: a step more, from step 1 on.
+        (None, ("output", 1), ReadOut::SumOfV, "sum_of_v"),
+    ] {
+        write_nir(folder, node);
+        let (code, text, stderr) = nsim(folder, "import net.nir --dt 1 -o m.ron --force");
+        assert_eq!(code, 0, "{stderr}");
+        let unwrapped = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(unwrapped.contains("its potential decides"), "{text}");
+        let run = object(folder, "run m.ron --input in.npy", 0);
+        assert_eq!((&run["decision"], &run["undecided"]), (&name.into(), &1.into()));
+        assert_eq!(predicted(&run), by_probe(folder, "m.ron", output, decision), "{name}");
+        assert!(predicted(&run)[..SAMPLES - 1].iter().all(Option::is_some), "{run}");
+        // Nothing advises to make it spike, and a sample without input is no reason to warn.
+        assert_eq!(run["warnings"], Value::Array(Vec::new()), "{name}");
+        for engine in ["golden", "reference", "fast --early-exit certain", "fast --neurobench"] {
+            let other = object(folder, &format!("run m.ron --input in.npy --engine {engine}"), 0);
+            assert_eq!(other["predicted"], run["predicted"], "{name}, {engine}");
+        }
+        let agree = object(folder, "agree m.ron --input in.npy --require-class-agreement 1", 0);
+        assert_eq!((&agree["compared"], &agree["class_agreement"]), (&5.into(), &1.0.into()), "{name}");
+        assert_eq!(agree["attribution"][0]["class_agreement"], 1.0, "{name}");
+        // What the import chose, its option and the model's field decide otherwise.
+        for other in ["greatest_v", "sum_of_v", "last_v"] {
+            object(folder, &format!("import net.nir --dt 1 --decision {other} -o other.ron --force"), 0);
+            let run = object(folder, "run other.ron --input in.npy", 0);
+            let read_out = ReadOut::ALL.into_iter().find(|read_out| read_out.name() == other).unwrap();
+            assert_eq!(predicted(&run), by_probe(folder, "other.ron", output, read_out), "{name} by {other}");
+            let set = object(folder, &format!("run m.ron --input in.npy --set decision={read_out:?}"), 0);
+            assert_eq!((&set["predicted"], &set["decision"]), (&run["predicted"], &other.into()), "{name} by {other}");
+        }
+        // An exported file gives it back.
+        assert_eq!(nsim(folder, "export m.ron -o back.nir --force").0, 0);
+        assert_eq!(object(folder, "run back.nir --input in.npy", 0)["decision"], name);
+    }
+}
+
+#[test]
+fn samples_without_a_decision_are_no_agreement() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    write_nir(folder, Some(LEAKY));
+    object(folder, "import net.nir --dt 1 --decision spikes -o silent.ron", 0);
+    let run = object(folder, "run silent.ron --input in.npy", 0);
+    assert_eq!((&run["undecided"], &run["decision"]), (&SAMPLES.into(), &"spikes".into()));
+    // The remedy that is printed decides every sample with input.
+    let message = run["warnings"][0]["message"].as_str().unwrap();
+    assert!(message.contains("--set decision=GreatestV"), "{message}");
+    let remedied = object(folder, "run silent.ron --input in.npy --set decision=GreatestV", 0);
+    assert_eq!((&remedied["undecided"], remedied["warnings"].as_array().unwrap().len()), (&1.into(), 0));
+    let agree = object(folder, "agree silent.ron --input in.npy --require-class-agreement 0", 1);
+    assert_eq!((&agree["compared"], &agree["class_agreement"]), (&0.into(), &Value::Null));
+    let (code, text, _) = nsim(folder, "agree silent.ron --input in.npy");
+    assert_eq!(code, 0);
+    assert!(text.contains("not compared: 6 neither decides"), "{text}");
+    // Two networks, each by its own decision.
+    object(folder, "import net.nir --dt 1 -o decided.ron", 0);
+    let line = "agree decided.ron --input in.npy --against silent.ron";
+    assert_eq!(object(folder, line, 0)["compared"], 0);
+    assert!(nsim(folder, line).1.contains("not compared: 5 a decides alone, 1 neither decides"));
+    let several = format!("{line} --against decided.ron --require-class-agreement 1");
+    let both = object(folder, &several, 1);
+    assert_eq!(both["networks"][0]["compared"], 0);
+    assert_eq!((&both["networks"][1]["compared"], &both["networks"][1]["class_agreement"]), (&5.into(), &1.0.into()));
+    // A network in which nothing reaches the output still has its warning.
+    let nothing = "run decided.ron --input scene:noise?samples=1&steps=20&rate=0";
+    let run = object(folder, nothing, 0);
+    assert_eq!(run["warnings"][0]["code"], "silent-output");
+    assert!(run["warnings"][0]["message"].as_str().unwrap().contains("'in' is silent"), "{run}");
+}
+
+#[test]
+fn a_conversion_keeps_what_decides() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    let model = r#"Network(name: "read-out", timestep_ms: 1.0, populations: [Input(name: "in", shape: [4]),
+        Srm(name: "hidden", shape: [5], tau_sr_ms: 5, tau_ref_ms: 1, scale_ref: 2, theta: 10),
+        Srm(name: "out", shape: [3], tau_sr_ms: 5, tau_ref_ms: 1, scale_ref: 2, theta: 1000)],
+        projections: [Dense(from: ["in"], to: "hidden", weights: Uniform(low: -1, high: 9, seed: 1)),
+          Dense(from: ["hidden"], to: "out", weights: Uniform(low: -4, high: 6, seed: 2))],
+        output: "out", decision: SumOfV)"#;
+    std::fs::write(folder.join("srm.ron"), model).unwrap();
+    let convert = object(folder, "convert srm.ron --input in.npy -o loihi.ron", 0);
+    assert!(convert["class_agreement"].is_number(), "{convert}");
+    let (trained, converted) = ("run srm.ron --input in.npy", "run loihi.ron --input in.npy");
+    let (trained, converted) = (object(folder, trained, 0), object(folder, converted, 0));
+    assert_eq!((&trained["decision"], &converted["decision"]), (&"sum_of_v".into(), &"sum_of_v".into()));
+    assert_eq!(trained["undecided"], 1);
+    let same = predicted(&trained).iter().zip(&predicted(&converted)).filter(|(a, b)| a == b).count();
+    assert!(same >= SAMPLES - 1, "{trained} {converted}");
+}
+
+/// The share of the voltage that a step takes away, which no number of 4096ths is.
+const FRACTION: f64 = 1.0 / 7.3;
+/// Units of the layers of [`layered`].
+const SIZES: [usize; 4] = [CHANNELS, 5, 6, 3];
+
+/// The weights from one layer to another, `[target][source]`.
+fn weights(from: usize, to: usize) -> Vec<f64> {
+    let count = SIZES[from] * SIZES[to];
+    (0..count as u64).map(|i| 1.5 * rng::unit(9, (8 * from + to) as u64, i) - 0.45).collect()
+}
+
+/// A file of three layers of LIF neurons with a leak potential, and these ways: (from, to), 0 for
+/// the input.
+fn write_layered(folder: &Path, ways: &[(usize, usize)]) {
+    let names = ["in", "a", "b", "c"];
+    let shape = |n: usize| Item::from(Numbers::i64(&[1], &[n as i64]));
+    let mut nodes = group([
+        ("in", group([("type", "Input".into()), ("shape", shape(CHANNELS))]).into()),
+        ("out", group([("type", "Output".into()), ("shape", shape(3))]).into()),
+    ]);
+    for (name, n) in names.into_iter().zip(SIZES).skip(1) {
+        let field = |value: f64| reals(&[n], &vec![value; n]);
+        let tau = 1e-3 / FRACTION;
+        let fields = [("tau", tau), ("r", 1.0 / FRACTION), ("v_leak", 0.4), ("v_threshold", 1.0)];
+        let neuron =
+            fields.into_iter().fold(group([("type", "LIF".into())]), |group, (key, x)| group.with(key, field(x)));
+        nodes = nodes.with(name, neuron);
+    }
+    let mut edges = vec!["c".to_string(), "out".to_string()];
+    for &(from, to) in ways {
+        let name = format!("w{from}{to}");
+        let weight = reals(&[SIZES[to], SIZES[from]], &weights(from, to));
+        nodes = nodes.with(&name, group([("type", "Linear".into()), ("weight", weight)]));
+        edges.extend([names[from].to_string(), name.clone(), name, names[to].to_string()]);
+    }
+    let edges = Item::Texts(vec![edges.len() / 2, 2], edges);
+    let graph = group([("type", "NIRGraph".into()), ("nodes", nodes.into()), ("edges", edges)]);
+    let root = Group::default().with("version", "1.0.8").with("node", graph);
+    std::fs::write(folder.join("net.nir"), hdf5::write(&root).unwrap()).unwrap();
+}
+
+/// The output's spike counts of each sample as a tool counts them whose layers all answer in one
+/// step, a loop in the next.
+fn counted(input: &common::Array, ways: &[(usize, usize)]) -> Vec<Vec<u64>> {
+    let sample = |sample: usize| {
+        let mut v: Vec<Vec<f64>> = SIZES.iter().map(|&n| vec![0.0; n]).collect();
+        let mut spikes: Vec<Vec<bool>> = SIZES.iter().map(|&n| vec![false; n]).collect();
+        let mut counts = vec![0; SIZES[3]];
+        for step in 0..STEPS {
+            spikes[0] = (0..CHANNELS).map(|channel| input.at([sample, channel, step]) != 0).collect();
+            for to in 1..SIZES.len() {
+                let arrived = |unit: usize| -> f64 {
+                    let way = |&(from, _): &(usize, usize)| -> f64 {
+                        let row = weights(from, to)[unit * SIZES[from]..][..SIZES[from]].to_vec();
+                        row.iter().zip(&spikes[from]).filter(|(_, spike)| **spike).map(|(weight, _)| weight).sum()
+                    };
+                    ways.iter().filter(|way| way.1 == to).map(way).sum()
+                };
+                let currents: Vec<f64> = (0..SIZES[to]).map(arrived).collect();
+                for (unit, current) in currents.into_iter().enumerate() {
+                    v[to][unit] = (1.0 - FRACTION) * v[to][unit] + current + FRACTION * 0.4;
+                    spikes[to][unit] = v[to][unit] > 1.0;
+                    if spikes[to][unit] {
+                        v[to][unit] = 0.0;
+                    }
+                }
+            }
+            counts.iter_mut().zip(&spikes[3]).for_each(|(count, spike)| *count += u64::from(*spike));
+        }
+        counts
+    };
+    (0..SAMPLES).map(sample).collect()
+}
+
+#[test]
+fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    let input = common::Array::read(&folder.join("in.npy"));
+    let chain = [(0, 1), (1, 2), (2, 3)];
+    for more in [&[][..], &[(2, 2)], &[(0, 3), (1, 3)], &[(0, 2), (3, 3), (1, 1), (1, 3)]] {
+        let ways = [&chain[..], more].concat();
+        write_layered(folder, &ways);
+        let (code, _, stderr) = nsim(folder, "import net.nir -o m.ron --force");
+        assert_eq!(code, 0, "{ways:?}: {stderr}");
+        let run = object(folder, "run m.ron --input in.npy --engine reference", 0);
+        let counts: Vec<Vec<u64>> = serde_json::from_value(run["output_counts"].clone()).unwrap();
+        assert_eq!(counts, counted(&input, &ways), "{ways:?}");
+        assert!(counts.iter().flatten().sum::<u64>() > 30, "{counts:?}");
+        // Two layers behind the first: two steps more, counted everywhere and printed.
+        let steps = (SAMPLES * (STEPS + 2)) as u64;
+        assert_eq!((&run["drain"], &run["timesteps"]), (&2.into(), &steps.into()), "{ways:?}");
+        let mapped = object(folder, "run m.ron --input in.npy", 0);
+        let updates = steps * SIZES[1..].iter().sum::<usize>() as u64;
+        assert_eq!(
+            (&mapped["timesteps"], &mapped["activity"]["compartment_updates"]),
+            (&steps.into(), &updates.into())
+        );
+        assert!(nsim(folder, "run m.ron --input in.npy").1.contains("of each sample 2 after its last input step"));
+        // Without them the last answers are missing, or the layers differ in time.
+        let cut = object(folder, "run m.ron --input in.npy --engine reference --set drain=0", 0);
+        assert_ne!(cut["output_counts"], run["output_counts"], "{ways:?}");
+        // Trained means as the file says: the decays are rounded on the chip alone, and the ladder
+        // says so.
+        let agree = object(folder, "agree m.ron --input in.npy", 0);
+        let causes: Vec<&str> =
+            agree["attribution"].as_array().unwrap().iter().map(|c| c["cause"].as_str().unwrap()).collect();
+        assert!(causes.contains(&"quantised-decays"), "{causes:?}");
+    }
+}
+
+/// What `agree` says of the first cause, and the words of the command that it prints.
+fn first_cause(agree: &Value) -> (String, Vec<String>) {
+    let cause = agree["attribution"][0]["cause"].as_str().unwrap().to_string();
+    let command = agree["next"]["command"].as_str().unwrap_or_default();
+    (
+        cause,
+        command.split(' ').skip(1).filter(|word| !["--format", "json"].contains(word)).map(str::to_string).collect(),
+    )
+}
+
+#[test]
+fn layers_that_answer_late_are_told_from_rounded_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // Samples of a few steps end before the third layer has answered.
+    let spikes = (0..24 * CHANNELS as u64 * 9).map(|i| u8::from(rng::below(3, 8, i, 0) == 0));
+    write_array(folder, "in.npy", [24, CHANNELS, 9], &spikes.collect::<Vec<u8>>());
+    let chain = [(0, 1), (1, 2), (2, 3)];
+    for more in [&[][..], &[(2, 2)], &[(0, 3), (1, 3)]] {
+        let ways = [&chain[..], more].concat();
+        write_layered(folder, &ways);
+        object(folder, "import net.nir -o m.ron --force", 0);
+        // As it is written for the chip: every layer from the first step on, no step at the end.
+        let text = std::fs::read_to_string(folder.join("m.ron")).unwrap();
+        let plain = text.lines().filter(|line| !line.trim_start().starts_with("provenance"));
+        let plain: String = plain.map(|line| format!("{line}\n")).collect();
+        let plain =
+            ["start_step: 1", "start_step: 2"].iter().fold(plain, |text, step| text.replace(step, "start_step: 0"));
+        let plain =
+            plain.replace("drain: 2", "drain: 0").replace("delay: 1", "delay: 0").replace("delay: 2", "delay: 0");
+        std::fs::write(folder.join("chip.ron"), plain).unwrap();
+        let steps = "agree chip.ron --input in.npy";
+        let agree = object(folder, steps, 0);
+        let (cause, words) = first_cause(&agree);
+        assert_eq!(cause, "pipeline-delay", "{ways:?}: {agree:#}");
+        assert_eq!(agree["next"]["cause"], "pipeline-delay", "{ways:?}: {agree:#}");
+        let (_, text, _) = nsim(folder, steps);
+        assert!(text.contains("Classes agree in") && text.contains("without pipeline delay"), "{text}");
+        // The command gives the network what import gives it.
+        let line = words.join(" ");
+        assert!(line.starts_with("agree chip.ron --input") && line.contains("--set drain=2"), "{line}");
+        let mended = object(folder, &line.replace('\'', ""), 0);
+        let causes = mended["attribution"].as_array().unwrap().iter().map(|row| row["cause"].as_str().unwrap());
+        assert!(!causes.clone().any(|cause| cause == "pipeline-delay"), "{mended:#}");
+        let classes =
+            |agree: &Value| agree["attribution"].as_array().unwrap().last().unwrap()["class_agreement"].as_f64();
+        assert!(classes(&mended) > classes(&agree), "{ways:?}: {agree:#} {mended:#}");
+        let imported = object(folder, "run m.ron --input in.npy --engine reference", 0);
+        let sets = line.split(" --set ").skip(1).map(|set| format!(" --set {set}")).collect::<String>();
+        let chip = object(folder, &format!("run chip.ron --input in.npy --engine reference{sets}"), 0);
+        assert_eq!(chip["output_counts"], imported["output_counts"], "{ways:?}");
+        // Nothing is lost to it where import did what is needed.
+        assert_ne!(first_cause(&object(folder, "agree m.ron --input in.npy", 0)).0, "pipeline-delay");
+    }
+}
+
+#[test]
+fn what_reads_spikes_alone_refuses_an_output_read_out_by_its_potential() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_input(folder, "in.npy", 0);
+    write_nir(folder, Some(LEAKY));
+    object(folder, "import net.nir --dt 1 -o m.ron", 0);
+    let (code, _, stderr) = nsim(folder, "bench early m.ron --input in.npy");
+    assert!(code == 2 && stderr.contains("potentials decide this model"), "{code}: {stderr}");
+    let (code, _, stderr) = nsim(folder, "convert m.ron --input in.npy --fine-tune 1");
+    assert!(code == 3 && stderr.contains("its potentials decide"), "{code}: {stderr}");
+    assert!(stderr.contains("nsim train, with the loss Potential"), "{stderr}");
+    // An imported network is refused before it is converted, and nothing advises to fine-tune it.
+    write_layered(folder, &[(0, 1), (1, 2), (2, 3)]);
+    let (code, _, stderr) = nsim(folder, "convert net.nir --input in.npy --fine-tune 1");
+    assert!(code == 3 && stderr.contains("not spike response neurons"), "{code}: {stderr}");
+    for command in ["convert", "agree"] {
+        let (_, text, stderr) = nsim(folder, &format!("{command} net.nir --input in.npy"));
+        assert!(!text.contains("fine-tun") && !stderr.contains("fine-tun"), "{text}{stderr}");
+    }
+}
+
+#[test]
+fn a_drain_is_bounded() {
+    let folder = tempfile::tempdir().unwrap();
+    write_layered(folder.path(), &[(0, 1), (1, 2), (2, 3)]);
+    object(folder.path(), "import net.nir -o m.ron", 0);
+    let (code, _, stderr) = nsim(folder.path(), "run m.ron --set drain=65536");
+    assert!(code == 3 && stderr.contains("drain 65536 is outside 0..=65535"), "{code}: {stderr}");
+}
+
+#[test]
+fn public_cases_have_the_classes_of_their_potentials() {
+    let Some(cases) = common::data("cases") else { return };
+    let case = cases.join("readout-by-potential");
+    let right = std::fs::read_to_string(case.join("right.csv")).unwrap();
+    let column = |place| right.lines().skip(1).map(|line| line.split(',').nth(place).unwrap().parse().ok()).collect();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::copy(case.join("net.nir"), folder.path().join("net.nir")).unwrap();
+    std::fs::copy(case.join("input.npy"), folder.path().join("in.npy")).unwrap();
+    for (place, decision) in [(1, "greatest_v"), (2, "sum_of_v"), (3, "last_v")] {
+        let column: Vec<Option<u32>> = column(place);
+        object(folder.path(), &format!("import net.nir --decision {decision} -o m.ron --force"), 0);
+        for engine in ["fast", "golden", "reference"] {
+            // They are those of the chip's steps, without the one that the second layer answers
+            // later.
+            let line = format!("run m.ron --input in=in.npy --set drain=0 --engine {engine}");
+            let run = object(folder.path(), &line, 0);
+            assert_eq!(predicted(&run), column, "{decision}, {engine}");
+        }
+    }
+}

@@ -1,0 +1,15 @@
+//! Energies beside published work and other tools, and the memory that commands take.
+
+// A test that cannot go on has failed.
+#![allow(clippy::unwrap_used)]
+
+mod ann;
+mod batch_sizes;
+mod batches;
+#[path = "../common/mod.rs"]
+mod common;
+mod energy_memory;
+mod energy_scaling;
+mod published;
+mod sanafe;
+mod scenes;
