@@ -12,7 +12,7 @@ const NOISE: &str = "scene:noise?samples=3&steps=40&seed=5&rate=0.05";
 
 fn object(folder: &Path, line: &[&str]) -> Value {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    let output = command.args(line).args(["--format", "json", "--no-cache"]).current_dir(folder).output().unwrap();
+    let output = command.args(line).args(["--format", "json"]).current_dir(folder).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{line:?}: {said}");
     serde_json::from_slice(&output.stdout).unwrap()

@@ -438,8 +438,8 @@ fn four_times_the_populations_take_about_four_times_as_long() {
             ),
         );
     }
-    let noise = "--input 'scene:noise?samples=1&steps=10&seed=1' --baseline --no-cache --force -o r.html";
-    for line in ["inspect N.ron", "map N.ron --no-cache", &format!("report N.ron {noise}")] {
+    let noise = "--input 'scene:noise?samples=1&steps=10&seed=1' --baseline --force -o r.html";
+    for line in ["inspect N.ron", "map N.ron", &format!("report N.ron {noise}")] {
         let [few, many] =
             ["4000", "16000"].map(|count| processor_s(&place, &format!("nsim {}", line.replace('N', count))));
         // Without a square: 16 times as long.

@@ -63,8 +63,7 @@ fn json(output: &Output) -> serde_json::Value {
 
 /// A line that runs the model.
 fn simulated<'a>(input: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-    let mut line =
-        vec!["run", "m.ron", "--target", "pohoiki-springs", "--threads", "1", "--no-cache", "--input", input];
+    let mut line = vec!["run", "m.ron", "--target", "pohoiki-springs", "--threads", "1", "--input", input];
     line.extend_from_slice(more);
     line
 }
@@ -138,7 +137,7 @@ fn a_job_that_fails_says_so_once() {
     let probed = simulated(SHORT, &["--probe", "n.spikes", "-o", "traces"]);
     std::fs::write(folder.path().join("spikes.csv"), "timestep,channel\n3,5\n9,70\n").unwrap();
     let from_file = simulated("spikes.csv", &[]);
-    let malformed = ["run", "bad.ron", "--no-cache"];
+    let malformed = ["run", "bad.ron"];
     type Failing<'a> = (&'a [(u32, &'a str)], &'a [&'a str], &'a str);
     let cases: [Failing<'_>; 5] = [
         (&[(3, "")], &malformed, "error[model."),
@@ -210,7 +209,6 @@ fn every_kind_of_projection_is_handed_out() {
         "nahuku-32",
         "--threads",
         "1",
-        "--no-cache",
         "--input",
         SHORT,
         "--set",
@@ -232,7 +230,7 @@ fn every_kind_of_projection_is_handed_out() {
 #[test]
 fn what_does_not_fit_is_answered_as_by_one_process() {
     let Some((folder, _alone)) = ready() else { return };
-    let line = ["run", "m.ron", "--target", "tiny", "--no-cache", "--format", "json"];
+    let line = ["run", "m.ron", "--target", "tiny", "--format", "json"];
     let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(line).output().unwrap();
     let found = run(folder.path(), &[(3, "")], &line);
     assert_eq!((alone.status.code(), found.status.code()), (Some(1), Some(1)), "{:?}", messages(&found));

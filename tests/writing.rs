@@ -299,7 +299,6 @@ struct Ran {
 fn run(folder: &Path, line: &str, fault: Option<&str>) -> Ran {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
     command.args(line.split(' ')).args(["--threads", "1"]).current_dir(folder).stdin(Stdio::null());
-    command.env("XDG_CACHE_HOME", folder.join("cache"));
     if let Some(fault) = fault {
         command.env("NSIM_FAULT", fault);
     }

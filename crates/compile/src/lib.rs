@@ -12,7 +12,6 @@ pub mod error;
 pub mod explore;
 pub mod form;
 pub mod groups;
-pub mod kept;
 pub mod mapping;
 pub mod mapping_file;
 pub mod options;

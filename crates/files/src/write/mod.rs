@@ -8,7 +8,6 @@
 //! what it points to is replaced.
 
 mod batch;
-pub mod cache;
 pub mod checksum;
 mod folder;
 pub mod journal;
