@@ -529,7 +529,7 @@ fn every_option_that_writes_is_tried() {
         "map", "run", "energy", "plot", "report", "help", "agree", "convert", "scene", "sweep", "train", "import",
         "export", "inspect", "stress",
     ];
-    let benches = ["step", "map", "batch", "early", "pareto", "published", "scale"].map(|name| format!("bench {name}"));
+    let benches = ["step", "map", "batch", "early", "pareto", "published"].map(|name| format!("bench {name}"));
     for command in commands.map(str::to_string).iter().chain(&benches) {
         let help = run(Path::new("."), &format!("{command} --help"), None).printed;
         for line in String::from_utf8(help).unwrap().lines().map(str::trim_start).filter(|line| line.starts_with('-')) {

@@ -14,6 +14,10 @@ pub const REMOVED: &[(&str, &str)] = &[
         "--no-cache",
         "mappings are not cached: leave it out, or use one that `nsim map -o FILE` saved with `--mapping FILE`",
     ),
+    (
+        "bench scale",
+        "measure steps on R processes with `mpirun -n R nsim bench step`; docs/scale.md models more processes",
+    ),
 ];
 
 /// An error of clap, or what to use instead where a removed name is its cause.

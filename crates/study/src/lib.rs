@@ -15,6 +15,5 @@ pub mod mapping;
 pub mod networks;
 pub mod pareto;
 pub mod published;
-pub mod scale;
 pub mod suite;
 pub mod sweep;

@@ -6,5 +6,4 @@ pub mod mapping;
 pub mod paper;
 pub mod pareto;
 pub mod published;
-pub mod scale;
 pub mod step;
