@@ -18,6 +18,10 @@ pub const REMOVED: &[(&str, &str)] = &[
         "bench scale",
         "measure steps on R processes with `mpirun -n R nsim bench step`; docs/scale.md models more processes",
     ),
+    (
+        "run --probe-format parquet",
+        "`nsim run --probe-format csv` writes the same columns, which pandas turns into Parquet",
+    ),
 ];
 
 /// An error of clap, or what to use instead where a removed name is its cause.
