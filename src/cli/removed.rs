@@ -22,6 +22,15 @@ pub const REMOVED: &[(&str, &str)] = &[
         "run --probe-format parquet",
         "`nsim run --probe-format csv` writes the same columns, which pandas turns into Parquet",
     ),
+    (
+        "energy --calibrate",
+        "fit constants as docs/studies/vtsnn_constants.py does, and use them with `nsim energy --constants FILE`",
+    ),
+    (
+        "train --study",
+        "train each variant with `nsim train CONFIG.ron --seed N --set FIELD=VALUE --folds K -o MODEL.ron` in a loop of the shell",
+    ),
+    ("train --seeds", "train with each seed by `nsim train CONFIG.ron --seed N -o MODEL.ron` in a loop of the shell"),
 ];
 
 /// An error of clap, or what to use instead where a removed name is its cause.
