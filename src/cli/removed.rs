@@ -31,6 +31,7 @@ pub const REMOVED: &[(&str, &str)] = &[
         "train each variant with `nsim train CONFIG.ron --seed N --set FIELD=VALUE --folds K -o MODEL.ron` in a loop of the shell",
     ),
     ("train --seeds", "train with each seed by `nsim train CONFIG.ron --seed N -o MODEL.ron` in a loop of the shell"),
+    ("bench batch", "`nsim energy --baseline rtx-2080-ti gpu-roofline` has the rows of a GPU, a sample at a time"),
 ];
 
 /// An error of clap, or what to use instead where a removed name is its cause.

@@ -7,9 +7,6 @@
 //!
 //! There are no goals here: documents say whether a figure is good.
 
-#[cfg(feature = "gpu")]
-pub mod batch;
-pub mod batch_sizes;
 pub mod early;
 pub mod mapping;
 pub mod networks;

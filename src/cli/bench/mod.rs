@@ -2,7 +2,6 @@
 
 #[cfg(feature = "ann")]
 pub mod ann;
-pub mod batch;
 pub mod early;
 pub mod paper;
 pub mod pareto;
@@ -78,7 +77,6 @@ enum Which {
     Pareto(Box<ParetoArgs>),
     Published(PublishedArgs),
     Paper(PaperArgs),
-    Batch(batch::BatchArgs),
     #[cfg(feature = "ann")]
     Ann(ann::AnnArgs),
 }
@@ -148,7 +146,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Which::Pareto(args) => pareto::run(args, context),
         Which::Published(args) => published::run(args, context),
         Which::Paper(args) => paper::run(args, context),
-        Which::Batch(args) => batch::run(args, context),
         #[cfg(feature = "ann")]
         Which::Ann(args) => ann::run(args, context),
     }

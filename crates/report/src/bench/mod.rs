@@ -1,6 +1,5 @@
 //! Results of `nsim bench`.
 
-pub mod batch;
 pub mod early;
 pub mod mapping;
 pub mod paper;
