@@ -20,6 +20,7 @@ pub mod output;
 pub mod plot;
 pub mod probes;
 pub mod process;
+pub mod removed;
 pub mod report;
 pub mod run;
 pub mod scene;
@@ -71,9 +72,6 @@ struct Cli {
     /// constants.injection_time=0.4us
     #[arg(long, global = true, help_heading = EVERYWHERE, value_name = "PATH=VALUE", action = clap::ArgAction::Append)]
     set: Vec<String>,
-    /// Neither read nor write the cache of mappings
-    #[arg(long, global = true, help_heading = EVERYWHERE)]
-    no_cache: bool,
     /// Print more messages on stderr (-v, -vv)
     #[arg(short, long, global = true, help_heading = EVERYWHERE, action = clap::ArgAction::Count)]
     verbose: u8,
@@ -105,7 +103,6 @@ enum Command {
     /// Describe the content of a file
     Inspect(inspect::Args),
     Show(inspect::show::Args),
-    Cache(inspect::cache::Args),
     /// Print shell completions
     #[command(after_help = "EXAMPLES:\n  nsim completions bash > ~/.local/share/bash-completion/completions/nsim")]
     Completions {
@@ -147,7 +144,6 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Stress(args) => stress::run(args, context),
         Command::Inspect(args) => inspect::run(args, context),
         Command::Show(args) => inspect::show::run(args, context),
-        Command::Cache(args) => inspect::cache::run(args, context),
         Command::Help(args) => inspect::help::run(args, args::columns::folded(Cli::command()), context),
         Command::Completions { shell } => {
             nsim_files::write::stdout(&completions(*shell))?;
@@ -225,14 +221,14 @@ pub fn main() -> ExitCode {
 /// signals are the process's, so that a process can run one command only.
 #[must_use]
 pub fn run_line(line: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let (line, asked) = (line.into_iter().collect(), diagnostics::format_asked());
-    match panics::guarded(|| Ok(command(line, asked))) {
+    let (line, asked): (Vec<OsString>, _) = (line.into_iter().collect(), diagnostics::format_asked());
+    match panics::guarded(|| Ok(command(&line, asked))) {
         Ok(status) => status,
         Err(error) => diagnostics::report(&error, asked),
     }
 }
 
-fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
+fn command(line: &[OsString], asked: Format) -> ExitCode {
     signals::listen(asked);
     ranks::start();
     let mut known = args::columns::folded(Cli::command());
@@ -240,7 +236,7 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
         advice::runs(&matches, options_of_commands);
         Cli::from_arg_matches(&matches)
     });
-    let cli = match parsed.map_err(|error| error.format(&mut known)) {
+    let cli = match parsed.map_err(|error| removed::explained(error, line, &mut known).format(&mut known)) {
         Ok(cli) => cli,
         Err(error) => {
             let status = diagnostics::usage(&error, asked);
@@ -251,9 +247,6 @@ fn command(line: Vec<OsString>, asked: Format) -> ExitCode {
         }
     };
     log::start(cli.verbose, cli.quiet, matches!(cli.command, Command::Run(_)));
-    if cli.no_cache {
-        nsim_files::write::cache::turn_off();
-    }
     if let Err(message) = nsim_machine::update::width::check() {
         return diagnostics::report(&Error::Usage(message), cli.format);
     }

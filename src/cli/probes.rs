@@ -25,9 +25,6 @@ pub enum ProbeFormat {
     Csv,
     /// NIR data: spikes as events, other registers on a grid of time.
     Nir,
-    /// Parquet, with CSV's columns; in builds with the feature `parquet`.
-    #[cfg(feature = "parquet")]
-    Parquet,
 }
 
 /// What is recorded, and where it goes.
@@ -209,8 +206,6 @@ impl ProbeArgs {
                 })?,
                 ProbeFormat::Csv => trace.csv(&path, batch, numbers)?,
                 ProbeFormat::Nir => trace.nir(&path, batch, numbers)?,
-                #[cfg(feature = "parquet")]
-                ProbeFormat::Parquet => trace.parquet(&path, batch, numbers)?,
             }
             files.push(path.display().to_string());
         }

@@ -98,7 +98,7 @@ pub struct Args {
     probes: ProbeArgs,
     /// A row for each timestep of each sample: spikes by population, events, messages, hops, time
     /// and energy by part, under the target's first constants
-    #[arg(long, value_name = "FILE.csv|npy|parquet")]
+    #[arg(long, value_name = "FILE.csv|npy")]
     steps: Option<PathBuf>,
     /// Also say the metrics of NeuroBench's harness, which takes a second run
     #[arg(long, conflicts_with = "early_exit")]

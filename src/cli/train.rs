@@ -1,32 +1,26 @@
-//! `nsim train`: trains a network, or studies how well one trains over seeds, folds and settings.
+//! `nsim train`: trains a network.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use crate::cli::args::values::SampleRange;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::signals;
 use nsim_files as io;
 #[cfg(feature = "ann")]
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::diagnostic::SourceText;
-use nsim_report::train::{StudyReport, TrainReport, history_csv};
+use nsim_report::train::{TrainReport, history_csv};
 use nsim_session::error::{Error, Result};
 use nsim_train::fit::{Example, Plan, TrainingState};
 use nsim_train::job;
 use nsim_train::job::{Checkpoint, Data, Job, with_fields};
-use nsim_train::study::{Finished, Study, StudyRun};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim train models/train/vtsnn-slip.ron -o my-slip.ron    train the slip network on synthetic scenes
   nsim train models/train/container-tactile.ron --train ev-containers/train --test ev-containers/test -o m.ron
   nsim train c.ron --folds 5 --log history.csv             with the accuracy of a cross-validation
-  nsim train c.ron --epochs 500 --checkpoint state.safetensors -o m.ron    resumes an interrupted training
-  nsim train c.ron --study runs --seeds 1..6 --folds 5 --set weight_decay=0 --set weight_decay=0.01
-                                                           every combination; runs already in the folder are kept";
+  nsim train c.ron --epochs 500 --checkpoint state.safetensors -o m.ron    resumes an interrupted training";
 
 /// Train a network with SLAYER: spikes in, a model file out
 #[derive(Debug, clap::Args)]
@@ -53,7 +47,7 @@ pub struct Args {
     /// Also cross-validate with K stratified folds
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=100))]
     folds: Option<u32>,
-    /// Override a field of the training file; with --study a field may have several values
+    /// Override a field of the training file
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
     /// Write loss and accuracy of each epoch here, as CSV
@@ -62,13 +56,6 @@ pub struct Args {
     /// Save the state here every tenth epoch and on Ctrl-C, and resume from it if the file exists
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Train every combination of --seeds, --folds and --set, save each result in this folder, and
-    /// resume an interrupted study
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["output", "log", "checkpoint", "seed"])]
-    study: Option<PathBuf>,
-    /// Seeds of a study
-    #[arg(long, value_name = "A..B", requires = "study", default_value = "1..6")]
-    seeds: SampleRange,
 }
 
 /// The training samples of a file, and its number of classes.
@@ -147,9 +134,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
         .iter()
         .map(|text| text.split_once('=').ok_or_else(|| Error::Usage(format!("--set {text}: write FIELD=VALUE"))));
     let fields = fields.collect::<Result<Vec<_>, _>>()?;
-    if let Some(folder) = &args.study {
-        return study(args, &source, &fields, folder, context);
-    }
     let source = with_fields(&source, &fields)?;
     let job = Job::new(source, args.seed, args.epochs)?;
     let weights = args.output.as_deref().map(job::weights_path);
@@ -172,35 +156,5 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     if !taken {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     }
-    Ok(Answer::Yes)
-}
-
-fn study(args: &Args, source: &SourceText, fields: &[(&str, &str)], folder: &Path, context: Context) -> Result<Answer> {
-    let seeds = args.seeds.0.clone();
-    if seeds.end > seeds.start.saturating_add(1000) {
-        return Err(Error::Usage("--seeds: at most 1000 seeds".to_string()));
-    }
-    let done = Arc::new(AtomicUsize::new(0));
-    let _ending = {
-        let (done, folder) = (Arc::clone(&done), folder.display().to_string());
-        signals::at_end(move || {
-            let done = done.load(Ordering::SeqCst);
-            (done > 0).then(|| format!("{done} runs are kept in {folder}, and the same command goes on from there"))
-        })
-    };
-    let each = |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0);
-    let study = Study { source, fields, epochs: args.epochs, seeds, folds: args.folds, folder };
-    let finished = study.run(
-        |job| data(job, args),
-        each,
-        |Finished { run, .. }| {
-            let kind = run.fold.map_or("test".to_string(), |fold| format!("fold{fold}"));
-            tracing::info!("{} seed {} {kind}: {:.4}", run.setting, run.seed, run.accuracy);
-            done.fetch_add(1, Ordering::SeqCst);
-        },
-    )?;
-    let runs: Vec<StudyRun> = finished.into_iter().map(|finished| finished.run).collect();
-    let report = StudyReport { name: &args.config.display().to_string(), runs: &runs };
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }

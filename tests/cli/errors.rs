@@ -1,6 +1,7 @@
 //! What is wrong is said with its place and what was meant.
 
 use crate::{MODEL, has_keys, object, said, write};
+use nsim::cli::removed::REMOVED;
 
 #[test]
 fn a_slip_is_answered_with_what_was_meant() {
@@ -29,6 +30,29 @@ fn a_slip_is_answered_with_what_was_meant() {
     ] {
         let (code, _, stderr) = said(line);
         assert!(code == status && stderr.contains(answer), "{line:?}: {code} {stderr}");
+    }
+}
+
+#[test]
+fn a_removed_name_is_answered_with_one_that_exists() {
+    for (name, instead) in REMOVED {
+        let words: Vec<&str> = name.split(' ').collect();
+        // An option stands behind any command unless its own is named.
+        let line = if words[0].starts_with('-') { [&["run"][..], &words].concat() } else { words };
+        let (code, _, stderr) = said(&line);
+        let says = format!("`{name}` was removed: {instead}");
+        assert!(code == 2 && stderr.contains(&says), "{line:?}: {code} {stderr}");
+        let commands = instead.split('`').skip(1).step_by(2).filter_map(|typed| typed.strip_prefix("nsim "));
+        for typed in commands {
+            let mut words = typed.split(' ');
+            let is_name = |word: &&str| word.starts_with(|first: char| first.is_ascii_lowercase());
+            let command: Vec<&str> = words.by_ref().take_while(is_name).collect();
+            let (code, help, stderr) = said(&[&command[..], &["--help"]].concat());
+            assert_eq!(code, 0, "{typed}: {stderr}");
+            for option in typed.split(' ').filter(|word| word.starts_with('-')) {
+                assert!(help.contains(&format!("{option} ")), "{typed}: {option}");
+            }
+        }
     }
 }
 

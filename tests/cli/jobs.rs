@@ -36,15 +36,14 @@ fn ready() -> Option<(tempfile::TempDir, MutexGuard<'static, ()>)> {
     Some((folder, alone))
 }
 
-/// A job: for each group of ranks their number, a fault of their disk, and what all run.
+/// A job: for each group of ranks their number, their working folder below the one given, and what
+/// all run.
 fn job(folder: &Path, groups: &[(u32, &str)], line: &[&str]) -> Command {
     let mut command = Command::new("mpirun");
     command.current_dir(folder).args(["--oversubscribe", "--allow-run-as-root", "--bind-to", "none"]);
-    for (place, (ranks, fault)) in groups.iter().enumerate() {
+    for (place, (ranks, below)) in groups.iter().enumerate() {
         command.args(if place > 0 { [":"].as_slice() } else { &[] }).args(["-n", &ranks.to_string()]);
-        if !fault.is_empty() {
-            command.args(["-x", &format!("NSIM_FAULT={fault}")]);
-        }
+        command.arg("--wdir").arg(folder.join(below));
         command.arg(env!("CARGO_BIN_EXE_nsim")).args(line);
     }
     command.stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -63,8 +62,7 @@ fn json(output: &Output) -> serde_json::Value {
 
 /// A line that runs the model.
 fn simulated<'a>(input: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-    let mut line =
-        vec!["run", "m.ron", "--target", "pohoiki-springs", "--threads", "1", "--no-cache", "--input", input];
+    let mut line = vec!["run", "m.ron", "--target", "pohoiki-springs", "--threads", "1", "--input", input];
     line.extend_from_slice(more);
     line
 }
@@ -137,15 +135,17 @@ fn a_job_that_fails_says_so_once() {
     let Some((folder, _alone)) = ready() else { return };
     let probed = simulated(SHORT, &["--probe", "n.spikes", "-o", "traces"]);
     std::fs::write(folder.path().join("spikes.csv"), "timestep,channel\n3,5\n9,70\n").unwrap();
+    std::fs::create_dir(folder.path().join("empty")).unwrap();
+    let unwritable = simulated(SHORT, &["--probe", "n.spikes", "-o", "m.ron/traces"]);
     let from_file = simulated("spikes.csv", &[]);
-    let malformed = ["run", "bad.ron", "--no-cache"];
+    let malformed = ["run", "bad.ron"];
     type Failing<'a> = (&'a [(u32, &'a str)], &'a [&'a str], &'a str);
     let cases: [Failing<'_>; 5] = [
         (&[(3, "")], &malformed, "error[model."),
         (&[(2, "")], &["map", "m.ron"], "error: this command runs in one process"),
-        // The disk of rank 0 is full; the input cannot be read on rank 1 alone.
-        (&[(1, "full:1"), (1, "")], &probed, "error[write."),
-        (&[(1, ""), (1, "read-broken:1")], &from_file, "error[io.read]"),
+        // Rank 0 alone writes; the input is absent on rank 1 alone.
+        (&[(2, "")], &unwritable, "error[write."),
+        (&[(1, ""), (1, "empty")], &from_file, "error[io.missing]"),
         (&[(2, "")], &["run", "--nonsense"], "error: unexpected argument"),
     ];
     for (groups, line, message) in cases {
@@ -157,11 +157,12 @@ fn a_job_that_fails_says_so_once() {
         assert!(!output.status.success() && took < Duration::from_secs(30), "{line:?}: {} in {took:?}", output.status);
     }
     // Only rank 0 reads the model.
-    let output = run(folder.path(), &[(1, ""), (1, "read-broken:1")], &simulated(SHORT, &["-q"]));
+    let output = run(folder.path(), &[(1, ""), (1, "empty")], &simulated(SHORT, &["-q"]));
     assert!(output.status.success(), "{:?}", messages(&output));
-    // Only rank 0 writes: that of rank 1 may be full.
-    let output = run(folder.path(), &[(1, ""), (1, "full:1")], &probed);
-    assert!(output.status.success() && folder.path().join("traces/n.spikes.npy").exists(), "{:?}", messages(&output));
+    // Only rank 0 writes.
+    let output = run(folder.path(), &[(1, ""), (1, "empty")], &probed);
+    let is_written = |below: &str| folder.path().join(below).join("traces/n.spikes.npy").exists();
+    assert!(output.status.success() && is_written("") && !is_written("empty"), "{:?}", messages(&output));
 }
 
 /// A network of every kind of projection, small enough for its file.
@@ -210,7 +211,6 @@ fn every_kind_of_projection_is_handed_out() {
         "nahuku-32",
         "--threads",
         "1",
-        "--no-cache",
         "--input",
         SHORT,
         "--set",
@@ -232,7 +232,7 @@ fn every_kind_of_projection_is_handed_out() {
 #[test]
 fn what_does_not_fit_is_answered_as_by_one_process() {
     let Some((folder, _alone)) = ready() else { return };
-    let line = ["run", "m.ron", "--target", "tiny", "--no-cache", "--format", "json"];
+    let line = ["run", "m.ron", "--target", "tiny", "--format", "json"];
     let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(line).output().unwrap();
     let found = run(folder.path(), &[(3, "")], &line);
     assert_eq!((alone.status.code(), found.status.code()), (Some(1), Some(1)), "{:?}", messages(&found));

@@ -6,7 +6,6 @@
 mod advice;
 mod agreement;
 mod book;
-mod cache;
 #[path = "../common/mod.rs"]
 mod common;
 mod convert;
@@ -16,6 +15,7 @@ mod examples;
 mod jobs;
 mod mapping;
 mod neurobench;
+mod options;
 mod page;
 mod pictures;
 mod results;

@@ -13,7 +13,7 @@ use serde_json::Value;
 
 fn nsim(folder: &Path, line: &[&str]) -> (i32, String) {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    let output = command.args(line).arg("--no-cache").current_dir(folder).output().unwrap();
+    let output = command.args(line).current_dir(folder).output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     (output.status.code().unwrap_or(-1), said)
 }
@@ -182,7 +182,7 @@ fn results_are_compared_and_other_files_are_refused() {
     let here = folder.path();
     let save = |line: &[&str], name: &str| {
         let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-        let output = command.args(line).args(["--format", "json", "--no-cache"]).output().unwrap();
+        let output = command.args(line).args(["--format", "json"]).output().unwrap();
         std::fs::write(here.join(name), output.stdout).unwrap();
     };
     save(&["energy", "--samples", "0..1", "--baseline"], "a.json");
@@ -219,7 +219,7 @@ fn a_model_comes_through_a_pipe() {
     )
     .unwrap();
     let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    let line = ["report", "-", "--samples", "0..1", "--baseline", "-o", "piped.html", "--no-cache"];
+    let line = ["report", "-", "--samples", "0..1", "--baseline", "-o", "piped.html"];
     let output = command.args(line).current_dir(folder.path()).stdin(model).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let data = data(&folder.path().join("piped.html"));

@@ -15,7 +15,7 @@ const INPUT: &str = "scene:noise?samples=3&steps=40&rate=0.2&seed=5";
 /// Runs a line in a folder: status, stdout, stderr.
 fn nsim(folder: &Path, line: &str) -> (i32, String, String) {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    command.args(line.split(' ')).arg("--no-cache").current_dir(folder).stdin(Stdio::null());
+    command.args(line.split(' ')).current_dir(folder).stdin(Stdio::null());
     let out = command.output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
     (out.status.code().unwrap(), text(out.stdout), text(out.stderr))

@@ -3,14 +3,12 @@
 
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::Arc;
 use std::time::Duration;
 
 use crate::common::random;
 use nsim::compile::reuse::{is_mapped_alike, with_neurons_of};
-use nsim::compile::{Options, compile, compile_saved};
+use nsim::compile::{Compiled, Options, compile, compile_saved};
 use nsim::files::target::load_target;
-use nsim::ir::activity::Overflow;
 use nsim::ir::base::fixed::{BiasMantissa, Decay, ThresholdMantissa};
 use nsim::ir::graph::PerCompartment;
 use nsim::ir::neurons::NeuronKind;
@@ -18,14 +16,13 @@ use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::resource::Resource;
 use nsim::ir::spikes::Sample;
-use nsim::session::Outcome;
 use nsim::session::priced::{Metered, SampleRun};
-use nsim::study::sweep::last_layers::{Record, last_populations};
+use nsim::session::samples::Run;
 use serde_json::Value;
 
 fn nsim(folder: &Path, line: &str) -> Command {
     let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    command.args(line.split(' ')).current_dir(folder).env("XDG_CACHE_HOME", folder.join("cache"));
+    command.args(line.split(' ')).current_dir(folder);
     command
 }
 
@@ -253,11 +250,11 @@ fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
 /// The network with other neurons in the populations whose spikes go nowhere, which are alike where
 /// they were.
 fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {
-    let last: Vec<_> = last_populations(network).collect();
+    let last = |id| network.outgoing(id).is_empty();
     let mut parts = network.parts().clone();
     for (id, population) in parts.populations.ids().zip(parts.populations.clone().iter()) {
         let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
-        if !last.contains(&id) {
+        if !last(id) {
             continue;
         }
         let other = |index| {
@@ -277,9 +274,10 @@ fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {
     Quantised::new(parts).unwrap()
 }
 
-/// Random networks on random cores of a chip: what follows from a record is what a whole run gives.
+/// Random networks on random cores of a chip: a network on the cores of one that is mapped alike
+/// does what it does when it is compiled afresh.
 #[test]
-fn variants_of_last_populations_follow_from_one_run() {
+fn a_network_on_the_cores_of_another_runs_as_on_its_own() {
     let target = load_target("loihi1-chip").unwrap();
     // Cores hold any mix of parameters.
     let mut limits = target.limits().clone();
@@ -287,45 +285,34 @@ fn variants_of_last_populations_follow_from_one_run() {
         (1024, 1024, 1 << 16);
     limits[Resource::SynapseFormats] = 64;
     let target = target.with_limits(limits);
-    let (mut followed, mut fired) = (0, 0);
-    for seed in 0..400 {
+    let (mut reused, mut fired) = (0, 0);
+    for seed in 0..100 {
         let network = if seed % 4 == 0 { random::convolutional(seed) } else { random::network(seed) };
         let mapping = random::mapping(&network, &Mesh::for_target(&target), seed);
-        let compiled = match network.compartments() {
+        let compiled_afresh = |network: &Quantised| match network.compartments() {
             0..=1024 => compile_saved(network.clone(), &target, &Options::default(), &mapping),
             _ => compile(network.clone(), &target, &Options::default()),
         };
-        let compiled = Arc::new(compiled.unwrap_or_else(|error| panic!("{seed}: {error}")));
+        let compiled = compiled_afresh(&network).unwrap_or_else(|error| panic!("{seed}: {error}"));
         let samples = [random::sample(&network, seed), random::sample(&network, seed + 1_000)];
         let samples: Vec<&Sample> = samples.iter().collect();
-        let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
-        let metered = Metered::new(&compiled);
-        let settings = |metered: &Metered<'_>| metered.offline(&target).unwrap().0;
-        let (ran, record) = Record::run(&compiled, &metered, settings(&metered), run.clone()).unwrap();
-        let whole = metered.run(settings(&metered), run.clone()).unwrap();
-        assert_eq!((ran.outcomes, ran.activity), (whole.outcomes, whole.activity), "seed {seed}");
-        assert_eq!(ran.meter.lanes(), whole.meter.lanes(), "seed {seed}");
-        let Some(record) = record else { continue };
-        for variant in 0..4 {
+        let ran = |compiled: &Compiled| {
+            let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
+            let metered = Metered::new(compiled);
+            let settings = metered.offline(&target).unwrap().0;
+            let Run { outcomes, activity, meter, .. } = metered.run(settings, run).unwrap();
+            (outcomes, activity, meter.hops(), meter.lanes().to_vec())
+        };
+        for variant in 1..3 {
             let other = with_other_last_neurons(&network, variant);
             if !is_mapped_alike(&compiled.one, &other) {
                 continue;
             }
-            let compiled = with_neurons_of(&compiled, other.clone(), &target).unwrap();
-            let metered = Metered::new(&compiled);
-            let whole = metered.run(settings(&metered), run.clone()).unwrap();
-            let ran = record.follow(&other, &samples);
-            // A record follows neither what left its field nor steps in which nothing happened.
-            let known =
-                |outcome: &Outcome| Outcome { overflow: Overflow::default(), skipped_steps: 0, ..outcome.clone() };
-            let outcomes: Vec<Outcome> = whole.outcomes.iter().map(known).collect();
-            assert_eq!(ran.outcomes, outcomes, "seed {seed}, variant {variant}");
-            assert_eq!(ran.activity, whole.activity, "seed {seed}, variant {variant}");
-            assert_eq!(ran.meter.lanes(), whole.meter.lanes(), "seed {seed}, variant {variant}");
-            assert_eq!(ran.meter.hops(), whole.meter.hops(), "seed {seed}, variant {variant}");
-            followed += 1;
-            fired += outcomes.iter().map(|outcome| outcome.totals.spikes).sum::<u64>();
+            let on_its_cores = ran(&with_neurons_of(&compiled, other.clone(), &target).unwrap());
+            assert_eq!(on_its_cores, ran(&compiled_afresh(&other).unwrap()), "seed {seed}, variant {variant}");
+            reused += 1;
+            fired += on_its_cores.0.iter().map(|outcome| outcome.totals.spikes).sum::<u64>();
         }
     }
-    assert!(followed > 300 && fired > 10_000, "{followed} variants, {fired} spikes");
+    assert!(reused > 50 && fired > 2_000, "{reused} variants, {fired} spikes");
 }

@@ -255,23 +255,6 @@ fn potentials_decide_where_the_output_never_spikes_and_nowhere_else() {
 }
 
 #[test]
-fn a_study_is_taken_up_where_it_was_left() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    samples(folder);
-    let study = ["train", "config.ron", "--epochs", "3", "--study", "runs", "--seeds", "1..3", "--folds", "2"];
-    let grid = ["--set", "weight_decay=0", "--set", "weight_decay=1"];
-    let first = nsim(folder, &[&study[..], &grid].concat());
-    assert_eq!(first["settings"].as_array().unwrap().len(), 2);
-    assert_eq!(first["settings"][0]["runs"].as_array().unwrap().len(), 4);
-    let files = std::fs::read_dir(folder.join("runs")).unwrap().count();
-    // A result, a model and its weights each.
-    assert_eq!(files, 24);
-    let second = nsim(folder, &[&study[..], &grid].concat());
-    assert_eq!(first, second);
-}
-
-#[test]
 fn cells_of_the_paper_are_trained_anew_and_taken_up_where_they_were_left() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
@@ -295,17 +278,14 @@ fn cells_of_the_paper_are_trained_anew_and_taken_up_where_they_were_left() {
     let note = cell("accuracy", "count", "accuracy")["note"].as_str().unwrap();
     assert!(note.contains("2 of 2 folds, 2 epochs"), "{note}");
     assert_eq!(cell("srm", "weighted", "accuracy")["published"], 0.91);
-    // What a study says of the same folds.
+    // What a training says of the same folds.
     let config = concat!(env!("CARGO_MANIFEST_DIR"), "/models/train/paper/slip-tactile.ron");
     let scenes = "scene:slip?samples=12&seed=1&shear=0.32&edge_px=2";
-    let study =
-        ["train", config, "--train", scenes, "--epochs", "2", "--study", "other", "--seeds", "1..2", "--folds", "2"];
-    let study = nsim(folder, &study);
-    let folds: Vec<&Value> =
-        study["settings"][0]["runs"].as_array().unwrap().iter().map(|run| &run["accuracy"]).collect();
+    let trained = nsim(folder, &["train", config, "--train", scenes, "--epochs", "2", "--folds", "2"]);
+    let folds = trained["folds"].as_array().unwrap();
     let kept = cell("accuracy", "count", "accuracy")["folds"].as_array().unwrap();
     let close = |a: &Value, b: &Value| (a.as_f64().unwrap() - b.as_f64().unwrap()).abs() < 1e-6;
-    assert!(kept.iter().zip(&folds).all(|(a, b)| close(a, b)) && kept.len() == 2, "{kept:?} {folds:?}");
+    assert!(kept.iter().zip(folds).all(|(a, b)| close(a, b)) && kept.len() == 2, "{kept:?} {folds:?}");
 }
 
 #[test]

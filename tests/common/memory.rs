@@ -14,7 +14,7 @@ const ALONE: &str = "NSIM_TEST_ALONE";
 pub fn alone(module: &str, test: &str, body: impl FnOnce(&Growth)) {
     let within = module.split_once("::").map_or(String::new(), |(_, module)| format!("{module}::"));
     let test = &format!("{within}{test}");
-    if std::env::var_os(ALONE).is_some_and(|name| name == test) {
+    if std::env::var_os(ALONE).is_some_and(|name| name == test.as_str()) {
         return body(&Growth { before_kib: peak_kib() });
     }
     let program = std::env::current_exe().unwrap();

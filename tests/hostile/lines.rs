@@ -369,8 +369,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
         12 => {
             // What shipped trainings train on takes minutes.
             let (config, few) = if draw.chance(80) { ("t.ron".to_string(), draw.chance(50)) } else { (input, true) };
-            let options =
-                ["-o out.ron", "--log l.csv", "--checkpoint input.ron", "--folds 2", "--study runs --seeds 0..1"];
+            let options = ["-o out.ron", "--log l.csv", "--checkpoint input.ron", "--folds 2"];
             let train = if few { vec!["--train".to_string(), source] } else { Vec::new() };
             let test = if few { words("--test scene:noise?samples=1&steps=9") } else { Vec::new() };
             [words("train"), vec![config], train, test, words(draw.one(&options)), words("--epochs 2")].concat()

@@ -4,8 +4,6 @@
 #![allow(clippy::unwrap_used)]
 
 mod ann;
-mod batch_sizes;
-mod batches;
 #[path = "../common/mod.rs"]
 mod common;
 mod energy_memory;

@@ -10,7 +10,6 @@ mod copies_tests;
 pub mod emit;
 pub mod explore;
 pub mod groups;
-pub mod kept;
 pub mod mapping;
 pub mod mapping_file;
 pub mod parcel;

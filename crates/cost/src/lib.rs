@@ -19,5 +19,5 @@ pub mod transport;
 
 pub use constants::CostTable;
 pub use deployment::{Deployment, Host, HostWork, Streams};
-pub use meter::{MeterSettings, StepCost, StepMeter, StepPrice};
+pub use meter::{MeterSettings, StepMeter, StepPrice};
 pub use transport::{MessageRoutes, Timing, Transport};

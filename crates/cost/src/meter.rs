@@ -80,15 +80,6 @@ pub struct StepPrice {
     pub paced: bool,
 }
 
-/// What one step adds to a meter of sums under one preset.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StepCost {
-    energy: Femtojoules,
-    time: StepTime,
-    hops: HopCounts,
-    slowest: usize,
-}
-
 /// How the energy of a step is distributed over a run, in fJ of one copy.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Distribution {
@@ -208,39 +199,6 @@ impl StepMeter {
                 self.next = end;
             }
         }
-    }
-
-    /// What a step costs under the first preset, to be added as often as steps like it happen.
-    ///
-    /// # Panics
-    /// When the meter has no preset: a mistake of the caller.
-    pub fn cost(&mut self, step: &StepActivity) -> StepCost {
-        let MeterSettings { tables, timing, routes, .. } = &*self.settings;
-        let table = &tables[0];
-        let time = routes.step_times(step, tables, *timing, &mut self.memory)[0];
-        let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
-        StepCost { energy: energy_of_counts(sum, hops, table).total(), time, hops, slowest: slowest(step, table) }
-    }
-
-    /// Adds a step by what it costs, as [`Self::add`] adds it by what it did, of a sample that is
-    /// not decided before.
-    ///
-    /// # Panics
-    /// When the meter is not of sums under one preset alone: a mistake of the caller.
-    pub fn add_cost(&mut self, cost: &StepCost) {
-        let MeterSettings { timestep, distribution: None, by_step: None, .. } = &*self.settings else {
-            panic!("a meter of sums alone")
-        };
-        let [lane] = self.lanes.as_mut_slice() else { panic!("a meter of one preset") };
-        let StepCost { energy, time, hops, slowest } = *cost;
-        self.hops += hops;
-        self.last_time = time;
-        if self.slowest.len() <= slowest {
-            self.slowest.resize(slowest + 1, 0);
-        }
-        self.slowest[slowest] += 1;
-        lane.whole.add(energy, &time, *timestep, 1);
-        lane.until_decided.add(energy, &time, *timestep, 1);
     }
 
     /// Adds what another meter saw, of other samples.
@@ -370,21 +328,6 @@ pub(crate) mod tests {
     }
 
     proptest! {
-        #[test]
-        fn steps_by_their_cost_are_steps_by_what_they_did(steps in proptest::collection::vec(any_step(3), 1..10)) {
-            let one = || meter_of(vec![table("davies2018")], 3, None, None);
-            let (mut whole, mut by_cost) = (one(), one());
-            for step in &steps {
-                whole.add(step, 1, false);
-                let cost = by_cost.cost(step);
-                by_cost.add_cost(&cost);
-            }
-            by_cost.slowest.resize(3, 0);
-            prop_assert_eq!(whole.lanes(), by_cost.lanes());
-            prop_assert_eq!((whole.hops(), whole.slowest_steps()), (by_cost.hops(), by_cost.slowest_steps()));
-            prop_assert_eq!(whole.last_time(), by_cost.last_time());
-        }
-
         #[test]
         fn meters_of_parts_merge_to_the_meter_of_the_whole(
             steps in proptest::collection::vec(any_step(2), 0..10), cut in 0..10usize,

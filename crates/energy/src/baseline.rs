@@ -304,14 +304,6 @@ impl Baseline {
         Some(figures.row(&self.file.hardware, convention, steps))
     }
 
-    /// The time of so many samples that are passed together, in us, and the power meanwhile, from
-    /// what bounds it; `None` when the file does not say. Weights are read and layers are started
-    /// once for all of them.
-    #[must_use]
-    pub fn modelled_batch(&self, work: &Work, steps: u32, batch: u32) -> Option<Figures> {
-        self.windows(work, f64::from(steps.max(1)) * f64::from(batch.max(1)))
-    }
-
     /// Equations (18) and (19) for so many timesteps of one pass; the latency is that of the pass.
     fn windows(&self, work: &Work, timesteps: f64) -> Option<Figures> {
         let roofline = self.file.roofline.as_ref()?;
@@ -406,18 +398,6 @@ pub(crate) mod tests {
         assert!((row.latency_us.unwrap() / (2e10 / 13.45e6) - 1.0).abs() < 0.01, "{row:?}");
         assert!(row.total_mw.unwrap() > 245_000.0 && row.total_mw.unwrap() <= 250_000.0, "{row:?}");
         assert!(gpu.modelled(&work, None, MS, Mode::Offline, Convention::Physical).is_none());
-    }
-
-    #[test]
-    fn a_batch_shares_weights_and_starts_and_then_grows_with_its_samples() {
-        let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
-        let batch = |samples| gpu.modelled_batch(&measured(), 150, samples).unwrap();
-        let one = gpu.modelled(&measured(), Some(150), MS, Mode::Offline, Convention::Physical).unwrap();
-        assert!((batch(1).latency_us / 150.0 / one.latency_us.unwrap() - 1.0).abs() < 1e-12);
-        assert!(batch(64).latency_us < 2.0 * batch(1).latency_us, "{:?}", batch(64));
-        let (many, more) = (batch(1 << 20), batch(1 << 21));
-        assert!((more.latency_us / many.latency_us - 2.0).abs() < 0.01, "{many:?} {more:?}");
-        assert!(more.static_mw + more.dynamic_mw <= 250_000.0);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use super::budget::MOST_TEXT;
-use super::disk::{self, Input};
+use super::disk::Input;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 
 /// What every `.npy` file begins with.
@@ -58,7 +58,7 @@ pub fn not_regular(path: &Path) -> Diagnostic {
 /// # Errors
 /// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
 pub fn open(path: &Path) -> Result<(Input, Metadata)> {
-    let found = disk::metadata(path).map_err(|error| unreadable(path, &error))?;
+    let found = path.metadata().map_err(|error| unreadable(path, &error))?;
     if !found.is_file() && !found.is_dir() && !is_descriptor(path) {
         return Err(not_regular(path).help("give - to read stdin, or a regular file"));
     }

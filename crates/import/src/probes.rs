@@ -1,9 +1,8 @@
 //! What probes recorded, in forms that other tools read.
 //!
 //! Input: numbers `[samples][compartments][steps]` of one register of one population. Output: CSV
-//! with a row for each spike or each number, NIR data (spikes as events, other registers on a grid
-//! of time), or Parquet with CSV's columns (with the feature `parquet`). NumPy arrays are written
-//! in [`nsim_files::npy`].
+//! with a row for each spike or each number, or NIR data (spikes as events, other registers on a
+//! grid of time). NumPy arrays are written in [`nsim_files::npy`].
 
 use std::path::Path;
 
@@ -93,64 +92,6 @@ impl Trace<'_> {
         let bytes = hdf5::write(&nir_data::file(self.population, self.register, data))?;
         batch.add(path, |out| out.write_all(&bytes))
     }
-
-    /// Writes a Parquet file with the columns of [`Self::csv`]: `sample`, `timestep` and `channel`
-    /// or `compartment` as 32-bit integers, `value` as a double. Registers are integers of at most
-    /// 24 bits, which doubles hold exactly. The number of timesteps and the register stand in the
-    /// file's metadata as `steps` and `register`.
-    ///
-    /// # Errors
-    /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
-    #[cfg(feature = "parquet")]
-    pub fn parquet(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
-        self.check_size("Parquet")?;
-        let [_, units, steps] = self.shape;
-        let spikes = self.register == "spikes";
-        let (mut places, mut values) = ([Vec::new(), Vec::new(), Vec::new()], Vec::new());
-        for (at, number) in numbers.enumerate().filter(|(_, number)| !spikes || *number != 0.0) {
-            let of_row = [at / (units * steps), at % steps, at / steps % units];
-            places.iter_mut().zip(of_row).for_each(|(column, index)| column.push(index as i32));
-            if !spikes {
-                values.push(number);
-            }
-        }
-        let bytes =
-            self.table(&places, &values).map_err(|error| Diagnostic::new("write.parquet", error.to_string()))?;
-        batch.add(path, |out| out.write_all(&bytes))
-    }
-
-    /// The file, in memory.
-    #[cfg(feature = "parquet")]
-    fn table(&self, places: &[Vec<i32>; 3], values: &[f64]) -> Result<Vec<u8>, parquet::errors::ParquetError> {
-        use parquet::data_type::{DoubleType, Int32Type};
-        use parquet::file::metadata::KeyValue;
-        use parquet::file::properties::WriterProperties;
-        use parquet::file::writer::SerializedFileWriter;
-        use parquet::schema::parser::parse_message_type;
-        let message = match self.register {
-            "spikes" => "message spikes { required int32 sample; required int32 timestep; required int32 channel; }",
-            _ => {
-                "message trace { required int32 sample; required int32 timestep; required int32 compartment; required \
-                 double value; }"
-            }
-        };
-        let entries = [("population", self.population.to_string()), ("register", self.register.to_string())];
-        let entries = entries.into_iter().chain([("steps", self.shape[2].to_string())]);
-        let entries = entries.map(|(key, value)| KeyValue::new(key.to_string(), value)).collect();
-        let properties = WriterProperties::builder().set_key_value_metadata(Some(entries)).build();
-        let mut file = SerializedFileWriter::new(Vec::new(), parse_message_type(message)?.into(), properties.into())?;
-        let mut rows = file.next_row_group()?;
-        let mut places = places.iter();
-        while let Some(mut column) = rows.next_column()? {
-            match places.next() {
-                Some(place) => column.typed::<Int32Type>().write_batch(place, None, None)?,
-                None => column.typed::<DoubleType>().write_batch(values, None, None)?,
-            };
-            column.close()?;
-        }
-        rows.close()?;
-        file.into_inner()
-    }
 }
 
 #[cfg(test)]
@@ -201,28 +142,5 @@ mod tests {
         whole(|batch| trace.csv(&csv, batch, (0..6).map(f64::from)));
         let text = std::fs::read_to_string(csv).unwrap();
         assert_eq!(text.lines().nth(4), Some("0,0,1,3"));
-    }
-
-    #[cfg(feature = "parquet")]
-    #[test]
-    fn parquet_holds_the_rows_of_csv() {
-        use parquet::file::reader::{FileReader, SerializedFileReader};
-        use parquet::record::RowAccessor;
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("v.parquet");
-        let trace = Trace { population: "out", register: "v", shape: [1, 2, 3], dt_s: 1e-3 };
-        whole(|batch| trace.parquet(&path, batch, (0..6).map(|v| f64::from(v) - 3.0)));
-        let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
-        let rows: Vec<_> = file.get_row_iter(None).unwrap().map(Result::unwrap).collect();
-        let row = |r: &parquet::record::Row| (r.get_int(1).unwrap(), r.get_int(2).unwrap(), r.get_double(3).unwrap());
-        let expected = [(0, 0, -3.0), (1, 0, -2.0), (2, 0, -1.0), (0, 1, 0.0), (1, 1, 1.0), (2, 1, 2.0)];
-        assert_eq!(rows.iter().map(row).collect::<Vec<_>>(), expected);
-        let path = folder.path().join("s.parquet");
-        let trace = Trace { register: "spikes", ..trace };
-        whole(|batch| trace.parquet(&path, batch, [0.0, 1.0, 0.0, 0.0, 0.0, 1.0].into_iter()));
-        let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
-        let rows: Vec<_> = file.get_row_iter(None).unwrap().map(Result::unwrap).collect();
-        let row = |r: &parquet::record::Row| [0, 1, 2].map(|k| r.get_int(k).unwrap());
-        assert_eq!(rows.iter().map(row).collect::<Vec<_>>(), [[0, 1, 0], [0, 2, 1]]);
     }
 }

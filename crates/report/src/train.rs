@@ -4,11 +4,9 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use nsim_files::table::{Column, csv_of, right_from};
 use nsim_ir::base::stats::mean_sd;
 use nsim_train::fit::EpochRow;
 use nsim_train::job::{Job, Trained};
-use nsim_train::study::StudyRun;
 
 /// Everything that the report of one training says.
 #[derive(Debug)]
@@ -116,76 +114,4 @@ impl TrainReport<'_> {
 pub fn history_csv(history: &[EpochRow]) -> String {
     let rows = history.iter().map(|row| format!("{},{},{}\n", row.epoch, row.loss, row.accuracy));
     std::iter::once("epoch,loss,accuracy\n".to_string()).chain(rows).collect()
-}
-
-/// Everything that the report of a study says.
-#[derive(Debug)]
-pub struct StudyReport<'a> {
-    /// The training file.
-    pub name: &'a str,
-    /// Its runs, settings together.
-    pub runs: &'a [StudyRun],
-}
-
-impl StudyReport<'_> {
-    fn settings(&self) -> impl Iterator<Item = (&str, Vec<&StudyRun>)> {
-        self.runs.chunk_by(|a, b| a.number == b.number).map(|runs| (runs[0].setting.as_str(), runs.iter().collect()))
-    }
-
-    /// `nsim.train/1` with a row each setting.
-    #[must_use]
-    pub fn json(&self) -> Value {
-        let setting = |(name, runs): (&str, Vec<&StudyRun>)| {
-            let (mean, sd) = mean_sd(&runs.iter().map(|run| run.accuracy).collect::<Vec<_>>());
-            json!({
-                "setting": name, "mean": rounded(mean), "sd": rounded(sd),
-                "runs": runs,
-            })
-        };
-        json!({
-            "schema": "nsim.train/1",
-            "name": self.name,
-            "settings": self.settings().map(setting).collect::<Vec<_>>(),
-        })
-    }
-
-    /// A row a run.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<StudyRun>; 5] = [
-            ("setting", |run| run.setting.clone()),
-            ("seed", |run| run.seed.to_string()),
-            ("fold", |run| run.fold.map_or("test".to_string(), |fold| fold.to_string())),
-            ("accuracy", |run| run.accuracy.to_string()),
-            ("seconds", |run| rounded(run.seconds).to_string()),
-        ];
-        csv_of(self.runs, &columns)
-    }
-
-    /// For people.
-    #[must_use]
-    pub fn text(&self) -> String {
-        let mut table = nsim_files::table::table(["setting", "runs", "mean", "sd", "least", "most", "s a run"]);
-        for (name, runs) in self.settings() {
-            let accuracies: Vec<f64> = runs.iter().map(|run| run.accuracy).collect();
-            let (mean, sd) = mean_sd(&accuracies);
-            let seconds = runs.iter().map(|run| run.seconds).sum::<f64>() / runs.len() as f64;
-            let least = accuracies.iter().copied().fold(f64::MAX, f64::min);
-            let most = accuracies.iter().copied().fold(f64::MIN, f64::max);
-            let shown = if name.is_empty() { "as the file says" } else { name };
-            table.add_row([
-                shown.to_string(),
-                runs.len().to_string(),
-                format!("{mean:.4}"),
-                format!("{sd:.4}"),
-                format!("{least:.4}"),
-                format!("{most:.4}"),
-                format!("{seconds:.1}"),
-            ]);
-        }
-        right_from(&mut table, 1);
-        format!("{}\n\n{table}\n", self.name)
-    }
 }

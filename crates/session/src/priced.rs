@@ -33,33 +33,6 @@ impl Meter for StepMeter {
     }
 }
 
-/// A meter that also keeps what each step of each sample did.
-#[derive(Debug)]
-pub struct Kept {
-    /// Energy and time.
-    pub meter: StepMeter,
-    /// Step by step, the names of input channels left out. A sample without steps is not there.
-    pub samples: Vec<Vec<StepActivity>>,
-    /// Those of the sample that runs.
-    running: Vec<StepActivity>,
-}
-
-impl Meter for Kept {
-    fn see(&mut self, step: &StepActivity, passed: Passed) {
-        self.meter.see(step, passed);
-        let step = StepActivity { channels: Vec::new(), ..step.clone() };
-        self.running.extend(std::iter::repeat_n(step, passed.steps as usize));
-    }
-
-    fn merge(&mut self, other: &Self) {
-        Meter::merge(&mut self.meter, &other.meter);
-        self.samples.extend(other.samples.iter().cloned());
-        if !other.running.is_empty() {
-            self.samples.push(other.running.clone());
-        }
-    }
-}
-
 /// How samples that all copies of a mapping see are run.
 #[derive(Clone)]
 pub struct SampleRun<'a> {
@@ -164,24 +137,11 @@ impl<'c> Metered<'c> {
     /// As [`fast`].
     pub fn run(&self, settings: MeterSettings, sweep: SampleRun<'_>) -> Result<Run<StepMeter>> {
         let settings = Arc::new(settings);
-        let run = self.run_metered(sweep, || StepMeter::new(settings.clone()))?;
-        Ok(self.of_all_copies(run))
-    }
-
-    /// The same of one copy, keeping what each step did.
-    ///
-    /// # Errors
-    /// As [`fast`].
-    pub fn run_kept(&self, settings: &Arc<MeterSettings>, sweep: SampleRun<'_>) -> Result<Run<Kept>> {
-        let kept = || Kept { meter: StepMeter::new(settings.clone()), samples: Vec::new(), running: Vec::new() };
-        self.run_metered(sweep, kept)
-    }
-
-    fn run_metered<M: Meter>(&self, sweep: SampleRun<'_>, new_meter: impl Fn() -> M + Sync) -> Result<Run<M>> {
         let SampleRun { samples, early_exit, skip, progress, ranks } = sweep;
         let keep = Keep { output: self.program().output(), probes: Vec::new(), early_exit };
         let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks };
-        self.run_with(samples, running, new_meter)
+        let run = self.run_with(samples, running, || StepMeter::new(settings.clone()))?;
+        Ok(self.of_all_copies(run))
     }
 
     /// What all cores did, from what those did that were run.

@@ -115,7 +115,7 @@ pub struct StudyModel {
     pub tested: Option<Vec<usize>>,
 }
 
-/// The models that a study of `nsim train` left in a folder, by group and name.
+/// The models that `nsim bench paper --train` left in a folder, by group and name.
 ///
 /// # Errors
 /// `study.run` when the folder cannot be read or holds anything else in its `.json` files.

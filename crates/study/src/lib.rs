@@ -7,14 +7,10 @@
 //!
 //! There are no goals here: documents say whether a figure is good.
 
-#[cfg(feature = "gpu")]
-pub mod batch;
-pub mod batch_sizes;
 pub mod early;
 pub mod mapping;
 pub mod networks;
 pub mod pareto;
 pub mod published;
-pub mod scale;
 pub mod suite;
 pub mod sweep;

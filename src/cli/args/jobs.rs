@@ -13,8 +13,7 @@ use crate::cli::process::ranks;
 use nsim_compile as compile;
 use nsim_compile::parcel::Opened;
 use nsim_compile::{
-    CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Mapping, Options, Placed, Reason, explore, kept,
-    mapping_file,
+    CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Mapping, Options, Reason, explore, mapping_file,
 };
 use nsim_files as io;
 use nsim_files::network::Network;
@@ -361,7 +360,10 @@ pub fn compiled(
                 let target = &*form.counted_on(front.quantised(), target);
                 front.place_as(target, options, file, form).map_err(|error| args.with_mapping_file(error))
             }
-            None => placed(front, target, options, &Rates::assumed(DEFAULT_RATE), form),
+            None => {
+                let _busy = output::busy("mapping");
+                compile::place(front, target, options, &Rates::assumed(DEFAULT_RATE), form)
+            }
         };
         let scene = network.file().scene.as_deref();
         return Ok(placed.and_then(|placed| handed::hand_out(placed, target, options, (ranks, scene))));
@@ -379,7 +381,7 @@ pub fn compiled(
     })
 }
 
-/// The best mapping of a network, from the cache if it is there and put into it if not.
+/// The best mapping of a network.
 ///
 /// # Errors
 /// As [`explore::map`].
@@ -390,49 +392,8 @@ pub fn mapped(
     rates: &Rates,
     form: Form,
 ) -> Result<Mapping, CompileError> {
-    let key = build().and_then(|build| kept::key(&front, target, options, rates, form, &build));
-    let open = |front: Front, bytes: &[u8]| kept::from_kept(front, target, options, rates, bytes);
-    cached(key, front, open, |front| explore::map(front, target, options, rates, form), kept::to_bytes)
-}
-
-/// A network on its places, by one partition and one placement, from the cache if it is there and
-/// put into it if not.
-fn placed(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Placed, CompileError> {
-    let key = build().and_then(|build| kept::key(&front, target, options, rates, form, &build));
-    let open = |front: Front, bytes: &[u8]| kept::placed_from_kept(front, target, options, rates, bytes);
-    let bytes = |placed: &Placed| kept::places_to_bytes(&placed.partitioned.partition, &placed.placement, placed.name);
-    cached(key, front, open, |front| compile::place(front, target, options, rates, form), bytes)
-}
-
-/// What the cache has under a key, or else what is made, which is then put into it.
-fn cached<T>(
-    key: Option<String>,
-    front: Front,
-    open: impl FnOnce(Front, &[u8]) -> Result<T, CompileError>,
-    make: impl FnOnce(Front) -> Result<T, CompileError>,
-    bytes: impl FnOnce(&T) -> Vec<u8>,
-) -> Result<T, CompileError> {
-    if let Some(bytes) = key.as_deref().and_then(io::write::cache::get) {
-        match open(front.clone(), &bytes) {
-            Ok(found) => return Ok(found),
-            // Whatever it was, compiling says what there is to say.
-            Err(error) => tracing::debug!(%error, "an entry of the cache is not used"),
-        }
-    }
     let _busy = output::busy("mapping");
-    let made = make(front)?;
-    if let Some(key) = key {
-        io::write::cache::put(&key, &bytes(&made));
-    }
-    Ok(made)
-}
-
-/// The program that compiles: its version, and its file's size and time, as two builds may have one
-/// version.
-fn build() -> Option<String> {
-    let file = std::env::current_exe().and_then(|path| path.metadata()).ok()?;
-    let time = file.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
-    Some(format!("{} {} {}", env!("CARGO_PKG_VERSION"), file.len(), time.as_nanos()))
+    explore::map(front, target, options, rates, form)
 }
 
 fn say_notes(quantised: &Quantised) {

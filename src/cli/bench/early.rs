@@ -23,8 +23,9 @@ EXAMPLES:
   nsim bench early                                                      the shipped network on its shipped scene
   nsim bench early vtsnn-slip slip-tactile --input 'scene:slip?samples=200&seed=5' -o early
   nsim bench early --plot early.svg                                     accuracy over time as a picture
-  nsim bench early --study runs --input ev-containers/train -o early    the models of a study with --folds, each on the
-                                                                        samples that its training left out";
+  nsim bench early --study runs --input 'scene:slip?samples=1000&seed=1&shear=0.32&edge_px=2'
+                                                                        the networks that bench paper --train runs made,
+                                                                        each on the samples that its training left out";
 
 /// Accuracy of decisions made early: over the time and over the energy used so far
 #[derive(Debug, clap::Args)]
@@ -35,7 +36,7 @@ pub struct EarlyArgs {
     models: Vec<String>,
     #[command(flatten)]
     timestep: TimestepArgs,
-    /// Use the models of a study of `nsim train` in this folder instead
+    /// Use the networks of the folds that `bench paper --train` made in this folder instead
     #[arg(long, value_name = "DIR")]
     study: Option<PathBuf>,
     /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations

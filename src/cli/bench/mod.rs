@@ -2,12 +2,10 @@
 
 #[cfg(feature = "ann")]
 pub mod ann;
-pub mod batch;
 pub mod early;
 pub mod paper;
 pub mod pareto;
 pub mod published;
-pub mod scale;
 
 use std::borrow::Cow;
 use std::cell::OnceCell;
@@ -19,7 +17,6 @@ use crate::cli::bench::early::EarlyArgs;
 use crate::cli::bench::paper::PaperArgs;
 use crate::cli::bench::pareto::ParetoArgs;
 use crate::cli::bench::published::PublishedArgs;
-use crate::cli::bench::scale::ScaleArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
@@ -53,7 +50,6 @@ EXAMPLES:
   nsim bench map --network lenet pilotnet           of these networks
   nsim bench map --full                             with networks of a million compartments
   nsim bench pareto --samples 0..50                 run time against error of variants of the shipped network
-  nsim bench scale                                  what a step would take on many machines
   nsim bench published                              what others measured on the chip, beside what nsim predicts
   nsim bench paper                                  the tables of the seed paper beside what was measured";
 
@@ -69,7 +65,7 @@ impl Args {
     /// Whether several processes can share the work.
     #[must_use]
     pub fn has_ranks(&self) -> bool {
-        matches!(self.bench, Which::Step(_) | Which::Scale(_))
+        matches!(self.bench, Which::Step(_))
     }
 }
 
@@ -80,9 +76,7 @@ enum Which {
     Early(EarlyArgs),
     Pareto(Box<ParetoArgs>),
     Published(PublishedArgs),
-    Scale(ScaleArgs),
     Paper(PaperArgs),
-    Batch(batch::BatchArgs),
     #[cfg(feature = "ann")]
     Ann(ann::AnnArgs),
 }
@@ -151,9 +145,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Which::Early(args) => early::run(args, context),
         Which::Pareto(args) => pareto::run(args, context),
         Which::Published(args) => published::run(args, context),
-        Which::Scale(args) => scale::run(args, context),
         Which::Paper(args) => paper::run(args, context),
-        Which::Batch(args) => batch::run(args, context),
         #[cfg(feature = "ann")]
         Which::Ann(args) => ann::run(args, context),
     }

@@ -30,7 +30,7 @@ use nsim_study::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
 use nsim_study::published::paper;
 use nsim_study::published::paper::PaperRow;
 use nsim_train::fit::{Example, Plan};
-use nsim_train::job::{Data, Job as Training};
+use nsim_train::job::Job as Training;
 use nsim_train::study::Study;
 
 const EXAMPLES: &str = "\
@@ -201,17 +201,16 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
             for (loss, value) in LOSSES.iter().zip(cell.losses(&job.file)?) {
                 let mut fields = vec![("loss", value.as_str())];
                 fields.extend(neuron.as_deref().map(|neuron| ("neuron", neuron)));
-                let (seed, folds) = (job.file.seed as usize, Some(args.folds));
-                let seeds = seed..seed + 1;
-                let study = Study { source: &job.source, fields: &fields, epochs: args.epochs, seeds, folds, folder };
+                let (epochs, folds) = (args.epochs, args.folds);
+                let study = Study { source: &job.source, fields: &fields, epochs, folds, folder };
                 let finished = study.run(
-                    |_| Ok(Data { train: examples.clone(), test: Vec::new() }),
+                    &examples,
                     |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0),
                     |finished| tracing::info!("{} {loss}: {:.4}", cell.name(), finished.run.accuracy),
                 )?;
                 let mut trials = Vec::with_capacity(finished.len());
                 for fold in &finished {
-                    let tested = chosen(&samples, fold.tested.as_deref().unwrap_or_default());
+                    let tested = chosen(&samples, &fold.tested);
                     let model = fold.model.display().to_string();
                     let trial = trial(&model, tested, (neurons, COPIES), context)?;
                     let (trained, run) = (fold.run.accuracy, trial.accuracy.last().copied().unwrap_or(0.0));

@@ -127,7 +127,7 @@ pub struct EnergyArgs {
     pub plot: Option<PathBuf>,
     /// A row for each timestep of each sample: spikes by population, events, messages, hops, time
     /// and energy by part
-    #[arg(long, value_name = "FILE.csv|npy|parquet")]
+    #[arg(long, value_name = "FILE.csv|npy")]
     pub steps: Option<PathBuf>,
     /// The mapped program, its chip and the first sample as files for SANA-FE
     #[arg(long, value_name = "DIR")]

@@ -4,7 +4,6 @@
 //! itself, and tables of its parts. Nothing is compiled: a model that is inspected may still be
 //! refused by `nsim map`.
 
-pub mod cache;
 mod foreign;
 mod hardware;
 pub mod help;

@@ -34,3 +34,15 @@ pub fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
         Err(Error::Fault(first.unwrap_or_else(|| "a panic".to_string())))
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::cli::process::panics::*;
+
+    #[test]
+    fn a_panic_is_a_fault_with_its_place() {
+        let error = guarded(|| -> Result<(), Error> { panic!("a panic") }).unwrap_err();
+        assert_eq!(error.exit_status(), 4);
+        assert!(error.to_string().contains("a panic (src/cli/process/panics.rs:"), "{error}");
+    }
+}

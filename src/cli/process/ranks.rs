@@ -36,9 +36,6 @@ pub fn start() {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = nsim_machine::ranks::mpi::start() {
         nsim_files::write::be_silent(ranks.rank() > 0);
-        if ranks.rank() > 0 {
-            nsim_files::write::cache::read_only();
-        }
         let _ = HERE.set(ranks);
     }
 }

@@ -89,13 +89,6 @@ impl Change {
     pub fn is_of_population(&self) -> bool {
         self.path.starts_with("populations.")
     }
-
-    /// Whether it changes the population of this name and number of the model.
-    #[must_use]
-    pub fn is_of(&self, population: &str, number: usize) -> bool {
-        let named = self.path.strip_prefix("populations.").and_then(|rest| rest.split_once('.'));
-        named.is_some_and(|(named, _)| named == population || named.parse() == Ok(number))
-    }
 }
 
 /// Ends the changes of a thread, however its work ends.

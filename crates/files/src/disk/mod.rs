@@ -1,143 +1,16 @@
-//! The operations on the file system that reading and writing consist of, each a place where a
-//! fault can be injected.
+//! Files and folders as reading and writing see them.
 //!
-//! Input: paths and open files. Output: what the operation returns. What may fail fails as an
-//! error: nothing that cannot be looked at counts as absent, and a file that ends before its length
-//! is an error and not a shorter file. `faults` says which faults builds with debug assertions
-//! inject.
-
-#[cfg(all(debug_assertions, unix))]
-mod faults;
-mod operation;
+//! Input: paths and open files. Output: what the file system says. What may fail fails as an error:
+//! nothing that cannot be looked at counts as absent, and a file that ends before its length is an
+//! error and not a shorter file.
 
 use std::fs::{File, Metadata};
-use std::io::{Error, ErrorKind, Read, Result, Seek, SeekFrom, Write};
+use std::io::{Error, ErrorKind, Read, Result};
 use std::path::{Path, PathBuf};
-
-use tempfile::TempPath;
-
-use self::operation::{Extent, Operation};
-
-/// Lets an operation go on, or fails in its place.
-#[cfg(all(debug_assertions, unix))]
-use faults::point;
-
-#[cfg(not(all(debug_assertions, unix)))]
-fn point(_: Operation) -> Result<Extent> {
-    Ok(Extent::Whole)
-}
-
-fn change() -> Result<()> {
-    point(Operation::Change).map(drop)
-}
-
-fn make() -> Result<()> {
-    point(Operation::Make).map(drop)
-}
-
-fn look() -> Result<()> {
-    point(Operation::Look).map(drop)
-}
-
-/// Writes some bytes.
-pub(super) fn write(file: &mut File, bytes: &[u8]) -> Result<usize> {
-    #[cfg(all(debug_assertions, unix))]
-    faults::written(file);
-    part_of(file, bytes)
-}
-
-fn part_of(out: &mut impl Write, bytes: &[u8]) -> Result<usize> {
-    match point(Operation::Write)? {
-        Extent::Whole => out.write(bytes),
-        #[cfg(all(debug_assertions, unix))]
-        Extent::Nothing => Ok(0),
-        #[cfg(all(debug_assertions, unix))]
-        Extent::Half => out.write(&bytes[..bytes.len().div_ceil(2)]),
-        #[cfg(all(debug_assertions, unix))]
-        Extent::Torn => {
-            out.write_all(&bytes[..bytes.len() / 2])?;
-            out.flush()?;
-            // Like a kill: no destructor runs.
-            std::process::exit(137)
-        }
-    }
-}
-
-/// Stdout as a place where writes fail.
-pub(super) struct Stdout(pub(super) std::io::StdoutLock<'static>);
-
-impl Write for Stdout {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize> {
-        part_of(&mut self.0, bytes)
-    }
-
-    fn flush(&mut self) -> Result<()> {
-        self.0.flush()
-    }
-}
-
-/// Waits until a file's content is on the disk.
-pub(super) fn sync(file: &File) -> Result<()> {
-    change()?;
-    file.sync_all()?;
-    #[cfg(all(debug_assertions, unix))]
-    faults::synced(file);
-    Ok(())
-}
 
 /// Waits until the names in a folder are on the disk, where the system can.
 pub(super) fn sync_folder(folder: &Path) -> Result<()> {
-    change()?;
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
-}
-
-/// Makes a folder and those above it, and brings their names to the disk.
-pub(super) fn make_folder(folder: &Path) -> Result<()> {
-    if folder.is_dir() {
-        return Ok(());
-    }
-    let made: Vec<&Path> = folder.ancestors().take_while(|one| !one.as_os_str().is_empty() && !one.exists()).collect();
-    make()?;
-    std::fs::create_dir_all(folder)?;
-    made.iter().try_for_each(|one| sync_folder(&folder_of(one)))
-}
-
-/// Makes a file of a name that no file has.
-pub(super) fn create(builder: &tempfile::Builder<'_, '_>, folder: &Path) -> Result<(File, TempPath)> {
-    make()?;
-    Ok(builder.tempfile_in(folder)?.into_parts())
-}
-
-/// Opens a file for writing that keeps what it holds, and makes it when it is absent.
-pub(super) fn open_or_make(path: &Path) -> Result<File> {
-    make()?;
-    File::options().create(true).truncate(false).write(true).open(path)
-}
-
-/// Cuts a file to so many bytes and goes to its end.
-pub(super) fn cut(file: &mut File, bytes: u64) -> Result<()> {
-    change()?;
-    file.set_len(bytes)?;
-    file.seek(SeekFrom::Start(bytes)).map(drop)
-}
-
-/// Gives a temporary file its name; one that exists is replaced or kept.
-pub(super) fn persist(temporary: TempPath, path: &Path, replace: bool) -> Result<()> {
-    change()?;
-    let named = if replace { temporary.persist(path) } else { temporary.persist_noclobber(path) };
-    named.map_err(|error| error.error)
-}
-
-/// Renames a file.
-pub(super) fn rename(from: &Path, to: &Path) -> Result<()> {
-    change()?;
-    std::fs::rename(from, to)
-}
-
-/// Removes a file.
-pub(super) fn remove(path: &Path) -> Result<()> {
-    change()?;
-    std::fs::remove_file(path)
 }
 
 /// The folder that a file lies in.
@@ -148,15 +21,8 @@ pub(super) fn folder_of(path: &Path) -> PathBuf {
     }
 }
 
-/// What stands at a path, behind symbolic links.
-pub(super) fn metadata(path: &Path) -> Result<Metadata> {
-    look()?;
-    std::fs::metadata(path)
-}
-
 /// What stands at a path itself, if anything.
 pub(super) fn named(path: &Path) -> Result<Option<Metadata>> {
-    look()?;
     present(path.symlink_metadata())
 }
 
@@ -165,7 +31,6 @@ pub(super) fn named(path: &Path) -> Result<Option<Metadata>> {
 /// # Errors
 /// When it cannot be told.
 pub fn exists(path: &Path) -> Result<bool> {
-    look()?;
     Ok(present(path.metadata())?.is_some())
 }
 
@@ -183,7 +48,6 @@ fn present(found: Result<Metadata>) -> Result<Option<Metadata>> {
 /// # Errors
 /// When it cannot be listed to its end.
 pub fn list(folder: &Path) -> Result<Vec<PathBuf>> {
-    look()?;
     std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect()
 }
 
@@ -198,9 +62,7 @@ pub struct Input {
 impl Input {
     /// Opens a file.
     pub(super) fn open(path: &Path) -> Result<(Input, Metadata)> {
-        look()?;
         let file = File::open(path)?;
-        look()?;
         let metadata = file.metadata()?;
         let left = if metadata.is_file() { metadata.len() } else { 0 };
         Ok((Input { file, left }, metadata))
@@ -224,14 +86,7 @@ impl Input {
         if buffer.is_empty() {
             return Ok(0);
         }
-        let wanted = match point(Operation::Read)? {
-            #[cfg(all(debug_assertions, unix))]
-            Extent::Nothing => 0,
-            #[cfg(all(debug_assertions, unix))]
-            Extent::Half | Extent::Torn => buffer.len().div_ceil(2),
-            Extent::Whole => buffer.len(),
-        };
-        let read = if wanted == 0 { 0 } else { self.file.read(&mut buffer[..wanted])? };
+        let read = self.file.read(buffer)?;
         if read == 0 && self.left > 0 {
             return Err(Error::other(format!("it ends {} bytes before its length", self.left)));
         }

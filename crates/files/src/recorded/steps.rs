@@ -1,8 +1,7 @@
 //! A table with a row for each timestep of each sample, written as its rows come.
 //!
-//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, a
-//! NumPy array of records whose fields are the columns, or Parquet. Memory does not grow with the
-//! rows. Times and energies are counted in ps and fJ and written in us and pJ, in CSV with all
+//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, or
+//! a NumPy array of records whose fields are the columns. Memory does not grow with the rows. Times and energies are counted in ps and fJ and written in us and pJ, in CSV with all
 //! digits, so that sums over rows are exact.
 //!
 //! Errors: those of the writer; an array whose rows are not as many as its header says.
@@ -12,8 +11,6 @@ use std::io::{Error, Result, Write};
 use std::path::Path;
 
 pub use super::column::{Column, Unit};
-#[cfg(feature = "parquet")]
-use super::parquet::ParquetTable;
 use crate::text::NPY_MAGIC;
 
 /// The form of a table.
@@ -23,8 +20,6 @@ pub enum StepFormat {
     Csv,
     /// A NumPy array of records.
     Npy,
-    /// Parquet, in builds with the feature `parquet`.
-    Parquet,
 }
 
 impl StepFormat {
@@ -35,36 +30,14 @@ impl StepFormat {
         match extension.as_str() {
             "csv" => Some(StepFormat::Csv),
             "npy" => Some(StepFormat::Npy),
-            "parquet" => Some(StepFormat::Parquet),
             _ => None,
         }
     }
-
-    /// Whether this build writes it; otherwise how to get one that does.
-    ///
-    /// # Errors
-    /// A sentence.
-    pub fn check(self) -> std::result::Result<(), &'static str> {
-        match self {
-            StepFormat::Parquet if cfg!(not(feature = "parquet")) => {
-                Err("this nsim was built without Parquet: name the file .csv or .npy, or build nsim with --features \
-                 parquet")
-            }
-            _ => Ok(()),
-        }
-    }
-}
-
-/// Where rows go.
-enum Out<'w> {
-    Plain(&'w mut (dyn Write + Send)),
-    #[cfg(feature = "parquet")]
-    Parquet(Box<ParquetTable<'w>>),
 }
 
 /// A table that is being written.
 pub struct StepWriter<'w> {
-    out: Out<'w>,
+    out: &'w mut (dyn Write + Send),
     format: StepFormat,
     units: Vec<Unit>,
     /// Rows that the header promises, where it does.
@@ -108,10 +81,6 @@ impl<'w> StepWriter<'w> {
             line: Vec::new(),
         };
         match (format, rows) {
-            #[cfg(feature = "parquet")]
-            (StepFormat::Parquet, _) => return Ok(table(Out::Parquet(Box::new(ParquetTable::new(out, columns)?)))),
-            #[cfg(not(feature = "parquet"))]
-            (StepFormat::Parquet, _) => return Err(Error::other(format.check().err().unwrap_or_default())),
             (StepFormat::Csv, _) => {
                 let mut header = csv::Writer::from_writer(&mut *out);
                 let names = columns.iter().map(|column| column.name.as_str());
@@ -121,7 +90,7 @@ impl<'w> StepWriter<'w> {
             (StepFormat::Npy, Some(rows)) => out.write_all(&array_header(columns, rows)?)?,
             (StepFormat::Npy, None) => return Err(Error::other("an array needs its number of rows")),
         }
-        Ok(table(Out::Plain(out)))
+        Ok(table(out))
     }
 
     /// Writes the row of the sample's next timestep.
@@ -132,7 +101,6 @@ impl<'w> StepWriter<'w> {
         self.line.clear();
         match self.format {
             StepFormat::Csv => self.csv_line(cells),
-            StepFormat::Parquet => {}
             StepFormat::Npy => {
                 self.line.extend(self.sample.to_le_bytes());
                 self.line.extend(self.step.to_le_bytes());
@@ -144,11 +112,7 @@ impl<'w> StepWriter<'w> {
                 }
             }
         }
-        self.failed = match &mut self.out {
-            Out::Plain(out) => out.write_all(&self.line).err(),
-            #[cfg(feature = "parquet")]
-            Out::Parquet(table) => table.row(self.sample, self.step, cells).err(),
-        };
+        self.failed = self.out.write_all(&self.line).err();
         self.rows += 1;
         self.step += 1;
     }
@@ -185,10 +149,6 @@ impl<'w> StepWriter<'w> {
     /// # Errors
     /// The first of the writer; rows that are not as many as the header says.
     pub fn finish(self) -> Result<()> {
-        #[cfg(feature = "parquet")]
-        if let (Out::Parquet(table), None) = (self.out, &self.failed) {
-            return table.finish();
-        }
         match (self.failed, self.promised) {
             (Some(error), _) => Err(error),
             (None, Some(rows)) if rows != self.rows => {
@@ -269,36 +229,10 @@ mod tests {
         assert!(written(StepFormat::Npy, Some(4)).is_err() && written(StepFormat::Npy, None).is_err());
     }
 
-    #[cfg(feature = "parquet")]
-    #[test]
-    fn parquet_holds_the_rows() {
-        use parquet::file::reader::{FileReader, SerializedFileReader};
-        use parquet::record::RowAccessor;
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("s.parquet");
-        std::fs::write(&path, written(StepFormat::Parquet, None).unwrap()).unwrap();
-        let file = SerializedFileReader::new(std::fs::File::open(&path).unwrap()).unwrap();
-        let rows: Vec<_> = file.get_row_iter(None).unwrap().map(|row| row.unwrap()).collect();
-        let row = |r: &parquet::record::Row| {
-            (
-                r.get_int(0).unwrap(),
-                r.get_int(1).unwrap(),
-                r.get_long(2).unwrap(),
-                r.get_double(3).unwrap(),
-                r.get_double(4).unwrap(),
-            )
-        };
-        let meant = [(0, 0, 3, 1.000_001, 0.005), (0, 1, 0, 0.0, 12.34), (1, 0, 7, 0.999_999, 1.0)];
-        assert_eq!(rows.iter().map(row).collect::<Vec<_>>(), meant);
-        let names: Vec<String> = rows[0].get_column_iter().map(|(name, _)| name.clone()).collect();
-        assert_eq!(names[2..], ["spikes.a,b", "time_us.barrier", "energy_pj.hop"]);
-    }
-
     #[test]
     fn a_name_says_the_form() {
         let form = |name: &str| StepFormat::from_name(Path::new(name));
         assert_eq!((form("a.csv"), form("b/a.NPY")), (Some(StepFormat::Csv), Some(StepFormat::Npy)));
-        assert_eq!((form("a.txt"), form("csv"), form("a.parquet")), (None, None, Some(StepFormat::Parquet)));
-        assert_eq!(StepFormat::Parquet.check().is_ok(), cfg!(feature = "parquet"));
+        assert_eq!((form("a.txt"), form("csv"), form("a.parquet")), (None, None, None));
     }
 }

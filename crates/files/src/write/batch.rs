@@ -1,8 +1,7 @@
 //! Files that belong together: none is named before all are complete.
 //!
-//! Input: paths and what to write to them. Afterwards all of them are there, or what was there
-//! before. Old files give way before the first new one is named, so that old and new ones never lie
-//! side by side; they come back when naming fails.
+//! Input: paths and what to write to them. Afterwards all of them are there; each is old or
+//! complete at every moment. The last one is named last, as it names the others.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -28,11 +27,14 @@ pub(super) fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
 /// Opens a file for writing that keeps what it holds, and makes it when it is absent. A pipe is
 /// refused: opening it waits for a reader.
 pub(super) fn open_or_make(path: &Path) -> Result<File> {
-    match disk::metadata(path) {
+    match path.metadata() {
         Ok(found) if !found.is_file() && !found.is_dir() => {
             Err(text::not_regular(path).help("remove it, or give the result another name"))
         }
-        _ => disk::open_or_make(path).map_err(|error| failed(path, &error)),
+        _ => {
+            let mut options = File::options();
+            options.create(true).truncate(false).write(true).open(path).map_err(|error| failed(path, &error))
+        }
     }
 }
 
@@ -114,7 +116,7 @@ impl Batch {
     /// Gives the files their names, the last one last, and brings the names to the disk.
     ///
     /// # Errors
-    /// `write.exists`, `write.failed`; then the old files are back.
+    /// `write.exists`, `write.failed`.
     pub fn commit(self) -> Result<()> {
         let folders: BTreeSet<PathBuf> = self.parts.iter().map(|(path, _)| disk::folder_of(path)).collect();
         self.name_all()?;
@@ -123,48 +125,13 @@ impl Batch {
 
     /// Gives the files their names.
     pub(super) fn name_all(self) -> Result<()> {
-        let Batch { force, mut parts } = self;
-        if parts.len() < 2 {
-            return parts.pop().map_or(Ok(()), |(path, file)| persist(file, &path, force));
-        }
-        let paths: Vec<PathBuf> = parts.iter().map(|(path, _)| path.clone()).collect();
-        let mut aside: Vec<(PathBuf, Temporary)> = Vec::new();
-        let mut named = 0;
-        let done = paths.iter().rev().try_for_each(|path| {
-            if disk::named(path).map_err(|error| failed(path, &error))?.is_none() {
-                return Ok(());
-            }
-            if !force {
-                return Err(exists(path));
-            }
-            let fail = |error: std::io::Error| failed(path, &error);
-            let place = Temporary::new(&disk::folder_of(path)).map_err(fail)?;
-            place.path().map_or(Ok(()), |name| disk::rename(path, name)).map_err(fail)?;
-            aside.push((path.clone(), place));
-            Ok(())
-        });
-        let done = done.and_then(|()| {
-            parts.into_iter().try_for_each(|(path, file)| {
-                persist(file, &path, false)?;
-                named += 1;
-                Ok(())
+        let Batch { force, parts } = self;
+        parts.into_iter().try_for_each(|(path, file)| {
+            file.persist(&path, force).map_err(|error| match error.kind() {
+                // Somebody else made it in the meantime.
+                ErrorKind::AlreadyExists => exists(&path),
+                _ => failed(&path, &error),
             })
-        });
-        if done.is_err() {
-            // The last one first, as it names the others.
-            paths[..named].iter().rev().for_each(|path| drop(disk::remove(path)));
-            while let Some((path, old)) = aside.pop() {
-                let _ = old.persist(&path, false);
-            }
-        }
-        done
+        })
     }
-}
-
-fn persist(file: Temporary, path: &Path, replace: bool) -> Result<()> {
-    file.persist(path, replace).map_err(|error| match error.kind() {
-        // Somebody else made it in the meantime.
-        ErrorKind::AlreadyExists => exists(path),
-        _ => failed(path, &error),
-    })
 }

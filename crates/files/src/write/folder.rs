@@ -57,7 +57,7 @@ impl Folder {
         let fail = |error: std::io::Error| failed(path, &error);
         let (name, manifest) = (manifest, path.join(manifest));
         check_free(&manifest, force)?;
-        disk::make_folder(path).map_err(fail)?;
+        std::fs::create_dir_all(path).map_err(fail)?;
         let marker = path.join(MARKER);
         let interrupted = is_unfinished(path, name).map_err(fail)?;
         let had_manifest = disk::named(&manifest).map_err(fail)?.is_some();
@@ -66,14 +66,14 @@ impl Folder {
             return Err(Diagnostic::new("write.busy", "another nsim is writing to this folder").in_file(path));
         }
         let begun = disk::sync_folder(path).and_then(|()| match had_manifest {
-            true => disk::remove(&manifest).and_then(|()| disk::sync_folder(path)),
+            true => std::fs::remove_file(&manifest).and_then(|()| disk::sync_folder(path)),
             false => Ok(()),
         });
         if let Err(error) = begun {
             // Nothing has been written yet: the folder is what it was, unless its manifest is gone.
             let is_as_it_was = !had_manifest || disk::named(&manifest).is_ok_and(|found| found.is_some());
             if !interrupted && is_as_it_was {
-                let _ = disk::remove(&marker);
+                let _ = std::fs::remove_file(&marker);
             }
             return Err(fail(error));
         }
@@ -116,6 +116,6 @@ impl Folder {
             writing.remove(&self.path);
         }
         let marker = self.path.join(MARKER);
-        disk::remove(&marker).map_err(|error| failed(&marker, &error))
+        std::fs::remove_file(&marker).map_err(|error| failed(&marker, &error))
     }
 }

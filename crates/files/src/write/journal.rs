@@ -10,7 +10,7 @@
 //! `write.failed`.
 
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use crate::disk;
@@ -55,7 +55,7 @@ impl Journal {
     /// `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.
     pub fn open(path: &Path, head: &str) -> Result<(Journal, Vec<String>)> {
         let fail = |error: std::io::Error| failed(path, &error);
-        disk::make_folder(&disk::folder_of(path)).map_err(fail)?;
+        std::fs::create_dir_all(disk::folder_of(path)).map_err(fail)?;
         let file = open_or_make(path)?;
         if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
             return Err(Diagnostic::new("journal.held", "another process works on this").in_file(path));
@@ -73,7 +73,7 @@ impl Journal {
         if lines.first().is_some_and(|first| first != head) {
             return Err(journal.other("the journal of other work"));
         }
-        disk::cut(&mut journal.file, end as u64).map_err(fail)?;
+        journal.file.set_len(end as u64).and_then(|()| journal.file.seek(SeekFrom::End(0))).map_err(fail)?;
         match lines.is_empty() {
             true => journal.add(head)?,
             false => drop(lines.remove(0)),
@@ -92,17 +92,7 @@ impl Journal {
     /// # Errors
     /// `write.failed`; then lines may no longer be added.
     pub fn add(&mut self, line: &str) -> Result<()> {
-        let text = written(line);
-        let mut left = text.as_bytes();
-        while !left.is_empty() {
-            match disk::write(&mut self.file, left) {
-                Ok(0) => return Err(failed(&self.path, &std::io::ErrorKind::WriteZero.into())),
-                Ok(count) => left = &left[count..],
-                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(failed(&self.path, &error)),
-            }
-        }
-        self.file.flush().map_err(|error| failed(&self.path, &error))
+        self.file.write_all(written(line).as_bytes()).map_err(|error| failed(&self.path, &error))
     }
 
     /// Removes the file: the work is done.
@@ -110,7 +100,7 @@ impl Journal {
     /// # Errors
     /// `write.failed`.
     pub fn remove(self) -> Result<()> {
-        disk::remove(&self.path).map_err(|error| failed(&self.path, &error))
+        std::fs::remove_file(&self.path).map_err(|error| failed(&self.path, &error))
     }
 }
 

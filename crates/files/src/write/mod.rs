@@ -2,13 +2,11 @@
 //!
 //! Input: what to write and where, `-` for stdout. A file is written under a temporary name beside
 //! its own, brought to the disk, renamed, and its folder brought to the disk. Several files that
-//! belong together ([`Batch`]) are all complete before the first is named: the old ones give way
-//! first, so that old and new ones never lie side by side. A folder with a manifest is a
-//! [`Folder`]. Only regular files are replaced, and only on request; a symbolic link stays, and
+//! belong together ([`Batch`]) are all complete before the first is named. A folder with a manifest
+//! is a [`Folder`]. Only regular files are replaced, and only on request; a symbolic link stays, and
 //! what it points to is replaced.
 
 mod batch;
-pub mod cache;
 pub mod checksum;
 mod folder;
 pub mod journal;
@@ -21,7 +19,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use self::batch::failed;
 pub use self::batch::{Batch, check_all_free, check_free};
 pub use self::folder::{Folder, is_unfinished};
-use super::disk;
 use super::text::is_standard_stream;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::names::printable;
@@ -58,7 +55,7 @@ pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::
         if is_silent() {
             return Ok(());
         }
-        let mut out = BufWriter::new(disk::Stdout(std::io::stdout().lock()));
+        let mut out = BufWriter::new(std::io::stdout().lock());
         PRINTING.store(true, Ordering::SeqCst);
         let done = fill(&mut out).and_then(|()| out.flush()).or_else(ignore_closed_pipe);
         return done.map_err(|error| failed(Path::new("<stdout>"), &error));

@@ -35,7 +35,7 @@ pub(super) struct Temporary {
 impl Temporary {
     /// A new file in a folder, which is made when it is absent.
     pub(super) fn new(folder: &Path) -> Result<Temporary> {
-        disk::make_folder(folder)?;
+        std::fs::create_dir_all(folder)?;
         clean(folder);
         let mut builder = tempfile::Builder::new();
         builder.prefix(PREFIX).suffix(SUFFIX);
@@ -49,7 +49,7 @@ impl Temporary {
         for _ in 0..ATTEMPTS {
             let (file, path) = {
                 let Ok(mut held) = HELD.lock() else { break };
-                let (file, path) = disk::create(&builder, folder)?;
+                let (file, path) = builder.tempfile_in(folder)?.into_parts();
                 held.insert(path.to_path_buf());
                 (file, path)
             };
@@ -65,7 +65,7 @@ impl Temporary {
 
     /// Waits until the content is on the disk.
     pub(super) fn sync(&self) -> Result<()> {
-        disk::sync(&self.file)
+        self.file.sync_all()
     }
 
     /// Gives the file its name.
@@ -73,23 +73,21 @@ impl Temporary {
         match self.path.take() {
             Some(temporary) => {
                 let name = temporary.to_path_buf();
-                let named = disk::persist(temporary, path, replace);
+                let named = match replace {
+                    true => temporary.persist(path),
+                    false => temporary.persist_noclobber(path),
+                };
                 forget(&name);
-                named
+                named.map_err(|error| error.error)
             }
             None => Ok(()),
         }
-    }
-
-    /// Its temporary name.
-    pub(super) fn path(&self) -> Option<&Path> {
-        self.path.as_deref()
     }
 }
 
 impl Write for Temporary {
     fn write(&mut self, bytes: &[u8]) -> Result<usize> {
-        disk::write(&mut self.file, bytes)
+        self.file.write(bytes)
     }
 
     fn flush(&mut self) -> Result<()> {
@@ -135,7 +133,7 @@ fn clean(folder: &Path) {
             && let Ok(file) = File::open(&path)
             && file.try_lock().is_ok()
         {
-            let _ = disk::remove(&path);
+            let _ = std::fs::remove_file(&path);
         }
     }
 }

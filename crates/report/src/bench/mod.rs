@@ -1,10 +1,8 @@
 //! Results of `nsim bench`.
 
-pub mod batch;
 pub mod early;
 pub mod mapping;
 pub mod paper;
 pub mod pareto;
 pub mod published;
-pub mod scale;
 pub mod step;

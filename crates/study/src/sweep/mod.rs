@@ -2,14 +2,12 @@
 //!
 //! Input: a [`file::SweepFile`], which says what varies. Output: a [`table::Table`] with a row for
 //! each variant, the same for any number of threads and however often the work was ended on its
-//! way. [`variants`] counts the variants and says what each changes, [`made`] keeps what they
-//! share, [`last_layers`] runs those that differ in their last populations alone, [`row`] runs any,
-//! [`work`] runs all on several threads, [`table`] is the result; `report::sweep` draws two of its
-//! columns. Each row holds what the single commands print under the same values. Errors: `sweep.*`;
-//! a variant that cannot be run has a row that says why.
+//! way. [`variants`] counts the variants and says what each changes, [`made`] stores what they
+//! share, [`row`] runs any, [`work`] runs all on several threads, [`table`] is the result, `report::sweep` draws two of its columns. Each row
+//! holds what the single commands print under the same values. Errors: `sweep.*`; a variant that
+//! cannot be run has a row that says why.
 
 pub mod file;
-pub mod last_layers;
 pub mod made;
 pub mod row;
 pub mod table;

@@ -11,7 +11,6 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
-use crate::sweep::last_layers::{Ran, Record, last_populations};
 use crate::sweep::made::{MadeOnce, held};
 use crate::sweep::variants::{FIGURES, Job};
 use nsim_compile::reuse::{is_mapped_alike, with_neurons_of};
@@ -25,18 +24,17 @@ use nsim_files::target::load_target;
 use nsim_import::model::{Unchanged, agreeing, load_model_with};
 use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::id::{Id, PopulationId};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
-use nsim_ir::quantised::{Population, Quantised, Units};
+use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_session::error::Error;
 use nsim_session::inputs::{require_scene, stimulus};
 use nsim_session::priced::{Metered, SampleRun, steps_per_sample};
 use nsim_session::samples::Run;
 use nsim_session::shapes;
-use nsim_session::{Outcome, accuracy, digest};
+use nsim_session::{accuracy, digest};
 use nsim_train::convert::copies::USUAL;
 use nsim_train::convert::prepare::integers;
 
@@ -46,9 +44,6 @@ pub type Cells = [String; FIGURES.len()];
 /// Mappings of networks that may be mapped alike which are kept.
 const MOST_ALIKE: usize = 16;
 
-/// With more compartments, what variants have in common is not written out to be compared.
-const MOST_DESCRIBED: u32 = 1 << 16;
-
 /// A target and the constants that it is priced by.
 #[derive(Debug)]
 struct Priced {
@@ -56,47 +51,13 @@ struct Priced {
     table: CostTable,
 }
 
-/// Mappings that have been made for one key.
-type Mappings = Mutex<OfKey>;
-
-/// The latest of them, numbered in the order in which they were made, and how many there were.
-#[derive(Debug, Default)]
-struct OfKey {
-    of_key: Vec<(u64, Arc<Compiled>)>,
-    made: u64,
-}
-
-/// A network, and a mapping that is its own but for the parameters of neurons.
-struct Mapped {
-    /// Of the mappings of its key.
-    number: u64,
-    alike: Arc<Compiled>,
-    network: Quantised,
-    /// Whether it is its own.
-    is_own: bool,
-}
+/// The latest mappings that have been made for one key.
+type Mappings = Mutex<Vec<Arc<Compiled>>>;
 
 /// What variants have to have in common to be mapped alike: all but the parameters of neurons.
 fn shared_by(job: &Job) -> String {
     let others: Vec<&Change> = job.of_model.iter().filter(|change| !change.is_of_population()).collect();
     format!("{:?}", (&job.model, others, &job.target, &job.of_target, &job.options))
-}
-
-/// What variants have to have in common for one to follow from the record of another: all but the
-/// neurons of the last populations. `None` where the last populations do not vary.
-fn recorded_by(job: &Job, mapped: &Mapped, scene: Option<&str>) -> Option<String> {
-    let network = &mapped.network;
-    let last: Vec<PopulationId> = last_populations(network).collect();
-    let varies = |&id: &PopulationId| {
-        job.of_model.iter().any(|change| change.is_of(&network.populations()[id].name, id.index()))
-    };
-    if !last.iter().any(varies) || job.options.copies != 1 || network.compartments() > MOST_DESCRIBED {
-        return None;
-    }
-    let before = network.populations().enumerate().filter(|(id, _)| !last.contains(id));
-    let before: Vec<&Population> = before.map(|(_, population)| population).collect();
-    let shown = (&job.input, job.seed, scene, &job.samples, network.parts().timestep_ms, &network.parts().classes);
-    Some(format!("{:?}", (shared_by(job), mapped.number, &job.constants, shown, before)))
 }
 
 /// Runs variants.
@@ -105,7 +66,6 @@ pub struct Runner {
     models: MadeOnce<String, Option<Unchanged>>,
     targets: MadeOnce<(String, Vec<Change>, Option<String>), Priced>,
     mappings: MadeOnce<String, Mappings>,
-    records: MadeOnce<String, Option<Record>>,
     stimuli: MadeOnce<String, Stimulus>,
 }
 
@@ -185,8 +145,9 @@ impl Runner {
         })
     }
 
-    /// A network of a variant, and the mapping of one that is mapped alike, perhaps its own.
-    fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Mapped, Error> {
+    /// A network of a variant on its cores, which are those of one that is mapped alike where
+    /// there is one.
+    fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Compiled>, Error> {
         let options = &job.options;
         shapes::check(network, target, options.copies)?;
         let front = integers(network, USUAL)?;
@@ -194,25 +155,19 @@ impl Runner {
         let known = self.mappings.get(key, || Ok::<_, Error>(Mappings::default()))?;
         // Who finds none makes one, while others wait for it.
         let mut known = held(&known);
-        let alike = |(_, known): &&(u64, Arc<Compiled>)| is_mapped_alike(&known.one, front.quantised());
-        if let Some((number, alike)) = known.of_key.iter().rev().find(alike) {
-            return Ok(Mapped {
-                number: *number,
-                alike: Arc::clone(alike),
-                network: front.into_quantised(),
-                is_own: false,
-            });
+        let alike = |known: &&Arc<Compiled>| is_mapped_alike(&known.one, front.quantised());
+        if let Some(alike) = known.iter().rev().find(alike).cloned() {
+            drop(known);
+            return Ok(Arc::new(with_neurons_of(&alike, front.into_quantised(), target)?));
         }
         Form::require_written("running it on cores", front.quantised(), options.copies)?;
         let mapping = explore::map(front, target, options, &Rates::assumed(DEFAULT_RATE), Form::Written)?;
         let compiled = Arc::new(mapping.into_compiled()?);
-        if known.of_key.len() == MOST_ALIKE {
-            known.of_key.remove(0);
+        if known.len() == MOST_ALIKE {
+            known.remove(0);
         }
-        known.made += 1;
-        let number = known.made;
-        known.of_key.push((number, Arc::clone(&compiled)));
-        Ok(Mapped { number, network: compiled.one.clone(), alike: compiled, is_own: true })
+        known.push(Arc::clone(&compiled));
+        Ok(compiled)
     }
 
     fn stimulus(&self, job: &Job, network: &Quantised, scene: Option<&str>) -> Result<Arc<Stimulus>, Error> {
@@ -235,39 +190,30 @@ impl Runner {
         }
         let priced = self.target(job)?;
         let target = &priced.target;
-        let mapped = self.mapped(job, &network, target)?;
+        let compiled = self.mapped(job, &network, target)?;
         let scene = network.file().scene.as_deref();
-        let shown = self.stimulus(job, &mapped.network, scene)?;
+        let shown = self.stimulus(job, &compiled.one, scene)?;
         let range = job.samples.clone().unwrap_or(0..usize::MAX);
         let all = shown.samples.len();
         if range.start >= all || (range.end != usize::MAX && range.end > all) {
             return Err(Diagnostic::new("sweep.value", format!("input.samples: there are {all} samples")).into());
         }
         let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
-        let (placement, copies) = (&mapped.alike.placement, job.options.copies);
+        let (placement, copies) = (&compiled.placement, job.options.copies);
         let work = HostWork::for_target(target);
         let deployment = Deployment::from_placement(job.options.placement.name(), placement, target, copies, work);
-        let timestep_ms = mapped.network.parts().timestep_ms;
-        let place = Place { priced: &priced, deployment: &deployment, samples: &samples };
-        let recorded = recorded_by(job, &mapped, scene);
-        // Who finds no record runs and leaves one, while others wait for it.
-        let mut first: Option<Ran> = None;
-        let record = match recorded {
-            None => None,
-            Some(key) => {
-                let made = self.records.get(key, || {
-                    let (ran, record) = place.run(&mapped)?;
-                    first = Some(ran);
-                    Ok::<_, Error>(record)
-                })?;
-                Some(made)
-            }
+        let timestep_ms = compiled.one.parts().timestep_ms;
+        let metered = Metered::new(&compiled);
+        let settings = MeterSettings {
+            tables: vec![priced.table.clone()],
+            timing: deployment.timing(Transport::default(), copies),
+            routes: metered.routes.clone(),
+            timestep: Picoseconds::from_milliseconds(timestep_ms),
+            distribution: None,
+            by_step: None,
         };
-        let Ran { outcomes, activity, meter } = match (first, record.as_deref()) {
-            (Some(ran), _) => ran,
-            (None, Some(Some(record))) => record.follow(&mapped.network, &samples),
-            (None, _) => place.run_whole(&mapped)?,
-        };
+        let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
+        let Run { outcomes, activity, meter, .. } = metered.run(settings, run)?;
         let case = Case {
             mode: job.mode,
             convention: job.convention,
@@ -279,18 +225,19 @@ impl Runner {
         let figure = |name| cell(total.and_then(|row| row.figure(name)));
         let mut totals = Totals::default();
         outcomes.iter().for_each(|outcome| totals += outcome.totals);
-        let chips: BTreeSet<u32> = mapped.alike.placement.sites().iter().map(|site| site.chip).collect();
+        let copies_run = u64::from(metered.copies_run());
+        let chips: BTreeSet<u32> = placement.sites().iter().map(|site| site.chip).collect();
         Ok([
             String::new(),
             true.to_string(),
-            mapped.alike.partition.cores().to_string(),
+            compiled.partition.cores().to_string(),
             chips.len().to_string(),
             samples.len().to_string(),
             outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum::<u64>().to_string(),
             cell(accuracy(&outcomes, samples.iter().map(|sample| sample.label()))),
             digest(&outcomes),
-            totals.spikes.to_string(),
-            totals.synaptic_events.to_string(),
+            (totals.spikes / copies_run).to_string(),
+            (totals.synaptic_events / copies_run).to_string(),
             figure("static_mw"),
             figure("dynamic_mw"),
             figure("total_mw"),
@@ -298,61 +245,5 @@ impl Runner {
             figure("energy_uj"),
             figure("edp_pjs"),
         ])
-    }
-}
-
-/// Where a network runs, how it is priced and what it is shown.
-struct Place<'a> {
-    priced: &'a Priced,
-    deployment: &'a Deployment,
-    samples: &'a [&'a Sample],
-}
-
-impl Place<'_> {
-    fn settings(&self, metered: &Metered<'_>, network: &Quantised) -> MeterSettings {
-        MeterSettings {
-            tables: vec![self.priced.table.clone()],
-            timing: self.deployment.timing(Transport::default(), self.deployment.copies),
-            routes: metered.routes.clone(),
-            timestep: Picoseconds::from_milliseconds(network.parts().timestep_ms),
-            distribution: None,
-            by_step: None,
-        }
-    }
-
-    fn of_samples(&self) -> SampleRun<'_> {
-        SampleRun { samples: self.samples, early_exit: None, skip: true, progress: &|| (), ranks: None }
-    }
-
-    /// A network on its cores.
-    fn compiled(&self, mapped: &Mapped) -> Result<Arc<Compiled>, Error> {
-        let Mapped { alike, network, is_own, .. } = mapped;
-        match is_own {
-            true => Ok(Arc::clone(alike)),
-            false => Ok(Arc::new(with_neurons_of(alike, network.clone(), &self.priced.target)?)),
-        }
-    }
-
-    /// Runs a network and leaves a record, if others can follow from it.
-    fn run(&self, mapped: &Mapped) -> Result<(Ran, Option<Record>), Error> {
-        let compiled = self.compiled(mapped)?;
-        let metered = Metered::new(&compiled);
-        Record::run(&compiled, &metered, self.settings(&metered, &mapped.network), self.of_samples())
-    }
-
-    /// Runs a network from which no other follows.
-    fn run_whole(&self, mapped: &Mapped) -> Result<Ran, Error> {
-        let compiled = self.compiled(mapped)?;
-        let metered = Metered::new(&compiled);
-        let settings = self.settings(&metered, &mapped.network);
-        let Run { outcomes, activity, meter, .. } = metered.run(settings, self.of_samples())?;
-        let copies = u64::from(metered.copies_run());
-        let of_one = |outcome: Outcome| {
-            let Totals { spikes, synaptic_events, .. } = outcome.totals;
-            let totals =
-                Totals { spikes: spikes / copies, synaptic_events: synaptic_events / copies, ..outcome.totals };
-            Outcome { totals, ..outcome }
-        };
-        Ok(Ran { outcomes: outcomes.into_iter().map(of_one).collect(), activity, meter })
     }
 }
