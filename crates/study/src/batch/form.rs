@@ -155,8 +155,16 @@ impl BatchForm<Single> {
     /// earlier steps first, channels before compartments, each ascending.
     ///
     /// # Errors
-    /// Why there are none: it has too many synapses.
+    /// Why there are none: it has too many synapses, or resets that SLAYER counts from a step that
+    /// it skips.
     pub fn real(graph: &Graph) -> Result<Self, String> {
+        let facts = graph.facts();
+        if facts.semantics == Semantics::Slayer && facts.reset.is_some() {
+            return Err(format!(
+                "network '{}' has resets under semantics Slayer: batches on a GPU count them from step 1",
+                facts.name
+            ));
+        }
         let model = Model::<f32>::new(graph, Options::default());
         let inclusive = u32::from(model.threshold_test() == ThresholdTest::Inclusive);
         let mut incoming: Vec<Vec<[u32; 3]>> = Vec::new();
