@@ -8,6 +8,7 @@ mod agreement;
 mod energy;
 mod errors;
 mod mapping;
+mod remedies;
 mod results;
 mod runs;
 

@@ -148,7 +148,8 @@ impl Export<'_> {
             return Err(refused("that a network is reset within a sample"));
         }
         if self.delays(self.program().cores().iter().flat_map(|image| image.axons_out.items())) != (0, 0) {
-            return Err(refused("delays between compartments, the way nsim counts them").help("export without delays"));
+            return Err(refused("delays between compartments, the way nsim counts them")
+                .help("give all projections between compartments delay 0"));
         }
         let (least, most) = self.delays(parts.channels.items().iter());
         if least != most || most > 1 {
