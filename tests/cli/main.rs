@@ -18,6 +18,7 @@ mod neurobench;
 mod options;
 mod page;
 mod pictures;
+mod remedies;
 mod results;
 mod runs;
 mod saved_mappings;

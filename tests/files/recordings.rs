@@ -2,6 +2,7 @@
 
 use crate::common;
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write;
 use std::path::Path;
 
 use nsim::files::npy;
@@ -91,6 +92,17 @@ fn replaced(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
 
 fn words<const N: usize>(header: &str, words: &[[u8; N]]) -> Vec<u8> {
     [header.as_bytes(), &words.concat()].concat()
+}
+
+/// An archive of these files.
+fn npz(files: &[(&str, &[u8])]) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, bytes) in files {
+        let packed = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Deflated);
+        zip.start_file(*name, packed).unwrap();
+        zip.write_all(bytes).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
 }
 
 /// AEDAT4 without compression: two events in a packet of stream 1.
@@ -197,6 +209,8 @@ fn formats() -> Vec<Format> {
             ("polarity", raw(high(1), event(1, 40, 3, 4))),
         ],
     );
+    let other = replaced(&replaced(&evt2, "evt 2.0", "evt 2.1"), "EVT2;", "EVT21;");
+    add("raw, EVT2.1", "raw", &evt2, "bin_ms=0.01", vec![("evt, format", other)]);
 
     let header = "% date 2020\n% evt 3.0\n% format EVT3;height=16;width=16\n% geometry 16x16\n";
     let base = [0x8001u16, 0x6009, 0x0002, 0x2801, 0x3803, 0x4005, 0x5001, 0x6200, 0x0004, 0x2003, 0xa001];
@@ -337,6 +351,36 @@ fn formats() -> Vec<Format> {
             ("fortran_order", array("|u1", "True ", "(512, 4)", 99)),
             ("shape", array("|u1", "False", "(4, 512)", 99)),
             ("values", array("|u1", "False", "(512, 4)", 98)),
+        ],
+    );
+
+    let silent = replaced(&array("|u1", "False", "(512, 4)", 5), "\x01", "\0");
+    let labels = |class: u8| {
+        let mut bytes = Vec::new();
+        npy::write(&mut bytes, &[1], std::iter::once(class)).unwrap();
+        bytes
+    };
+    let zipped = npz(&[("spikes.npy", &usual), ("y.npy", &labels(1)), ("more.npy", &silent)]);
+    // The method of compression stands before each array and in the list behind them.
+    let mut bzip2 = zipped.clone();
+    for (mark, method) in [(*b"PK\x03\x04", 8), (*b"PK\x01\x02", 10)] {
+        let places: Vec<usize> = (0..bzip2.len() - 4).filter(|&at| bzip2[at..at + 4] == mark).collect();
+        places.iter().for_each(|at| bzip2[at + method] = 12);
+    }
+    let more = |name: &str, array: &[u8]| {
+        npz(&[("spikes.npy", &usual), ("y.npy", &labels(1)), ("more.npy", &silent), (name, array)])
+    };
+    add(
+        "spikes as npz",
+        "npz",
+        &zipped,
+        "",
+        vec![
+            ("compression", bzip2),
+            ("array named like the population", more("in.npy", &silent)),
+            ("labels, y, targets", npz(&[("spikes.npy", &usual), ("y.npy", &labels(2)), ("more.npy", &silent)])),
+            ("x beside t", npz(&[("x.npy", &labels(1)), ("y.npy", &labels(1)), ("t.npy", &labels(1))])),
+            ("other arrays", npz(&[("spikes.npy", &usual), ("y.npy", &labels(1)), ("more.npy", &usual)])),
         ],
     );
 

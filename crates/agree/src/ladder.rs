@@ -330,9 +330,10 @@ impl Ladder {
     fn neuron(&self, population: usize, index: u32, rung: Rung) -> Neuron {
         let of = &self.populations[population];
         let network = if rung.has(Cause::Calibration) { &self.calibrated } else { self.rounded() };
+        let semantics = network.parts().semantics;
         let integers = match &network.populations().as_slice()[population].units {
-            Units::Compartments { neurons, .. } => RealForm::from(&neurons.get(index)),
-            Units::Input(_) => RealForm::from(&quantised::Neuron::PLAIN),
+            Units::Compartments { neurons, .. } => RealForm::of(&neurons.get(index), semantics),
+            Units::Input(_) => RealForm::of(&quantised::Neuron::PLAIN, semantics),
         };
         let clip = if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) };
         match &of.origin {
@@ -378,7 +379,7 @@ impl Ladder {
             }
             Some(Origin::Loihi { parameters, subtracts }) => {
                 // As the reference engine has it; a real threshold has no registers to clip in.
-                let real = neuron::model(parameters, index, self.timestep_ms);
+                let real = neuron::model(parameters, index, self.timestep_ms, semantics);
                 let pick = |cause: Cause, integer: f64, real: f64| if rung.has(cause) { integer } else { real };
                 Neuron {
                     keep_u: pick(Cause::Decays, integers.keep_u, real.keep_u),
@@ -408,16 +409,17 @@ impl Ladder {
     fn state(&self, population: usize, rung: Rung) -> Option<State> {
         let of = &self.populations[population];
         let neurons = || (0..of.count).map(|index| self.neuron(population, index, rung)).collect();
-        let (response, start_step) = match of.origin.as_ref()? {
+        let (response, resets_from) = match of.origin.as_ref()? {
             Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0),
             Origin::Loihi { parameters, .. } => {
-                // SLAYER's loop starts at step 1.
-                let first = u32::from(self.graph.facts().semantics == Semantics::Slayer);
                 let depth = self.in_step(rung).map_or(0, |pipeline| pipeline.start_step(population));
-                (None, parameters.start_step.max(first).max(depth))
+                (None, parameters.start_step.max(depth))
             }
         };
-        Some(State::new(neurons(), response, start_step, self.test, rung))
+        // SLAYER's loop starts at step 1; its resets are counted from the step as given.
+        let first = u32::from(response.is_none() && self.graph.facts().semantics == Semantics::Slayer);
+        let state = State::new(neurons(), response, resets_from.max(first), self.test, rung);
+        Some(state.resetting_from(resets_from))
     }
 
     /// What the layers of a rung are given that they lack.
@@ -472,7 +474,7 @@ impl Ladder {
             let slot = now as usize % self.slots;
             for (index, state) in states.iter_mut().enumerate() {
                 let Some(state) = state else { continue };
-                if self.reset.is_some_and(|reset| falls_on(reset, now, state.start_step)) {
+                if self.reset.is_some_and(|reset| falls_on(reset, now, state.resets_from)) {
                     state.clear();
                 }
                 let sums = &mut arrivals[index][slot];

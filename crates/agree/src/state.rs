@@ -42,6 +42,8 @@ pub(super) struct State {
     pub neurons: Vec<Neuron>,
     /// The first step in which it takes part.
     pub start_step: u32,
+    /// The step that resets are counted from.
+    pub resets_from: u32,
     /// Whether input spikes count a step later.
     pub late: bool,
     strict: bool,
@@ -100,6 +102,7 @@ impl State {
             response.filter(|_| truncated).map_or_else(Vec::new, |(srm, _)| nu.truncated(EPSILON / srm.theta, 100_000));
         State {
             start_step,
+            resets_from: start_step,
             late: srm && !rung.has(Cause::Kernel),
             strict: hard && test == ThresholdTest::Strict,
             integers: rung.has(Cause::State),
@@ -133,6 +136,11 @@ impl State {
         self.past.iter_mut().for_each(|row| row.fill(0.0));
         self.own.iter_mut().for_each(Vec::clear);
         self.held.fill(0);
+    }
+
+    /// With resets counted from this step.
+    pub fn resetting_from(self, step: u32) -> State {
+        State { resets_from: step, ..self }
     }
 
     /// The potentials after a step and its resets.

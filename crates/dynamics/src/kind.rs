@@ -8,7 +8,7 @@
 use std::num::NonZeroU32;
 
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
-use nsim_ir::base::fixed::{DECAY_ONE, Field, OutOfRange, THRESHOLD_SHIFT};
+use nsim_ir::base::fixed::{DECAY_ONE, Field, OutOfRange, THRESHOLD_SHIFT, UV_BITS};
 use nsim_ir::graph::NeuronParameters;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::Neuron;
@@ -196,9 +196,13 @@ pub struct RealForm {
     pub clip: (f64, f64),
 }
 
-impl From<&Neuron> for RealForm {
+/// A refractory period without end.
+const SILENT: u32 = u32::MAX;
+
+impl RealForm {
     /// The compartment in register units, its integers taken as real numbers.
-    fn from(neuron: &Neuron) -> Self {
+    #[must_use]
+    pub fn of(neuron: &Neuron, semantics: Semantics) -> Self {
         let fields = Fields::from_registers(neuron, 0, ThresholdTest::Inclusive);
         let keep = |decay: u16| 1.0 - f64::from(decay) / DECAY_ONE as f64;
         RealForm {
@@ -209,6 +213,27 @@ impl From<&Neuron> for RealForm {
             refractory: fields.refractory.into(),
             subtracts: neuron.kind == NeuronKind::SoftReset,
             clip: (fields.vmin.into(), fields.vmax.into()),
+        }
+        .under(semantics, neuron.refractory.get() == 0)
+    }
+
+    /// What the rows of equation (11) say of a compartment in real numbers; `endless` where its
+    /// refractory period is 0.
+    pub(crate) fn under(self, semantics: Semantics, endless: bool) -> Self {
+        // A real threshold has no register to clip in.
+        let clip = |limits| if self.clip.1 < f64::MAX { limits } else { self.clip };
+        match semantics {
+            Semantics::Hardware => self,
+            Semantics::Lava => {
+                let most = f64::from((1 << UV_BITS) - 1);
+                RealForm { refractory: 1, clip: clip((-most, most)), ..self }
+            }
+            Semantics::Slayer => RealForm {
+                bias: 0.0,
+                refractory: if endless { SILENT } else { self.refractory },
+                clip: (f64::MIN, f64::MAX),
+                ..self
+            },
         }
     }
 }

@@ -73,17 +73,18 @@ pub fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZer
 
 /// A compartment of a model in real numbers, at so many ms a timestep.
 #[must_use]
-pub fn model(parameters: &NeuronParameters, index: u32, timestep_ms: f64) -> RealForm {
-    (kind(parameters.kind).model)(parameters, index, timestep_ms)
+pub fn model(parameters: &NeuronParameters, index: u32, timestep_ms: f64, semantics: Semantics) -> RealForm {
+    let endless = parameters.value("refractory", index) < 1.0;
+    (kind(parameters.kind).model)(parameters, index, timestep_ms).under(semantics, endless)
 }
 
 /// The threshold of every compartment in register units, at least one mantissa unit.
 #[must_use]
 pub fn thresholds(network: &Quantised) -> Vec<f64> {
     let of_population = |population: &nsim_ir::quantised::Population| match &population.units {
-        Units::Compartments { neurons, .. } => {
-            (0..population.shape.len()).map(|index| RealForm::from(&neurons.get(index)).threshold.max(64.0)).collect()
-        }
+        Units::Compartments { neurons, .. } => (0..population.shape.len())
+            .map(|index| RealForm::of(&neurons.get(index), network.parts().semantics).threshold.max(64.0))
+            .collect(),
         Units::Input(_) => Vec::new(),
     };
     network.populations().iter().flat_map(of_population).collect()
@@ -92,7 +93,7 @@ pub fn thresholds(network: &Quantised) -> Vec<f64> {
 /// The threshold of every neuron of a model in its own units.
 #[must_use]
 pub fn model_thresholds(graph: &Graph) -> Vec<f64> {
-    let timestep_ms = graph.facts().timestep_ms;
+    let facts = graph.facts();
     let of_population = |population: &nsim_ir::graph::Population| -> Vec<f64> {
         let count = population.shape.len();
         match &population.kind {
@@ -100,7 +101,9 @@ pub fn model_thresholds(graph: &Graph) -> Vec<f64> {
             PopulationKind::Srm(srm) => vec![srm.theta; count as usize],
             PopulationKind::Neurons(p) => {
                 let least = if p.get("vth").is_some() { f64::MIN } else { 64.0 };
-                (0..count).map(|index| model(p, index, timestep_ms).threshold.max(least)).collect()
+                (0..count)
+                    .map(|index| model(p, index, facts.timestep_ms, facts.semantics).threshold.max(least))
+                    .collect()
             }
         }
     };

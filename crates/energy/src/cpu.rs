@@ -139,7 +139,8 @@ impl Dense {
         for target in order {
             let population = &network.populations()[target];
             let Units::Compartments { neurons, start_step, .. } = &population.units else { continue };
-            let units: Vec<RealForm> = (0..population.shape.len()).map(|i| RealForm::from(&neurons.get(i))).collect();
+            let units: Vec<RealForm> =
+                (0..population.shape.len()).map(|i| RealForm::of(&neurons.get(i), network.parts().semantics)).collect();
             if units.iter().any(|unit| unit.subtracts) {
                 return Err(format!("'{}' resets by subtraction", population.name));
             }
@@ -164,7 +165,7 @@ impl Dense {
                 keeps_v: each(|n| n.keep_v),
                 bias: each(|n| n.bias),
                 threshold: each(|n| n.threshold),
-                refractory: units.iter().map(|n| n.refractory as u16).collect(),
+                refractory: units.iter().map(|n| u16::try_from(n.refractory).unwrap_or(u16::MAX)).collect(),
                 start_step: *start_step,
             });
         }

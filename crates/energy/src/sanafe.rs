@@ -25,7 +25,7 @@ use nsim_compile::Compiled;
 use nsim_cost::CostTable;
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::scaled;
-use nsim_ir::arithmetic::ThresholdTest;
+use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::base::units::{Femtojoules, Picoseconds};
@@ -58,8 +58,8 @@ fn seconds(time: Picoseconds) -> String {
 }
 
 /// Attributes of one kind of neuron.
-fn attributes(compartment: &Compartment, synapse: &str) -> String {
-    let neuron = RealForm::from(&compartment.neuron);
+fn attributes(compartment: &Compartment, semantics: Semantics, synapse: &str) -> String {
+    let neuron = RealForm::of(&compartment.neuron, semantics);
     let bias = neuron.bias / 64.0;
     let mut out = format!(
         "[threshold: {:?}, reset: 0.0, reset_mode: {}, leak_decay: {:?}, input_decay: {:?}, synapse_hw_name: {synapse}",
@@ -148,7 +148,8 @@ impl Export<'_> {
             return Err(refused("that a network is reset within a sample"));
         }
         if self.delays(self.program().cores().iter().flat_map(|image| image.axons_out.items())) != (0, 0) {
-            return Err(refused("delays between compartments, the way nsim counts them").help("export without delays"));
+            return Err(refused("delays between compartments, the way nsim counts them")
+                .help("give all projections between compartments delay 0"));
         }
         let (least, most) = self.delays(parts.channels.items().iter());
         if least != most || most > 1 {
@@ -341,9 +342,9 @@ impl Export<'_> {
         }
         for (core, image) in program.cores().enumerate() {
             let _ = writeln!(out, "    - name: c{}\n      attributes: []\n      neurons:", core.0);
-            let units = units(image);
+            let (units, semantics) = (units(image), program.parts().semantics);
             let texts: Vec<String> =
-                image.compartments.iter().zip(&units).map(|(one, unit)| attributes(one, unit)).collect();
+                image.compartments.iter().zip(&units).map(|(one, unit)| attributes(one, semantics, unit)).collect();
             let mut first = 0;
             for run in texts.chunk_by(|a, b| a == b) {
                 let last = first + run.len() - 1;

@@ -180,9 +180,13 @@ macro_rules! resources {
 
 const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core \
                               is on \
-    another chip): reduce the fan-out, or let `--relays` add compartments that carry spikes on";
-const WORDS_ADVICE: &str =
-    "use fewer synapses, fewer weight bits, or no delays, or split the fan-in over intermediate populations";
+    another chip): reduce the fan-out, or let `--relays` add compartments, and cores, that carry spikes on";
+const WORDS_ADVICE: &str = "use fewer synapses, or split the fan-in over intermediate populations; where a source has \
+                            several synapses with it, fewer weight bits or no delays take fewer words";
+const LIST_ADVICE: &str = "the words are those of one source with it: use fewer of these synapses, fewer weight bits, or \
+                           no delays";
+/// Of what every compartment has one: more than the limit only where the target has none.
+const ONE_ADVICE: &str = "every compartment has one: give a target that has some";
 
 resources! {
     /// Compartments.
@@ -202,16 +206,16 @@ resources! {
     SynapseWords, synapse_words: "map.synapse-words", Some("words"), "synapse words of its core", WORDS_ADVICE;
     /// The most words of one input axon's list.
     SynapseWordsPerAxon, synapse_words_per_axon: "map.synapse-words-per-axon", None,
-        "synapse words of one input axon", WORDS_ADVICE;
+        "synapse words of one input axon", LIST_ADVICE;
     /// Distinct synapse formats.
     SynapseFormats, synapse_formats: "map.synapse-formats", Some("formats"), "synapse formats of its core",
         "let projections into this population share weight exponent, sign mode and weight bits";
     /// Distinct compartment profiles (du, dv, refractory period).
     CompartmentProfiles, compartment_profiles: "map.compartment-profiles", Some("profiles"),
-        "compartment profiles of its core", "let compartments share du, dv and refractory period";
+        "compartment profiles of its core", ONE_ADVICE;
     /// Distinct threshold mantissas.
     ThresholdProfiles, threshold_profiles: "map.threshold-profiles", Some("thresholds"),
-        "threshold profiles of its core", "let compartments share their threshold";
+        "threshold profiles of its core", ONE_ADVICE;
     /// Dendritic accumulators: compartments times delay slots, a power of two above the longest
     /// delay.
     Accumulators, accumulators: "map.accumulators", Some("accumulators"), "dendritic accumulators of its core",

@@ -53,10 +53,8 @@ impl fmt::Display for Reason {
 
 /// What to do where the input axons of a population that channels reach are too many.
 const MERGE_INPUTS: &str = "every input channel that reaches a core takes one input axon there: merge polarities \
-                            (halves \
-    the channels), prune inputs that never fire, pool more before this population, or split the fan-in over \
-    intermediate \
-    populations";
+                            (halves the channels), prune inputs that never fire (--prune INPUT), pool more before \
+                            this population, or split the fan-in over intermediate populations";
 
 impl Reason {
     fn new(resource: Capacity, need: u64, limit: u64, help: String) -> Self {

@@ -69,6 +69,8 @@ struct Population {
     count: u32,
     /// Held at zero before it.
     start_step: u32,
+    /// The step that resets are counted from.
+    resets_from: u32,
 }
 
 #[derive(Debug)]
@@ -114,18 +116,19 @@ impl<F: Real> Model<F> {
             let count = population.shape.len();
             let counter =
                 if matches!(population.kind, PopulationKind::Input) { &mut channels } else { &mut compartments };
-            let (kind, start_step) = match &population.kind {
+            let (kind, resets_from) = match &population.kind {
                 PopulationKind::Input => (Kind::Input, 0),
                 PopulationKind::Srm(srm) => (Kind::Srm(in_steps(srm, facts.timestep_ms)), 0),
                 PopulationKind::Neurons(p) => {
-                    let neurons = (0..count).map(|i| neuron::model(p, i, facts.timestep_ms)).collect();
-                    // SLAYER's loop starts at step 1.
-                    let start = if facts.semantics == Semantics::Slayer { 1 } else { 0 };
-                    (Kind::Cuba(neurons), p.start_step.max(start))
+                    let neurons = (0..count).map(|i| neuron::model(p, i, facts.timestep_ms, facts.semantics)).collect();
+                    (Kind::Cuba(neurons), p.start_step)
                 }
             };
+            // SLAYER's loop starts at step 1; its resets are counted from the step as given.
+            let skipped = matches!(kind, Kind::Cuba(_)) && facts.semantics == Semantics::Slayer;
+            let start_step = resets_from.max(u32::from(skipped));
             debug_assert_eq!(node.index(), populations.len());
-            populations.push(Population { kind, first: *counter, count, start_step });
+            populations.push(Population { kind, first: *counter, count, start_step, resets_from });
             *counter += count;
         }
         let mut projections: Vec<Vec<Projection<F>>> = populations.iter().map(|_| Vec::new()).collect();
@@ -351,7 +354,7 @@ impl<F: Real> Engine for Reference<'_, F> {
             let spikes = &mut self.spikes;
             let spike = |neuron: u32| spikes.push(CompartmentId(population.first + neuron));
             let held = self.step < population.start_step;
-            let reset = model.reset.is_some_and(|reset| falls_on(reset, self.step, population.start_step));
+            let reset = model.reset.is_some_and(|reset| falls_on(reset, self.step, population.resets_from));
             match &mut self.units[index] {
                 Units::Input => continue,
                 Units::Srm(srm) => {

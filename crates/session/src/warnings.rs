@@ -209,7 +209,9 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
     }
     match (nearest, run.ran) {
         (Some(nearest), _) if nearest.potential <= 0 => {
-            "what reaches it never lifts it above zero; give it positive weights or a bias".to_string()
+            "what reaches it never lifts it above zero; give it positive weights, a weight_exp that does not round them \
+             to zero, or a bias"
+                .to_string()
         }
         (Some(nearest), _) => lower(network.parts().threshold, &nearest),
         (None, Ran::Reals) => "lower its threshold, or scale up the weights that lead to it".to_string(),

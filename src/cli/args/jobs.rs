@@ -140,9 +140,10 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// That this model does not fit this target for these reasons.
+    /// That this model does not fit this target for these reasons, to whoever runs this command.
     #[must_use]
-    pub fn new(model: &str, target: Target, reasons: Vec<Reason>) -> Self {
+    pub fn new(model: &str, target: Target, mut reasons: Vec<Reason>) -> Self {
+        reasons.iter_mut().for_each(|reason| reason.help = with_owners(&reason.help));
         Refusal { model: model.to_string(), target: Box::new(target), reasons }
     }
 
@@ -153,7 +154,7 @@ impl Refusal {
     /// When stdout cannot be written.
     pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer, Error> {
         let text = report::map::refusal(&self.model, &self.target, &self.reasons);
-        diagnostics::say(&format!("{}\n", with_owners(text.trim_end())));
+        diagnostics::say(&text);
         if context.format == crate::cli::context::Format::Json {
             object["model"] = self.model.as_str().into();
             object["target"] = self.target.name().into();

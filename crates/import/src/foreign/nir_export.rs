@@ -8,7 +8,7 @@
 //! of the model and its arrays. [`restore`] takes the model from there, provided that exporting it
 //! again gives the file that it was found in: a file that somebody changed is read like any other.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::{Group, Item, Numbers};
 use super::imported::{NEVER, every_step};
@@ -44,12 +44,12 @@ pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
     let dt = model.timestep_ms / 1e3;
     let mut graph =
         Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt, biases: BTreeMap::new() };
-    let biases = model.populations.iter().filter(|population| graph.takes_biases_of(model, population));
-    let biases: Vec<String> = biases.map(|population| population.name.clone()).collect();
+    let wires = Wires::new(model);
+    let biases = model.populations.iter().filter(|population| graph.takes_biases_of(&wires, population));
+    let biases: BTreeSet<&String> = biases.map(|population| &population.name).collect();
     for population in model.populations.iter().filter(|population| !biases.contains(&population.name)) {
         graph.population(population)?;
-        let heard = model.projections.iter().any(|projection| projection.to == population.name);
-        if population.loihi.is_some() && !heard {
+        if population.loihi.is_some() && wires.entering(&population.name).is_empty() {
             graph.notes.push(format!(
                 "'{}' has no input: nir.read of Python gives it an input of its own, which a file that it writes keeps",
                 population.name
@@ -58,10 +58,10 @@ pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
     }
     for (index, projection) in model.projections.iter().enumerate() {
         if !projection.from.iter().any(|from| biases.contains(from)) {
-            graph.projection(model, projection, index)?;
+            graph.projection(&wires, projection, index)?;
         }
     }
-    let output = model.population(&model.output).ok_or_else(|| unsupported("the model has no output"))?;
+    let output = wires.population(&model.output).ok_or_else(|| unsupported("the model has no output"))?;
     let name = graph.free("output");
     graph.nodes = graph.nodes.with(&name, node("Output").with("shape", shape(&output.shape)));
     graph.edges.push((model.output.clone(), name));
@@ -137,6 +137,41 @@ fn array(tensor: &Tensor) -> Numbers {
     }
 }
 
+/// The populations of a model by name, and the projections that enter and leave each.
+struct Wires<'a> {
+    output: &'a str,
+    populations: BTreeMap<&'a str, &'a PopulationBuilder>,
+    entering: BTreeMap<&'a str, Vec<&'a ProjectionBuilder>>,
+    leaving: BTreeMap<&'a str, Vec<&'a ProjectionBuilder>>,
+}
+
+impl<'a> Wires<'a> {
+    fn new(model: &'a ModelBuilder) -> Self {
+        let populations = model.populations.iter().map(|population| (population.name.as_str(), population)).collect();
+        let mut wires =
+            Wires { output: &model.output, populations, entering: BTreeMap::new(), leaving: BTreeMap::new() };
+        for projection in &model.projections {
+            wires.entering.entry(&projection.to).or_default().push(projection);
+            for from in projection.from.iter().collect::<BTreeSet<_>>() {
+                wires.leaving.entry(from).or_default().push(projection);
+            }
+        }
+        wires
+    }
+
+    fn population(&self, name: &str) -> Option<&'a PopulationBuilder> {
+        self.populations.get(name).copied()
+    }
+
+    fn entering(&self, name: &str) -> &[&'a ProjectionBuilder] {
+        self.entering.get(name).map_or(&[], |all| all)
+    }
+
+    fn leaving(&self, name: &str) -> &[&'a ProjectionBuilder] {
+        self.leaving.get(name).map_or(&[], |all| all)
+    }
+}
+
 struct Graph {
     nodes: Group,
     edges: Vec<(String, String)>,
@@ -150,41 +185,41 @@ struct Graph {
 impl Graph {
     /// Whether a population is what an import makes of biases of a current: a compartment that
     /// spikes in every step. Then these are kept, and its projections become biases of nodes again.
-    fn takes_biases_of(&mut self, model: &ModelBuilder, population: &PopulationBuilder) -> bool {
+    fn takes_biases_of(&mut self, wires: &Wires<'_>, population: &PopulationBuilder) -> bool {
         let is_made = population.units() == 1
             && population.loihi == Some(every_step())
-            && population.name != model.output
-            && model.projections.iter().all(|projection| projection.to != population.name);
+            && population.name != wires.output
+            && wires.entering(&population.name).is_empty();
+        if !is_made {
+            return false;
+        }
         let mut sums: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-        for projection in model.projections.iter().filter(|projection| projection.from.contains(&population.name)) {
+        for projection in wires.leaving(&population.name) {
             let undelayed = |other: &ProjectionBuilder| {
-                let target = model.population(&other.to);
-                let mut sources = other.from.iter().filter_map(|from| model.population(from));
+                let target = wires.population(&other.to);
+                let mut sources = other.from.iter().filter_map(|from| wires.population(from));
                 target.is_some_and(|target| sources.all(|source| written_delay(other, source, target) == 0))
             };
-            let other = model
-                .projections
-                .iter()
-                .find(|other| other.to == projection.to && !other.from.contains(&population.name) && undelayed(other));
+            let mut others = wires.entering(&projection.to).iter();
+            let other = others.find(|other| !other.from.contains(&population.name) && undelayed(other));
             let (ProjectionKind::Dense(weights), 1, 0, Some(other)) =
                 (&projection.kind, projection.from.len(), projection.delay, other)
             else {
                 return false;
             };
-            let weights: Vec<f64> = weights.reals().map(|w| w * counts(model, projection)).collect();
+            let unit = counts(wires, projection);
+            let weights: Vec<f64> = weights.reals().map(|w| w * unit).collect();
             let by_channel = matches!(other.kind, ProjectionKind::Conv2d { .. })
-                && by_channel(&weights, model.population(&projection.to).map_or(&[][..], |p| &p.shape)).is_some();
+                && by_channel(&weights, wires.population(&projection.to).map_or(&[][..], |p| &p.shape)).is_some();
             let holds = by_channel || matches!(other.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
             let taken = self.biases.contains_key(&projection.to) || sums.contains_key(&projection.to);
-            if !is_made || !holds || taken {
+            if !holds || taken {
                 return false;
             }
             sums.insert(projection.to.clone(), weights);
         }
-        let any = is_made && !sums.is_empty();
-        if any {
-            self.biases.extend(sums);
-        }
+        let any = !sums.is_empty();
+        self.biases.extend(sums);
         any
     }
 
@@ -278,12 +313,12 @@ impl Graph {
         Ok(())
     }
 
-    fn projection(&mut self, model: &ModelBuilder, projection: &ProjectionBuilder, index: usize) -> Result<()> {
+    fn projection(&mut self, wires: &Wires<'_>, projection: &ProjectionBuilder, index: usize) -> Result<()> {
         let find = |name: &str| {
-            model.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
+            wires.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
         };
         let target = find(&projection.to)?;
-        let unit = counts(model, projection);
+        let unit = counts(wires, projection);
         let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
         if matrix && target.shape.len() > 1 {
             self.notes.push(format!(
@@ -551,8 +586,8 @@ impl Axis {
 
 /// What a weight of 1 of a projection counts, in units of the register divided by 64, as the
 /// threshold mantissa is, or in those of a real threshold.
-fn counts(model: &ModelBuilder, projection: &ProjectionBuilder) -> f64 {
-    let real = model.population(&projection.to).is_some_and(|target| target.parameter("vth").is_some());
+fn counts(wires: &Wires<'_>, projection: &ProjectionBuilder) -> f64 {
+    let real = wires.population(&projection.to).is_some_and(|target| target.parameter("vth").is_some());
     match (real, projection.weight_scale) {
         (true, _) => 1.0,
         (false, scale) => scale.unwrap_or(1.0) * (projection.weight_exp as f64).exp2(),
