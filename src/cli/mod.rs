@@ -20,7 +20,6 @@ pub mod output;
 pub mod plot;
 pub mod probes;
 pub mod process;
-pub mod removed;
 pub mod report;
 pub mod run;
 pub mod scene;
@@ -236,7 +235,7 @@ fn command(line: &[OsString], asked: Format) -> ExitCode {
         advice::runs(&matches, options_of_commands);
         Cli::from_arg_matches(&matches)
     });
-    let cli = match parsed.map_err(|error| removed::explained(error, line, &mut known).format(&mut known)) {
+    let cli = match parsed.map_err(|error| args::removed::explained(error, line, &mut known).format(&mut known)) {
         Ok(cli) => cli,
         Err(error) => {
             let status = diagnostics::usage(&error, asked);

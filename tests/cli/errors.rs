@@ -1,7 +1,7 @@
 //! What is wrong is said with its place and what was meant.
 
 use crate::{MODEL, has_keys, object, said, write};
-use nsim::cli::removed::REMOVED;
+use nsim::cli::args::removed::REMOVED;
 
 #[test]
 fn a_slip_is_answered_with_what_was_meant() {

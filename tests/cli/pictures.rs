@@ -107,8 +107,8 @@ fn saved_results_are_drawn_as_the_commands_draw_them() {
     }
     assert_eq!(nsim(here, "plot time e.json -o t.svg").0, 0);
     assert_eq!(nsim(here, "plot energy e.json -o e.svg").0, 0);
-    let (status, _, error) = nsim(here, "plot early e.json -o x.svg");
-    assert!(status == 3 && error.contains("nsim bench early"), "{error}");
+    let (status, _, error) = nsim(here, "plot agreement e.json -o x.svg");
+    assert!(status == 3 && error.contains("nsim agree"), "{error}");
     let (status, _, error) = nsim(here, "plot raster e.json -o x.svg");
     assert!(status == 2 && error.contains("runs a model"), "{error}");
 }

@@ -248,6 +248,9 @@ fn a_payload_multiplies_the_weight_in_every_semantics() {
     }
 }
 
+/// A change to who carries what.
+type Change<'a> = &'a dyn Fn(&mut Vec<Graded>);
+
 #[test]
 fn a_payload_that_is_lost_moved_or_changed_in_a_program_is_found() {
     let mut net = Net::new();
@@ -263,19 +266,19 @@ fn a_payload_that_is_lost_moved_or_changed_in_a_program_is_found() {
     let target = load_target("loihi1-chip").unwrap();
     let mapped = compile(network, &target, &Options::default()).unwrap();
     assert_eq!(check(&mapped.quantised, &mapped.program).map(drop), Ok(()));
-    let changed = |change: &dyn Fn(&mut Vec<Graded>)| {
+    let changed = |change: Change<'_>| {
         let mut parts = mapped.program.clone().into_parts();
         assert_eq!(parts.graded.len(), 1, "the compartments of one population");
         change(&mut parts.graded);
         Program::new(parts)
     };
     let differs = |program: Program| check(&mapped.quantised, &program).unwrap_err().to_string();
-    let wrong: [&dyn Fn(&mut Vec<Graded>); 3] =
+    let wrong: [Change<'_>; 3] =
         [&Vec::clear, &|graded| graded[0].payload = Payload::new(4).unwrap(), &|graded| graded[0].sources.end -= 1];
     for change in wrong {
         assert!(differs(changed(change).unwrap()).contains("payload"));
     }
-    let open: [&dyn Fn(&mut Vec<Graded>); 2] = [
+    let open: [Change<'_>; 2] = [
         // A source that is not there, and one with two payloads.
         &|graded| graded[0].sources.end = 10_000,
         &|graded| graded.push(graded[0].clone()),

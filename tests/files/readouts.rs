@@ -442,8 +442,6 @@ fn what_reads_spikes_alone_refuses_an_output_read_out_by_its_potential() {
     write_input(folder, "in.npy", 0);
     write_nir(folder, Some(LEAKY));
     object(folder, "import net.nir --dt 1 -o m.ron", 0);
-    let (code, _, stderr) = nsim(folder, "bench early m.ron --input in.npy");
-    assert!(code == 2 && stderr.contains("potentials decide this model"), "{code}: {stderr}");
     let (code, _, stderr) = nsim(folder, "convert m.ron --input in.npy --fine-tune 1");
     assert!(code == 3 && stderr.contains("its potentials decide"), "{code}: {stderr}");
     assert!(stderr.contains("nsim train, with the loss Potential"), "{stderr}");

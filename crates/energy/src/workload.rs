@@ -67,16 +67,6 @@ impl<'j> Workload<'j> {
         self.order.iter().map(|&sample| &self.given[sample]).collect()
     }
 
-    /// Runs only these of the samples from here on.
-    ///
-    /// # Errors
-    /// The first number that is no sample's.
-    pub fn choose(&mut self, samples: &[usize]) -> Result<(), usize> {
-        let number = |&sample: &usize| self.order.get(sample).copied().ok_or(sample);
-        self.order = samples.iter().map(number).collect::<Result<_, usize>>()?;
-        Ok(())
-    }
-
     /// The copies, all of which see each sample.
     #[must_use]
     pub fn shown(&self) -> Copies {

@@ -459,7 +459,6 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
     let line = |name: &str, numbers: &[f64]| Series::Line {
         name: name.to_string(),
         points: (around.from..).map(f64::from).zip(numbers.iter().copied()).collect(),
-        band: Vec::new(),
     };
     let end = f64::from(around.from) + around.a.len().max(around.b.len()) as f64 - 1.0;
     let spikes = |name: &str, steps: &[u32], height: f64| Series::Points {
@@ -472,11 +471,7 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
         line("b", &around.b),
         spikes("spikes of a", &around.spikes_a, 1.15),
         spikes("spikes of b", &around.spikes_b, 1.25),
-        Series::Line {
-            name: "threshold".to_string(),
-            points: vec![(around.from.into(), 1.0), (end, 1.0)],
-            band: Vec::new(),
-        },
+        Series::Line { name: "threshold".to_string(), points: vec![(around.from.into(), 1.0), (end, 1.0)] },
     ];
     let title = format!(
         "{model}: '{}' neuron {}, sample {}, parts in step {}",

@@ -3,12 +3,6 @@
 //! Input: outcomes of labelled samples, the energy of each step. Output: accuracy and energy after
 //! each step.
 
-use std::path::Path;
-
-use serde_json::Value;
-
-use nsim_files as io;
-use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::spikes::Sample;
 use nsim_session::Outcome;
 use nsim_session::error::Error;
@@ -19,8 +13,6 @@ use nsim_train::loss::class_of;
 pub struct Trial {
     /// Milliseconds of a timestep.
     pub timestep_ms: f64,
-    /// Share of the commonest class of the samples, which naming it always reaches.
-    pub chance: f64,
     /// Share of the samples that are right on the spikes up to each step.
     pub accuracy: Vec<f64>,
     /// Mean energy that one copy has spent up to the end of each step.
@@ -56,8 +48,7 @@ impl Trial {
             Some(*energy)
         };
         let energy_uj = spent_uj.iter().scan(0.0, so_far).collect();
-        let chance = commonest(samples);
-        let mut trial = Trial { timestep_ms, chance, accuracy: vec![0.0; steps], energy_uj, decided_ms: Vec::new() };
+        let mut trial = Trial { timestep_ms, accuracy: vec![0.0; steps], energy_uj, decided_ms: Vec::new() };
         let share = 1.0 / samples.len().max(1) as f64;
         for (index, (outcome, sample)) in outcomes.iter().zip(samples).enumerate() {
             if outcome.potentials.is_some() {
@@ -84,65 +75,5 @@ impl Trial {
             trial.decided_ms.push(right_since.map(|step| (step + 1) as f64 * timestep_ms));
         }
         Ok(trial)
-    }
-}
-
-/// The share of the commonest label.
-fn commonest(samples: &[&Sample]) -> f64 {
-    let mut labels: Vec<u32> = samples.iter().filter_map(|sample| sample.label()).collect();
-    labels.sort_unstable();
-    let most = labels.chunk_by(|a, b| a == b).map(<[u32]>::len).max().unwrap_or(0);
-    most as f64 / labels.len().max(1) as f64
-}
-
-/// Models of one kind: the folds of a cross-validation, or a single one.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TrialGroup {
-    /// What they have in common.
-    pub name: String,
-    /// Each of them.
-    pub trials: Vec<Trial>,
-}
-
-/// A model of a study and what it is tested on.
-#[derive(Debug)]
-pub struct StudyModel {
-    /// Its training and setting.
-    pub group: String,
-    /// The model file.
-    pub model: String,
-    /// Samples that its training left out; `None` for all.
-    pub tested: Option<Vec<usize>>,
-}
-
-/// The models that `nsim bench paper --train` left in a folder, by group and name.
-///
-/// # Errors
-/// `study.run` when the folder cannot be read or holds anything else in its `.json` files.
-pub fn study_models(folder: &Path) -> Result<Vec<StudyModel>, Diagnostic> {
-    let unreadable = |path: &Path, why: String| Diagnostic::new("study.run", why).in_file(path);
-    let mut models = Vec::new();
-    for path in io::disk::list(folder).map_err(|error| unreadable(folder, error.to_string()))? {
-        if path.extension().is_none_or(|extension| extension != "json") {
-            continue;
-        }
-        let bytes = io::text::read_bytes(&path, 1 << 26)?;
-        let run: Value = serde_json::from_slice(&bytes).map_err(|error| unreadable(&path, error.to_string()))?;
-        if io::write::checksum::holds(&run) == Some(false) {
-            return Err(unreadable(&path, "the file is damaged: its checksum is another".to_string()));
-        }
-        let text = |key: &str| run[key].as_str().map(str::to_string);
-        let (Some(name), Some(setting)) = (text("name"), text("setting")) else {
-            return Err(unreadable(&path, "this is no run of a study".to_string()));
-        };
-        let group = if setting.is_empty() { name } else { format!("{name} {setting}") };
-        let indices = |list: &Vec<Value>| list.iter().filter_map(|index| Some(index.as_u64()? as usize)).collect();
-        let model = path.with_extension("ron").display().to_string();
-        models.push(StudyModel { group, model, tested: run["tested"].as_array().map(indices) });
-    }
-    models.sort_by(|a, b| (&a.group, &a.model).cmp(&(&b.group, &b.model)));
-    match models.is_empty() {
-        true => Err(unreadable(folder, "there is no run of a study in this folder".to_string())),
-        false => Ok(models),
     }
 }

@@ -1,5 +1,8 @@
 //! Networks and targets for tests, by hand and at random. Nothing here is part of nsim itself.
 
+// What cannot be made for a test fails it.
+#![allow(clippy::unwrap_used)]
+
 use std::sync::Arc;
 
 use nsim_ir::base::diagnostic::SourceText;
@@ -77,8 +80,15 @@ pub struct Builder {
     compartments: u32,
 }
 
+impl Default for Builder {
+    fn default() -> Self {
+        Builder::new()
+    }
+}
+
 impl Builder {
     /// Nothing yet.
+    #[must_use]
     pub fn new() -> Self {
         let parts = Parts::empty("test");
         Builder { parts, channels: 0, compartments: 0 }

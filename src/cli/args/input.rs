@@ -57,12 +57,6 @@ impl InputArgs {
         let options = sources.chain(self.seed.map(|seed| ("--seed", seed.to_string())));
         options.flat_map(|(name, value)| [name.to_string(), value]).collect()
     }
-
-    /// All samples of these sources, once each.
-    #[must_use]
-    pub fn from_sources(sources: &[String]) -> Self {
-        InputArgs { input: sources.to_vec(), labels: None, samples: None, repeat: 1, seed: None }
-    }
 }
 
 /// Takes the samples that a run asks for, as often as it asks.

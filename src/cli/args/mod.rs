@@ -5,6 +5,7 @@ pub mod conversion;
 pub mod input;
 pub mod jobs;
 pub mod prune;
+pub mod removed;
 pub mod saved;
 pub mod steps;
 pub mod timestep;

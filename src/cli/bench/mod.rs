@@ -2,7 +2,6 @@
 
 #[cfg(feature = "ann")]
 pub mod ann;
-pub mod early;
 pub mod paper;
 pub mod pareto;
 pub mod published;
@@ -13,7 +12,6 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use crate::cli::args::values;
-use crate::cli::bench::early::EarlyArgs;
 use crate::cli::bench::paper::PaperArgs;
 use crate::cli::bench::pareto::ParetoArgs;
 use crate::cli::bench::published::PublishedArgs;
@@ -73,7 +71,6 @@ impl Args {
 enum Which {
     Step(StepArgs),
     Map(MapArgs),
-    Early(EarlyArgs),
     Pareto(Box<ParetoArgs>),
     Published(PublishedArgs),
     Paper(PaperArgs),
@@ -142,7 +139,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     match &args.bench {
         Which::Step(args) => step(args, context),
         Which::Map(args) => map_suite(args, context),
-        Which::Early(args) => early::run(args, context),
         Which::Pareto(args) => pareto::run(args, context),
         Which::Published(args) => published::run(args, context),
         Which::Paper(args) => paper::run(args, context),

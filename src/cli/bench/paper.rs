@@ -8,10 +8,12 @@ use serde_json::json;
 use crate::cli::args::jobs;
 use crate::cli::args::jobs::{Job, JobArgs, Prepared, Wanted};
 use crate::cli::args::values::one_of;
-use crate::cli::bench::early::timed;
 use crate::cli::context::{Answer, Context};
+use crate::cli::energy::workload::simulate;
 use crate::cli::output;
 use crate::cli::train::train;
+use nsim_cost::estimate::{Case, spent_by_step_uj};
+use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use nsim_energy::environment::Environment;
 use nsim_energy::workload::Workload;
 use nsim_files as io;
@@ -150,7 +152,7 @@ fn trial(
     if let (Some((compiled, target)), Neurons::Loihi) = (job.mapped(), neurons) {
         let order = (0..samples.len()).collect();
         let stimulus = Stimulus { samples, origin: Vec::new(), seed: None };
-        return timed(&Workload::new(compiled, target, stimulus, order)?, false, context);
+        return timed(&Workload::new(compiled, target, stimulus, order)?, context);
     }
     let Job::Real(graph, quantised, _) = &job else {
         return Err(Error::Fault(format!("{model}: it was not made ready for real numbers")));
@@ -165,6 +167,30 @@ fn trial(
     let steps = samples.iter().map(|sample| sample.steps() as usize).max().unwrap_or(0);
     let (timestep_ms, spent_uj) = (quantised.parts().timestep_ms, vec![0.0; steps]);
     Trial::new(TrialRun { samples: &samples, outcomes: &outcomes, steps, timestep_ms, spent_uj: &spent_uj })
+}
+
+/// Accuracy and energy after each step of a mapped network on its samples.
+///
+/// # Errors
+/// [`Error`] for samples of several lengths or without labels.
+fn timed(workload: &Workload<'_>, context: Context) -> Result<Trial, Error> {
+    let table = CostTable::new(&workload.target.constants()[0])?;
+    let placement = &workload.compiled.placement;
+    let work = HostWork::for_target(workload.target);
+    let deployment = Deployment::from_placement("mapped", placement, workload.target, workload.copies, work);
+    let metered = workload.metered(vec![table], &deployment, Transport::default());
+    let run = simulate(workload, MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
+    let Some(steps) = workload.steps_per_sample() else {
+        return Err(Error::Usage("accuracy over time needs samples of one length".to_string()));
+    };
+    let timestep_ms = workload.compiled.one.parts().timestep_ms;
+    let spent = spent_by_step_uj(&Case {
+        steps_per_sample: Some(steps),
+        ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
+    });
+    let (samples, outcomes) = (workload.samples(), &run.outcomes);
+    let steps = steps as usize;
+    Trial::new(TrialRun { samples: &samples, outcomes, steps, timestep_ms, spent_uj: &spent })
 }
 
 fn chosen(samples: &[Sample], numbers: &[usize]) -> Vec<Sample> {

@@ -28,7 +28,6 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::charts::results;
-use nsim_report::charts::results::Over;
 use nsim_report::charts::sample::{Traced, raster, voltage};
 use nsim_session::error::Error;
 use nsim_session::priced::Metered;
@@ -42,7 +41,6 @@ EXAMPLES:
   nsim plot time result.json -o time.svg                where its time goes, of a result that was saved
   nsim plot map model.ron --copies 8 -o map.svg         cores on their chips, and what links carry
   nsim agree --format json > a.json && nsim plot agreement a.json -o causes.svg
-  nsim bench early --format json > e.json && nsim plot early e.json -o early.svg
   nsim map --pareto p.svg --format json > m.json && nsim plot pareto m.json -o pareto.svg";
 
 /// What is drawn.
@@ -64,10 +62,6 @@ pub enum What {
     Pareto,
     /// A result of agree: the causes of disagreement
     Agreement,
-    /// A result of bench early: accuracy over time
-    Early,
-    /// A result of bench early: accuracy over energy
-    EarlyEnergy,
 }
 
 impl What {
@@ -82,8 +76,6 @@ impl What {
             What::Map => "map",
             What::Pareto => "pareto",
             What::Agreement => "agreement",
-            What::Early => "early",
-            What::EarlyEnergy => "early-energy",
         }
     }
 
@@ -95,7 +87,6 @@ impl What {
             What::Hardware | What::Energy | What::Time => Some((&["nsim.energy/1"], "nsim energy")),
             What::Pareto => Some((&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto")),
             What::Agreement => Some((&["nsim.agree/1"], "nsim agree")),
-            What::Early | What::EarlyEnergy => Some((&["nsim.bench/1"], "nsim bench early")),
         }
     }
 
@@ -107,8 +98,6 @@ impl What {
             What::Time => results::time(result),
             What::Pareto => results::pareto(result),
             What::Agreement => results::agreement(result),
-            What::Early => results::early(result, Over::Time),
-            What::EarlyEnergy => results::early(result, Over::Energy),
             What::Raster | What::Voltage | What::Map => None,
         }
     }
@@ -171,7 +160,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             write(args, &picture, taken, context)
         }),
         What::Raster | What::Voltage | What::Map => mapped(args, taken, context),
-        What::Pareto | What::Agreement | What::Early | What::EarlyEnergy => {
+        What::Pareto | What::Agreement => {
             let command = what.results().map_or("", |(_, command)| command);
             Err(Error::Usage(format!(
                 "nsim plot {} draws a result: {command} {model} --format json > FILE.json, then give that file",

@@ -1,6 +1,5 @@
 //! Results of `nsim bench`.
 
-pub mod early;
 pub mod mapping;
 pub mod paper;
 pub mod pareto;

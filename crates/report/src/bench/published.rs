@@ -138,7 +138,7 @@ impl PublishedReport<'_> {
         let ends = own.iter().map(|row| row.published);
         let (low, high) = ends.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), x| (low.min(x), high.max(x)));
         let equal = vec![(low, low), (high, high)];
-        let mut series = vec![Series::Line { name: "equal".to_string(), points: equal, band: Vec::new() }];
+        let mut series = vec![Series::Line { name: "equal".to_string(), points: equal }];
         series.push(Series::Intervals {
             name: "80 % interval".to_string(),
             points: own.iter().filter_map(|row| Some((row.published, row.interval?.0, row.interval?.1))).collect(),

@@ -1,4 +1,4 @@
-//! Charts as SVG: lines with bands, scattered points with a front, bars.
+//! Charts as SVG: lines, scattered points with a front, bars.
 //!
 //! Input: named series of finite numbers. Output: one SVG text, the same for the same numbers.
 //! Written by hand: the three charts that results need are a few rectangles, lines and words.
@@ -54,8 +54,6 @@ pub enum Series {
         name: String,
         /// (x, y).
         points: Vec<(f64, f64)>,
-        /// (low, high) at each point, or none.
-        band: Vec<(f64, f64)>,
     },
     /// Single points with words beside them.
     Points {
@@ -102,18 +100,8 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     for (index, one) in order {
         let (colour, dash) = (COLOURS[index % COLOURS.len()], DASHES[index % DASHES.len()]);
         let (name, mark) = match one {
-            Series::Line { name, points, band } => {
+            Series::Line { name, points } => {
                 let place = |&(px, py): &(f64, f64)| Some((across.place(px)?, up.place(py)?));
-                if band.len() == points.len() && !band.is_empty() {
-                    let edge = |pick: fn(&(f64, f64)) -> f64| {
-                        points.iter().zip(band).filter_map(move |(p, b)| place(&(p.0, pick(b))))
-                    };
-                    let mut outline: Vec<(f64, f64)> = edge(|b| b.0).collect();
-                    let mut back: Vec<(f64, f64)> = edge(|b| b.1).collect();
-                    back.reverse();
-                    outline.extend(back);
-                    _ = writeln!(out, r#"<polygon points="{}" fill="{colour}" opacity="0.18"/>"#, path(&outline));
-                }
                 let line: Vec<(f64, f64)> = points.iter().filter_map(place).collect();
                 _ = writeln!(
                     out,
@@ -280,10 +268,7 @@ impl Labels {
 
 fn extent(series: &Series) -> Vec<(f64, f64)> {
     match series {
-        Series::Line { points, band, .. } => {
-            let edges = points.iter().zip(band).flat_map(|(p, b)| [(p.0, b.0), (p.0, b.1)]);
-            points.iter().copied().chain(edges).collect()
-        }
+        Series::Line { points, .. } => points.clone(),
         Series::Points { points, .. } => points.iter().map(|p| (p.0, p.1)).collect(),
         Series::Intervals { points, .. } => points.iter().flat_map(|p| [(p.0, p.1), (p.0, p.2)]).collect(),
     }
@@ -499,11 +484,7 @@ mod tests {
 
     #[test]
     fn every_number_has_its_mark_and_words_are_escaped() {
-        let line = Series::Line {
-            name: "a<b".into(),
-            points: vec![(0.0, 1.0), (1.0, 2.0)],
-            band: vec![(0.5, 1.5), (1.5, 2.5)],
-        };
+        let line = Series::Line { name: "a<b".into(), points: vec![(0.0, 1.0), (1.0, 2.0)] };
         let points = Series::Points {
             name: "p".into(),
             points: vec![(0.2, 1.0, "x".into()), (0.1, 2.0, "y".into())],
@@ -512,7 +493,7 @@ mod tests {
         let svg = chart("t & u", &Axis::linear("x"), &Axis::linear("y"), &[line, points]);
         // Two points and the legend's.
         assert_eq!(svg.matches("<circle").count(), 3);
-        assert_eq!((svg.matches("<polyline").count(), svg.matches("<polygon").count()), (2, 1));
+        assert_eq!(svg.matches("<polyline").count(), 2);
         assert!(svg.contains("a&lt;b") && svg.contains("t &amp; u") && svg.ends_with("</svg>\n"));
         let tower = |values: [f64; 2]| ("s".to_string(), values.to_vec());
         let svg = stacked("b", &Axis::linear("y"), &["c".into()], &[tower([30.0, 0.0]), tower([70.0, 0.0])]);
@@ -558,7 +539,7 @@ mod tests {
     #[test]
     fn nothing_and_one_number_still_make_a_chart() {
         assert!(chart("", &Axis::log(""), &Axis::linear(""), &[]).contains("svg"));
-        let one = Series::Line { name: String::new(), points: vec![(3.0, 3.0)], band: vec![] };
+        let one = Series::Line { name: String::new(), points: vec![(3.0, 3.0)] };
         assert!(!chart("", &Axis::log(""), &Axis::linear(""), &[one]).contains("NaN"));
     }
 }

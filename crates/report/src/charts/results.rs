@@ -1,6 +1,6 @@
 //! Pictures of results: from the JSON objects that commands print.
 //!
-//! Input: a result of `nsim energy`, `bench pareto`, `bench early`, `map --pareto` or `agree`.
+//! Input: a result of `nsim energy`, `bench pareto`, `map --pareto` or `agree`.
 //! Output: an SVG text, or none when the result has not what is drawn. A command draws its own
 //! result by the same function, so that a stored one looks the same.
 
@@ -183,52 +183,6 @@ pub fn agreement(result: &Value) -> Option<String> {
     Some(plot::bars(&title, &Axis::linear("added disagreement (1 - coincidence)"), &causes, &series))
 }
 
-/// What a curve of early decisions runs over.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Over {
-    /// Time into the sample.
-    Time,
-    /// Energy of one copy so far.
-    Energy,
-}
-
-/// Accuracy over time or energy of `nsim bench early`, with one standard deviation over the models
-/// of a group, and chance.
-#[must_use]
-pub fn early(result: &Value, over: Over) -> Option<String> {
-    let (key, title, label) = match over {
-        Over::Time => ("time_ms", "Accuracy over time", "time into the sample, ms"),
-        Over::Energy => ("energy_uj", "Accuracy over energy", "energy of one copy so far, uJ"),
-    };
-    let column = |group: &Value, key: &str| rows(&group[key]).iter().filter_map(number).collect::<Vec<f64>>();
-    let mut series = Vec::new();
-    let mut range: Option<(f64, f64)> = None;
-    for group in rows(&result["rows"]) {
-        let (xs, accuracy, sd) = (column(group, key), column(group, "accuracy"), column(group, "accuracy_sd"));
-        let several = group["models"].as_u64().is_some_and(|models| models > 1) && sd.len() == accuracy.len();
-        let edges = accuracy.iter().zip(&sd).map(|(mean, sd)| ((mean - sd).max(0.0), (mean + sd).min(1.0)));
-        let band = if several { edges.collect() } else { Vec::new() };
-        if let Some((&first, &last)) = xs.first().zip(xs.last()) {
-            range = Some(range.map_or((first, last), |(low, high)| (low.min(first), high.max(last))));
-        }
-        series.push(Series::Line {
-            name: words(&group["name"]).to_string(),
-            points: xs.into_iter().zip(accuracy).collect(),
-            band,
-        });
-    }
-    let (low, high) = range?;
-    let chance: Vec<f64> = rows(&result["rows"]).iter().filter_map(|group| number(&group["chance"])).collect();
-    if let Some(&chance) = chance.first().filter(|first| chance.iter().all(|other| other == *first)) {
-        series.push(Series::Line {
-            name: format!("chance ({})", short(chance)),
-            points: vec![(low, chance), (high, chance)],
-            band: Vec::new(),
-        });
-    }
-    Some(plot::chart(title, &Axis::linear(label), &Axis::linear("accuracy on the spikes so far"), &series))
-}
-
 #[cfg(test)]
 mod tests {
     use serde_json::json;
@@ -258,13 +212,7 @@ mod tests {
         assert!(agreement(&agreed).unwrap().contains(">hidden<"));
         let caused = json!({ "attribution": [{ "cause": "weights", "forward": 0.1, "reversed": 0.2 }] });
         assert!(agreement(&caused).unwrap().contains(">weights<"));
-        let group = json!({
-            "name": "g", "models": 2, "chance": 0.5, "time_ms": [1.0, 2.0], "accuracy": [0.4, 0.9],
-            "accuracy_sd": [0.1, 0.0], "energy_uj": [1.0, 3.0],
-        });
-        let svg = early(&json!({ "rows": [group] }), Over::Energy).unwrap();
-        assert!(svg.contains("chance (0.500)") && svg.contains("<polygon"));
-        for drawn in [energy, time, pareto, agreement, |value: &Value| early(value, Over::Time)] {
+        for drawn in [energy, time, pareto, agreement] {
             for nothing in
                 [json!({}), json!([]), json!({ "rows": [{}], "pareto": [7], "layers": "x", "attribution": [] })]
             {

@@ -253,7 +253,7 @@ mod tests {
 
     fn trial(accuracy: Vec<f64>, samples: usize) -> Trial {
         let energy_uj = (0..accuracy.len()).map(|step| step as f64).collect();
-        Trial { timestep_ms: 1.0, chance: 0.5, accuracy, energy_uj, decided_ms: vec![Some(7.0); samples] }
+        Trial { timestep_ms: 1.0, accuracy, energy_uj, decided_ms: vec![Some(7.0); samples] }
     }
 
     #[test]

@@ -32,6 +32,12 @@ pub const REMOVED: &[(&str, &str)] = &[
     ),
     ("train --seeds", "train with each seed by `nsim train CONFIG.ron --seed N -o MODEL.ron` in a loop of the shell"),
     ("bench batch", "`nsim energy --baseline rtx-2080-ti gpu-roofline` has the rows of a GPU, a sample at a time"),
+    (
+        "bench early",
+        "`nsim bench paper --train DIR` has accuracy, time and energy of early decisions in its rows `early`",
+    ),
+    ("plot early", "`nsim bench paper --train DIR` has early decisions in its rows `early`"),
+    ("plot early-energy", "`nsim bench paper --train DIR` has early decisions in its rows `early`"),
 ];
 
 /// An error of clap, or what to use instead where a removed name is its cause.
