@@ -656,7 +656,7 @@ mod tests {
             for source in 0..2 {
                 let at = |target: u32, weight| {
                     scaled[target as usize][source as usize] +=
-                        nsim_dynamics::arithmetic::scaled(projection.format, weight)
+                        nsim_dynamics::arithmetic::scaled(projection.format, weight);
                 };
                 projection.connectivity.for_each_from(source, at);
             }
