@@ -332,8 +332,8 @@ impl Ladder {
         let network = if rung.has(Cause::Calibration) { &self.calibrated } else { self.rounded() };
         let semantics = network.parts().semantics;
         let integers = match &network.populations().as_slice()[population].units {
-            Units::Compartments { neurons, .. } => RealForm::of(&neurons.get(index), semantics),
-            Units::Input(_) => RealForm::of(&quantised::Neuron::PLAIN, semantics),
+            Units::Compartments { neurons, .. } => RealForm::of_neuron(&neurons.get(index), semantics),
+            Units::Input(_) => RealForm::of_neuron(&quantised::Neuron::PLAIN, semantics),
         };
         let clip = if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) };
         match &of.origin {

@@ -202,7 +202,7 @@ const SILENT: u32 = u32::MAX;
 impl RealForm {
     /// The compartment in register units, its integers taken as real numbers.
     #[must_use]
-    pub fn of(neuron: &Neuron, semantics: Semantics) -> Self {
+    pub fn of_neuron(neuron: &Neuron, semantics: Semantics) -> Self {
         let fields = Fields::from_registers(neuron, 0, ThresholdTest::Inclusive);
         let keep = |decay: u16| 1.0 - f64::from(decay) / DECAY_ONE as f64;
         RealForm {

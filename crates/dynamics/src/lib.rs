@@ -83,7 +83,7 @@ pub fn model(parameters: &NeuronParameters, index: u32, timestep_ms: f64, semant
 pub fn thresholds(network: &Quantised) -> Vec<f64> {
     let of_population = |population: &nsim_ir::quantised::Population| match &population.units {
         Units::Compartments { neurons, .. } => (0..population.shape.len())
-            .map(|index| RealForm::of(&neurons.get(index), network.parts().semantics).threshold.max(64.0))
+            .map(|index| RealForm::of_neuron(&neurons.get(index), network.parts().semantics).threshold.max(64.0))
             .collect(),
         Units::Input(_) => Vec::new(),
     };

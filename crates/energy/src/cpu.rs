@@ -139,8 +139,9 @@ impl Dense {
         for target in order {
             let population = &network.populations()[target];
             let Units::Compartments { neurons, start_step, .. } = &population.units else { continue };
-            let units: Vec<RealForm> =
-                (0..population.shape.len()).map(|i| RealForm::of(&neurons.get(i), network.parts().semantics)).collect();
+            let units: Vec<RealForm> = (0..population.shape.len())
+                .map(|i| RealForm::of_neuron(&neurons.get(i), network.parts().semantics))
+                .collect();
             if units.iter().any(|unit| unit.subtracts) {
                 return Err(format!("'{}' resets by subtraction", population.name));
             }

@@ -59,7 +59,7 @@ fn seconds(time: Picoseconds) -> String {
 
 /// Attributes of one kind of neuron.
 fn attributes(compartment: &Compartment, semantics: Semantics, synapse: &str) -> String {
-    let neuron = RealForm::of(&compartment.neuron, semantics);
+    let neuron = RealForm::of_neuron(&compartment.neuron, semantics);
     let bias = neuron.bias / 64.0;
     let mut out = format!(
         "[threshold: {:?}, reset: 0.0, reset_mode: {}, leak_decay: {:?}, input_decay: {:?}, synapse_hw_name: {synapse}",

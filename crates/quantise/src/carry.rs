@@ -50,7 +50,7 @@ pub fn carry(
         if parameters.greatest_input.is_none() {
             continue;
         }
-        let form = RealForm::of(neuron, graph.facts().semantics);
+        let form = RealForm::of_neuron(neuron, graph.facts().semantics);
         for (source, from) in graph.populations() {
             let mut copies: Vec<(ProjectionId, &graph::Projection)> = graph
                 .projections()
