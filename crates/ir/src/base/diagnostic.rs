@@ -123,7 +123,7 @@ const USUAL: [(&str, &str); 32] = [
     ("input.option", "leave the option out"),
     ("input.events", "write the recording again in the tool that made it"),
     ("input.", "nsim inspect FILE says what an input holds: give one that suits the model"),
-    ("run.too-large", "choose fewer samples with --samples"),
+    ("run.too-large", "lower weight_exp, the weights or the payload there; of too many synapses, use more --threads"),
     ("scene.", "nsim scene NAME lists what a scene holds: give another value"),
     ("dataset.", "correct the entry of the data set: nsim inspect FILE says what the set holds"),
     ("write.", "name another file, on a disk with room"),
