@@ -106,8 +106,9 @@ impl<'py> Array<'py> {
             left /= axis.max(1);
         }
         indices.reverse();
-        // Debug writes great numbers with an exponent.
-        let value = if value.abs() < 1e15 { format!("{value}") } else { format!("{value:?}") };
+        // Debug writes great and small numbers with an exponent.
+        let plain = value == 0.0 || (1e-5..1e15).contains(&value.abs());
+        let value = if plain { format!("{value}") } else { format!("{value:?}") };
         Diagnostic::new("input.array", format!("{}[{}] is {value}, {why}", self.name, indices.join(", ")))
     }
 

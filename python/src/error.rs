@@ -3,8 +3,8 @@
 use std::ffi::CString;
 
 use nsim::compile::CompileError;
-use nsim::partition::reason::Reason;
 use nsim::ir::base::diagnostic::{Diagnostic, Position};
+use nsim::partition::reason::Reason;
 use nsim::report::map::reason_json;
 use pyo3::exceptions::{PyException, PyUserWarning};
 use pyo3::prelude::*;

@@ -127,8 +127,8 @@ class Spikes(Case):
             spikes[1] = array
             self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], np.count_nonzero(spikes))
         spikes = np.zeros((CHANNELS, 4))
-        spikes[2] = [-0.0, 5e-324, 1.7e308, -1]
-        self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], 3)
+        spikes[2] = [-0.0, 0, 1.7e308, -1]
+        self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], 2)
 
     def test_what_is_no_number_is_refused(self):
         good = np.zeros((CHANNELS, STEPS))
@@ -176,6 +176,9 @@ class Spikes(Case):
         spikes[1, 2], spikes[2, 3] = 0.3, 0.7
         error = self.refused(lambda: self.mapping.run(spikes), "spikes[1, 2] is 0.3", code="input.value")
         self.refused(lambda: self.mapping.run([spikes.astype("f4")]), code="input.value")
+        least = np.zeros((CHANNELS, STEPS))
+        least[3, 4] = 5e-324
+        self.refused(lambda: self.mapping.run(least), "spikes[3, 4] is 5e-324", code="input.value")
         with tempfile.TemporaryDirectory() as folder:
             path = os.path.join(folder, "fractions.npy")
             np.save(path, spikes)
