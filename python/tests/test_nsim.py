@@ -120,7 +120,7 @@ class Arrays(unittest.TestCase):
         want = self.mapping.run(spikes).digest
         for same in [
             spikes.astype(bool),
-            spikes.astype(np.float64) * 2.5,
+            spikes.astype(np.float64) * 2.0,
             np.asfortranarray(spikes),
             np.repeat(spikes, 2, axis=2)[:, :, ::2],
         ]:
