@@ -3,7 +3,6 @@
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]
 
-mod ann;
 #[path = "../common/mod.rs"]
 mod common;
 mod energy_memory;

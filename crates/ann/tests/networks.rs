@@ -1,17 +1,16 @@
 //! Networks without spikes: convolutions against the sum as it is defined, gradients against
 //! differences, counts against those made by hand, and that both kinds learn.
 
-#![cfg(feature = "ann")]
 // Helpers of tests may unwrap as tests may.
 #![allow(clippy::unwrap_used)]
 
 use candle_core::Tensor;
-use nsim::ann::layers::{Convolution, Weights, halved, tensor};
-use nsim::ann::networks::Ann;
-use nsim::ann::{AnnKind, AnnSettings, Senses, trained};
-use nsim::ir::base::rng;
-use nsim::train::fit::Example;
-use nsim::train::raster::Raster;
+use nsim_ann::layers::{Convolution, Weights, halved, tensor};
+use nsim_ann::networks::Ann;
+use nsim_ann::{AnnKind, AnnSettings, Senses, trained};
+use nsim_ir::base::rng;
+use nsim_train::fit::Example;
+use nsim_train::raster::Raster;
 
 /// The sum as it is defined, with zeros outside.
 fn brute_force(x: &Tensor, layer: &Convolution) -> Vec<f32> {
