@@ -548,8 +548,8 @@ fn messages_name_options_commands_and_values_that_exist() {
     let tried = [&tried[..], &["PATH=VALUE", "constants.injection_time=", "weight_decay="]].concat();
     let mut wrong = Vec::new();
     let (mut options, mut sets) = (0, 0);
-    // A command of the feature ann, which the program under test lacks, and names that are gone, whose own test tries what
-    // stands in their place.
+    // A command of the feature ann, which the program under test lacks, and names that are gone,
+    // whose own test tries their replacements.
     let left_out = ["bench/ann.rs", "args/removed.rs"];
     for file in files.into_iter().filter(|file| !left_out.iter().any(|name| file.ends_with(name))) {
         let text = strings(&std::fs::read_to_string(&file).unwrap());
