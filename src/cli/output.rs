@@ -98,19 +98,14 @@ pub fn print(
     format: Format,
     plain: impl FnOnce() -> String,
     json: impl FnOnce() -> serde_json::Value,
-    csv: impl FnOnce() -> Result<String, csv::Error>,
+    csv: impl FnOnce() -> String,
 ) -> Result<(), Error> {
     let out = match format {
         Format::Text => plain(),
         Format::Json => format!("{:#}\n", checksum::printed(json())),
-        Format::Csv | Format::Markdown | Format::Latex => {
-            let rows = csv().map_err(|error| Error::Fault(format!("csv: {error}")))?;
-            match format {
-                Format::Markdown => text::markdown(&rows),
-                Format::Latex => text::latex(&rows),
-                _ => rows,
-            }
-        }
+        Format::Csv => csv(),
+        Format::Markdown => text::markdown(&csv()),
+        Format::Latex => text::latex(&csv()),
     };
     Ok(io::write::stdout(&out)?)
 }

@@ -233,7 +233,7 @@ fn json_has_the_keys_of_the_contract_and_nothing_unknown_is_zero() {
 
 #[test]
 fn csv_has_a_header_and_a_record_for_each_row() {
-    let csv = with_report(&paper(), Mode::Offline, Convention::Physical, |r| r.csv().unwrap());
+    let csv = with_report(&paper(), Mode::Offline, Convention::Physical, |r| r.csv());
     let mut reader = csv::Reader::from_reader(csv.as_bytes());
     assert_eq!(reader.headers().unwrap().len(), 19);
     let records: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();

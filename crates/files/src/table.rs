@@ -3,6 +3,8 @@
 use std::io::IsTerminal;
 
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
+use serde::Serialize;
+use serde_json::Value;
 
 /// The width of text for people.
 pub const WIDTH: usize = 80;
@@ -41,14 +43,41 @@ pub fn right_from(table: &mut Table, first: usize) {
     table.column_iter_mut().skip(first).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
 }
 
-/// The same as CSV.
-pub fn csv_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> Result<String, csv::Error> {
-    let mut out = csv::Writer::from_writer(Vec::new());
-    out.write_record(columns.iter().map(|(heading, _)| heading))?;
-    for row in rows {
-        out.write_record(columns.iter().map(|(_, cell)| cell(row)))?;
+/// The cells of text columns as CSV.
+pub fn csv_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
+    let cells = |row: &'r R| columns.iter().map(|(_, cell)| cell(row)).collect();
+    csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows.into_iter().map(cells))
+}
+
+/// The fields of serialisable rows as CSV under a header of their names. `HEADING=a.b` in it is the
+/// field `b` of the object `a` under another heading; what is null or missing is an empty cell.
+pub fn csv(rows: impl IntoIterator<Item = impl Serialize>, header: &str) -> String {
+    let columns: Vec<(&str, &str)> =
+        header.split(',').map(|column| column.split_once('=').unwrap_or((column, column))).collect();
+    let cells = |row| {
+        let row = serde_json::to_value(row).unwrap_or_default();
+        columns.iter().map(|(_, path)| cell(path.split('.').fold(&row, |value, key| &value[key]))).collect()
+    };
+    csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows.into_iter().map(cells))
+}
+
+/// A value as a cell of CSV: text bare, numbers as short as they can be read back.
+#[must_use]
+pub fn cell(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        Value::Number(number) if number.is_f64() => number.as_f64().map_or(String::new(), |number| number.to_string()),
+        other => other.to_string(),
     }
-    csv_text(out)
+}
+
+/// CSV of a header and rows.
+pub fn csv_text(header: Vec<String>, rows: impl Iterator<Item = Vec<String>>) -> String {
+    let mut out = csv::WriterBuilder::new().flexible(true).from_writer(Vec::new());
+    // Memory takes every record.
+    std::iter::once(header).chain(rows).for_each(|record| _ = out.write_record(record));
+    String::from_utf8_lossy(&out.into_inner().unwrap_or_default()).into_owned()
 }
 
 /// The same in Markdown.
@@ -139,12 +168,6 @@ pub fn four(x: f64) -> String {
     format!("{x:.4}")
 }
 
-/// What was written as CSV.
-pub fn csv_text(written: csv::Writer<Vec<u8>>) -> Result<String, csv::Error> {
-    let bytes = written.into_inner().map_err(csv::IntoInnerError::into_error)?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
-}
-
 /// A number of things, in words.
 pub fn count(number: impl Into<u64>, thing: &str) -> String {
     match (number.into(), thing.strip_suffix('y')) {
@@ -219,6 +242,12 @@ mod tests {
         let latex = latex(csv);
         assert!(latex.contains("\\begin{tabular}{lr}") && latex.contains("name & power\\_mw \\\\"), "{latex}");
         assert!(latex.contains("a|b \\& c & 1.235 \\\\") && latex.contains("100 \\% & 2"), "{latex}");
+    }
+
+    #[test]
+    fn fields_of_rows_become_cells() {
+        let rows = [serde_json::json!({ "name": "a,b", "low": { "mw": 2.0 }, "n": 3, "on": true }), Value::Null];
+        assert_eq!(csv(rows, "name,mw_low=low.mw,n,on,no"), "name,mw_low,n,on,no\n\"a,b\",2,3,true,\n,,,,\n");
     }
 
     #[test]

@@ -8,6 +8,8 @@ use std::fmt::Write as _;
 use comfy_table::CellAlignment;
 use serde_json::{Map, Value, json};
 
+use nsim_files::table::csv_text;
+
 /// What was found: facts about the whole, and tables of its parts.
 #[derive(Debug, Clone)]
 pub struct Findings {
@@ -107,26 +109,16 @@ impl Findings {
     }
 
     /// The first table; facts as key and value when there is none.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut writer = csv::Writer::from_writer(Vec::new());
+    #[must_use]
+    pub fn csv(&self) -> String {
         let cell = |value: &Value| if value.is_null() { String::new() } else { shown(value) };
+        let header = |columns: &[&str]| columns.iter().map(ToString::to_string).collect();
         match self.tables.first() {
-            Some(part) => {
-                writer.write_record(part.columns)?;
-                for row in &part.rows {
-                    writer.write_record(row.iter().map(cell))?;
-                }
-            }
+            Some(part) => csv_text(header(part.columns), part.rows.iter().map(|row| row.iter().map(cell).collect())),
             None => {
-                writer.write_record(["key", "value"])?;
-                for (key, value) in &self.facts {
-                    writer.write_record([*key, &cell(value)])?;
-                }
+                let facts = self.facts.iter().map(|(key, value)| vec![(*key).to_string(), cell(value)]);
+                csv_text(header(&["key", "value"]), facts)
             }
         }
-        nsim_files::table::csv_text(writer)
     }
 }

@@ -7,7 +7,6 @@
 use std::fmt::Write;
 
 use comfy_table::CellAlignment;
-use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::charts::results;
@@ -221,67 +220,31 @@ pub fn reason_json(reason: &Reason) -> Value {
     })
 }
 
-/// A core of the result.
-#[derive(Serialize)]
-struct Row {
-    core: u32,
-    chip: u32,
-    x: u32,
-    y: u32,
-    compartments: u64,
-    axons_in: u64,
-    axons_out: u64,
-    synapses: u64,
-    synapse_words: u64,
-}
+/// What is said of a core.
+const CORE_COLUMNS: &str = "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words";
 
-fn rows(compiled: &Mapping) -> impl Iterator<Item = Row> {
+fn rows(compiled: &Mapping) -> impl Iterator<Item = Value> {
     compiled.partition.usage().enumerate().map(|(core, used)| {
         let site = compiled.placement.site(core);
-        Row {
-            core: core.0,
-            chip: site.chip,
-            x: site.x,
-            y: site.y,
-            compartments: used[Resource::Compartments],
-            axons_in: used[Resource::AxonsIn],
-            axons_out: used[Resource::AxonsOut],
-            synapses: used.synapses,
-            synapse_words: used[Resource::SynapseWords],
-        }
+        json!({
+            "core": core.0, "chip": site.chip, "x": site.x, "y": site.y,
+            "compartments": used[Resource::Compartments], "axons_in": used[Resource::AxonsIn],
+            "axons_out": used[Resource::AxonsOut], "synapses": used.synapses,
+            "synapse_words": used[Resource::SynapseWords],
+        })
     })
 }
 
 /// Cores as CSV; the reasons instead when it does not fit.
 #[must_use]
 pub fn csv(outcome: Outcome<'_>) -> String {
-    let mut text = String::new();
     match outcome {
-        Outcome::Fits(compiled, _, _) => {
-            text += "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words\n";
-            for Row { core, chip, x, y, compartments, axons_in, axons_out, synapses, synapse_words } in rows(compiled) {
-                let _ = writeln!(
-                    text,
-                    "{core},{chip},{x},{y},{compartments},{axons_in},{axons_out},{synapses},{synapse_words}"
-                );
-            }
-        }
+        Outcome::Fits(compiled, ..) => nsim_files::table::csv(rows(compiled), CORE_COLUMNS),
         Outcome::DoesNotFit(reasons) => {
-            text += "code,population,core,resource,need,limit,help\n";
-            for reason in reasons {
-                let population = quoted(reason.population.as_deref().unwrap_or_default());
-                let core = reason.core.map(|core| core.0.to_string()).unwrap_or_default();
-                let (code, resource, help) = (reason.code, reason.resource.name(), quoted(&reason.help));
-                let _ = writeln!(text, "{code},{population},{core},{resource},{},{},{help}", reason.need, reason.limit);
-            }
+            let columns = "code,population,core,resource,need,limit,help";
+            nsim_files::table::csv(reasons.iter().map(reason_json), columns)
         }
     }
-    text
-}
-
-/// A CSV field that may hold anything (RFC 4180).
-fn quoted(field: &str) -> String {
-    format!("\"{}\"", field.replace('"', "\"\""))
 }
 
 /// The result for people.
@@ -444,35 +407,9 @@ mod tests {
     use nsim_session::front::front as integers;
     use nsim_testing::{limits, slip, target};
 
-    const KEYS: [&str; 27] = [
-        "schema",
-        "model",
-        "target",
-        "copies",
-        "objective",
-        "strategy",
-        "placed",
-        "seed",
-        "time_budget_s",
-        "pruned",
-        "relays",
-        "fits",
-        "cores_used",
-        "chips_used",
-        "cores_per_copy",
-        "checked",
-        "checked_how",
-        "checked_share",
-        "described",
-        "cores",
-        "limits",
-        "traffic",
-        "expected",
-        "seconds",
-        "reasons",
-        "remedies",
-        "pareto",
-    ];
+    const KEYS: &str = "schema,model,target,copies,objective,strategy,placed,seed,time_budget_s,pruned,relays,fits,cores_used,\
+         chips_used,cores_per_copy,checked,checked_how,checked_share,described,cores,limits,traffic,expected,\
+         seconds,reasons,remedies,pareto";
 
     fn fits_with<'a>(mapping: &'a Mapping, board: &Target) -> Outcome<'a> {
         let traffic = mapping.traffic();
@@ -483,8 +420,8 @@ mod tests {
         explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE), Form::Written)
     }
 
-    fn keys(value: &Value) -> Vec<&str> {
-        value.as_object().unwrap().keys().map(String::as_str).collect()
+    fn keys(value: &Value) -> String {
+        value.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(",")
     }
 
     #[test]
@@ -507,14 +444,8 @@ mod tests {
             "synapses": 39_420, "synapse_words": 7_452,
         });
         assert_eq!(fits["cores"][2], core);
-        let of_traffic = [
-            "cut_spikes_per_step",
-            "hops_per_step",
-            "hops_multicast_per_step",
-            "mean_link_load",
-            "max_link_load",
-            "max_chip_link_load",
-        ];
+        let of_traffic = "cut_spikes_per_step,hops_per_step,hops_multicast_per_step,mean_link_load,max_link_load,\
+             max_chip_link_load";
         assert_eq!(keys(&fits["traffic"]), of_traffic);
         assert_eq!(fits["limits"]["axons_in"], 4096);
         assert!(fits["seconds"]["partition"].is_f64());
@@ -529,7 +460,7 @@ mod tests {
         assert_eq!(keys(&refused), KEYS);
         assert_eq!((&refused["fits"], &refused["cores_used"]), (&json!(false), &Value::Null));
         let reason = &refused["reasons"][0];
-        assert_eq!(keys(reason), ["code", "population", "core", "resource", "need", "limit", "help"]);
+        assert_eq!(keys(reason), "code,population,core,resource,need,limit,help");
         assert_eq!((&reason["population"], &reason["resource"]), (&json!("sight"), &json!("axons_in")));
         let spoken = text(question, Outcome::DoesNotFit(&reasons));
         assert!(

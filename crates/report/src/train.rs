@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use nsim_files::table::csv;
 use nsim_ir::base::stats::mean_sd;
 use nsim_train::fit::EpochRow;
 use nsim_train::job::{Job, Trained};
@@ -46,15 +47,9 @@ impl TrainReport<'_> {
     }
 
     /// One row.
-    ///
-    /// # Errors
-    /// Never in practice: the row is built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let Trained { state, train_accuracy, test_accuracy, seconds, .. } = self.trained;
-        let test = test_accuracy.map_or(String::new(), |accuracy| accuracy.to_string());
-        let (name, seed, epochs) = (&self.job.file.name, self.job.plan.seed, state.epoch);
-        let columns = "name,seed,epochs,seconds,train_accuracy,test_accuracy";
-        Ok(format!("{columns}\n{name},{seed},{epochs},{seconds},{train_accuracy},{test}\n"))
+    #[must_use]
+    pub fn csv(&self) -> String {
+        csv([self.json()], "name,seed,epochs,seconds,train_accuracy,test_accuracy")
     }
 
     /// One line: accuracy on what.
@@ -112,6 +107,5 @@ impl TrainReport<'_> {
 /// Loss and accuracy of each epoch, a row each.
 #[must_use]
 pub fn history_csv(history: &[EpochRow]) -> String {
-    let rows = history.iter().map(|row| format!("{},{},{}\n", row.epoch, row.loss, row.accuracy));
-    std::iter::once("epoch,loss,accuracy\n".to_string()).chain(rows).collect()
+    csv(history, "epoch,loss,accuracy")
 }

@@ -19,7 +19,6 @@ use crate::cli::energy::evaluate::evaluate;
 use crate::cli::energy::workload::workload;
 use crate::cli::output;
 use nsim_compile::DEFAULT_RATE;
-use nsim_dynamics as neuron;
 use nsim_files as io;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CompartmentId, PopulationId};
@@ -28,7 +27,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::charts::results;
-use nsim_report::charts::sample::{Traced, raster, voltage};
+use nsim_report::charts::sample::{raster, traced, voltage};
 use nsim_session::error::Error;
 use nsim_session::priced::Metered;
 
@@ -219,7 +218,9 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
             raster.spikes.iter().for_each(|&(_, unit)| counts[(first.0 + unit) as usize] += 1);
         }
     }
-    let (ids, traced) = traced(network, populations, &counts);
+    let wanted = populations.into_iter().map(|(id, named)| (id, named, OF_EACH));
+    let spikes = |id: CompartmentId| u64::from(counts[id.0 as usize]);
+    let (ids, traced) = traced(network, wanted, spikes, MOST_TRACED);
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
     write(args, &voltage(&title, network, &timeline, &traced), taken, context)
 }
@@ -265,33 +266,6 @@ fn chosen(network: &Quantised, probes: &[String], what: What) -> Result<Vec<(Pop
     }
     let first = |at: usize| found[..at].iter().all(|other| *other != found[at]);
     Ok((0..found.len()).filter(|&at| first(at)).map(|at| found[at]).collect())
-}
-
-/// The compartments to draw: those that are named, and of populations those that spike most.
-fn traced(
-    network: &Quantised,
-    populations: Vec<(PopulationId, Option<u32>)>,
-    counts: &[u32],
-) -> (Vec<CompartmentId>, Vec<Traced>) {
-    let thresholds = neuron::thresholds(network);
-    let (mut ids, mut traced) = (Vec::new(), Vec::new());
-    for (id, named) in populations {
-        let population = &network.populations()[id];
-        let Some(first) = population.first_compartment() else { continue };
-        let mut units: Vec<u32> = match named {
-            Some(unit) => vec![unit],
-            None => (0..population.shape.len()).collect(),
-        };
-        units.sort_by_key(|&unit| std::cmp::Reverse(counts[(first.0 + unit) as usize]));
-        units.truncate(OF_EACH);
-        units.sort_unstable();
-        for unit in units.into_iter().take(MOST_TRACED.saturating_sub(ids.len())) {
-            ids.push(CompartmentId(first.0 + unit));
-            let name = format!("{}[{}]", population.name, network.index_shown(id, unit));
-            traced.push(Traced { name, threshold: thresholds[(first.0 + unit) as usize] });
-        }
-    }
-    (ids, traced)
 }
 
 fn write(args: &Args, svg: &str, taken: bool, context: Context) -> Result<Answer, Error> {

@@ -17,7 +17,7 @@ use nsim_cost::estimate::{Bound, Convention, EnergyRow, Estimate, FigureSource, 
 use nsim_cost::job::Accounting;
 use nsim_cost::job::Mode;
 use nsim_cost::{Host, Transport};
-use nsim_files::table::{Column, count, csv_of, csv_text, or_empty, wrapped};
+use nsim_files::table::{count, csv, csv_text, wrapped};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
@@ -265,32 +265,13 @@ impl EnergyReport {
     }
 
     /// The rows as comma-separated values with a header; unknown figures are empty.
-    ///
-    /// # Errors
-    /// When the writer fails, which for one in memory it does not.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<EnergyRow>; 19] = [
-            ("hardware", |row| row.hardware.clone()),
-            ("unit", |row| row.unit.to_string()),
-            ("convention", |row| row.convention.name().to_string()),
-            ("static_mw", |row| or_empty(row.static_mw)),
-            ("dynamic_mw", |row| or_empty(row.dynamic_mw)),
-            ("total_mw", |row| or_empty(row.total_mw)),
-            ("latency_us", |row| or_empty(row.latency_us)),
-            ("energy_uj", |row| or_empty(row.energy_uj)),
-            ("edp_pjs", |row| or_empty(row.edp_pjs)),
-            ("total_mw_low", |row| or_empty(row.low.and_then(|low| low.total_mw))),
-            ("latency_us_low", |row| or_empty(row.low.and_then(|low| low.latency_us))),
-            ("energy_uj_low", |row| or_empty(row.low.and_then(|low| low.energy_uj))),
-            ("edp_pjs_low", |row| or_empty(row.low.and_then(|low| low.edp_pjs))),
-            ("total_mw_high", |row| or_empty(row.high.and_then(|high| high.total_mw))),
-            ("latency_us_high", |row| or_empty(row.high.and_then(|high| high.latency_us))),
-            ("energy_uj_high", |row| or_empty(row.high.and_then(|high| high.energy_uj))),
-            ("edp_pjs_high", |row| or_empty(row.high.and_then(|high| high.edp_pjs))),
-            ("source", |row| row.source.name().to_string()),
-            ("power_source", |row| row.power_source.name().to_string()),
-        ];
-        csv_of(self.rows(), &columns)
+    #[must_use]
+    pub fn csv(&self) -> String {
+        let columns = "hardware,unit,convention,static_mw,dynamic_mw,total_mw,latency_us,energy_uj,edp_pjs,\
+                       total_mw_low=low.total_mw,latency_us_low=low.latency_us,energy_uj_low=low.energy_uj,\
+                       edp_pjs_low=low.edp_pjs,total_mw_high=high.total_mw,latency_us_high=high.latency_us,\
+                       energy_uj_high=high.energy_uj,edp_pjs_high=high.edp_pjs,source,power_source";
+        csv(self.rows(), columns)
     }
 
     /// The energy-delay product of a row in the unit of the table: nJ s, or pJ s as the paper
@@ -501,21 +482,17 @@ impl EnergyReport {
 
     /// The table as comma-separated values, for a table in a paper: the same lines, each with all
     /// of its cells.
-    ///
-    /// # Errors
-    /// As [`EnergyReport::csv`].
-    pub fn paper_csv(&self) -> Result<String, csv::Error> {
+    #[must_use]
+    pub fn paper_csv(&self) -> String {
         let physical = self.convention() == Convention::Physical;
         let energy = if physical { "Energy (\u{b5}J)" } else { "Energy (mW / steps)" };
         let edp = if physical { "EDP (nJ s)" } else { "EDP (pJ s)" };
         let header =
             ["Hardware", "Static (mW)", "Dynamic (mW)", "Total (mW)", "Latency (\u{b5}s)", energy, edp, "Source"];
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record(header)?;
-        for (name, cells, source) in self.lines(false) {
-            out.write_record([name.trim_start().to_string()].iter().chain(&cells).chain([&source]))?;
-        }
-        csv_text(out)
+        let row = |(name, cells, source): (String, [String; 6], String)| {
+            std::iter::once(name.trim_start().to_string()).chain(cells).chain([source]).collect()
+        };
+        csv_text(header.map(String::from).to_vec(), self.lines(false).into_iter().map(row))
     }
 
     /// The whole report for people: what a reader asks first comes first.

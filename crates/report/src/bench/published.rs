@@ -2,9 +2,10 @@
 
 use serde_json::{Value, json};
 
+use crate::charts::draw::Axis;
 use crate::charts::plot;
-use crate::charts::plot::{Axis, Series};
-use nsim_files::table::{Column, csv_of, table_of, wrapped};
+use crate::charts::plot::Series;
+use nsim_files::table::{Column, csv, table_of, wrapped};
 use nsim_study::published::{PublishedRow, factors_by_work, geometric_mean};
 
 /// Above this factor a prediction is far off, and the report says why.
@@ -37,6 +38,10 @@ const COLUMNS: [Column<PublishedRow>; 7] = [
     ("ratio", |row| format!("{:.2}", row.predicted / row.published)),
 ];
 
+/// What is said of a figure in CSV.
+const KEYS: &str =
+    "work,workload,quantity,kind,unit,published,predicted,low,high,left_out,accounting,source,first_hand,cause";
+
 impl PublishedReport<'_> {
     /// `nsim.bench/1`.
     #[must_use]
@@ -65,27 +70,9 @@ impl PublishedReport<'_> {
     }
 
     /// A row a figure.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<PublishedRow>; 14] = [
-            ("work", |row| row.work.clone()),
-            ("workload", |row| row.workload.clone()),
-            ("quantity", |row| row.quantity.name().to_string()),
-            ("kind", |row| row.quantity.kind().name().to_string()),
-            ("unit", |row| row.quantity.unit().to_string()),
-            ("published", |row| row.published.to_string()),
-            ("predicted", |row| row.predicted.to_string()),
-            ("low", |row| row.interval.map_or_else(String::new, |interval| interval.0.to_string())),
-            ("high", |row| row.interval.map_or_else(String::new, |interval| interval.1.to_string())),
-            ("left_out", |row| row.left_out.to_string()),
-            ("accounting", |row| row.accounting().name().to_string()),
-            ("source", |row| row.source.clone()),
-            ("first_hand", |row| row.first_hand.to_string()),
-            ("cause", |row| row.cause.clone().unwrap_or_default()),
-        ];
-        csv_of(self.rows, &columns)
+    #[must_use]
+    pub fn csv(&self) -> String {
+        csv(self.json()["rows"].as_array().into_iter().flatten(), KEYS)
     }
 
     fn of_kind(&self, left_out: bool) -> impl Iterator<Item = &PublishedRow> {
@@ -178,21 +165,7 @@ mod tests {
     #[test]
     fn json_has_the_keys_of_the_contract() {
         let json = PublishedReport { rows: &[row(true, 8.0)] }.json();
-        for key in [
-            "work",
-            "workload",
-            "quantity",
-            "kind",
-            "unit",
-            "published",
-            "predicted",
-            "low",
-            "high",
-            "left_out",
-            "accounting",
-            "source",
-            "cause",
-        ] {
+        for key in KEYS.split(',') {
             assert!(json["rows"][0].get(key).is_some(), "{key}");
         }
         assert_eq!((&json["rows"][0]["kind"], &json["rows"][0]["accounting"]), (&json!("time"), &json!("profiler")));

@@ -6,7 +6,8 @@
 
 use serde_json::Value;
 
-use super::plot::{self, Axis, Series};
+use super::draw::Axis;
+use super::plot::{self, Series};
 
 fn number(value: &Value) -> Option<f64> {
     value.as_f64().filter(|number| number.is_finite())
@@ -29,7 +30,7 @@ fn parts(value: &Value) -> Vec<(String, f64)> {
 }
 
 /// Three digits of a number.
-fn short(number: f64) -> String {
+pub(super) fn short(number: f64) -> String {
     match number.abs() {
         100.0.. => format!("{number:.0}"),
         10.0..100.0 => format!("{number:.1}"),

@@ -14,6 +14,7 @@ use std::io::Read;
 
 use serde_json::{Value, json};
 
+use crate::charts::draw::COLOURS;
 use nsim_ir::base::names::markup;
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -67,6 +68,7 @@ pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String
         "schema": "nsim.report/1",
         "nsim": env!("CARGO_PKG_VERSION"),
         "title": title,
+        "colours": COLOURS,
         "command": provenance.command,
         "origins": provenance.origins,
         "results": results,

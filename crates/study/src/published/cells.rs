@@ -7,7 +7,7 @@
 //! target.
 
 use crate::early::Trial;
-use crate::published::paper::{PaperRow, blank};
+use crate::published::paper::PaperRow;
 use nsim_files::shipped::{CELLS, Shipped};
 use nsim_files::training::{LossDesc, TrainingFile};
 use nsim_ir::base::stats::{mean_sd, wilson};
@@ -140,7 +140,7 @@ impl Tested<'_> {
             deviation: (figures.len() > 1).then_some(deviation),
             note,
             folds: figures,
-            ..blank(table, self.cell.task, self.cell.modality, quantity)
+            ..PaperRow::new(table, self.cell.task, self.cell.modality, quantity)
         }
     }
 
@@ -308,7 +308,7 @@ mod tests {
             loss: Some("count".to_string()),
             low: Some(low),
             high: Some(high),
-            ..blank("early", "slip", modality, &format!("accuracy_by_{time}_ms"))
+            ..PaperRow::new("early", "slip", modality, &format!("accuracy_by_{time}_ms"))
         };
         let rows = [
             row("tactile", 10, 0.4, 0.5),
