@@ -13,12 +13,13 @@ pub mod predict;
 use std::collections::BTreeMap;
 
 use self::network::Rates;
-use self::predict::{PredictError, predict};
+use self::predict::predict;
 use nsim_cost::CostTable;
 use nsim_cost::job::Accounting;
 use nsim_energy::published::workload::{FigureKind, Quantity, WorkloadFile};
 use nsim_ir::hardware::Target;
-use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status};
+use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status, median};
+use nsim_session::error::Error;
 
 /// A printed figure and its prediction.
 #[derive(Debug, Clone, PartialEq)]
@@ -80,13 +81,13 @@ fn without(constants: &Constants, group: &str) -> Constants {
 /// that they have no such row.
 ///
 /// # Errors
-/// [`PredictError`] where a workload cannot be compiled or run.
+/// [`Error`] where a workload cannot be compiled or run.
 pub fn rows(
     workloads: &[WorkloadFile],
     constants: &Constants,
-    target: impl Fn(&str) -> Result<Target, PredictError>,
+    target: impl Fn(&str) -> Result<Target, Error>,
     progress: impl Fn(),
-) -> Result<Vec<PublishedRow>, PredictError> {
+) -> Result<Vec<PublishedRow>, Error> {
     let mut rows = Vec::new();
     for file in workloads {
         let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
@@ -97,7 +98,7 @@ pub fn rows(
             Status::Published => None,
             _ => Some([Rates::Low, Rates::High].map(|end| predict(file, &target, end, &tables))),
         };
-        let ends = ends.map(|[low, high]| Ok::<_, PredictError>([low?, high?])).transpose()?;
+        let ends = ends.map(|[low, high]| Ok::<_, Error>([low?, high?])).transpose()?;
         let ways = if file.first_hand { 2 } else { 1 };
         for (which, left_out) in [false, true].into_iter().take(ways).enumerate() {
             for (number, figure) in file.figures.iter().enumerate() {
@@ -143,7 +144,7 @@ pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64>
     for row in rows.iter().filter(counted).filter(|row| (row.quantity.kind() == FigureKind::Time) == time) {
         by_work.entry(&row.work).or_default().push(row.factor());
     }
-    by_work.into_iter().filter_map(|(work, factors)| Some((work, middle(factors)?))).collect()
+    by_work.into_iter().filter_map(|(work, factors)| Some((work, median(factors)?))).collect()
 }
 
 /// The geometric mean.
@@ -151,10 +152,6 @@ pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64>
 pub fn geometric_mean(factors: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let count = factors.len();
     (count > 0).then(|| (factors.map(f64::ln).sum::<f64>() / count as f64).exp())
-}
-
-fn middle(factors: Vec<f64>) -> Option<f64> {
-    nsim_ir::hardware::constants::median(factors)
 }
 
 /// How far predictions of each class were off: at the finite-sample rank of the works' largest
