@@ -163,6 +163,30 @@ pub fn or_empty(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
+/// A number with six decimals, as many as a measure is good for; a zero without a sign.
+#[must_use]
+pub fn rounded(x: f64) -> f64 {
+    format!("{x:.6}").parse().unwrap_or(x) + 0.0
+}
+
+/// A number with this many significant digits, and no fewer of a whole number.
+#[must_use]
+pub fn digits(x: f64, significant: i32) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return format!("{x}");
+    }
+    let rounded: f64 = format!("{x:.*e}", (significant - 1) as usize).parse().unwrap_or(x);
+    let decimals = (significant - 1 - rounded.abs().log10().floor() as i32).clamp(0, 12) as usize;
+    // Whole numbers keep their digits.
+    format!("{:.decimals$}", if decimals == 0 { x } else { rounded })
+}
+
+/// A number with three significant digits.
+#[must_use]
+pub fn three(x: f64) -> String {
+    digits(x, 3)
+}
+
 /// Four digits after the point.
 pub fn four(x: f64) -> String {
     format!("{x:.4}")
@@ -177,47 +201,31 @@ pub fn count(number: impl Into<u64>, thing: &str) -> String {
     }
 }
 
-/// A paragraph in lines of [`WIDTH`]; those behind the first are set in.
+/// A paragraph in lines of [`WIDTH`]; those after the first are indented.
 pub fn wrapped(text: &str) -> String {
-    let mut out = String::new();
-    let mut column = 0;
-    for word in text.split_whitespace() {
+    filled(text.split_whitespace(), 0, 2) + "\n"
+}
+
+/// Lines in at most [`WIDTH`], those after the first indented by so many columns.
+pub fn wrapped_at(text: &str, indent: usize) -> String {
+    let lines: Vec<String> = text.split('\n').map(|line| filled(line.split(' '), indent, indent)).collect();
+    lines.join(&format!("\n{:indent$}", ""))
+}
+
+/// Words in lines, the first of which begins at the column `first` and the others at `indent`.
+fn filled<'t>(words: impl Iterator<Item = &'t str>, first: usize, indent: usize) -> String {
+    let (mut out, mut column, mut begin) = (String::new(), first, first);
+    for word in words {
         let length = word.chars().count();
-        if column > 0 && column + 1 + length > WIDTH {
-            out += "\n  ";
-            column = 2;
-        } else if column > 0 {
+        if column > begin && column + 1 + length > WIDTH {
+            out += &format!("\n{:indent$}", "");
+            (column, begin) = (indent, indent);
+        } else if column > begin {
             out.push(' ');
             column += 1;
         }
         out += word;
         column += length;
-    }
-    out.push('\n');
-    out
-}
-
-/// Lines in at most [`WIDTH`], those behind the first set in by so many columns.
-pub fn wrapped_at(text: &str, indent: usize) -> String {
-    let mut out = String::new();
-    let mut column = indent;
-    for (number, line) in text.split('\n').enumerate() {
-        if number > 0 {
-            out += &format!("\n{:indent$}", "");
-            column = indent;
-        }
-        for word in line.split(' ') {
-            let length = word.chars().count();
-            if column > indent && column + 1 + length > WIDTH {
-                out += &format!("\n{:indent$}", "");
-                column = indent;
-            } else if column > indent {
-                out.push(' ');
-                column += 1;
-            }
-            out += word;
-            column += length;
-        }
     }
     out
 }
@@ -259,6 +267,7 @@ mod tests {
         assert_eq!(wrapped("short"), "short\n");
         assert_eq!((count(1u32, "chip"), count(2u64, "chip")), ("1 chip".to_string(), "2 chips".to_string()));
         assert_eq!(count(0u32, "copy"), "0 copies");
+        assert_eq!([0.0, 0.000_123_4, 0.1999, 12.345, 1234.5].map(three), ["0", "0.000123", "0.200", "12.3", "1234"]);
     }
 
     #[test]

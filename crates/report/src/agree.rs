@@ -10,7 +10,7 @@ use nsim_agree::attribution::{Attribution, LayerLoss, Share};
 use nsim_agree::causes::Cause;
 use nsim_agree::classes::ClassTally;
 use nsim_agree::compare::{Agreement, LayerRow};
-use nsim_files::table::{Column, count, csv, four, markdown_of, or_empty, table_of, wrapped};
+use nsim_files::table::{Column, count, csv, four, markdown_of, or_empty, rounded, table_of, wrapped};
 use nsim_ir::graph::Graph;
 use nsim_quantise::analytic::Fit;
 use nsim_train::convert::next::Next;
@@ -97,12 +97,6 @@ pub(super) fn classes_text(classes: &ClassTally) -> String {
         Some(share) => format!("classes agree in {share:.4} of {}{rest}", count(classes.compared as u64, "sample")),
         None => format!("no sample is decided by both, so that no class is compared{rest}"),
     }
-}
-
-/// Digits that a figure is good for.
-fn rounded(x: f64) -> f64 {
-    // A zero without a sign.
-    format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
 /// Whether neither network spikes in a layer: equal trains of no spikes are nothing to compare.

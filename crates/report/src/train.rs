@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use nsim_files::table::csv;
+use nsim_files::table::{csv, rounded};
 use nsim_ir::base::stats::mean_sd;
 use nsim_train::fit::EpochRow;
 use nsim_train::job::{Job, Trained};
@@ -18,10 +18,6 @@ pub struct TrainReport<'a> {
     pub trained: &'a Trained,
     /// Where the model was written.
     pub model: Option<&'a Path>,
-}
-
-fn rounded(x: f64) -> f64 {
-    (x * 1e6).round() / 1e6
 }
 
 impl TrainReport<'_> {

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::Comparison;
-use super::format::{brief, plain, short, three_digits, unknown};
+use super::format::{brief, plain, short, unknown};
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
@@ -17,7 +17,7 @@ use nsim_cost::estimate::{Bound, Convention, EnergyRow, Estimate, FigureSource, 
 use nsim_cost::job::Accounting;
 use nsim_cost::job::Mode;
 use nsim_cost::{Host, Transport};
-use nsim_files::table::{count, csv, csv_text, wrapped};
+use nsim_files::table::{count, csv, csv_text, three, wrapped};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
@@ -289,7 +289,7 @@ impl EnergyReport {
         let cell = |figure: Option<f64>, exact: bool| match figure {
             None => String::new(),
             Some(figure) if exact => format!("{figure}"),
-            Some(figure) => three_digits(figure),
+            Some(figure) => three(figure),
         };
         let power = |figure: Option<f64>| cell(figure, printed) + if assumed { "?" } else { "" };
         let product = |figure: Option<f64>| {
@@ -408,22 +408,22 @@ impl EnergyReport {
             let unused = board_chips - chips_used.min(board_chips);
             let unused = (unused > 0).then(|| {
                 let boot = self.estimate.job.boot * unused as f64 / *board_chips as f64;
-                format!("{} mW of it are {unused} chips of the board that are not used.", three_digits(boot))
+                format!("{} mW of it are {unused} chips of the board that are not used.", three(boot))
             });
             let packing = "Packing copies on fewer chips saves profiler milliwatts, not board watts.".to_string();
             return unused.into_iter().chain([packing]).chain(self.dominant()).collect();
         }
         let each = |total: u64, copies: u32| {
             let cores = total as f64 / f64::from(copies.max(1));
-            if cores.fract() == 0.0 { format!("{cores}") } else { three_digits(cores) }
+            if cores.fract() == 0.0 { format!("{cores}") } else { three(cores) }
         };
         let mut said = Vec::new();
         let is_printed = |row: &EnergyRow| row.source == FigureSource::Published && row.hardware.ends_with(", printed");
         let job = self.job.as_ref().filter(|_| self.rows().any(is_printed));
         if *copies > 1 {
             let all = self.estimate.job.profiler();
-            let share = all.map_or_else(unknown, |all| three_digits(all / f64::from(*copies)));
-            let all = all.map_or_else(unknown, three_digits);
+            let share = all.map_or_else(unknown, |all| three(all / f64::from(*copies)));
+            let all = all.map_or_else(unknown, three);
             said.push(format!("Rows are one x86 core's and one copy's; all copies draw {all} mW, {share} each."));
         }
         if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
@@ -459,7 +459,7 @@ impl EnergyReport {
         };
         let free = if self.mode == Mode::Realtime { "A step's work takes" } else { "A step takes" };
         let share = (100.0 * most / all).floor();
-        Some(format!("{free} {} us, {share} % of it for {what}.", three_digits(all)))
+        Some(format!("{free} {} us, {share} % of it for {what}.", three(all)))
     }
 
     /// The answer: the table of the paper in eighty columns, and four lines on how to read it.

@@ -2,10 +2,10 @@
 
 use serde_json::{Value, json};
 
-use super::step::{rounded, significant};
+use super::step::rounded;
 use nsim_compile::{Objective, Strategy};
 use nsim_energy::environment::Environment;
-use nsim_files::table::{Column, csv, or_empty, table_of};
+use nsim_files::table::{Column, csv, or_empty, table_of, three};
 use nsim_study::mapping::{MeasuredMapping, Refusal};
 
 /// Everything that the report says.
@@ -40,7 +40,7 @@ pub struct AgainstSequential {
 
 /// A figure of a step; an expected one is marked.
 fn of_step(value: f64, simulated: bool) -> String {
-    format!("{}{}", if simulated { "" } else { "~" }, significant(value))
+    format!("{}{}", if simulated { "" } else { "~" }, three(value))
 }
 
 impl MapReport<'_> {
@@ -121,19 +121,19 @@ impl MapReport<'_> {
             ("for", |row| row.objective.name().to_string()),
             ("cores", |row| row.cores.to_string()),
             ("chips", |row| row.chips.to_string()),
-            ("spikes cut", |row| significant(row.traffic.cut_spikes_per_step)),
-            ("hops", |row| significant(row.traffic.hops_per_step)),
-            ("multicast", |row| significant(row.traffic.hops_multicast_per_step)),
-            ("busiest link", |row| significant(row.traffic.max_link_load)),
+            ("spikes cut", |row| three(row.traffic.cut_spikes_per_step)),
+            ("hops", |row| three(row.traffic.hops_per_step)),
+            ("multicast", |row| three(row.traffic.hops_multicast_per_step)),
+            ("busiest link", |row| three(row.traffic.max_link_load)),
             ("uJ a step", |row| of_step(row.energy_uj, row.simulated)),
             ("us a step", |row| of_step(row.step_us, row.simulated)),
-            ("s", |row| significant(row.seconds)),
+            ("s", |row| three(row.seconds)),
             ("MiB", |row| or_empty(row.peak_mib.map(|mib| format!("{mib:.0}")))),
         ];
         let table = table_of(self.rows, &columns, 4);
         let mut text = format!("{}\n\n{table}\n\n", self.environment);
         for Refusal { network, target, reasons, seconds, .. } in self.refused {
-            text += &format!("{network} does not fit {target}, known after {} s:\n", significant(*seconds));
+            text += &format!("{network} does not fit {target}, known after {} s:\n", three(*seconds));
             reasons.iter().for_each(|reason| text += &format!("  {reason}\n"));
         }
         for strategy in [Strategy::Greedy, Strategy::Multilevel] {

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::charts::results;
 use nsim_energy::environment::Environment;
-use nsim_files::table::{Column, csv, four, markdown_of, or_empty, table_of};
+use nsim_files::table::{Column, csv, four, markdown_of, or_empty, rounded, table_of};
 use nsim_study::pareto::VariantRow;
 
 /// Everything that the report says.
@@ -22,10 +22,6 @@ pub struct ParetoReport<'a> {
     pub environment: &'a Environment,
     /// The variants.
     pub rows: &'a [VariantRow],
-}
-
-fn rounded(x: f64) -> f64 {
-    format!("{x:.6}").parse().unwrap_or(x)
 }
 
 /// What is said of a variant in CSV.

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::charts::draw::Axis;
 use crate::charts::plot;
 use crate::charts::plot::Series;
-use nsim_files::table::{Column, csv, table_of, wrapped};
+use nsim_files::table::{Column, csv, table_of, three, wrapped};
 use nsim_study::published::{PublishedRow, factors_by_work, geometric_mean};
 
 /// Above this factor a prediction is far off, and the report says why.
@@ -16,12 +16,6 @@ const FAR: f64 = 1.5;
 pub struct PublishedReport<'a> {
     /// The rows, each figure by all findings and without those of its authors.
     pub rows: &'a [PublishedRow],
-}
-
-/// Three digits: no constant is known better.
-fn three(x: f64) -> String {
-    let decimals = (2 - x.abs().log10().floor() as i32).clamp(0, 6) as usize;
-    if x == 0.0 { "0".to_string() } else { format!("{x:.decimals$}") }
 }
 
 fn end(row: &PublishedRow, of: fn((f64, f64)) -> f64) -> String {
@@ -178,7 +172,5 @@ mod tests {
         // 1.25 and 4: their median is 2.24.
         assert!(text.contains("time, median factor of each of 1 works: mean 2.24, worst 2.24"), "{text}");
         assert!(text.contains("w-1, step time: slow host") && text.contains("w-1 assumes: rates"), "{text}");
-        assert_eq!(three(0.012_345), "0.0123");
-        assert_eq!(three(1234.5), "1234");
     }
 }

@@ -10,10 +10,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::draw::{COLOURS, GREY, SMALL, Sheet, filled, stroked};
-use super::results::short;
 use nsim_compile::Mapping;
 use nsim_compile::explore::traffic::Links;
-use nsim_files::table::count;
+use nsim_files::table::{count, three};
 use nsim_ir::base::id::{CoreId, Id, PopulationId};
 use nsim_ir::hardware::Target;
 use nsim_ir::resource::Resource;
@@ -147,7 +146,7 @@ fn scales(sheet: &mut Sheet, (x, top): (f64, f64), busiest: f64) {
     for (index, part) in [0.1, 0.5, 1.0].into_iter().enumerate() {
         let y = top + 55.0 + 15.0 * index as f64;
         sheet.line([x, y, x + 24.0, y], &link(part));
-        sheet.text((x + 30.0, y + 4.0), "", &short(part * busiest));
+        sheet.text((x + 30.0, y + 4.0), "", &three(part * busiest));
     }
 }
 

@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use super::draw::Axis;
 use super::plot::{self, Series};
+use nsim_files::table::three;
 
 fn number(value: &Value) -> Option<f64> {
     value.as_f64().filter(|number| number.is_finite())
@@ -27,16 +28,6 @@ fn parts(value: &Value) -> Vec<(String, f64)> {
     entries
         .filter_map(|(name, part)| Some((name.replace('_', " "), number(part).filter(|part| *part > 0.0)?)))
         .collect()
-}
-
-/// Three digits of a number.
-pub(super) fn short(number: f64) -> String {
-    match number.abs() {
-        100.0.. => format!("{number:.0}"),
-        10.0..100.0 => format!("{number:.1}"),
-        1.0..10.0 => format!("{number:.2}"),
-        _ => format!("{number:.3}"),
-    }
 }
 
 /// Power, time and energy of a timestep on all hardware of `nsim.energy/1`, side by side.
@@ -78,11 +69,11 @@ pub fn energy(result: &Value) -> Option<String> {
     series.extend(parts.iter().map(|(name, pj)| (name.clone(), vec![0.0, share(*pj, dynamic)])));
     let title =
         format!("{} on {}: where the energy of a timestep goes", words(&result["model"]), words(&result["target"]));
-    let whole = format!("all: {} uJ", short(number(&total["energy_uj"])?));
+    let whole = format!("all: {} uJ", three(number(&total["energy_uj"])?));
     // What events cost is little beside static power, and less than a microjoule.
     let of_events = match dynamic / 1e6 {
-        uj if uj < 0.1 => format!("neuron dynamic: {} nJ", short(uj * 1e3)),
-        uj => format!("neuron dynamic: {} uJ", short(uj)),
+        uj if uj < 0.1 => format!("neuron dynamic: {} nJ", three(uj * 1e3)),
+        uj => format!("neuron dynamic: {} uJ", three(uj)),
     };
     Some(plot::stacked(&title, &Axis::linear("share (%)"), &[whole, of_events], &series))
 }
@@ -96,11 +87,11 @@ pub fn time(result: &Value) -> Option<String> {
         "{} on {}: where the {} us of a timestep go",
         words(&result["model"]),
         words(&result["target"]),
-        short(total)
+        three(total)
     );
     let (names, values): (Vec<String>, Vec<f64>) = parts.into_iter().unzip();
     let labels: Vec<String> =
-        names.iter().zip(&values).map(|(name, us)| format!("{name}: {} us", short(*us))).collect();
+        names.iter().zip(&values).map(|(name, us)| format!("{name}: {} us", three(*us))).collect();
     (!labels.is_empty())
         .then(|| plot::bars(&title, &Axis::linear("time of a mean timestep (us)"), &labels, &[(String::new(), values)]))
 }

@@ -9,6 +9,7 @@
 use crate::early::Trial;
 use crate::published::paper::PaperRow;
 use nsim_files::shipped::{CELLS, Shipped};
+use nsim_files::table::rounded;
 use nsim_files::training::{LossDesc, TrainingFile};
 use nsim_ir::base::stats::{mean_sd, wilson};
 use nsim_session::error::{Error, Result};
@@ -192,10 +193,6 @@ impl Tested<'_> {
         }
         rows
     }
-}
-
-fn rounded(x: f64) -> f64 {
-    (x * 1e6).round() / 1e6
 }
 
 /// The interval of an accuracy at a time.
