@@ -8,6 +8,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use serde_json::Value;
 
 use crate::cli::args::jobs;
@@ -63,42 +64,25 @@ pub enum What {
     Agreement,
 }
 
+/// Schemas of results, the command that prints one, and how one is drawn.
+type OfResult = (&'static [&'static str], &'static str, fn(&Value) -> Option<String>);
+
 impl What {
     /// The name that is typed.
-    fn name(self) -> &'static str {
-        match self {
-            What::Raster => "raster",
-            What::Voltage => "voltage",
-            What::Hardware => "hardware",
-            What::Energy => "energy",
-            What::Time => "time",
-            What::Map => "map",
-            What::Pareto => "pareto",
-            What::Agreement => "agreement",
-        }
+    fn name(self) -> String {
+        self.to_possible_value().map_or(String::new(), |value| value.get_name().to_string())
     }
 
-    /// The schemas of results that it is drawn from, and the command that prints one; none for what
-    /// needs a run.
-    fn results(self) -> Option<(&'static [&'static str], &'static str)> {
-        match self {
-            What::Raster | What::Voltage | What::Map => None,
-            What::Hardware | What::Energy | What::Time => Some((&["nsim.energy/1"], "nsim energy")),
-            What::Pareto => Some((&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto")),
-            What::Agreement => Some((&["nsim.agree/1"], "nsim agree")),
-        }
-    }
-
-    /// The picture of a result.
-    fn of_result(self, result: &Value) -> Option<String> {
-        match self {
-            What::Hardware => results::hardware(result),
-            What::Energy => results::energy(result),
-            What::Time => results::time(result),
-            What::Pareto => results::pareto(result),
-            What::Agreement => results::agreement(result),
-            What::Raster | What::Voltage | What::Map => None,
-        }
+    /// How it is drawn from a result; none for what needs a run.
+    fn of_result(self) -> Option<OfResult> {
+        Some(match self {
+            What::Raster | What::Voltage | What::Map => return None,
+            What::Hardware => (&["nsim.energy/1"], "nsim energy", results::hardware),
+            What::Energy => (&["nsim.energy/1"], "nsim energy", results::energy),
+            What::Time => (&["nsim.energy/1"], "nsim energy", results::time),
+            What::Pareto => (&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto", results::pareto),
+            What::Agreement => (&["nsim.agree/1"], "nsim agree", results::agreement),
+        })
     }
 }
 
@@ -134,38 +118,33 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage("nsim plot draws a picture: --format is for results".to_string()));
     }
     let taken = output::check_files(None, [&args.output], context)?;
-    let what = args.what;
+    let (what, name) = (args.what, args.what.name());
     if !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage) {
-        return Err(Error::Usage(format!("nsim plot {}: --probe is for raster and voltage", what.name())));
+        return Err(Error::Usage(format!("nsim plot {name}: --probe is for raster and voltage")));
     }
-    let model = &args.cost.job.model;
-    if let (true, results) = (saved::is_result(model), what.results()) {
-        let Some((schemas, command)) = results else {
-            return Err(Error::Usage(format!("nsim plot {} runs a model: {model} is a result", what.name())));
+    let (model, of_result) = (&args.cost.job.model, what.of_result());
+    if saved::is_result(model) {
+        let Some((schemas, command, draw)) = of_result else {
+            return Err(Error::Usage(format!("nsim plot {name} runs a model: {model} is a result")));
         };
         let help = format!("give what {command} printed with --format json");
         let (result, _) = saved::read(Path::new(model), schemas, &help)?;
         let missing = || {
-            let message = format!("has nothing to draw as {}", what.name());
+            let message = format!("has nothing to draw as {name}");
             Diagnostic::new("report.result", message).in_file(Path::new(model)).help(help.as_str())
         };
-        return write(args, &what.of_result(&result).ok_or_else(missing)?, taken, context);
+        return write(args, &draw(&result).ok_or_else(missing)?, taken, context);
     }
-    match what {
-        What::Hardware | What::Energy | What::Time => evaluate(&args.cost, None, context, |_, evaluated| {
-            let picture = what.of_result(&evaluated.energy.json());
-            let picture =
-                picture.ok_or_else(|| Error::Usage(format!("nsim plot {}: the run has no timesteps", what.name())))?;
+    match (what, of_result) {
+        (_, None) => mapped(args, taken, context),
+        (What::Pareto | What::Agreement, Some((_, command, _))) => Err(Error::Usage(format!(
+            "nsim plot {name} draws a result: {command} {model} --format json > FILE.json, then give that file"
+        ))),
+        (_, Some((.., draw))) => evaluate(&args.cost, None, context, |_, evaluated| {
+            let picture = draw(&evaluated.energy.json());
+            let picture = picture.ok_or_else(|| Error::Usage(format!("nsim plot {name}: the run has no timesteps")))?;
             write(args, &picture, taken, context)
         }),
-        What::Raster | What::Voltage | What::Map => mapped(args, taken, context),
-        What::Pareto | What::Agreement => {
-            let command = what.results().map_or("", |(_, command)| command);
-            Err(Error::Usage(format!(
-                "nsim plot {} draws a result: {command} {model} --format json > FILE.json, then give that file",
-                what.name()
-            )))
-        }
     }
 }
 
