@@ -94,14 +94,8 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     }
     if let Some(path) = &args.update {
         let picture = format!("pareto-{name}.svg");
-        output::update_section(
-            path,
-            &format!("pareto {name}"),
-            &report.markdown(&picture),
-            &picture,
-            &report.svg(),
-            context,
-        )?;
+        let (mark, section) = (format!("pareto {name}"), report.markdown(&picture));
+        output::update_section(path, &mark, &section, Some((&picture, &report.svg())), context)?;
     }
     if !taken {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;

@@ -107,14 +107,8 @@ impl Comparison {
             let mut table = plain(&["Over the chip's", "Power", "Latency", "Energy", "EDP"]);
             for ratio in &self.ratios {
                 let times = |x: f64| format!("{} x", short(x));
-                let Ratio { hardware, total_mw, latency_us, energy_uj, edp_pjs } = ratio;
-                table.add_row([
-                    hardware.clone(),
-                    times(*total_mw),
-                    times(*latency_us),
-                    times(*energy_uj),
-                    times(*edp_pjs),
-                ]);
+                let ratios = [ratio.total_mw, ratio.latency_us, ratio.energy_uj, ratio.edp_pjs].map(times);
+                table.add_row(std::iter::once(ratio.hardware.clone()).chain(ratios));
             }
             let _ = writeln!(out, "Other hardware, physical:\n{}\n", table.trim_fmt());
         }

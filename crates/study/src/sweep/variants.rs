@@ -47,7 +47,7 @@ const OPTIONS: [&str; 7] = ["copies", "strategy", "objective", "seed", "constant
 const INPUTS: [&str; 2] = ["samples", "seed"];
 
 /// What one variant runs.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Job {
     /// A model file or the name of a shipped model.
     pub model: String,
@@ -96,17 +96,11 @@ impl Job {
     fn new(file: &SweepFile) -> Self {
         Job {
             model: file.model.clone(),
-            dt_ms: None,
             target: file.target.clone(),
             input: file.input.clone(),
-            samples: None,
             seed: file.seed,
             options: Options { copies: file.copies, ..Options::default() },
-            constants: None,
-            mode: Mode::Offline,
-            convention: Convention::Physical,
-            of_model: Vec::new(),
-            of_target: Vec::new(),
+            ..Job::default()
         }
     }
 
