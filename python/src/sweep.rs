@@ -64,7 +64,7 @@ pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<Str
         let mut whole = Table::new(&sweep);
         tables.iter().try_for_each(|table| whole.add_csv(table).map(drop))?;
         whole.check_whole()?;
-        Ok(whole.csv(None))
+        Ok::<_, nsim::Error>(whole.csv(None))
     });
     merged.map_err(|error| raised(py, error))
 }

@@ -104,5 +104,5 @@ fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, V
     let others = network.populations().ids().filter(|&id| id != output);
     let of_output = WATCHED_OF_EACH.max(network.parts().classes.len().min(6));
     let wanted = std::iter::once((output, None, of_output)).chain(others.map(|id| (id, None, WATCHED_OF_EACH)));
-    traced(network, wanted, |id| counts.compartments[id].into(), WATCHED)
+    traced(network, wanted, |id| counts.compartments[id], WATCHED)
 }
