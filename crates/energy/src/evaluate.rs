@@ -48,7 +48,6 @@ impl Plan {
     }
 
     /// The published job whose deployment it is.
-    #[must_use]
     pub fn job(&self) -> Option<&ScenarioFile> {
         match &self.source {
             DeploymentSource::Scenario(_, scenario) => Some(scenario),
@@ -58,7 +57,6 @@ impl Plan {
 
     /// Copies to be mapped: one of those of a published job or of given cores, since those say
     /// where the copies are.
-    #[must_use]
     pub fn mapped_copies(&self) -> Option<u32> {
         match &self.source {
             DeploymentSource::Scenario(..) | DeploymentSource::Numbers(_) => Some(1),
@@ -82,7 +80,6 @@ impl Plan {
     }
 
     /// Where the mapping's copies are to go.
-    #[must_use]
     pub fn placement(&self) -> CopyPlacement {
         self.asked.copies()
     }

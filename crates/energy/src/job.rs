@@ -9,7 +9,6 @@ use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
 
 /// What ending samples when they are decided would save of the whole run: equation (16).
-#[must_use]
 pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
     let lane = &case.meter.lanes()[case.preset];
     let (whole, early) = (spent(case, &lane.whole), spent(case, &lane.until_decided));
@@ -25,7 +24,6 @@ pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
 }
 
 /// The mean cost of a sample until it is decided.
-#[must_use]
 pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDecision {
     let until_decided = &case.meter.lanes()[case.preset].until_decided;
     let (spent, samples) = (spent(case, until_decided), outcomes.len().max(1) as f64);
@@ -41,7 +39,6 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDec
 /// From a finished run to its report: its counts and the conditions of the estimate, of which the
 /// first of the target's presets is one, and rows of other hardware with their sources. Its notes
 /// belong on stderr when the output is for programs.
-#[must_use]
 pub fn report(
     model: &str,
     target: &Target,

@@ -110,7 +110,6 @@ impl From<&str> for DeploymentArg {
 
 impl DeploymentArg {
     /// How copies are to be mapped.
-    #[must_use]
     pub fn copies(&self) -> CopyPlacement {
         match self {
             DeploymentArg::Mapped(copies) => *copies,

@@ -49,7 +49,6 @@ pub struct AgreeReport<'a> {
 
 impl<'a> AgreeReport<'a> {
     /// Of two networks and nothing more: no search, no causes.
-    #[must_use]
     pub fn of_two(
         (model, against): (&'a str, &'static str),
         (input, seed, samples): (&'a [String], Option<u64>, usize),
@@ -74,14 +73,12 @@ impl<'a> AgreeReport<'a> {
 }
 
 /// What stands for each spike response population, by its name.
-#[must_use]
 pub fn named_fits(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
     let each = graph.populations().zip(fits);
     each.filter_map(|((_, population), fit)| Some((population.name.clone(), fit.clone()?))).collect()
 }
 
 /// `nsim.agree/1` of a network that could not be deployed.
-#[must_use]
 pub fn nothing() -> Value {
     json!({
         "schema": "nsim.agree/1", "model": null, "target": null, "fits": false, "reasons": [], "samples": 0,
@@ -184,7 +181,6 @@ const SHARE_COLUMNS: [Column<Share>; 8] = [
 
 impl AgreeReport<'_> {
     /// Share of samples with the same class, of those that both decide.
-    #[must_use]
     pub fn class_agreement(&self) -> Option<f64> {
         self.classes.and_then(|classes| classes.agreement())
     }
@@ -228,7 +224,6 @@ impl AgreeReport<'_> {
     }
 
     /// `nsim.agree/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         json!({
             "schema": "nsim.agree/1",
@@ -252,7 +247,6 @@ impl AgreeReport<'_> {
     }
 
     /// A row a layer.
-    #[must_use]
     pub fn csv(&self) -> String {
         let columns = "layer=name,shift,spikes_a,spikes_b,coincidence,van_rossum,victor_purpura,potential_rmse,\
                        sample=first_divergence.sample,timestep=first_divergence.timestep,\
@@ -292,7 +286,6 @@ impl AgreeReport<'_> {
     }
 
     /// A section of a document, with a chart under `picture`.
-    #[must_use]
     pub fn markdown(&self, picture: &str) -> String {
         let mut out = format!("{}, {} of {}", self.model, count(self.samples as u64, "sample"), self.input.join(" "));
         out += &self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
@@ -322,7 +315,6 @@ impl AgreeReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out = format!("{} (a: {}) and as deployed on simulated cores (b)\n", self.model, self.against);
         out += &format!("input: {}", self.input.join(" "));
@@ -421,7 +413,6 @@ pub(super) fn lost_json(layer: &LayerLoss) -> Value {
 
 /// Both potentials around the first spike in which two networks part; none when they part nowhere,
 /// or have no potentials.
-#[must_use]
 pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
     let parted = layers.iter().filter_map(|row| {
         let (divergence, around) = (row.comparison.first_divergence?, row.comparison.around.as_ref()?);
@@ -453,7 +444,6 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
 }
 
 /// A bar chart of the causes, forward and reversed.
-#[must_use]
 pub fn bars(model: &str, attribution: &Attribution) -> String {
     let shares: Vec<Value> = attribution.shares.iter().map(AgreeReport::share_json).collect();
     results::agreement(&json!({ "model": model, "attribution": shares })).unwrap_or_default()

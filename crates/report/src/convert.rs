@@ -124,7 +124,6 @@ fn tuned_markdown(tuned: &Tuned) -> String {
 
 impl ConvertReport<'_> {
     /// `nsim.convert/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let stage = |row: &StageRow| {
             let mut object = distance(&row.distance);
@@ -166,13 +165,11 @@ impl ConvertReport<'_> {
     }
 
     /// A row a stage.
-    #[must_use]
     pub fn csv(&self) -> String {
         csv_of(&self.done.converted.stages, &STAGES)
     }
 
     /// A section of a document.
-    #[must_use]
     pub fn markdown(&self) -> String {
         let calibration = &self.done.converted.calibration;
         let mut out = format!(
@@ -198,7 +195,6 @@ impl ConvertReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let calibration = &self.done.converted.calibration;
         let mut out =

@@ -34,7 +34,6 @@ pub struct FindingsTable {
 
 impl FindingsTable {
     /// A table of rows that are JSON arrays, a value for each column.
-    #[must_use]
     pub fn new(
         key: &'static str,
         columns: &'static [&'static str],
@@ -49,7 +48,6 @@ impl FindingsTable {
 }
 
 /// A number as people write it: without a fraction when it has none.
-#[must_use]
 pub fn number(x: f64) -> Value {
     if x.fract() == 0.0 && x.abs() < 9e15 { json!(x as i64) } else { json!(x) }
 }
@@ -66,7 +64,6 @@ fn shown(value: &Value) -> String {
 
 impl Findings {
     /// For people.
-    #[must_use]
     pub fn text(&self, file: &str) -> String {
         let mut out = format!("{file}: {}\n", self.kind);
         let width = self.facts.iter().map(|(key, _)| key.len()).max().unwrap_or(0);
@@ -90,7 +87,6 @@ impl Findings {
     }
 
     /// `nsim.inspect/1`.
-    #[must_use]
     pub fn json(&self, schema: &str, file: &str) -> Value {
         let mut object = Map::new();
         object.insert("schema".into(), json!(schema));
@@ -109,7 +105,6 @@ impl Findings {
     }
 
     /// The first table; facts as key and value when there is none.
-    #[must_use]
     pub fn csv(&self) -> String {
         let cell = |value: &Value| if value.is_null() { String::new() } else { shown(value) };
         let header = |columns: &[&str]| columns.iter().map(ToString::to_string).collect();

@@ -75,7 +75,6 @@ fn relays_text(AddedRelays { relays, levels, later }: &AddedRelays) -> String {
 }
 
 /// The object `nsim.map/1`.
-#[must_use]
 pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
     let Question { model, target, options, pruned, remedies, .. } = question;
     let (mapping, reasons) = match outcome {
@@ -129,7 +128,6 @@ fn expected_text(score: &Score) -> String {
 }
 
 /// Candidates of mappings; those of the front are those that no other is better than in everything.
-#[must_use]
 pub fn pareto_json(found: &[Found]) -> Value {
     let front = front(found);
     let row = |one: &Found| {
@@ -144,7 +142,6 @@ pub fn pareto_json(found: &[Found]) -> Value {
 }
 
 /// Candidates of mappings, for people; nothing when there are none.
-#[must_use]
 pub fn pareto_text(found: &[Found]) -> String {
     if found.is_empty() {
         return String::new();
@@ -166,13 +163,11 @@ pub fn pareto_text(found: &[Found]) -> String {
 }
 
 /// Energy over step time of all candidates; the front is joined.
-#[must_use]
 pub fn pareto_svg(model: &str, found: &[Found]) -> String {
     results::pareto(&json!({ "model": model, "pareto": pareto_json(found) })).unwrap_or_default()
 }
 
 /// What was pruned, an object a kind.
-#[must_use]
 pub fn pruned_json(rows: &[PrunedRow]) -> Value {
     let of = |(name, count): &(String, u64)| json!({ "name": name, "count": count });
     let row = |row: &PrunedRow| {
@@ -207,7 +202,6 @@ fn cores_per_copy(compiled: &Mapping) -> f64 {
 }
 
 /// A reason as `nsim.map/1` and errors have it.
-#[must_use]
 pub fn reason_json(reason: &Reason) -> Value {
     json!({
         "code": reason.code,
@@ -236,7 +230,6 @@ fn rows(compiled: &Mapping) -> impl Iterator<Item = Value> {
 }
 
 /// Cores as CSV; the reasons instead when it does not fit.
-#[must_use]
 pub fn csv(outcome: Outcome<'_>) -> String {
     match outcome {
         Outcome::Fits(compiled, ..) => nsim_files::table::csv(rows(compiled), CORE_COLUMNS),
@@ -248,7 +241,6 @@ pub fn csv(outcome: Outcome<'_>) -> String {
 }
 
 /// The result for people.
-#[must_use]
 pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
     let Question { model, target, options, pruned, remedies, .. } = question;
     let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
@@ -330,7 +322,6 @@ fn listed(reasons: &[Reason]) -> String {
 }
 
 /// That and why a network does not fit, where a fit was taken for granted.
-#[must_use]
 pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
     format!("{model} does not fit on {}:\n{}", target.name(), listed(reasons))
 }

@@ -47,7 +47,6 @@ pub struct RunReport<'a> {
 }
 
 /// The object of `nsim.run/1` for what did not run.
-#[must_use]
 pub fn nothing(engine: &str) -> Value {
     json!({
         "schema": "nsim.run/1", "model": null, "target": null, "engine": engine, "fits": false, "reasons": [],
@@ -58,7 +57,6 @@ pub fn nothing(engine: &str) -> Value {
 }
 
 /// The object `neurobench`.
-#[must_use]
 pub fn neurobench_json(metrics: &NeuroBench) -> Value {
     json!({
         "footprint_bytes": metrics.footprint_bytes,
@@ -184,7 +182,6 @@ impl RunReport<'_> {
     }
 
     /// `nsim.run/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let totals = self.totals();
         let mut object = json!({
@@ -238,7 +235,6 @@ impl RunReport<'_> {
     }
 
     /// One row a sample.
-    #[must_use]
     pub fn csv(&self) -> String {
         let outputs = self.outcomes.first().map_or(0, |outcome| outcome.counts.len());
         let head = ["sample", "label", "predicted", "steps", "decided_at", "spikes_in", "spikes", "synaptic_events"];
@@ -260,7 +256,6 @@ impl RunReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let (parts, totals, steps) = (self.network.parts(), self.totals(), self.timesteps());
         let mut out = match self.target {

@@ -52,7 +52,6 @@ pub struct ByMarkers {
 
 impl ByMarkers {
     /// Of samples; none without a lift.
-    #[must_use]
     pub fn new(samples: &[Annotated]) -> Option<Self> {
         let median = |times: &mut Vec<f64>| {
             times.sort_by(f64::total_cmp);
@@ -104,7 +103,6 @@ impl SceneReport {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let columns: [Column<ClassSummary>; 7] = [
             ("class", |class| class.name.clone()),
@@ -163,7 +161,6 @@ impl SceneReport {
     }
 
     /// For scripts.
-    #[must_use]
     pub fn json(&self) -> Value {
         json!({
             "schema": "nsim.scene/1",
@@ -186,7 +183,6 @@ impl SceneReport {
     }
 
     /// A row for each class.
-    #[must_use]
     pub fn csv(&self) -> String {
         let columns = "label,class=name,samples,touch_spikes,touch_density,vision_spikes,vision_density,\
              onset_first_ms=onset_ms.first,onset_median_ms=onset_ms.median,onset_last_ms=onset_ms.last";

@@ -88,14 +88,12 @@ fn columns<'a>() -> [Column<Row<'a>>; 10] {
 
 impl SideBySideReport<'_> {
     /// The least share of samples of the same class.
-    #[must_use]
     pub fn class_agreement(&self) -> Option<f64> {
         let each = self.networks.iter().map(Compared::class_agreement);
         each.collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)
     }
 
     /// Whether every spike of every network is the trained one's, and there are some.
-    #[must_use]
     pub fn exact(&self) -> bool {
         self.networks.iter().all(|network| {
             let layers = &network.agreement.layers;
@@ -116,7 +114,6 @@ impl SideBySideReport<'_> {
     }
 
     /// `nsim.agree/1`; `layers` has the rows of all networks, each with the file that it is of.
-    #[must_use]
     pub fn json(&self) -> Value {
         let layers = self.networks.iter().flat_map(|network| {
             network.agreement.layers.iter().map(|row| {
@@ -153,13 +150,11 @@ impl SideBySideReport<'_> {
     }
 
     /// A row for each layer of each network.
-    #[must_use]
     pub fn csv(&self) -> String {
         csv_of(&self.rows(), &columns())
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out =
             format!("{} as trained, and others on simulated cores\ninput: {}", self.model, self.input.join(" "));

@@ -11,7 +11,6 @@ fn verdict_name(verdict: &Verdict) -> &'static str {
 }
 
 /// `nsim.stress/1`.
-#[must_use]
 pub fn json(verdicts: &[Verdict]) -> Value {
     let cases = verdicts.iter().map(|verdict| {
         json!({
@@ -22,13 +21,11 @@ pub fn json(verdicts: &[Verdict]) -> Value {
 }
 
 /// A row a case.
-#[must_use]
 pub fn csv(verdicts: &[Verdict]) -> String {
     nsim_files::table::csv(json(verdicts)["cases"].as_array().into_iter().flatten(), "name,verdict,steps,detail")
 }
 
 /// For people.
-#[must_use]
 pub fn text(verdicts: &[Verdict]) -> String {
     let columns: [Column<Verdict>; 4] = [
         ("case", |verdict| verdict.name.to_string()),

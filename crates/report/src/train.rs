@@ -22,7 +22,6 @@ pub struct TrainReport<'a> {
 
 impl TrainReport<'_> {
     /// `nsim.train/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let Trained { state, train_accuracy, test_accuracy, digest, folds, samples, seconds } = self.trained;
         json!({
@@ -43,13 +42,11 @@ impl TrainReport<'_> {
     }
 
     /// One row.
-    #[must_use]
     pub fn csv(&self) -> String {
         csv([self.json()], "name,seed,epochs,seconds,train_accuracy,test_accuracy")
     }
 
     /// One line: accuracy on what.
-    #[must_use]
     pub fn summary(&self) -> String {
         let Trained { state, train_accuracy, test_accuracy, folds, samples, .. } = self.trained;
         let test = test_accuracy
@@ -74,7 +71,6 @@ impl TrainReport<'_> {
     }
 
     /// What the model file says before the network: the summary and the training file.
-    #[must_use]
     pub fn provenance(&self, set: &[String]) -> String {
         let source = &self.job.source;
         let file = source.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
@@ -89,7 +85,6 @@ impl TrainReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out = format!("{}: {}", self.job.file.name, nsim_files::table::wrapped(&self.summary()));
         out += &format!("{:.1} s\n", self.trained.seconds);
@@ -101,7 +96,6 @@ impl TrainReport<'_> {
 }
 
 /// Loss and accuracy of each epoch, a row each.
-#[must_use]
 pub fn history_csv(history: &[EpochRow]) -> String {
     csv(history, "epoch,loss,accuracy")
 }

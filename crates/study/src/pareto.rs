@@ -74,7 +74,6 @@ pub enum Variant {
 
 impl Variant {
     /// Every variant that a network has; those by convolution only with spike response neurons.
-    #[must_use]
     pub fn all(srm: bool) -> Vec<Variant> {
         let mut all = Vec::new();
         for single in [false, true] {
@@ -95,7 +94,6 @@ impl Variant {
     }
 
     /// Its name in results.
-    #[must_use]
     pub fn name(self) -> String {
         match self {
             Variant::Reference { single, convolution } => {
@@ -115,7 +113,6 @@ impl Variant {
     }
 
     /// Whether it must be the golden interpreter's answer, spike by spike.
-    #[must_use]
     pub fn claims_exact(self) -> bool {
         matches!(self, Variant::Golden | Variant::Fast { .. } | Variant::Metered(_))
     }

@@ -55,7 +55,6 @@ pub(super) fn energy(row: &EnergyRow) -> Option<f64> {
 }
 
 /// The ratios of other rows to the chip's total; none to a row whose power is assumed.
-#[must_use]
 pub fn ratios(chip: &EnergyRow, others: &[(EnergyRow, String)]) -> Vec<Ratio> {
     let of = |other: &EnergyRow| {
         let over = |this: Option<f64>, that: Option<f64>| Some(that? / this.filter(|this| *this > 0.0)?);

@@ -67,7 +67,6 @@ pub struct ConstantEntry {
 }
 
 /// The constants of a preset, barriers last.
-#[must_use]
 pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
     let barriers = constants.barrier.iter().map(|entry| (format!("barrier_time_{}_tiles", entry.tiles), &entry.time));
     let singles = constants.list().into_iter().map(|(name, constant)| (name.to_string(), constant));
@@ -84,7 +83,6 @@ pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
 }
 
 /// The object of `nsim.energy/1` for what did not run.
-#[must_use]
 pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
     json!({
         "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
@@ -207,7 +205,6 @@ impl EnergyReport {
     }
 
     /// The object of `nsim.energy/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let breakdown = self.estimate.breakdown_pj.as_ref().map(|parts| {
             let parts = parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj)));
@@ -265,7 +262,6 @@ impl EnergyReport {
     }
 
     /// The rows as comma-separated values with a header; unknown figures are empty.
-    #[must_use]
     pub fn csv(&self) -> String {
         let columns = "hardware,unit,convention,static_mw,dynamic_mw,total_mw,latency_us,energy_uj,edp_pjs,\
                        total_mw_low=low.total_mw,latency_us_low=low.latency_us,energy_uj_low=low.energy_uj,\
@@ -463,7 +459,6 @@ impl EnergyReport {
     }
 
     /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
-    #[must_use]
     pub fn headline(&self) -> String {
         let mut out = self.table(false);
         for remark in self.remarks() {
@@ -482,7 +477,6 @@ impl EnergyReport {
 
     /// The table as comma-separated values, for a table in a paper: the same lines, each with all
     /// of its cells.
-    #[must_use]
     pub fn paper_csv(&self) -> String {
         let physical = self.convention() == Convention::Physical;
         let energy = if physical { "Energy (\u{b5}J)" } else { "Energy (mW / steps)" };
@@ -496,7 +490,6 @@ impl EnergyReport {
     }
 
     /// The whole report for people: what a reader asks first comes first.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out = self.table(true);
         for remark in self.remarks() {

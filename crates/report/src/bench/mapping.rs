@@ -55,7 +55,6 @@ impl MapReport<'_> {
     }
 
     /// `nsim.bench/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let row = |row: &MeasuredMapping| {
             json!({
@@ -96,13 +95,11 @@ impl MapReport<'_> {
     }
 
     /// A row each.
-    #[must_use]
     pub fn csv(&self) -> String {
         csv(self.json()["rows"].as_array().into_iter().flatten(), KEYS)
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let columns: [Column<MeasuredMapping>; 14] = [
             ("network", |row| row.network.to_string()),

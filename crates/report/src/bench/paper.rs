@@ -43,31 +43,26 @@ fn sections(rows: &[PaperRow], section: impl Fn(&str, Vec<&PaperRow>) -> String)
 }
 
 /// `nsim.bench/1`.
-#[must_use]
 pub fn json(rows: &[PaperRow]) -> Value {
     json!({ "schema": "nsim.bench/1", "name": "paper", "rows": rows })
 }
 
 /// A row a figure.
-#[must_use]
 pub fn csv(rows: &[PaperRow]) -> String {
     nsim_files::table::csv(rows, KEYS)
 }
 
 /// Sections of a document.
-#[must_use]
 pub fn markdown(rows: &[PaperRow]) -> String {
     sections(rows, |title, rows| format!("## {title}\n\n{}\n", markdown_of(rows, &COLUMNS)))
 }
 
 /// The tables alone.
-#[must_use]
 pub fn tables(rows: &[PaperRow]) -> String {
     sections(rows, |title, rows| format!("{title}\n\n{}\n\n", table_of(rows, &COLUMNS, 5)))
 }
 
 /// For people.
-#[must_use]
 pub fn text(rows: &[PaperRow]) -> String {
     let accuracies = || rows.iter().filter(|row| row.table == "accuracy");
     let have = accuracies().filter(|row| row.measured.is_some()).count();

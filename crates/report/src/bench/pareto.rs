@@ -41,7 +41,6 @@ const COLUMNS: [Column<VariantRow>; 9] = [
 
 impl ParetoReport<'_> {
     /// `nsim.bench/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let row = |row: &VariantRow| {
             json!({
@@ -70,7 +69,6 @@ impl ParetoReport<'_> {
     }
 
     /// A row a variant.
-    #[must_use]
     pub fn csv(&self) -> String {
         csv(self.json()["rows"].as_array().into_iter().flatten(), KEYS)
     }
@@ -81,7 +79,6 @@ impl ParetoReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let table = table_of(self.rows, &COLUMNS, 1);
         format!(
@@ -92,7 +89,6 @@ impl ParetoReport<'_> {
     }
 
     /// A section of a document, with a chart under `picture`.
-    #[must_use]
     pub fn markdown(&self, picture: &str) -> String {
         let mut out = format!("{}; {}.\n\n", self.what(), self.environment);
         out += &format!("![run time against error of {}]({picture})\n\n", self.model);
@@ -100,7 +96,6 @@ impl ParetoReport<'_> {
     }
 
     /// Run time against error, with the front.
-    #[must_use]
     pub fn svg(&self) -> String {
         results::pareto(&self.json()).unwrap_or_default()
     }

@@ -30,7 +30,6 @@ const KEYS: &str =
     "work,workload,quantity,kind,unit,published,predicted,low,high,left_out,accounting,source,first_hand,cause";
 
 /// `nsim.bench/1`.
-#[must_use]
 pub fn json(rows: &[PublishedRow]) -> Value {
     let row = |row: &PublishedRow| {
         json!({
@@ -56,7 +55,6 @@ pub fn json(rows: &[PublishedRow]) -> Value {
 }
 
 /// A row a figure.
-#[must_use]
 pub fn csv(rows: &[PublishedRow]) -> String {
     nsim_files::table::csv(json(rows)["rows"].as_array().into_iter().flatten(), KEYS)
 }
@@ -66,7 +64,6 @@ fn of_kind(rows: &[PublishedRow], left_out: bool) -> impl Iterator<Item = &Publi
 }
 
 /// For people.
-#[must_use]
 pub fn text(rows: &[PublishedRow]) -> String {
     let mut out =
         format!("without what a work's own authors found\n\n{}\n", table_of(of_kind(rows, true), &COLUMNS, 2));
@@ -103,7 +100,6 @@ pub fn text(rows: &[PublishedRow]) -> String {
 }
 
 /// Published against predicted, with intervals and the line on which they are equal.
-#[must_use]
 pub fn svg(rows: &[PublishedRow]) -> String {
     let own: Vec<&PublishedRow> = of_kind(rows, true).filter(|row| row.published > 0.0).collect();
     let ends = own.iter().map(|row| row.published);

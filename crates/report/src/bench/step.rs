@@ -53,7 +53,6 @@ pub(super) fn rounded(x: f64) -> f64 {
 
 impl StepReport<'_> {
     /// `nsim.bench/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let row = |row: &StepRow| {
             json!({
@@ -81,14 +80,12 @@ impl StepReport<'_> {
     }
 
     /// A row each.
-    #[must_use]
     pub fn csv(&self) -> String {
         let columns = "network,threads,skip,us_per_timestep,spread,synaptic_events_per_step,bytes_per_synapse";
         csv(self.json()["rows"].as_array().into_iter().flatten(), columns)
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let ns_an_event = |row: &StepRow| match row.events() {
             events if events > 0.0 => three(row.measured.us_per_timestep * 1e3 / events),

@@ -37,7 +37,6 @@ const BARS: [(Resource, &str); 4] = [
 ];
 
 /// The picture.
-#[must_use]
 pub fn svg<P>(compiled: &Mapping<P>, target: &Target, links: &Links) -> String {
     let mesh = compiled.placement.mesh();
     let side = f64::from(mesh.cores_per_tile).sqrt().ceil().max(1.0);

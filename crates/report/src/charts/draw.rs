@@ -50,13 +50,11 @@ pub struct Axis {
 
 impl Axis {
     /// Equal distances are equal differences.
-    #[must_use]
     pub fn linear(label: impl Into<String>) -> Axis {
         Axis { label: label.into(), log: false }
     }
 
     /// Equal distances are equal factors.
-    #[must_use]
     pub fn log(label: impl Into<String>) -> Axis {
         Axis { label: label.into(), log: true }
     }

@@ -40,7 +40,6 @@ pub enum Series {
 }
 
 /// A chart of lines and points.
-#[must_use]
 pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     let numbers: Vec<(f64, f64)> = series.iter().flat_map(extent).collect();
     let across = Scale::new(x, numbers.iter().map(|p| p.0), LEFT, RIGHT);
@@ -95,14 +94,12 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
 }
 
 /// A chart of bars: one group a category, one bar a series in it.
-#[must_use]
 pub fn bars(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
     barred(title, y, categories, series, false)
 }
 
 /// A chart of bars: one a category, its series on top of each other. Their numbers are not
 /// negative.
-#[must_use]
 pub fn stacked(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
     barred(title, y, categories, series, true)
 }

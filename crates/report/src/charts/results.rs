@@ -31,7 +31,6 @@ fn parts(value: &Value) -> Vec<(String, f64)> {
 }
 
 /// Power, time and energy of a timestep on all hardware of `nsim.energy/1`, side by side.
-#[must_use]
 pub fn hardware(result: &Value) -> Option<String> {
     let totals: Vec<&Value> = rows(&result["rows"]).iter().filter(|row| row["unit"] == "total").collect();
     let names: Vec<String> = totals.iter().map(|row| words(&row["hardware"]).to_string()).collect();
@@ -50,7 +49,6 @@ pub fn hardware(result: &Value) -> Option<String> {
 
 /// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the
 /// neuron cores.
-#[must_use]
 pub fn energy(result: &Value) -> Option<String> {
     let chip = &rows(&result["rows"]).first()?["hardware"];
     let unit = |unit: &str| rows(&result["rows"]).iter().find(|row| row["hardware"] == *chip && row["unit"] == unit);
@@ -79,7 +77,6 @@ pub fn energy(result: &Value) -> Option<String> {
 }
 
 /// Where the time of a timestep goes, of `nsim.energy/1`: a bar for each part.
-#[must_use]
 pub fn time(result: &Value) -> Option<String> {
     let parts = parts(&result["time_us_per_timestep"]);
     let total: f64 = parts.iter().map(|(_, us)| us).sum();
@@ -98,7 +95,6 @@ pub fn time(result: &Value) -> Option<String> {
 
 /// Run time against error of `nsim bench pareto`, or energy against time of `nsim map --pareto`,
 /// with the front.
-#[must_use]
 pub fn pareto(result: &Value) -> Option<String> {
     let benched = result["name"] == "pareto";
     let all = rows(if benched { &result["rows"] } else { &result["pareto"] });
@@ -146,7 +142,6 @@ pub fn pareto(result: &Value) -> Option<String> {
 
 /// Causes of disagreement of `nsim agree`, forward and reversed; without them, how far each layer
 /// agrees.
-#[must_use]
 pub fn agreement(result: &Value) -> Option<String> {
     let model = words(&result["model"]);
     let shares = rows(&result["attribution"]);

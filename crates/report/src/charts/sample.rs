@@ -63,7 +63,6 @@ pub struct Panels {
 
 impl Panels {
     /// The picture.
-    #[must_use]
     pub fn svg(&self) -> String {
         let mut sheet = Sheet::chart(&self.title, "time into the sample, ms", &self.what);
         let end_ms = f64::from(self.steps) * self.timestep_ms;
@@ -121,7 +120,6 @@ impl Panels {
 }
 
 /// Spikes of the first of these populations, each in a panel of its own.
-#[must_use]
 pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[PopulationId]) -> String {
     let panel = |&id: &PopulationId| {
         let raster = &timeline.rasters[id.0 as usize];
@@ -152,7 +150,6 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
 
 /// Potentials over time in parts of their thresholds, a panel for each compartment; the timeline
 /// holds those of `traced`, in this order.
-#[must_use]
 pub fn voltage(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced]) -> String {
     let steps = timeline.steps.0;
     let group = (steps as usize).div_ceil(MOST_POINTS).max(1);

@@ -10,7 +10,6 @@ use nsim_ir::hardware::Target;
 use nsim_ir::resource::Resource;
 
 /// Cores with their use of each resource, and loaded links.
-#[must_use]
 pub fn json(compiled: &Compiled, target: &Target, links: &Links) -> Value {
     let mesh = compiled.placement.mesh();
     let limits = target.limits();

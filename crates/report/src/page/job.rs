@@ -73,7 +73,6 @@ pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<Graph>,
 }
 
 /// Samples of which the trained and the deployed network are compared.
-#[must_use]
 pub fn compared(workload: &Workload<'_>) -> usize {
     workload.samples().len().min(COMPARED)
 }

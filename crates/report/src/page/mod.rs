@@ -61,7 +61,6 @@ pub struct Sections {
 }
 
 /// The page.
-#[must_use]
 pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String {
     let Sections { results, network, fit, sample, confusion, agreement } = sections;
     let data = json!({

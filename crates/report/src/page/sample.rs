@@ -17,7 +17,6 @@ const MOST_POINTS: usize = 1_500;
 
 /// A sample over its steps: means of so many steps in a row of everything that is counted, the
 /// largest potential of each such group, every kept spike of the populations that are [`drawn`].
-#[must_use]
 pub fn json(network: &Quantised, timeline: &Timeline, watched: &[Traced], sample: &Sample, outcome: &Outcome) -> Value {
     let (kept, all) = timeline.steps;
     let group = (kept as usize).div_ceil(MOST_POINTS).max(1);
@@ -68,7 +67,6 @@ pub fn json(network: &Quantised, timeline: &Timeline, watched: &[Traced], sample
 
 /// Samples of each class (rows) by the class that the network gave (columns; the last is none);
 /// null without labels.
-#[must_use]
 pub fn confusion(network: &Quantised, samples: &[&Sample], outcomes: &[Outcome]) -> Value {
     let outputs = network.populations()[network.parts().output].shape.len() as usize;
     let labels = samples.iter().filter_map(|sample| sample.label());

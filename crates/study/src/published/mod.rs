@@ -53,13 +53,11 @@ pub struct PublishedRow {
 
 impl PublishedRow {
     /// How far the prediction is off, as a factor of at least 1.
-    #[must_use]
     pub fn factor(&self) -> f64 {
         (self.predicted / self.published).max(self.published / self.predicted)
     }
 
     /// Which sum the figure is of.
-    #[must_use]
     pub fn accounting(&self) -> Accounting {
         self.quantity.accounting()
     }
@@ -137,7 +135,6 @@ pub fn rows(
 }
 
 /// The median factor of each work's figures of some kinds, its authors' findings left out.
-#[must_use]
 pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64> {
     let mut by_work: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     let counted = |row: &&PublishedRow| row.left_out;
@@ -148,7 +145,6 @@ pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64>
 }
 
 /// The geometric mean.
-#[must_use]
 pub fn geometric_mean(factors: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let count = factors.len();
     (count > 0).then(|| (factors.map(f64::ln).sum::<f64>() / count as f64).exp())
@@ -157,7 +153,6 @@ pub fn geometric_mean(factors: impl ExactSizeIterator<Item = f64>) -> Option<f64
 /// How far predictions of each class were off: at the finite-sample rank of the works' largest
 /// errors, as split conformal prediction with works as groups has it (Vovk, Gammerman and Shafer
 /// 2005, chapter 4).
-#[must_use]
 pub fn class_errors(rows: &[PublishedRow]) -> Vec<ClassError> {
     let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out).collect();
     let step = |row: &PublishedRow| {

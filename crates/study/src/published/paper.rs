@@ -64,7 +64,6 @@ pub fn parse(name: &str, text: &str) -> Result<Vec<PaperRow>> {
 }
 
 /// A file of rows, one a line, that [`parse`] reads.
-#[must_use]
 pub fn stored(provenance: &serde_json::Value, rows: &[PaperRow]) -> String {
     let lines: Vec<String> = rows.iter().map(|row| serde_json::json!(row).to_string()).collect();
     format!("{{\n\"provenance\": {provenance:#},\n\"rows\": [\n{}\n]\n}}\n", lines.join(",\n"))
@@ -105,7 +104,6 @@ pub fn rows(more: Vec<PaperRow>) -> Result<Vec<PaperRow>> {
 
 impl PaperRow {
     /// A row without figures.
-    #[must_use]
     pub fn new(table: &str, task: &str, modality: &str, quantity: &str) -> PaperRow {
         let [table, task, modality, quantity] = [table, task, modality, quantity].map(str::to_string);
         PaperRow { table, task, modality, quantity, ..PaperRow::default() }

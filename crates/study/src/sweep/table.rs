@@ -34,7 +34,6 @@ pub struct Table<'s> {
 const CHECKSUM: &str = "checksum of ";
 
 /// The name of the column of checksums, for rows that were made from files of this digest.
-#[must_use]
 pub fn checksum_column(work: &str) -> String {
     format!("{CHECKSUM}{}", work.get(..16).unwrap_or(work))
 }
@@ -74,13 +73,11 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
 }
 
 /// A row as a journal keeps it.
-#[must_use]
 pub fn line(variant: u64, cells: &Cells) -> String {
     format!("{variant},{}", cells.join(","))
 }
 
 /// A row from a journal.
-#[must_use]
 pub fn from_line(line: &str) -> Option<(u64, Cells)> {
     let (variant, cells) = line.split_once(',')?;
     let cells: Vec<String> = cells.split(',').map(str::to_string).collect();
@@ -89,13 +86,11 @@ pub fn from_line(line: &str) -> Option<(u64, Cells)> {
 
 impl<'s> Table<'s> {
     /// A table without rows.
-    #[must_use]
     pub fn new(sweep: &'s Sweep) -> Self {
         Table { sweep, rows: BTreeMap::new(), column: None }
     }
 
     /// Names of the columns.
-    #[must_use]
     pub fn columns(&self) -> Vec<&'s str> {
         std::iter::once("variant").chain(self.sweep.columns()).chain(FIGURES).collect()
     }
@@ -109,7 +104,6 @@ impl<'s> Table<'s> {
     }
 
     /// The table as CSV; of a shard with its column of checksums.
-    #[must_use]
     pub fn csv(&self, checksums: Option<&str>) -> String {
         let header = self.columns().into_iter().chain(checksums).map(str::to_string).collect();
         let rows = self.records().map(|mut record| {
