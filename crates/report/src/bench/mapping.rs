@@ -20,8 +20,8 @@ pub struct MapReport<'a> {
 }
 
 /// What is said of a mapping, in JSON and CSV.
-const KEYS: &str = "network,strategy,placed,objective,cores,chips,cut_spikes,hops,hops_multicast,mean_link_load,max_link_load,\
-     simulated,energy_uj,step_us,seconds,peak_mib";
+const KEYS: &str = "network,strategy,placed,objective,cores,chips,cut_spikes,hops,hops_multicast,mean_link_load,\
+                    max_link_load,simulated,energy_uj,step_us,seconds,peak_mib";
 
 /// The least part that a network counts in a mean of ratios, so that one that fits a tile does not
 /// make it zero.
