@@ -52,7 +52,7 @@ pub fn sweep_part(
             progress();
             Ok(())
         })?;
-        Ok(table.csv(None).map_err(|error| nsim::Error::Fault(error.to_string()))?)
+        Ok(table.csv(None))
     })
 }
 
@@ -64,7 +64,7 @@ pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<Str
         let mut whole = Table::new(&sweep);
         tables.iter().try_for_each(|table| whole.add_csv(table).map(drop))?;
         whole.check_whole()?;
-        whole.csv(None).map_err(|error| nsim::Error::Fault(error.to_string()))
+        Ok::<_, nsim::Error>(whole.csv(None))
     });
     merged.map_err(|error| raised(py, error))
 }

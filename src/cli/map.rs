@@ -197,7 +197,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             object["pareto"] = report::pareto_json(&candidates);
             object
         };
-        output::print(context.format, text, json, || Ok(report::csv(outcome)))?;
+        output::print(context.format, text, json, || report::csv(outcome))?;
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
 }
@@ -207,7 +207,7 @@ fn refuse(model: &str, target: &Target, options: &Options, reasons: &[Reason], c
     let question = Question { model, target, options, pruned: &[], remedies: &[], relays: None };
     let outcome = Outcome::DoesNotFit(reasons);
     let json = || report::json(question, outcome);
-    output::print(context.format, || report::text(question, outcome), json, || Ok(report::csv(outcome)))?;
+    output::print(context.format, || report::text(question, outcome), json, || report::csv(outcome))?;
     Ok(Answer::No)
 }
 

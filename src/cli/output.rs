@@ -98,19 +98,14 @@ pub fn print(
     format: Format,
     plain: impl FnOnce() -> String,
     json: impl FnOnce() -> serde_json::Value,
-    csv: impl FnOnce() -> Result<String, csv::Error>,
+    csv: impl FnOnce() -> String,
 ) -> Result<(), Error> {
     let out = match format {
         Format::Text => plain(),
         Format::Json => format!("{:#}\n", checksum::printed(json())),
-        Format::Csv | Format::Markdown | Format::Latex => {
-            let rows = csv().map_err(|error| Error::Fault(format!("csv: {error}")))?;
-            match format {
-                Format::Markdown => text::markdown(&rows),
-                Format::Latex => text::latex(&rows),
-                _ => rows,
-            }
-        }
+        Format::Csv => csv(),
+        Format::Markdown => text::markdown(&csv()),
+        Format::Latex => text::latex(&csv()),
     };
     Ok(io::write::stdout(&out)?)
 }
@@ -147,22 +142,31 @@ pub fn busy(what: &'static str) -> Busy {
     if !alone || !BUSY_IS_SHOWN.load(Ordering::Relaxed) {
         return Busy(ProgressBar::hidden());
     }
-    let style =
-        ProgressStyle::with_template("{spinner} {msg}, {elapsed}").unwrap_or_else(|_| ProgressStyle::default_spinner());
-    let line = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden()).with_style(style).with_message(what);
+    let line = hidden_at_first(None, "{spinner} {msg}, {elapsed}", what);
     let shown = line.clone();
-    // Where no thread can be started there is no line.
+    // Where no thread can be started the line stands still.
     let _ = std::thread::Builder::new().spawn(move || {
-        std::thread::sleep(std::time::Duration::from_secs(1));
-        if !shown.is_finished() {
-            shown.set_draw_target(ProgressDrawTarget::stderr());
-        }
         while !shown.is_finished() {
             shown.tick();
             std::thread::sleep(std::time::Duration::from_millis(200));
         }
     });
     Busy(line)
+}
+
+/// A bar or line on stderr that appears after a second unless it is finished before.
+fn hidden_at_first(length: Option<u64>, template: &str, what: &'static str) -> ProgressBar {
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    let bar = ProgressBar::with_draw_target(length, ProgressDrawTarget::hidden()).with_style(style).with_message(what);
+    let shown = bar.clone();
+    // Where no thread can be started there is no bar.
+    let _ = std::thread::Builder::new().spawn(move || {
+        std::thread::sleep(std::time::Duration::from_secs(1));
+        if !shown.is_finished() {
+            shown.set_draw_target(ProgressDrawTarget::stderr());
+        }
+    });
+    bar
 }
 
 impl Drop for Busy {
@@ -193,19 +197,7 @@ pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBa
     if !context.progress {
         return ProgressBar::hidden();
     }
-    let style = ProgressStyle::with_template("{msg} [{bar:40}] {pos}/{len} {eta}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    let bar =
-        ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::hidden()).with_style(style).with_message(what);
-    let shown = bar.clone();
-    // Where no thread can be started there is no bar.
-    let _ = std::thread::Builder::new().spawn(move || {
-        std::thread::sleep(std::time::Duration::from_secs(1));
-        if !shown.is_finished() {
-            shown.set_draw_target(ProgressDrawTarget::stderr());
-        }
-    });
-    bar
+    hidden_at_first(Some(length), "{msg} [{bar:40}] {pos}/{len} {eta}", what)
 }
 
 /// Warns that times of a build without optimisation mean nothing.
@@ -216,7 +208,7 @@ pub fn warn_of_debug_build(environment: &Environment) {
 }
 
 /// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section
-/// shows.
+/// shows, by its name.
 ///
 /// # Errors
 /// [`Error`] when the document has no such section or cannot be written.
@@ -224,31 +216,17 @@ pub fn update_section(
     path: &Path,
     mark: &str,
     section: &str,
-    picture: &str,
-    svg: &str,
+    picture: Option<(&str, &str)>,
     context: Context,
 ) -> Result<(), Error> {
-    let beside = path.parent().unwrap_or(Path::new("")).join(picture);
-    let changed = with_section(path, mark, section)?;
-    write_picture(&beside, svg, context)?;
-    Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
-}
-
-/// Replaces the section `<!-- MARK -->` of a document.
-///
-/// # Errors
-/// As [`update_section`].
-pub fn update_text(path: &Path, mark: &str, section: &str, context: Context) -> Result<(), Error> {
-    let changed = with_section(path, mark, section)?;
-    Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
-}
-
-fn with_section(path: &Path, mark: &str, section: &str) -> Result<String, Error> {
     let text = io::text::read_text(path)?;
     let changed = replaced(text.text(), mark, section).ok_or_else(|| {
         Diagnostic::new("document.section", format!("there is no section '<!-- {mark} -->'"))
             .help(format!("put '<!-- {mark} -->' and '<!-- end {mark} -->' on lines of their own"))
             .in_file(path)
     })?;
-    Ok(changed)
+    if let Some((name, svg)) = picture {
+        write_picture(&path.parent().unwrap_or(Path::new("")).join(name), svg, context)?;
+    }
+    Ok(io::write::file(path, context.force, |out| out.write_all(changed.as_bytes()))?)
 }

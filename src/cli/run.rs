@@ -220,6 +220,7 @@ fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &job
 }
 
 /// What an engine did with the samples.
+#[derive(Default)]
 struct Done {
     engine: &'static str,
     outcomes: Vec<Outcome>,
@@ -287,16 +288,7 @@ fn ran(
         }
         Job::Quantised(quantised, _) => {
             let Interpreted { outcomes, counts, wall_s } = golden(quantised, samples, keep, progress);
-            Done {
-                engine: "golden",
-                outcomes,
-                traces: None,
-                activity: None,
-                counts,
-                skipped_updates: 0,
-                wall_s,
-                ranks: Vec::new(),
-            }
+            Done { engine: "golden", outcomes, counts, wall_s, ..Done::default() }
         }
         Job::Real(graph, quantised, _) => {
             if keep.probes.iter().any(|probe| probe.quantity == Quantity::VRegister) {
@@ -307,9 +299,7 @@ fn ran(
             let units = (quantised.channels(), quantised.compartments());
             let (Interpreted { outcomes, counts, wall_s }, traces) =
                 samples::reference(&model, units, samples, keep, progress);
-            let traces = Some(traces);
-            let ranks = Vec::new();
-            Done { engine: "reference", outcomes, traces, activity: None, counts, skipped_updates: 0, wall_s, ranks }
+            Done { engine: "reference", outcomes, traces: Some(traces), counts, wall_s, ..Done::default() }
         }
     })
 }

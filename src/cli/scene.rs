@@ -15,8 +15,8 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::folds::stratified_folds;
 use nsim_ir::spanned::Spanned;
 use nsim_ir::stimulus::SceneArg;
-use nsim_report::charts::raster::{Panel, Raster};
-use nsim_report::scene::{ByMarkers, ClassSummary, SceneReport};
+use nsim_report::charts::sample::{Content, Panel, Panels};
+use nsim_report::scene::{ByMarkers, ClassSummary, Onsets, SceneReport};
 use nsim_scene::markers::Annotated;
 use nsim_scene::wire::Carried;
 use nsim_scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
@@ -128,11 +128,12 @@ fn by_polarity(planes: Vec<(u32, u32)>) -> Vec<(String, Vec<(u32, u32)>)> {
 }
 
 /// A sample as a picture.
-fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Raster {
+fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
     let recording = scene.recording(sample);
     let class = scene.classes().into_iter().nth(recording.label as usize).unwrap_or_default();
     let (rises, falls) = recording.touch.iter().copied().partition(|&(_, channel)| channel % 2 == 1);
-    Raster {
+    Panels {
+        what: String::new(),
         title: format!("{}, sample {sample}: {class}", argument.spelled()),
         steps: recording.steps,
         timestep_ms: scene.timestep_ms(),
@@ -140,15 +141,16 @@ fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Raster {
         panels: vec![
             Panel {
                 label: "touch channel".to_string(),
-                channels: TOUCH.1,
                 share: 0.45,
-                kinds: vec![("taxel, rise".to_string(), rises), ("taxel, fall".to_string(), falls)],
+                content: Content::Spikes(
+                    TOUCH.1,
+                    vec![("taxel, rise".to_string(), rises), ("taxel, fall".to_string(), falls)],
+                ),
             },
             Panel {
                 label: "pooled pixel".to_string(),
-                channels: VISION.1,
                 share: 0.55,
-                kinds: by_polarity(recording.vision_planes),
+                content: Content::Spikes(VISION.1, by_polarity(recording.vision_planes)),
             },
         ],
     }
@@ -251,10 +253,15 @@ fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Opti
         ClassSummary {
             name,
             samples: of.len(),
-            spikes: [spikes(0), spikes(1)],
-            density: [spikes(0) as f64 / cells(of.len(), TOUCH.1), spikes(1) as f64 / cells(of.len(), VISION.1)],
-            onset_ms: onsets.first().map(|&first| [first, onsets[onsets.len() / 2], onsets[onsets.len() - 1]]),
-            annotated: ByMarkers::new(&annotated),
+            touch_spikes: spikes(0),
+            vision_spikes: spikes(1),
+            touch_density: spikes(0) as f64 / cells(of.len(), TOUCH.1),
+            vision_density: spikes(1) as f64 / cells(of.len(), VISION.1),
+            by_markers: ByMarkers::new(&annotated),
+            onset_ms: match onsets[..] {
+                [] => None,
+                [first, ..] => Some(Onsets { first, median: onsets[onsets.len() / 2], last: onsets[onsets.len() - 1] }),
+            },
         }
     };
     SceneReport {

@@ -6,7 +6,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_agree::stress::{CASES, Case, Verdict};
 use nsim_files as io;
-use nsim_report::stress::StressReport;
+use nsim_report::stress as report;
 use nsim_session::error::Error;
 
 const EXAMPLES: &str = "\
@@ -46,7 +46,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         };
         cases.par_iter().with_max_len(1).map(verdict).collect()
     });
-    let report = StressReport { verdicts: &verdicts };
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(context.format, || report::text(&verdicts), || report::json(&verdicts), || report::csv(&verdicts))?;
     Ok(if verdicts.iter().all(|verdict| verdict.pass) { Answer::Yes } else { Answer::No })
 }

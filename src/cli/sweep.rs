@@ -12,7 +12,7 @@ use std::time::{Instant, UNIX_EPOCH};
 use serde_json::json;
 
 use crate::cli::args::timestep::TimestepArgs;
-use crate::cli::context::{Answer, Context, Format};
+use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::signals;
 use nsim_files as io;
@@ -236,8 +236,7 @@ fn say(
     let (errors, refused) = (count("error", &|cell| !cell.is_empty()), count("fits", &|cell| cell == "false"));
     let csv = || table.csv(checksums);
     let Some(file) = file else {
-        let text = || csv().unwrap_or_default();
-        output::print(context.format, text, || json(sweep, table, done, [errors, refused]), csv)?;
+        output::print(context.format, csv, || json(sweep, table, done, [errors, refused]), csv)?;
         return Ok(Answer::Yes);
     };
     let text = || {
@@ -252,10 +251,7 @@ fn say(
         text += &format!("\n{run} run in {wall_s:.2} s, {} at a time\n", context.threads);
         text
     };
-    match context.format {
-        Format::Csv | Format::Markdown | Format::Latex => output::print(context.format, text, || json!(null), csv)?,
-        format => output::print(format, text, || json(sweep, table, done, [errors, refused]), csv)?,
-    }
+    output::print(context.format, text, || json(sweep, table, done, [errors, refused]), csv)?;
     Ok(Answer::Yes)
 }
 

@@ -28,7 +28,6 @@ pub struct NetworkShape {
 
 impl NetworkShape {
     /// The shape of one copy of a network, as it was before any pruning.
-    #[must_use]
     pub fn of_network(network: &Quantised) -> Self {
         let network = network.original();
         let inputs = network.populations().iter().filter(|population| matches!(population.units, Units::Input(_)));
@@ -41,7 +40,6 @@ impl NetworkShape {
     }
 
     /// The shape with these sizes; their order does not matter.
-    #[must_use]
     pub fn new(mut inputs: Vec<u32>, mut layers: Vec<DenseLayer>, others: usize) -> Self {
         inputs.sort_unstable();
         layers.sort_unstable();
@@ -77,7 +75,6 @@ pub struct Work {
 
 impl Work {
     /// The work of a network, as it was before any pruning.
-    #[must_use]
     pub fn of_network(network: &Quantised) -> Self {
         let network = network.original();
         let size = |id| network.populations()[id].shape.len();
@@ -129,7 +126,6 @@ impl Figures {
     /// The same held to real time, as (19): hardware that takes a whole window waits for it and
     /// then computes; else each step is taken as it comes. Dynamic power is drawn while it
     /// computes, or all the time when it does not fall idle.
-    #[must_use]
     pub fn in_real_time(self, timestep_us: f64, window: bool, falls_idle: bool) -> Figures {
         let latency_us = if window { timestep_us + self.latency_us } else { timestep_us.max(self.latency_us) };
         let share = if falls_idle { self.latency_us / latency_us } else { 1.0 };
@@ -137,7 +133,6 @@ impl Figures {
     }
 
     /// A row of the table.
-    #[must_use]
     pub fn row(&self, hardware: &str, convention: Convention, steps: Option<u32>) -> EnergyRow {
         let powers = (self.static_mw, Some(self.dynamic_mw));
         let row = EnergyRow::new(hardware, "total", convention, powers, Some(self.latency_us), self.source, steps);
@@ -210,19 +205,16 @@ impl Baseline {
     }
 
     /// What the file says.
-    #[must_use]
     pub fn file(&self) -> &BaselineFile {
         &self.file
     }
 
     /// Its name on the command line.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.file.name
     }
 
     /// Where its figures are printed, and how they were measured.
-    #[must_use]
     pub fn source(&self) -> String {
         format!("{}. {}", self.file.source, self.file.notes)
     }
@@ -284,7 +276,6 @@ impl Baseline {
 
     /// Its row for a workload that it was not measured on, from what bounds it; `None` when the
     /// file does not say, or samples differ in length.
-    #[must_use]
     pub fn modelled(
         &self,
         work: &Work,

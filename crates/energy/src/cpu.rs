@@ -73,7 +73,6 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
 
 /// Samples from the first on, as many as have about this many timesteps together: enough to be
 /// measured on.
-#[must_use]
 pub fn enough<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
     let mut sum = 0;
     let until = samples.iter().position(|sample| {
@@ -176,7 +175,6 @@ impl Dense {
 
     /// Passes one sample through, layer by layer over the whole window; returns the spikes of each
     /// output.
-    #[must_use]
     pub fn pass(&self, sample: &Sample) -> Vec<u32> {
         let steps = sample.steps() as usize;
         // `[step][unit]`.

@@ -25,7 +25,6 @@ pub struct Environment {
 
 impl Environment {
     /// The environment of this process.
-    #[must_use]
     pub fn here() -> Self {
         Environment {
             cpu: cpu().unwrap_or_else(|| "unknown".to_string()),

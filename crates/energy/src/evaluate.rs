@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use crate::job::{EnergyJob, per_decision, report, saved};
+use crate::job::{per_decision, report, saved};
 use crate::options::{CostOptions, DeploymentArg, DeploymentSource, tables, with_preset};
 use crate::other_hardware;
 use crate::other_hardware::OneCopy;
@@ -15,7 +15,7 @@ use crate::published::scenario::ScenarioFile;
 use crate::report::table::EnergyReport;
 use crate::workload::Workload;
 use nsim_compile::{Compiled, CopyPlacement};
-use nsim_cost::estimate::{ByStatus, Case, Convention, EnergyRow, estimate, step_price};
+use nsim_cost::estimate::{ByStatus, Case, Convention, EnergyRow, step_price};
 use nsim_cost::job::Accounting;
 use nsim_cost::{Deployment, MeterSettings, StepMeter};
 use nsim_ir::hardware::Target;
@@ -49,7 +49,6 @@ impl Plan {
     }
 
     /// The published job whose deployment it is.
-    #[must_use]
     pub fn job(&self) -> Option<&ScenarioFile> {
         match &self.source {
             DeploymentSource::Scenario(_, scenario) => Some(scenario),
@@ -59,7 +58,6 @@ impl Plan {
 
     /// Copies to be mapped: one of those of a published job or of given cores, since those say
     /// where the copies are.
-    #[must_use]
     pub fn mapped_copies(&self) -> Option<u32> {
         match &self.source {
             DeploymentSource::Scenario(..) | DeploymentSource::Numbers(_) => Some(1),
@@ -83,7 +81,6 @@ impl Plan {
     }
 
     /// Where the mapping's copies are to go.
-    #[must_use]
     pub fn placement(&self) -> CopyPlacement {
         self.asked.copies()
     }
@@ -186,20 +183,12 @@ pub fn evaluate(
         Some(job) => paper::printed(job, mode, Convention::Published, steps_per_sample)?,
         None => None,
     };
-    let decision = per_decision(rule, &case, &run.outcomes);
-    let mut energy = report(&EnergyJob {
-        model,
-        target: &target,
-        case,
-        estimate: estimate(&case),
-        samples: run.outcomes.len() as u64,
-        seed: workload.seed,
-        input: &workload.origin,
-        baselines: &others.rows,
-        per_decision: Some(&decision),
-        scenario: plan.shipped.as_ref(),
-        early_exit: options.early_exit.map(|rule| saved(rule, &case, &run.outcomes)),
-    });
+    let mut energy = report(model, &target, &case, run.outcomes.len() as u64, others.rows);
+    energy.seed = workload.seed;
+    energy.input.clone_from(&workload.origin);
+    energy.comparison.per_decision = Some(per_decision(rule, &case, &run.outcomes));
+    energy.job.clone_from(&plan.shipped);
+    energy.early_exit = options.early_exit.map(|rule| saved(rule, &case, &run.outcomes));
     energy.printed = printed.and_then(|(row, _)| Some([row.energy_uj?, row.edp_pjs?]));
     energy.notes.extend(others.notes);
     energy.accuracy = workload.accuracy(&run.outcomes);

@@ -51,7 +51,6 @@ pub struct StepTiming {
 
 impl StepTiming {
     /// A count's mean over the timed steps.
-    #[must_use]
     pub fn per_step(&self, count: u64) -> f64 {
         count as f64 / (self.steps * self.repeats as u64).max(1) as f64
     }

@@ -22,7 +22,7 @@ use nsim_session::decision::Rule;
 use nsim_session::error::{Error, Result};
 
 /// How a run is priced, and what it is compared with.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct CostOptions {
     /// Where input spikes come from; an x86 core of each chip where the chip has one, unless it is
     /// said.
@@ -59,21 +59,7 @@ impl CostOptions {
     /// # Errors
     /// A name that no baseline has.
     pub fn usual(names: Option<&[String]>) -> Result<Self, Diagnostic> {
-        Ok(CostOptions {
-            host: None,
-            streams: Streams::One,
-            reset_words: 0,
-            mode: Mode::Offline,
-            convention: Convention::Physical,
-            baselines: baselines(names)?,
-            cpu_watts: None,
-            #[cfg(feature = "nvml")]
-            gpu_command: None,
-            constants: None,
-            accounting: Accounting::Profiler,
-            transport: Transport::default(),
-            early_exit: None,
-        })
+        Ok(CostOptions { baselines: baselines(names)?, ..CostOptions::default() })
     }
 
     /// What the x86 cores of a target do.
@@ -124,7 +110,6 @@ impl From<&str> for DeploymentArg {
 
 impl DeploymentArg {
     /// How copies are to be mapped.
-    #[must_use]
     pub fn copies(&self) -> CopyPlacement {
         match self {
             DeploymentArg::Mapped(copies) => *copies,

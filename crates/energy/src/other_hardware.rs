@@ -57,7 +57,6 @@ pub struct Rows {
 }
 
 /// The rows of all hardware asked for.
-#[must_use]
 pub fn rows(
     asked: &BaselineSelection,
     one: OneCopy<'_>,

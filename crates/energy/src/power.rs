@@ -72,7 +72,6 @@ impl Rapl {
 
     /// The energy between two readings in uJ. A counter that is less than before has started again,
     /// once: a package of 100 W takes three quarters of an hour for the common range of 262 kJ.
-    #[must_use]
     pub fn between(&self, before: &[u64], after: &[u64]) -> u64 {
         let spent = |((zone, &before), &after): ((&Zone, &u64), &u64)| match after.checked_sub(before) {
             Some(spent) => spent,
@@ -99,14 +98,12 @@ pub struct PackagePower {
 impl PackagePower {
     /// A desktop processor's package for this machine, of which so many threads compute, for when
     /// nothing says better.
-    #[must_use]
     pub fn assumed(used: usize) -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
         PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads, used }
     }
 
     /// The part that the threads in use of a busy machine stand for: idle and busy, in mW.
-    #[must_use]
     pub fn share(self) -> (f64, f64) {
         let share = self.used.min(self.threads) as f64 / self.threads.max(1) as f64;
         (self.idle_mw * share, self.busy_mw * share)
@@ -153,7 +150,6 @@ pub struct Power {
 impl PowerMeter {
     /// What is stated; else counters if they can be read, after watching them at idle for a while;
     /// else an assumed package.
-    #[must_use]
     pub fn new(tree: &Path, stated: Option<(f64, f64)>, assumed: PackagePower, idle: Duration) -> Self {
         let counted = || -> Result<PowerMeter, String> {
             let rapl = Rapl::open(tree)?;
@@ -200,7 +196,6 @@ impl PowerMeter {
     }
 
     /// Where the figures come from, in words.
-    #[must_use]
     pub fn source(&self) -> String {
         match self {
             PowerMeter::Counted { .. } => {

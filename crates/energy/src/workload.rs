@@ -62,19 +62,16 @@ impl<'j> Workload<'j> {
     }
 
     /// Samples of one copy, in run order.
-    #[must_use]
     pub fn samples(&self) -> Vec<&Sample> {
         self.order.iter().map(|&sample| &self.given[sample]).collect()
     }
 
     /// The copies, all of which see each sample.
-    #[must_use]
     pub fn shown(&self) -> Copies {
         Copies { copies: self.copies, channels: self.compiled.one.channels() }
     }
 
     /// What its steps are metered under: sums alone.
-    #[must_use]
     pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
         MeterSettings {
             tables,
@@ -87,13 +84,11 @@ impl<'j> Workload<'j> {
     }
 
     /// Timesteps of a sample; `None` when samples differ.
-    #[must_use]
     pub fn steps_per_sample(&self) -> Option<u32> {
         steps_per_sample(&self.samples())
     }
 
     /// A run by population, input and core, all copies together, and what to warn of.
-    #[must_use]
     pub fn detail(&self, run: &Run<StepMeter>) -> Detail {
         let (network, program) = (&self.compiled.one, &self.compiled.program);
         let sums = ByPopulation::of_copies(network, &run.counts, self.copies);
@@ -116,7 +111,6 @@ impl<'j> Workload<'j> {
     }
 
     /// Share of the samples with a label that were classified as it says; `None` without labels.
-    #[must_use]
     pub fn accuracy(&self, outcomes: &[Outcome]) -> Option<f64> {
         accuracy(outcomes, self.samples().into_iter().map(Sample::label))
     }
@@ -150,7 +144,6 @@ impl<'j> Workload<'j> {
     }
 
     /// What the program is metered with.
-    #[must_use]
     pub fn meter(&self) -> &Metered<'j> {
         &self.metered
     }

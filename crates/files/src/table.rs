@@ -3,6 +3,8 @@
 use std::io::IsTerminal;
 
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
+use serde::Serialize;
+use serde_json::Value;
 
 /// The width of text for people.
 pub const WIDTH: usize = 80;
@@ -41,14 +43,41 @@ pub fn right_from(table: &mut Table, first: usize) {
     table.column_iter_mut().skip(first).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
 }
 
-/// The same as CSV.
-pub fn csv_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> Result<String, csv::Error> {
-    let mut out = csv::Writer::from_writer(Vec::new());
-    out.write_record(columns.iter().map(|(heading, _)| heading))?;
-    for row in rows {
-        out.write_record(columns.iter().map(|(_, cell)| cell(row)))?;
+/// The cells of text columns as CSV.
+pub fn csv_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
+    let cells = |row: &'r R| columns.iter().map(|(_, cell)| cell(row)).collect();
+    csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows.into_iter().map(cells))
+}
+
+/// The fields of serialisable rows as CSV under a header of their names. `HEADING=a.b` in it is the
+/// field `b` of the object `a` under another heading; what is null or missing is an empty cell.
+pub fn csv(rows: impl IntoIterator<Item = impl Serialize>, header: &str) -> String {
+    let columns: Vec<(&str, &str)> =
+        header.split(',').map(|column| column.split_once('=').unwrap_or((column, column))).collect();
+    let cells = |row| {
+        let row = serde_json::to_value(row).unwrap_or_default();
+        columns.iter().map(|(_, path)| cell(path.split('.').fold(&row, |value, key| &value[key]))).collect()
+    };
+    csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows.into_iter().map(cells))
+}
+
+/// A value as a cell of CSV: text bare, numbers as short as they can be read back.
+#[must_use]
+pub fn cell(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        Value::Number(number) if number.is_f64() => number.as_f64().map_or(String::new(), |number| number.to_string()),
+        other => other.to_string(),
     }
-    csv_text(out)
+}
+
+/// CSV of a header and rows.
+pub fn csv_text(header: Vec<String>, rows: impl Iterator<Item = Vec<String>>) -> String {
+    let mut out = csv::WriterBuilder::new().flexible(true).from_writer(Vec::new());
+    // Memory takes every record.
+    std::iter::once(header).chain(rows).for_each(|record| _ = out.write_record(record));
+    String::from_utf8_lossy(&out.into_inner().unwrap_or_default()).into_owned()
 }
 
 /// The same in Markdown.
@@ -134,15 +163,33 @@ pub fn or_empty(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
+/// A number with six decimals, as many as a measure is good for; a zero without a sign.
+#[must_use]
+pub fn rounded(x: f64) -> f64 {
+    format!("{x:.6}").parse().unwrap_or(x) + 0.0
+}
+
+/// A number with this many significant digits, and no fewer of a whole number.
+#[must_use]
+pub fn digits(x: f64, significant: i32) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return format!("{x}");
+    }
+    let rounded: f64 = format!("{x:.*e}", (significant - 1) as usize).parse().unwrap_or(x);
+    let decimals = (significant - 1 - rounded.abs().log10().floor() as i32).clamp(0, 12) as usize;
+    // Whole numbers keep their digits.
+    format!("{:.decimals$}", if decimals == 0 { x } else { rounded })
+}
+
+/// A number with three significant digits.
+#[must_use]
+pub fn three(x: f64) -> String {
+    digits(x, 3)
+}
+
 /// Four digits after the point.
 pub fn four(x: f64) -> String {
     format!("{x:.4}")
-}
-
-/// What was written as CSV.
-pub fn csv_text(written: csv::Writer<Vec<u8>>) -> Result<String, csv::Error> {
-    let bytes = written.into_inner().map_err(csv::IntoInnerError::into_error)?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
 /// A number of things, in words.
@@ -154,47 +201,31 @@ pub fn count(number: impl Into<u64>, thing: &str) -> String {
     }
 }
 
-/// A paragraph in lines of [`WIDTH`]; those behind the first are set in.
+/// A paragraph in lines of [`WIDTH`]; those after the first are indented.
 pub fn wrapped(text: &str) -> String {
-    let mut out = String::new();
-    let mut column = 0;
-    for word in text.split_whitespace() {
+    filled(text.split_whitespace(), 0, 2) + "\n"
+}
+
+/// Lines in at most [`WIDTH`], those after the first indented by so many columns.
+pub fn wrapped_at(text: &str, indent: usize) -> String {
+    let lines: Vec<String> = text.split('\n').map(|line| filled(line.split(' '), indent, indent)).collect();
+    lines.join(&format!("\n{:indent$}", ""))
+}
+
+/// Words in lines, the first of which begins at the column `first` and the others at `indent`.
+fn filled<'t>(words: impl Iterator<Item = &'t str>, first: usize, indent: usize) -> String {
+    let (mut out, mut column, mut begin) = (String::new(), first, first);
+    for word in words {
         let length = word.chars().count();
-        if column > 0 && column + 1 + length > WIDTH {
-            out += "\n  ";
-            column = 2;
-        } else if column > 0 {
+        if column > begin && column + 1 + length > WIDTH {
+            out += &format!("\n{:indent$}", "");
+            (column, begin) = (indent, indent);
+        } else if column > begin {
             out.push(' ');
             column += 1;
         }
         out += word;
         column += length;
-    }
-    out.push('\n');
-    out
-}
-
-/// Lines in at most [`WIDTH`], those behind the first set in by so many columns.
-pub fn wrapped_at(text: &str, indent: usize) -> String {
-    let mut out = String::new();
-    let mut column = indent;
-    for (number, line) in text.split('\n').enumerate() {
-        if number > 0 {
-            out += &format!("\n{:indent$}", "");
-            column = indent;
-        }
-        for word in line.split(' ') {
-            let length = word.chars().count();
-            if column > indent && column + 1 + length > WIDTH {
-                out += &format!("\n{:indent$}", "");
-                column = indent;
-            } else if column > indent {
-                out.push(' ');
-                column += 1;
-            }
-            out += word;
-            column += length;
-        }
     }
     out
 }
@@ -222,6 +253,12 @@ mod tests {
     }
 
     #[test]
+    fn fields_of_rows_become_cells() {
+        let rows = [serde_json::json!({ "name": "a,b", "low": { "mw": 2.0 }, "n": 3, "on": true }), Value::Null];
+        assert_eq!(csv(rows, "name,mw_low=low.mw,n,on,no"), "name,mw_low,n,on,no\n\"a,b\",2,3,true,\n,,,,\n");
+    }
+
+    #[test]
     fn a_paragraph_keeps_its_words_and_its_width() {
         let text = "one two three ".repeat(40);
         let lines = wrapped(&text);
@@ -230,6 +267,7 @@ mod tests {
         assert_eq!(wrapped("short"), "short\n");
         assert_eq!((count(1u32, "chip"), count(2u64, "chip")), ("1 chip".to_string(), "2 chips".to_string()));
         assert_eq!(count(0u32, "copy"), "0 copies");
+        assert_eq!([0.0, 0.000_123_4, 0.1999, 12.345, 1234.5].map(three), ["0", "0.000123", "0.200", "12.3", "1234"]);
     }
 
     #[test]

@@ -2,14 +2,15 @@
 
 use serde_json::{Value, json};
 
+use crate::charts::draw::Axis;
 use crate::charts::plot;
-use crate::charts::plot::{Axis, Series};
+use crate::charts::plot::Series;
 use crate::charts::results;
 use nsim_agree::attribution::{Attribution, LayerLoss, Share};
 use nsim_agree::causes::Cause;
 use nsim_agree::classes::ClassTally;
 use nsim_agree::compare::{Agreement, LayerRow};
-use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, table_of, wrapped};
+use nsim_files::table::{Column, count, csv, four, markdown_of, or_empty, rounded, table_of, wrapped};
 use nsim_ir::graph::Graph;
 use nsim_quantise::analytic::Fit;
 use nsim_train::convert::next::Next;
@@ -48,7 +49,6 @@ pub struct AgreeReport<'a> {
 
 impl<'a> AgreeReport<'a> {
     /// Of two networks and nothing more: no search, no causes.
-    #[must_use]
     pub fn of_two(
         (model, against): (&'a str, &'static str),
         (input, seed, samples): (&'a [String], Option<u64>, usize),
@@ -73,14 +73,12 @@ impl<'a> AgreeReport<'a> {
 }
 
 /// What stands for each spike response population, by its name.
-#[must_use]
 pub fn named_fits(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
     let each = graph.populations().zip(fits);
     each.filter_map(|((_, population), fit)| Some((population.name.clone(), fit.clone()?))).collect()
 }
 
 /// `nsim.agree/1` of a network that could not be deployed.
-#[must_use]
 pub fn nothing() -> Value {
     json!({
         "schema": "nsim.agree/1", "model": null, "target": null, "fits": false, "reasons": [], "samples": 0,
@@ -96,12 +94,6 @@ pub(super) fn classes_text(classes: &ClassTally) -> String {
         Some(share) => format!("classes agree in {share:.4} of {}{rest}", count(classes.compared as u64, "sample")),
         None => format!("no sample is decided by both, so that no class is compared{rest}"),
     }
-}
-
-/// Digits that a figure is good for.
-fn rounded(x: f64) -> f64 {
-    // A zero without a sign.
-    format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
 /// Whether neither network spikes in a layer: equal trains of no spikes are nothing to compare.
@@ -131,6 +123,29 @@ pub(super) fn layer_json(row: &LayerRow) -> Value {
         "count_error": rounded(tally.count_error()),
         "first_divergence": divergence,
     })
+}
+
+const FIT_COLUMNS: [Column<(String, Fit)>; 6] = [
+    ("population", |(name, _)| name.clone()),
+    ("du", |(_, fit)| fit.du.to_string()),
+    ("dv", |(_, fit)| fit.dv.to_string()),
+    ("refractory", |(_, fit)| fit.refractory.to_string()),
+    ("threshold", |(_, fit)| four(fit.threshold)),
+    ("delayed copies", |(_, fit)| fit.copies.len().to_string()),
+];
+
+fn score_columns<'a>() -> [Column<(&'a str, &'a ConversionScore)>; 4] {
+    [
+        ("search", |(name, _)| (*name).to_string()),
+        ("classes agree", |(_, score)| four(score.classes.kept())),
+        ("coincidence", |(_, score)| four(score.coincidence)),
+        ("output counts off by", |(_, score)| format!("{:.2} %", 100.0 * score.count_error)),
+    ]
+}
+
+/// The analytic start of a search and what is left.
+fn scores(found: &SearchResult) -> [(&str, &ConversionScore); 2] {
+    [("analytic start", &found.start), ("what is left", &found.end)]
 }
 
 fn score_json(score: &ConversionScore) -> Value {
@@ -166,7 +181,6 @@ const SHARE_COLUMNS: [Column<Share>; 8] = [
 
 impl AgreeReport<'_> {
     /// Share of samples with the same class, of those that both decide.
-    #[must_use]
     pub fn class_agreement(&self) -> Option<f64> {
         self.classes.and_then(|classes| classes.agreement())
     }
@@ -210,7 +224,6 @@ impl AgreeReport<'_> {
     }
 
     /// `nsim.agree/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         json!({
             "schema": "nsim.agree/1",
@@ -234,54 +247,22 @@ impl AgreeReport<'_> {
     }
 
     /// A row a layer.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<LayerRow>; 11] = [
-            ("layer", |row| row.name.clone()),
-            ("shift", |row| row.shift.to_string()),
-            ("spikes_a", |row| row.comparison.tally.spikes_a.to_string()),
-            ("spikes_b", |row| row.comparison.tally.spikes_b.to_string()),
-            ("coincidence", |row| rounded(row.comparison.tally.coincidence()).to_string()),
-            ("van_rossum", |row| rounded(row.comparison.tally.van_rossum()).to_string()),
-            ("victor_purpura", |row| rounded(row.comparison.tally.victor_purpura()).to_string()),
-            ("potential_rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(rounded))),
-            ("sample", |row| or_empty(row.comparison.first_divergence.map(|d| d.sample))),
-            ("timestep", |row| or_empty(row.comparison.first_divergence.map(|d| d.timestep))),
-            ("neuron", |row| or_empty(row.comparison.first_divergence.map(|d| d.neuron))),
-        ];
-        csv_of(self.layers, &columns)
+    pub fn csv(&self) -> String {
+        let columns = "layer=name,shift,spikes_a,spikes_b,coincidence,van_rossum,victor_purpura,potential_rmse,\
+                       sample=first_divergence.sample,timestep=first_divergence.timestep,\
+                       neuron=first_divergence.neuron";
+        csv(self.layers.iter().map(layer_json), columns)
     }
 
     fn conversion_text(&self) -> String {
         let mut out = String::new();
-        for (name, fit) in self.fits {
-            out += &format!(
-                "'{name}' becomes du {}, dv {}, refractory {}, threshold {:.4}, {} of what comes in\n",
-                fit.du,
-                fit.dv,
-                fit.refractory,
-                fit.threshold,
-                count(fit.copies.len() as u64, "delayed copy"),
-            );
+        if !self.fits.is_empty() {
+            out += &format!("\n{}\n", table_of(self.fits, &FIT_COLUMNS, 1));
         }
         if let Some(found) = self.found {
-            let score = |score: &ConversionScore| {
-                format!(
-                    "class agreement {:.4}, coincidence {:.4}, output counts off by {:.2} %",
-                    score.classes.kept(),
-                    score.coincidence,
-                    100.0 * score.count_error
-                )
-            };
-            out += &format!(
-                "search on {}, {} candidates\n  analytic start: {}\n  what is left:   {}\n",
-                count(found.samples as u64, "calibration sample"),
-                found.tried,
-                score(&found.start),
-                score(&found.end)
-            );
+            let samples = count(found.samples as u64, "calibration sample");
+            let table = table_of(&scores(found), &score_columns(), 1);
+            out += &format!("\n{} candidates on {samples}\n{table}\n", found.tried);
         }
         out
     }
@@ -305,7 +286,6 @@ impl AgreeReport<'_> {
     }
 
     /// A section of a document, with a chart under `picture`.
-    #[must_use]
     pub fn markdown(&self, picture: &str) -> String {
         let mut out = format!("{}, {} of {}", self.model, count(self.samples as u64, "sample"), self.input.join(" "));
         out += &self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
@@ -317,26 +297,11 @@ impl AgreeReport<'_> {
             out += ".\n\n";
         }
         if let Some(found) = self.found {
-            out += &format!(
-                "| on {} | classes agree | coincidence | output counts off by |\n| --- | --- | --- | --- |\n",
-                count(found.samples as u64, "calibration sample")
-            );
-            for (name, score) in [("analytic start", &found.start), ("search", &found.end)] {
-                out += &format!(
-                    "| {name} | {:.4} | {:.4} | {:.2} % |\n",
-                    score.classes.kept(),
-                    score.coincidence,
-                    100.0 * score.count_error
-                );
-            }
-            out.push('\n');
+            let samples = count(found.samples as u64, "calibration sample");
+            out += &format!("On {samples}:\n\n{}\n", markdown_of(&scores(found), &score_columns()));
         }
         if !self.fits.is_empty() {
-            out += "| population | du | dv | refractory | threshold |\n| --- | --- | --- | --- | --- |\n";
-            for (name, fit) in self.fits {
-                out += &format!("| {name} | {} | {} | {} | {:.4} |\n", fit.du, fit.dv, fit.refractory, fit.threshold);
-            }
-            out.push('\n');
+            out += &format!("{}\n", markdown_of(self.fits, &FIT_COLUMNS));
         }
         out += &markdown_of(self.layers, &LAYER_COLUMNS);
         let Some(attribution) = self.attribution else { return out };
@@ -350,7 +315,6 @@ impl AgreeReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out = format!("{} (a: {}) and as deployed on simulated cores (b)\n", self.model, self.against);
         out += &format!("input: {}", self.input.join(" "));
@@ -449,7 +413,6 @@ pub(super) fn lost_json(layer: &LayerLoss) -> Value {
 
 /// Both potentials around the first spike in which two networks part; none when they part nowhere,
 /// or have no potentials.
-#[must_use]
 pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
     let parted = layers.iter().filter_map(|row| {
         let (divergence, around) = (row.comparison.first_divergence?, row.comparison.around.as_ref()?);
@@ -481,7 +444,6 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
 }
 
 /// A bar chart of the causes, forward and reversed.
-#[must_use]
 pub fn bars(model: &str, attribution: &Attribution) -> String {
     let shares: Vec<Value> = attribution.shares.iter().map(AgreeReport::share_json).collect();
     results::agreement(&json!({ "model": model, "attribution": shares })).unwrap_or_default()

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::agree::{blame, lost_json, next_json};
 use nsim_agree::attribution::Distance;
-use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, table_of};
+use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table_of};
 use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
 use nsim_train::convert::job::{Done, Job, sentence};
 use nsim_train::convert::next::Next;
@@ -25,11 +25,6 @@ pub struct ConvertReport<'a> {
     pub files: &'a [String],
     /// What to type next.
     pub next: Option<&'a Next>,
-}
-
-fn rounded(x: f64) -> f64 {
-    // A zero without a sign.
-    format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
 const STAGES: [Column<StageRow>; 7] = [
@@ -129,7 +124,6 @@ fn tuned_markdown(tuned: &Tuned) -> String {
 
 impl ConvertReport<'_> {
     /// `nsim.convert/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let stage = |row: &StageRow| {
             let mut object = distance(&row.distance);
@@ -171,15 +165,11 @@ impl ConvertReport<'_> {
     }
 
     /// A row a stage.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
+    pub fn csv(&self) -> String {
         csv_of(&self.done.converted.stages, &STAGES)
     }
 
     /// A section of a document.
-    #[must_use]
     pub fn markdown(&self) -> String {
         let calibration = &self.done.converted.calibration;
         let mut out = format!(
@@ -205,7 +195,6 @@ impl ConvertReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let calibration = &self.done.converted.calibration;
         let mut out =

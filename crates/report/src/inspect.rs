@@ -8,6 +8,8 @@ use std::fmt::Write as _;
 use comfy_table::CellAlignment;
 use serde_json::{Map, Value, json};
 
+use nsim_files::table::csv_text;
+
 /// What was found: facts about the whole, and tables of its parts.
 #[derive(Debug, Clone)]
 pub struct Findings {
@@ -32,7 +34,6 @@ pub struct FindingsTable {
 
 impl FindingsTable {
     /// A table of rows that are JSON arrays, a value for each column.
-    #[must_use]
     pub fn new(
         key: &'static str,
         columns: &'static [&'static str],
@@ -47,7 +48,6 @@ impl FindingsTable {
 }
 
 /// A number as people write it: without a fraction when it has none.
-#[must_use]
 pub fn number(x: f64) -> Value {
     if x.fract() == 0.0 && x.abs() < 9e15 { json!(x as i64) } else { json!(x) }
 }
@@ -64,7 +64,6 @@ fn shown(value: &Value) -> String {
 
 impl Findings {
     /// For people.
-    #[must_use]
     pub fn text(&self, file: &str) -> String {
         let mut out = format!("{file}: {}\n", self.kind);
         let width = self.facts.iter().map(|(key, _)| key.len()).max().unwrap_or(0);
@@ -88,7 +87,6 @@ impl Findings {
     }
 
     /// `nsim.inspect/1`.
-    #[must_use]
     pub fn json(&self, schema: &str, file: &str) -> Value {
         let mut object = Map::new();
         object.insert("schema".into(), json!(schema));
@@ -107,26 +105,15 @@ impl Findings {
     }
 
     /// The first table; facts as key and value when there is none.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut writer = csv::Writer::from_writer(Vec::new());
+    pub fn csv(&self) -> String {
         let cell = |value: &Value| if value.is_null() { String::new() } else { shown(value) };
+        let header = |columns: &[&str]| columns.iter().map(ToString::to_string).collect();
         match self.tables.first() {
-            Some(part) => {
-                writer.write_record(part.columns)?;
-                for row in &part.rows {
-                    writer.write_record(row.iter().map(cell))?;
-                }
-            }
+            Some(part) => csv_text(header(part.columns), part.rows.iter().map(|row| row.iter().map(cell).collect())),
             None => {
-                writer.write_record(["key", "value"])?;
-                for (key, value) in &self.facts {
-                    writer.write_record([*key, &cell(value)])?;
-                }
+                let facts = self.facts.iter().map(|(key, value)| vec![(*key).to_string(), cell(value)]);
+                csv_text(header(&["key", "value"]), facts)
             }
         }
-        nsim_files::table::csv_text(writer)
     }
 }

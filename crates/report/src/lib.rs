@@ -7,7 +7,6 @@ pub mod agree;
 pub mod bench;
 pub mod charts;
 pub mod convert;
-pub mod energy_chart;
 pub mod inspect;
 pub mod map;
 pub mod page;

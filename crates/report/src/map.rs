@@ -7,7 +7,6 @@
 use std::fmt::Write;
 
 use comfy_table::CellAlignment;
-use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::charts::results;
@@ -76,7 +75,6 @@ fn relays_text(AddedRelays { relays, levels, later }: &AddedRelays) -> String {
 }
 
 /// The object `nsim.map/1`.
-#[must_use]
 pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
     let Question { model, target, options, pruned, remedies, .. } = question;
     let (mapping, reasons) = match outcome {
@@ -130,7 +128,6 @@ fn expected_text(score: &Score) -> String {
 }
 
 /// Candidates of mappings; those of the front are those that no other is better than in everything.
-#[must_use]
 pub fn pareto_json(found: &[Found]) -> Value {
     let front = front(found);
     let row = |one: &Found| {
@@ -145,7 +142,6 @@ pub fn pareto_json(found: &[Found]) -> Value {
 }
 
 /// Candidates of mappings, for people; nothing when there are none.
-#[must_use]
 pub fn pareto_text(found: &[Found]) -> String {
     if found.is_empty() {
         return String::new();
@@ -167,13 +163,11 @@ pub fn pareto_text(found: &[Found]) -> String {
 }
 
 /// Energy over step time of all candidates; the front is joined.
-#[must_use]
 pub fn pareto_svg(model: &str, found: &[Found]) -> String {
     results::pareto(&json!({ "model": model, "pareto": pareto_json(found) })).unwrap_or_default()
 }
 
 /// What was pruned, an object a kind.
-#[must_use]
 pub fn pruned_json(rows: &[PrunedRow]) -> Value {
     let of = |(name, count): &(String, u64)| json!({ "name": name, "count": count });
     let row = |row: &PrunedRow| {
@@ -208,7 +202,6 @@ fn cores_per_copy(compiled: &Mapping) -> f64 {
 }
 
 /// A reason as `nsim.map/1` and errors have it.
-#[must_use]
 pub fn reason_json(reason: &Reason) -> Value {
     json!({
         "code": reason.code,
@@ -221,71 +214,33 @@ pub fn reason_json(reason: &Reason) -> Value {
     })
 }
 
-/// A core of the result.
-#[derive(Serialize)]
-struct Row {
-    core: u32,
-    chip: u32,
-    x: u32,
-    y: u32,
-    compartments: u64,
-    axons_in: u64,
-    axons_out: u64,
-    synapses: u64,
-    synapse_words: u64,
-}
+/// What is said of a core.
+const CORE_COLUMNS: &str = "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words";
 
-fn rows(compiled: &Mapping) -> impl Iterator<Item = Row> {
+fn rows(compiled: &Mapping) -> impl Iterator<Item = Value> {
     compiled.partition.usage().enumerate().map(|(core, used)| {
         let site = compiled.placement.site(core);
-        Row {
-            core: core.0,
-            chip: site.chip,
-            x: site.x,
-            y: site.y,
-            compartments: used[Resource::Compartments],
-            axons_in: used[Resource::AxonsIn],
-            axons_out: used[Resource::AxonsOut],
-            synapses: used.synapses,
-            synapse_words: used[Resource::SynapseWords],
-        }
+        json!({
+            "core": core.0, "chip": site.chip, "x": site.x, "y": site.y,
+            "compartments": used[Resource::Compartments], "axons_in": used[Resource::AxonsIn],
+            "axons_out": used[Resource::AxonsOut], "synapses": used.synapses,
+            "synapse_words": used[Resource::SynapseWords],
+        })
     })
 }
 
 /// Cores as CSV; the reasons instead when it does not fit.
-#[must_use]
 pub fn csv(outcome: Outcome<'_>) -> String {
-    let mut text = String::new();
     match outcome {
-        Outcome::Fits(compiled, _, _) => {
-            text += "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words\n";
-            for Row { core, chip, x, y, compartments, axons_in, axons_out, synapses, synapse_words } in rows(compiled) {
-                let _ = writeln!(
-                    text,
-                    "{core},{chip},{x},{y},{compartments},{axons_in},{axons_out},{synapses},{synapse_words}"
-                );
-            }
-        }
+        Outcome::Fits(compiled, ..) => nsim_files::table::csv(rows(compiled), CORE_COLUMNS),
         Outcome::DoesNotFit(reasons) => {
-            text += "code,population,core,resource,need,limit,help\n";
-            for reason in reasons {
-                let population = quoted(reason.population.as_deref().unwrap_or_default());
-                let core = reason.core.map(|core| core.0.to_string()).unwrap_or_default();
-                let (code, resource, help) = (reason.code, reason.resource.name(), quoted(&reason.help));
-                let _ = writeln!(text, "{code},{population},{core},{resource},{},{},{help}", reason.need, reason.limit);
-            }
+            let columns = "code,population,core,resource,need,limit,help";
+            nsim_files::table::csv(reasons.iter().map(reason_json), columns)
         }
     }
-    text
-}
-
-/// A CSV field that may hold anything (RFC 4180).
-fn quoted(field: &str) -> String {
-    format!("\"{}\"", field.replace('"', "\"\""))
 }
 
 /// The result for people.
-#[must_use]
 pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
     let Question { model, target, options, pruned, remedies, .. } = question;
     let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
@@ -367,7 +322,6 @@ fn listed(reasons: &[Reason]) -> String {
 }
 
 /// That and why a network does not fit, where a fit was taken for granted.
-#[must_use]
 pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
     format!("{model} does not fit on {}:\n{}", target.name(), listed(reasons))
 }
@@ -444,35 +398,9 @@ mod tests {
     use nsim_session::front::front as integers;
     use nsim_testing::{limits, slip, target};
 
-    const KEYS: [&str; 27] = [
-        "schema",
-        "model",
-        "target",
-        "copies",
-        "objective",
-        "strategy",
-        "placed",
-        "seed",
-        "time_budget_s",
-        "pruned",
-        "relays",
-        "fits",
-        "cores_used",
-        "chips_used",
-        "cores_per_copy",
-        "checked",
-        "checked_how",
-        "checked_share",
-        "described",
-        "cores",
-        "limits",
-        "traffic",
-        "expected",
-        "seconds",
-        "reasons",
-        "remedies",
-        "pareto",
-    ];
+    const KEYS: &str = "schema,model,target,copies,objective,strategy,placed,seed,time_budget_s,pruned,relays,fits,cores_used,\
+         chips_used,cores_per_copy,checked,checked_how,checked_share,described,cores,limits,traffic,expected,\
+         seconds,reasons,remedies,pareto";
 
     fn fits_with<'a>(mapping: &'a Mapping, board: &Target) -> Outcome<'a> {
         let traffic = mapping.traffic();
@@ -483,8 +411,8 @@ mod tests {
         explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE), Form::Written)
     }
 
-    fn keys(value: &Value) -> Vec<&str> {
-        value.as_object().unwrap().keys().map(String::as_str).collect()
+    fn keys(value: &Value) -> String {
+        value.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(",")
     }
 
     #[test]
@@ -507,14 +435,8 @@ mod tests {
             "synapses": 39_420, "synapse_words": 7_452,
         });
         assert_eq!(fits["cores"][2], core);
-        let of_traffic = [
-            "cut_spikes_per_step",
-            "hops_per_step",
-            "hops_multicast_per_step",
-            "mean_link_load",
-            "max_link_load",
-            "max_chip_link_load",
-        ];
+        let of_traffic = "cut_spikes_per_step,hops_per_step,hops_multicast_per_step,mean_link_load,max_link_load,\
+             max_chip_link_load";
         assert_eq!(keys(&fits["traffic"]), of_traffic);
         assert_eq!(fits["limits"]["axons_in"], 4096);
         assert!(fits["seconds"]["partition"].is_f64());
@@ -529,7 +451,7 @@ mod tests {
         assert_eq!(keys(&refused), KEYS);
         assert_eq!((&refused["fits"], &refused["cores_used"]), (&json!(false), &Value::Null));
         let reason = &refused["reasons"][0];
-        assert_eq!(keys(reason), ["code", "population", "core", "resource", "need", "limit", "help"]);
+        assert_eq!(keys(reason), "code,population,core,resource,need,limit,help");
         assert_eq!((&reason["population"], &reason["resource"]), (&json!("sight"), &json!("axons_in")));
         let spoken = text(question, Outcome::DoesNotFit(&reasons));
         assert!(

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::map::pruned_json;
-use nsim_files::table::count;
+use nsim_files::table::{count, csv_text, or_empty};
 use nsim_ir::activity::{Activity, Overflow, Totals};
 use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::potentials::Potentials;
@@ -47,7 +47,6 @@ pub struct RunReport<'a> {
 }
 
 /// The object of `nsim.run/1` for what did not run.
-#[must_use]
 pub fn nothing(engine: &str) -> Value {
     json!({
         "schema": "nsim.run/1", "model": null, "target": null, "engine": engine, "fits": false, "reasons": [],
@@ -58,7 +57,6 @@ pub fn nothing(engine: &str) -> Value {
 }
 
 /// The object `neurobench`.
-#[must_use]
 pub fn neurobench_json(metrics: &NeuroBench) -> Value {
     json!({
         "footprint_bytes": metrics.footprint_bytes,
@@ -184,7 +182,6 @@ impl RunReport<'_> {
     }
 
     /// `nsim.run/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let totals = self.totals();
         let mut object = json!({
@@ -238,28 +235,19 @@ impl RunReport<'_> {
     }
 
     /// One row a sample.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
+    pub fn csv(&self) -> String {
         let outputs = self.outcomes.first().map_or(0, |outcome| outcome.counts.len());
-        let mut out = csv::Writer::from_writer(Vec::new());
-        let mut head =
-            ["sample", "label", "predicted", "steps", "decided_at", "spikes_in", "spikes", "synaptic_events"]
-                .map(String::from)
-                .to_vec();
-        head.extend((0..outputs).map(|output| format!("output_{output}")));
-        out.write_record(&head)?;
-        let optional = |number: Option<u32>| number.map_or(String::new(), |number| number.to_string());
-        for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).enumerate() {
-            let mut row = vec![sample.to_string(), optional(label), optional(outcome.class())];
-            row.extend([outcome.steps.to_string(), optional(outcome.decided_at)]);
+        let head = ["sample", "label", "predicted", "steps", "decided_at", "spikes_in", "spikes", "synaptic_events"];
+        let head = head.map(String::from).into_iter().chain((0..outputs).map(|output| format!("output_{output}")));
+        let rows = self.outcomes.iter().zip(self.labels).enumerate().map(|(sample, (outcome, &label))| {
+            let mut row = vec![sample.to_string(), or_empty(label), or_empty(outcome.class())];
+            row.extend([outcome.steps.to_string(), or_empty(outcome.decided_at)]);
             let totals = outcome.totals;
             row.extend([totals.spikes_in, totals.spikes, totals.synaptic_events].map(|count| count.to_string()));
             row.extend(outcome.counts.iter().map(ToString::to_string));
-            out.write_record(&row)?;
-        }
-        nsim_files::table::csv_text(out)
+            row
+        });
+        csv_text(head.collect(), rows)
     }
 
     fn class_name(&self, class: Option<u32>) -> String {
@@ -268,10 +256,8 @@ impl RunReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let (parts, totals, steps) = (self.network.parts(), self.totals(), self.timesteps());
-        let per_step = |count: u64| format!("{count:>14} {:>14.2}", count as f64 / steps.max(1) as f64);
         let mut out = match self.target {
             Some(target) => format!("{} simulated on {target}, engine {}\n", parts.name, self.engine),
             None => format!("{} interpreted without cores, engine {}\n", parts.name, self.engine),
@@ -318,14 +304,17 @@ impl RunReport<'_> {
         }
         out += &self.early_exit_text();
         out += &format!("\n{:<24} {:>14} {:>14}\n", "activity", "total", "a timestep");
-        out += &format!("{:<24} {}\n", "input spikes", per_step(totals.spikes_in));
-        out += &format!("{:<24} {}\n", "spikes", per_step(totals.spikes));
-        out += &format!("{:<24} {}\n", "synaptic events", per_step(totals.synaptic_events));
-        out += &format!("{:<24} {}\n", "compartment updates", per_step(totals.compartment_updates));
-        out += &format!("{:<24} {}\n", "  of them not at rest", per_step(totals.active_updates));
+        let mut row = |name: &str, count: u64| {
+            out += &format!("{name:<24} {count:>14} {:>14.2}\n", count as f64 / steps.max(1) as f64);
+        };
+        row("input spikes", totals.spikes_in);
+        row("spikes", totals.spikes);
+        row("synaptic events", totals.synaptic_events);
+        row("compartment updates", totals.compartment_updates);
+        row("  of them not at rest", totals.active_updates);
         if let Some(activity) = self.activity {
-            out += &format!("{:<24} {}\n", "messages", per_step(activity.messages()));
-            out += &format!("{:<24} {}\n", "hops", per_step(activity.hops().links()));
+            row("messages", activity.messages());
+            row("hops", activity.hops().links());
         }
         out += &self.neurobench.map_or(String::new(), neurobench_text);
         out += &format!("\n{}", self.detail.populations_text(steps));

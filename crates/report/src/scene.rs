@@ -1,30 +1,44 @@
 //! The result of `nsim scene` as text, JSON (`nsim.scene/1`) and CSV.
 
+use serde::Serialize;
 use serde_json::{Value, json};
 
-use nsim_files::table::{Column, csv_of, or_empty, table_of};
+use nsim_files::table::{Column, csv, table_of};
 use nsim_scene::markers::Annotated;
 use nsim_scene::wire::Carried;
 
 /// What the samples of one class hold.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ClassSummary {
     /// Its name.
     pub name: String,
     /// How many samples.
     pub samples: usize,
-    /// Spikes of touch and of vision, of all samples together.
-    pub spikes: [u64; 2],
-    /// Spikes a channel and step of touch and of vision; NaN without samples.
-    pub density: [f64; 2],
-    /// First, median and last onset, in ms, when there are any.
-    pub onset_ms: Option<[f64; 3]>,
-    /// The same by the rule of the paper's authors, where markers are tracked.
-    pub annotated: Option<ByMarkers>,
+    /// Spikes of touch, of all samples together.
+    pub touch_spikes: u64,
+    /// Spikes of vision.
+    pub vision_spikes: u64,
+    /// Spikes a channel and step of touch; NaN without samples.
+    pub touch_density: f64,
+    /// The same of vision.
+    pub vision_density: f64,
+    /// Onsets by the rule of the paper's authors, where markers are tracked.
+    pub by_markers: Option<ByMarkers>,
+    /// Onsets, when there are any.
+    pub onset_ms: Option<Onsets>,
+}
+
+/// Times of onsets in ms.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[allow(missing_docs)]
+pub struct Onsets {
+    pub first: f64,
+    pub median: f64,
+    pub last: f64,
 }
 
 /// Onsets by the rule of the paper's authors.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ByMarkers {
     /// Median over the samples in which the arm lifts by the rule, ms.
     pub lift_ms: f64,
@@ -38,7 +52,6 @@ pub struct ByMarkers {
 
 impl ByMarkers {
     /// Of samples; none without a lift.
-    #[must_use]
     pub fn new(samples: &[Annotated]) -> Option<Self> {
         let median = |times: &mut Vec<f64>| {
             times.sort_by(f64::total_cmp);
@@ -83,25 +96,25 @@ fn percent(share: f64) -> String {
 
 impl SceneReport {
     /// Density over all classes: spikes a channel and step.
-    fn density(&self, sense: usize) -> f64 {
+    fn density(&self, of: fn(&ClassSummary) -> f64) -> f64 {
         // Each class has as many channels and steps a sample, so samples are the weights.
-        let weighted =
-            |class: &ClassSummary| if class.samples == 0 { 0.0 } else { class.density[sense] * class.samples as f64 };
+        let weighted = |class: &ClassSummary| if class.samples == 0 { 0.0 } else { of(class) * class.samples as f64 };
         self.classes.iter().map(weighted).sum::<f64>() / self.samples as f64
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let columns: [Column<ClassSummary>; 7] = [
             ("class", |class| class.name.clone()),
             ("samples", |class| class.samples.to_string()),
-            ("touch spikes", |class| class.spikes[0].to_string()),
-            ("touch %", |class| percent(class.density[0])),
-            ("vision spikes", |class| class.spikes[1].to_string()),
-            ("vision %", |class| percent(class.density[1])),
+            ("touch spikes", |class| class.touch_spikes.to_string()),
+            ("touch %", |class| percent(class.touch_density)),
+            ("vision spikes", |class| class.vision_spikes.to_string()),
+            ("vision %", |class| percent(class.vision_density)),
             ("onset ms", |class| {
-                class.onset_ms.map_or("-".to_string(), |[a, b, c]| format!("{a:.0} .. {b:.0} .. {c:.0}"))
+                class.onset_ms.map_or("-".to_string(), |Onsets { first, median, last }| {
+                    format!("{first:.0} .. {median:.0} .. {last:.0}")
+                })
             }),
         ];
         let table = table_of(&self.classes, &columns, 1);
@@ -116,11 +129,11 @@ impl SceneReport {
         );
         out += &format!(
             "density, spikes a channel and step: touch {} %, vision {} %; onsets: first, median, last\n",
-            percent(self.density(0)),
-            percent(self.density(1))
+            percent(self.density(|class| class.touch_density)),
+            percent(self.density(|class| class.vision_density))
         );
         for class in &self.classes {
-            let Some(ByMarkers { lift_ms, turning, turn_ms, between_ms }) = class.annotated else { continue };
+            let Some(ByMarkers { lift_ms, turning, turn_ms, between_ms }) = class.by_markers else { continue };
             out += &format!("by markers, {}: the arm lifts at {lift_ms:.0} ms", class.name);
             out += &match turning {
                 0 => ", no box turns\n".to_string(),
@@ -148,26 +161,7 @@ impl SceneReport {
     }
 
     /// For scripts.
-    #[must_use]
     pub fn json(&self) -> Value {
-        let density = |x: f64| if x.is_nan() { Value::Null } else { json!(x) };
-        let classes = self.classes.iter().map(|class| {
-            json!({
-                "name": class.name,
-                "samples": class.samples,
-                "touch_spikes": class.spikes[0],
-                "vision_spikes": class.spikes[1],
-                "touch_density": density(class.density[0]),
-                "vision_density": density(class.density[1]),
-                "by_markers": class.annotated.map(|found| json!({
-                    "lift_ms": density(found.lift_ms),
-                    "turning": found.turning,
-                    "turn_ms": density(found.turn_ms),
-                    "between_ms": density(found.between_ms),
-                })),
-                "onset_ms": class.onset_ms.map(|[first, median, last]| json!({"first": first, "median": median, "last": last})),
-            })
-        });
         json!({
             "schema": "nsim.scene/1",
             "scene": self.scene,
@@ -175,9 +169,9 @@ impl SceneReport {
             "samples": self.samples,
             "steps": self.steps,
             "timestep_ms": self.timestep_ms,
-            "touch_density": self.density(0),
-            "vision_density": self.density(1),
-            "classes": classes.collect::<Vec<_>>(),
+            "touch_density": self.density(|class| class.touch_density),
+            "vision_density": self.density(|class| class.vision_density),
+            "classes": self.classes,
             "aces": self.wire.map(|wire| json!({
                 "events": wire.sent,
                 "missed": wire.missed,
@@ -189,25 +183,14 @@ impl SceneReport {
     }
 
     /// A row for each class.
-    ///
-    /// # Errors
-    /// When a row cannot be written.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        fn density(class: &ClassSummary, sense: usize) -> String {
-            or_empty(Some(class.density[sense]).filter(|density| !density.is_nan()))
-        }
-        let columns: [Column<(usize, &ClassSummary)>; 10] = [
-            ("label", |(label, _)| label.to_string()),
-            ("class", |(_, class)| class.name.clone()),
-            ("samples", |(_, class)| class.samples.to_string()),
-            ("touch_spikes", |(_, class)| class.spikes[0].to_string()),
-            ("touch_density", |(_, class)| density(class, 0)),
-            ("vision_spikes", |(_, class)| class.spikes[1].to_string()),
-            ("vision_density", |(_, class)| density(class, 1)),
-            ("onset_first_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[0]))),
-            ("onset_median_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[1]))),
-            ("onset_last_ms", |(_, class)| or_empty(class.onset_ms.map(|onset| onset[2]))),
-        ];
-        csv_of(&self.classes.iter().enumerate().collect::<Vec<_>>(), &columns)
+    pub fn csv(&self) -> String {
+        let columns = "label,class=name,samples,touch_spikes,touch_density,vision_spikes,vision_density,\
+             onset_first_ms=onset_ms.first,onset_median_ms=onset_ms.median,onset_last_ms=onset_ms.last";
+        let labelled = self.classes.iter().enumerate().map(|(label, class)| {
+            let mut row = json!(class);
+            row["label"] = label.into();
+            row
+        });
+        csv(labelled, columns)
     }
 }

@@ -48,52 +48,52 @@ pub struct SideBySideReport<'a> {
     pub networks: Vec<Compared>,
 }
 
-/// A layer of a network.
-struct Row {
-    against: String,
+/// A layer of a network, or of the trained one, to which it is compared.
+struct Row<'a> {
+    against: &'a str,
     accuracy: Option<f64>,
-    compared_samples: Option<usize>,
-    class_agreement: Option<f64>,
-    layer: String,
-    spikes: u64,
-    compared: Option<LayerRow>,
+    compared: Option<&'a Compared>,
+    layer: &'a LayerRow,
 }
 
-impl Row {
+impl Row<'_> {
     fn figure(&self, of: fn(&LayerRow) -> f64) -> String {
-        match &self.compared {
+        match self.compared {
             None => String::new(),
-            Some(row) if silent(row) => "nothing to compare".to_string(),
-            Some(row) => four(of(row)),
+            Some(_) if silent(self.layer) => "nothing to compare".to_string(),
+            Some(_) => four(of(self.layer)),
         }
     }
 }
 
-const COLUMNS: [Column<Row>; 10] = [
-    ("network", |row| row.against.clone()),
-    ("accuracy", |row| or_empty(row.accuracy.map(four))),
-    ("classes agree", |row| or_empty(row.class_agreement.map(four))),
-    ("of samples", |row| or_empty(row.compared_samples)),
-    ("layer", |row| row.layer.clone()),
-    ("spikes", |row| row.spikes.to_string()),
-    ("coincidence", |row| row.figure(|row| row.comparison.tally.coincidence())),
-    ("van Rossum", |row| row.figure(|row| row.comparison.tally.van_rossum())),
-    ("Victor-Purpura", |row| row.figure(|row| row.comparison.tally.victor_purpura())),
-    ("potential rmse", |row| {
-        or_empty(row.compared.as_ref().and_then(|row| row.comparison.tally.potential_rmse()).map(four))
-    }),
-];
+fn columns<'a>() -> [Column<Row<'a>>; 10] {
+    [
+        ("network", |row| row.against.to_string()),
+        ("accuracy", |row| or_empty(row.accuracy.map(four))),
+        ("classes agree", |row| or_empty(row.compared.and_then(Compared::class_agreement).map(four))),
+        ("of samples", |row| or_empty(row.compared.and_then(Compared::compared))),
+        ("layer", |row| row.layer.name.clone()),
+        ("spikes", |row| {
+            let tally = &row.layer.comparison.tally;
+            if row.compared.is_some() { tally.spikes_b } else { tally.spikes_a }.to_string()
+        }),
+        ("coincidence", |row| row.figure(|row| row.comparison.tally.coincidence())),
+        ("van Rossum", |row| row.figure(|row| row.comparison.tally.van_rossum())),
+        ("Victor-Purpura", |row| row.figure(|row| row.comparison.tally.victor_purpura())),
+        ("potential rmse", |row| {
+            or_empty(row.compared.and_then(|_| row.layer.comparison.tally.potential_rmse()).map(four))
+        }),
+    ]
+}
 
 impl SideBySideReport<'_> {
     /// The least share of samples of the same class.
-    #[must_use]
     pub fn class_agreement(&self) -> Option<f64> {
         let each = self.networks.iter().map(Compared::class_agreement);
         each.collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)
     }
 
     /// Whether every spike of every network is the trained one's, and there are some.
-    #[must_use]
     pub fn exact(&self) -> bool {
         self.networks.iter().all(|network| {
             let layers = &network.agreement.layers;
@@ -103,34 +103,17 @@ impl SideBySideReport<'_> {
     }
 
     /// The trained network first, then each of the others.
-    fn rows(&self) -> Vec<Row> {
-        let trained = self.networks.first().into_iter().flat_map(|network| {
-            network.agreement.layers.iter().map(|row| Row {
-                against: "as trained".to_string(),
-                accuracy: network.agreement.accuracy.map(|(trained, _)| trained),
-                compared_samples: None,
-                class_agreement: None,
-                layer: row.name.clone(),
-                spikes: row.comparison.tally.spikes_a,
-                compared: None,
-            })
+    fn rows(&self) -> Vec<Row<'_>> {
+        let trained = self.networks.first().map(|network| ("as trained", None, network));
+        let others = self.networks.iter().map(|network| (network.against.as_str(), Some(network), network));
+        let all = trained.into_iter().chain(others).flat_map(|(against, compared, network)| {
+            let accuracy = network.agreement.accuracy.map(|(a, b)| if compared.is_some() { b } else { a });
+            network.agreement.layers.iter().map(move |layer| Row { against, accuracy, compared, layer })
         });
-        let others = self.networks.iter().flat_map(|network| {
-            network.agreement.layers.iter().map(|row| Row {
-                against: network.against.clone(),
-                accuracy: network.agreement.accuracy.map(|(_, deployed)| deployed),
-                compared_samples: network.compared(),
-                class_agreement: network.class_agreement(),
-                layer: row.name.clone(),
-                spikes: row.comparison.tally.spikes_b,
-                compared: Some(row.clone()),
-            })
-        });
-        trained.chain(others).collect()
+        all.collect()
     }
 
     /// `nsim.agree/1`; `layers` has the rows of all networks, each with the file that it is of.
-    #[must_use]
     pub fn json(&self) -> Value {
         let layers = self.networks.iter().flat_map(|network| {
             network.agreement.layers.iter().map(|row| {
@@ -167,20 +150,16 @@ impl SideBySideReport<'_> {
     }
 
     /// A row for each layer of each network.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        csv_of(&self.rows(), &COLUMNS)
+    pub fn csv(&self) -> String {
+        csv_of(&self.rows(), &columns())
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out =
             format!("{} as trained, and others on simulated cores\ninput: {}", self.model, self.input.join(" "));
         out += &self.seed.map_or(String::new(), |seed| format!("  (seed {seed})"));
         out += &format!("\n{}\n\n", count(self.samples as u64, "sample"));
-        out + &format!("{}\n", table_of(&self.rows(), &COLUMNS, 0))
+        out + &format!("{}\n", table_of(&self.rows(), &columns(), 0))
     }
 }

@@ -4,57 +4,41 @@ use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use nsim_agree::stress::Verdict;
-use nsim_files::table::count;
-
-/// Everything that the report says.
-#[derive(Debug)]
-pub struct StressReport<'a> {
-    /// In the order of the suite.
-    pub verdicts: &'a [Verdict],
-}
+use nsim_files::table::{Column, count, table_of};
 
 fn verdict_name(verdict: &Verdict) -> &'static str {
     if verdict.pass { "pass" } else { "fail" }
 }
 
-impl StressReport<'_> {
-    /// `nsim.stress/1`.
-    #[must_use]
-    pub fn json(&self) -> Value {
-        let cases = self.verdicts.iter().map(|verdict| {
-            json!({
-                "name": verdict.name, "verdict": verdict_name(verdict), "steps": verdict.steps, "detail": verdict.detail,
-            })
-        });
-        json!({ "schema": "nsim.stress/1", "cases": cases.collect::<Vec<_>>() })
-    }
+/// `nsim.stress/1`.
+pub fn json(verdicts: &[Verdict]) -> Value {
+    let cases = verdicts.iter().map(|verdict| {
+        json!({
+            "name": verdict.name, "verdict": verdict_name(verdict), "steps": verdict.steps, "detail": verdict.detail,
+        })
+    });
+    json!({ "schema": "nsim.stress/1", "cases": cases.collect::<Vec<_>>() })
+}
 
-    /// A row a case.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record(["name", "verdict", "steps", "detail"])?;
-        for verdict in self.verdicts {
-            out.write_record([verdict.name, verdict_name(verdict), &verdict.steps.to_string(), &verdict.detail])?;
-        }
-        nsim_files::table::csv_text(out)
-    }
+/// A row a case.
+pub fn csv(verdicts: &[Verdict]) -> String {
+    nsim_files::table::csv(json(verdicts)["cases"].as_array().into_iter().flatten(), "name,verdict,steps,detail")
+}
 
-    /// For people.
-    #[must_use]
-    pub fn text(&self) -> String {
-        let mut table = nsim_files::table::table(["case", "verdict", "steps", "seen"]);
-        for verdict in self.verdicts {
-            table.add_row([verdict.name, verdict_name(verdict), &verdict.steps.to_string(), &verdict.detail]);
-        }
-        if let Some(column) = table.column_mut(2) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-        let failed = self.verdicts.iter().filter(|verdict| !verdict.pass).count();
-        format!("{table}\n\n{}, {failed} failed\n", count(self.verdicts.len() as u64, "case"))
+/// For people.
+pub fn text(verdicts: &[Verdict]) -> String {
+    let columns: [Column<Verdict>; 4] = [
+        ("case", |verdict| verdict.name.to_string()),
+        ("verdict", |verdict| verdict_name(verdict).to_string()),
+        ("steps", |verdict| verdict.steps.to_string()),
+        ("seen", |verdict| verdict.detail.clone()),
+    ];
+    let mut table = table_of(verdicts, &columns, 4);
+    if let Some(column) = table.column_mut(2) {
+        column.set_cell_alignment(CellAlignment::Right);
     }
+    let failed = verdicts.iter().filter(|verdict| !verdict.pass).count();
+    format!("{table}\n\n{}, {failed} failed\n", count(verdicts.len() as u64, "case"))
 }
 
 #[cfg(test)]
@@ -65,10 +49,9 @@ mod tests {
     fn json_has_the_keys_of_the_contract() {
         let verdict = |pass| Verdict { name: "one", pass, steps: 7, detail: "seen".to_string() };
         let verdicts = [verdict(true), verdict(false)];
-        let report = StressReport { verdicts: &verdicts };
-        let json = report.json();
+        let json = json(&verdicts);
         assert_eq!(json["schema"], "nsim.stress/1");
         assert_eq!(json["cases"][1], json!({ "name": "one", "verdict": "fail", "steps": 7, "detail": "seen" }));
-        assert!(report.text().contains("1 failed") && report.csv().unwrap().contains("one,pass,7,seen"));
+        assert!(text(&verdicts).contains("1 failed") && csv(&verdicts).contains("one,pass,7,seen"));
     }
 }

@@ -4,7 +4,8 @@
 //! has a number in both; nothing else is shown. Errors: `sweep.column` for a name that no column
 //! has, or one without numbers.
 
-use crate::charts::plot::{Axis, Series, chart};
+use crate::charts::draw::Axis;
+use crate::charts::plot::{Series, chart};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::names::did_you_mean;
 use nsim_study::sweep::table::Table;

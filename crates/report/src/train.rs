@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use nsim_files::table::{csv, rounded};
 use nsim_ir::base::stats::mean_sd;
 use nsim_train::fit::EpochRow;
 use nsim_train::job::{Job, Trained};
@@ -19,13 +20,8 @@ pub struct TrainReport<'a> {
     pub model: Option<&'a Path>,
 }
 
-fn rounded(x: f64) -> f64 {
-    (x * 1e6).round() / 1e6
-}
-
 impl TrainReport<'_> {
     /// `nsim.train/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let Trained { state, train_accuracy, test_accuracy, digest, folds, samples, seconds } = self.trained;
         json!({
@@ -46,19 +42,11 @@ impl TrainReport<'_> {
     }
 
     /// One row.
-    ///
-    /// # Errors
-    /// Never in practice: the row is built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let Trained { state, train_accuracy, test_accuracy, seconds, .. } = self.trained;
-        let test = test_accuracy.map_or(String::new(), |accuracy| accuracy.to_string());
-        let (name, seed, epochs) = (&self.job.file.name, self.job.plan.seed, state.epoch);
-        let columns = "name,seed,epochs,seconds,train_accuracy,test_accuracy";
-        Ok(format!("{columns}\n{name},{seed},{epochs},{seconds},{train_accuracy},{test}\n"))
+    pub fn csv(&self) -> String {
+        csv([self.json()], "name,seed,epochs,seconds,train_accuracy,test_accuracy")
     }
 
     /// One line: accuracy on what.
-    #[must_use]
     pub fn summary(&self) -> String {
         let Trained { state, train_accuracy, test_accuracy, folds, samples, .. } = self.trained;
         let test = test_accuracy
@@ -83,7 +71,6 @@ impl TrainReport<'_> {
     }
 
     /// What the model file says before the network: the summary and the training file.
-    #[must_use]
     pub fn provenance(&self, set: &[String]) -> String {
         let source = &self.job.source;
         let file = source.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
@@ -98,7 +85,6 @@ impl TrainReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out = format!("{}: {}", self.job.file.name, nsim_files::table::wrapped(&self.summary()));
         out += &format!("{:.1} s\n", self.trained.seconds);
@@ -110,8 +96,6 @@ impl TrainReport<'_> {
 }
 
 /// Loss and accuracy of each epoch, a row each.
-#[must_use]
 pub fn history_csv(history: &[EpochRow]) -> String {
-    let rows = history.iter().map(|row| format!("{},{},{}\n", row.epoch, row.loss, row.accuracy));
-    std::iter::once("epoch,loss,accuracy\n".to_string()).chain(rows).collect()
+    csv(history, "epoch,loss,accuracy")
 }

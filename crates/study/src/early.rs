@@ -21,33 +21,18 @@ pub struct Trial {
     pub decided_ms: Vec<Option<f64>>,
 }
 
-/// What one model did with samples of one length.
-#[derive(Debug, Clone, Copy)]
-pub struct TrialRun<'a> {
-    /// The samples, with labels.
-    pub samples: &'a [&'a Sample],
-    /// Of each sample.
-    pub outcomes: &'a [Outcome],
-    /// Timesteps of a sample.
-    pub steps: usize,
-    /// Milliseconds of a timestep.
-    pub timestep_ms: f64,
-    /// Mean energy of each step over the samples.
-    pub spent_uj: &'a [f64],
-}
-
 impl Trial {
-    /// Accuracy and energy over the samples.
+    /// Accuracy and energy over samples of one length, of which a step costs what `spent_uj` says.
     ///
     /// # Errors
     /// [`Error::Usage`] for a sample without a label.
-    pub fn new(run: TrialRun<'_>) -> Result<Trial, Error> {
-        let TrialRun { samples, outcomes, steps, timestep_ms, spent_uj } = run;
+    pub fn new(samples: &[&Sample], outcomes: &[Outcome], timestep_ms: f64, spent_uj: &[f64]) -> Result<Trial, Error> {
         let so_far = |energy: &mut f64, step: &f64| {
             *energy += step;
             Some(*energy)
         };
         let energy_uj = spent_uj.iter().scan(0.0, so_far).collect();
+        let steps = spent_uj.len();
         let mut trial = Trial { timestep_ms, accuracy: vec![0.0; steps], energy_uj, decided_ms: Vec::new() };
         let share = 1.0 / samples.len().max(1) as f64;
         for (index, (outcome, sample)) in outcomes.iter().zip(samples).enumerate() {

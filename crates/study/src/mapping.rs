@@ -26,6 +26,7 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
+use nsim_session::error::Error;
 use nsim_session::ranks::peak_mib;
 
 /// A mapping and what it is worth.
@@ -73,21 +74,9 @@ pub struct Refusal {
     pub peak_mib: Option<f64>,
 }
 
-/// Why there is no row.
-#[derive(Debug, thiserror::Error)]
-pub enum MappingFailure {
-    /// The network could not be mapped.
-    #[error("{0} {1}: {2}")]
-    Compile(&'static str, &'static str, #[source] Box<CompileError>),
-    /// The network was mapped, which cannot be.
-    #[error("{0} fits, though it is known not to")]
-    Fits(&'static str),
-    /// It could not be run or priced.
-    #[error("{0}: {1}")]
-    Run(&'static str, String),
-    /// Its spikes are not the golden interpreter's.
-    #[error("{0} {1}: step {2} has other spikes than golden")]
-    Spikes(&'static str, &'static str, u32),
+/// Why there is no row: none of these happens to a network of the suite.
+fn fault(case: &SuiteCase, strategy: Strategy, problem: impl std::fmt::Display) -> Error {
+    Error::Fault(format!("{} {}: {problem}", case.name, strategy.name()))
 }
 
 /// Spikes of each step, by the golden interpreter.
@@ -118,14 +107,14 @@ const BY_KERNELS: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, 
 /// Every way of mapping a case; `row` gets each as soon as it is there.
 ///
 /// # Errors
-/// [`MappingFailure`], which no network of the suite gives.
+/// [`Error::Fault`], which no network of the suite gives.
 pub fn map_all(
     case: &SuiteCase,
     bench: &BenchNetwork,
     target: &Target,
     effort_s: u32,
     mut row: impl FnMut(MeasuredMapping),
-) -> Result<(), MappingFailure> {
+) -> Result<(), Error> {
     let form = Form::for_network(&bench.network, case.copies);
     let ways = match (case.ways, form) {
         (Ways::All, Form::Written) => &WAYS[..],
@@ -141,7 +130,7 @@ pub fn map_all(
     let expected = (form == Form::Written)
         .then(|| (golden(&bench.network, &bench.period), bench.period.copies(case.copies, bench.network.channels())));
     for &(strategy, objective, places) in ways {
-        let failed = |error| MappingFailure::Compile(case.name, strategy.name(), Box::new(error));
+        let failed = |error: CompileError| fault(case, strategy, error);
         let options = Options {
             copies: case.copies,
             placement: CopyPlacement::Packed,
@@ -189,7 +178,7 @@ pub fn map_all(
                 }
                 None => {
                     let score = mapping.score(&traffic, target);
-                    let score = score.map_err(|error| MappingFailure::Run(case.name, error.to_string()))?;
+                    let score = score.map_err(|error| fault(case, strategy, error))?;
                     (score.energy_uj, score.step_us)
                 }
             };
@@ -215,8 +204,8 @@ pub fn map_all(
 /// Why a network that cannot fit does not, by the default mapping.
 ///
 /// # Errors
-/// [`MappingFailure`] where it is not refused.
-pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result<Refusal, MappingFailure> {
+/// [`Error::Fault`] where it is not refused.
+pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result<Refusal, Error> {
     let placement = CopyPlacement::Packed;
     let options = Options { copies: case.copies, placement, ..Options::default() };
     let form = Form::for_network(&bench.network, case.copies);
@@ -224,7 +213,7 @@ pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result
     let begin = Instant::now();
     let front = Front::from(bench.network.clone());
     match explore::map(front, target, &options, &Rates::assumed(DEFAULT_RATE), form) {
-        Ok(_) => Err(MappingFailure::Fits(case.name)),
+        Ok(_) => Err(fault(case, options.strategy, "it fits, though it is known not to")),
         Err(CompileError::DoesNotFit(reasons)) => Ok(Refusal {
             network: case.name,
             target: target.name().to_string(),
@@ -232,7 +221,7 @@ pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result
             seconds: begin.elapsed().as_secs_f64(),
             peak_mib: peak_mib(),
         }),
-        Err(other) => Err(MappingFailure::Compile(case.name, options.strategy.name(), Box::new(other))),
+        Err(other) => Err(fault(case, options.strategy, other)),
     }
 }
 
@@ -244,17 +233,17 @@ fn simulated(
     target: &Target,
     sample: &Sample,
     meant: &[Vec<u32>],
-) -> Result<(f64, f64), MappingFailure> {
-    let failed = |error: &dyn std::fmt::Display| MappingFailure::Run(case.name, error.to_string());
-    let constants = target.constants().first().ok_or_else(|| failed(&"the target has no constants"))?;
-    let table = CostTable::new(constants).map_err(|e| failed(&e))?;
+) -> Result<(f64, f64), Error> {
+    let strategy = compiled.options.strategy;
+    let constants = target.constants().first().ok_or_else(|| fault(case, strategy, "the target has no constants"))?;
+    let table = CostTable::new(constants).map_err(|error| fault(case, strategy, error))?;
     let deployment =
         Deployment::from_placement("mapped", &compiled.placement, target, case.copies, HostWork::for_target(target));
     let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
     let timing = deployment.timing(Transport::default(), case.copies);
     let metered = MeterSettings::new(vec![table.clone()], timing, &compiled.program, timestep);
     let mut meter = StepMeter::new(metered);
-    let image = Image::new(&compiled.program, 1).map_err(|e| failed(&e))?;
+    let image = Image::new(&compiled.program, 1).map_err(|error| fault(case, strategy, error))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
     machine.begin(STEPS);
     let of_copy = compiled.one.compartments();
@@ -264,7 +253,7 @@ fn simulated(
         // Those of relays are not the network's.
         let spikes = machine.ascending_spikes();
         if !spikes.iter().map(|id| id.0).filter(|id| id % of_copy < own).eq(copies) {
-            return Err(MappingFailure::Spikes(case.name, compiled.options.strategy.name(), step));
+            return Err(fault(case, strategy, format!("step {step} has other spikes than golden")));
         }
         meter.add(machine.last_step(), 1, false);
     }

@@ -17,7 +17,7 @@ use nsim_agree::classes::ClassTally;
 use nsim_agree::ladder::layers;
 use nsim_agree::metrics::TrainSums;
 use nsim_agree::trace::{Comparison, Layer, Trace};
-use nsim_compile::{CompileError, Options, compile};
+use nsim_compile::{Compiled, Options, compile};
 use nsim_cost::constants::CostTable;
 use nsim_cost::meter::{MeterSettings, StepMeter};
 use nsim_cost::transport::Transport;
@@ -74,7 +74,6 @@ pub enum Variant {
 
 impl Variant {
     /// Every variant that a network has; those by convolution only with spike response neurons.
-    #[must_use]
     pub fn all(srm: bool) -> Vec<Variant> {
         let mut all = Vec::new();
         for single in [false, true] {
@@ -95,7 +94,6 @@ impl Variant {
     }
 
     /// Its name in results.
-    #[must_use]
     pub fn name(self) -> String {
         match self {
             Variant::Reference { single, convolution } => {
@@ -115,7 +113,6 @@ impl Variant {
     }
 
     /// Whether it must be the golden interpreter's answer, spike by spike.
-    #[must_use]
     pub fn claims_exact(self) -> bool {
         matches!(self, Variant::Golden | Variant::Fast { .. } | Variant::Metered(_))
     }
@@ -146,28 +143,9 @@ pub struct VariantRow {
     pub on_front: bool,
 }
 
-/// Why a variant could not be made or run.
-#[derive(Debug, thiserror::Error)]
-pub enum ParetoError {
-    /// The network cannot be used.
-    #[error("{0}")]
-    Input(#[from] Diagnostic),
-    /// It does not fit the target, or the compiler is at fault.
-    #[error("{0}")]
-    Compile(#[from] CompileError),
-    /// The variant contradicts itself.
-    #[error("{0}")]
-    Variant(String),
-}
-
-impl From<ParetoError> for Error {
-    fn from(error: ParetoError) -> Self {
-        match error {
-            ParetoError::Input(diagnostic) => diagnostic.into(),
-            ParetoError::Compile(error) => error.into(),
-            ParetoError::Variant(message) => Diagnostic::new("pareto.variant", message).into(),
-        }
-    }
+/// A variant that contradicts itself.
+fn wrong(problem: impl std::fmt::Display) -> Error {
+    Diagnostic::new("pareto.variant", problem.to_string()).into()
 }
 
 /// A network with everything that its variants share.
@@ -189,20 +167,20 @@ impl<'a> Subject<'a> {
     /// Makes a network ready: runs it as trained and on the golden interpreter.
     ///
     /// # Errors
-    /// As `compile::frontend::quantise`.
+    /// As [`quantise`].
     pub fn new(
         graph: &'a Graph,
         fits: &[Option<Fit>],
         target: &'a Target,
         samples: Vec<&'a Sample>,
         budget: Duration,
-    ) -> Result<Self, ParetoError> {
+    ) -> Result<Self, Error> {
         let converted = analytic::with_fits(graph, fits);
         let deployed = quantise(&converted)?;
         let layers = layers(&deployed);
         let name = &deployed.populations()[deployed.parts().output].name;
         let output = layers.iter().find(|layer| &layer.name == name).cloned();
-        let output = output.ok_or_else(|| ParetoError::Variant("the output has no compartments".to_string()))?;
+        let output = output.ok_or_else(|| wrong("the output has no compartments"))?;
         let mut subject = Subject {
             graph,
             converted,
@@ -309,69 +287,66 @@ impl<'a> Subject<'a> {
         self.row(variant, &self.real_traces(&model), &times)
     }
 
-    /// A network on the machine; `samples` are what it is given.
-    fn machine(
-        &self,
-        variant: Variant,
-        network: &Quantised,
-        skip: bool,
-        merged: u32,
-    ) -> Result<VariantRow, ParetoError> {
+    /// A network on the machine, which is given samples with so many steps in one.
+    fn machine(&self, variant: Variant, network: &Quantised, merged: u32) -> Result<VariantRow, Error> {
         let compiled = compile(network.clone(), self.target, &Options::default())?;
-        let image = Image::new(&compiled.program, 1).map_err(|e| ParetoError::Variant(e.to_string()))?;
-        let mut machine = Machine::new(&image, Settings { skip, per_step: false });
-        let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
-        let Variant::Early(rule) = variant else {
-            let times = self.timed(|| given.iter().for_each(|sample| drive(&mut machine, sample)));
-            return Ok(self.row(variant, &self.traces(&mut machine, network, merged), &times));
+        let image = Image::new(&compiled.program, 1).map_err(wrong)?;
+        let meter = match variant {
+            Variant::Metered(transport) => Some(self.meter(&compiled, transport)?),
+            _ => None,
         };
-        let keep =
-            Keep { output: network.output(), probes: Vec::new(), early_exit: Some(EarlyExit::new(rule, network)) };
+        let early_exit = match variant {
+            Variant::Early(rule) => Some(EarlyExit::new(rule, network)),
+            _ => None,
+        };
+        let skip = variant != Variant::Fast { skip: false };
+        let mut machine = Machine::new(&image, Settings { skip, per_step: meter.is_some() });
+        let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
+        let alone = meter.is_none() && early_exit.is_none();
+        let keep = Keep { output: network.output(), probes: Vec::new(), early_exit };
         let times = self.timed(|| {
-            given.iter().for_each(|sample| _ = black_box(run_sample(&mut machine, sample, &keep, |_, _| ())));
-        });
-        let whole = self.traces(&mut machine, network, 1);
-        let ended = whole.into_iter().zip(&given).map(|(trace, sample)| {
-            let steps = trace.steps;
-            let until = run_sample(&mut machine, sample, &keep, |_, _| ()).steps;
-            // The steps that were left off have no spikes; potentials are not there to compare.
-            let cut = trace.until(until);
-            Trace { steps, potentials: Vec::new(), ..cut }
-        });
-        Ok(self.row(variant, &ended.collect::<Vec<_>>(), &times))
-    }
-
-    /// The machine with a meter that sees every step.
-    fn metered(&self, variant: Variant, transport: Transport) -> Result<VariantRow, ParetoError> {
-        let compiled = compile(self.deployed.clone(), self.target, &Options::default())?;
-        let program = &compiled.program;
-        let wrong = |e: &dyn std::fmt::Display| ParetoError::Variant(e.to_string());
-        let image = Image::new(program, 1).map_err(|e| wrong(&e))?;
-        let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
-        let tables = tables.map_err(|e| wrong(&e))?;
-        let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
-        let work = HostWork::for_target(self.target);
-        let timing =
-            Deployment::from_placement("mapped", &compiled.placement, self.target, 1, work).timing(transport, 1);
-        let meter = StepMeter::new(MeterSettings::new(tables, timing, program, timestep));
-        let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
-        let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
-        let times = self.timed(|| {
-            for sample in &self.samples {
-                let mut seen = meter.fresh();
-                let add = |machine: &Machine, times| seen.add(machine.last_step(), times, false);
+            for sample in &given {
+                if alone {
+                    drive(&mut machine, sample);
+                    continue;
+                }
+                let mut seen = meter.as_ref().map(StepMeter::fresh);
+                let add = |machine: &Machine, times| {
+                    if let Some(seen) = &mut seen {
+                        seen.add(machine.last_step(), times, false);
+                    }
+                };
                 black_box(run_sample(&mut machine, sample, &keep, add));
                 black_box(&seen);
             }
         });
-        Ok(self.row(variant, &self.traces(&mut machine, &self.deployed, 1), &times))
+        let mut traces = self.traces(&mut machine, network, merged);
+        if keep.early_exit.is_some() {
+            for (trace, sample) in traces.iter_mut().zip(&given) {
+                let until = run_sample(&mut machine, sample, &keep, |_, _| ()).steps;
+                // The steps that were left off have no spikes; potentials are not there to compare.
+                let steps = trace.steps;
+                *trace = Trace { steps, potentials: Vec::new(), ..std::mem::take(trace).until(until) };
+            }
+        }
+        Ok(self.row(variant, &traces, &times))
+    }
+
+    /// A meter that sees every step.
+    fn meter(&self, compiled: &Compiled, transport: Transport) -> Result<StepMeter, Error> {
+        let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
+        let work = HostWork::for_target(self.target);
+        let deployment = Deployment::from_placement("mapped", &compiled.placement, self.target, 1, work);
+        let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
+        let timing = deployment.timing(transport, 1);
+        Ok(StepMeter::new(MeterSettings::new(tables.map_err(wrong)?, timing, &compiled.program, timestep)))
     }
 
     /// Measures one variant.
     ///
     /// # Errors
-    /// [`ParetoError`].
-    pub fn measure(&self, variant: Variant) -> Result<VariantRow, ParetoError> {
+    /// [`Error`] when the variant cannot be made or run.
+    pub fn measure(&self, variant: Variant) -> Result<VariantRow, Error> {
         let kernel = |convolution| if convolution { Kernel::Truncated } else { Kernel::Exact };
         match variant {
             Variant::Reference { single: true, convolution } => Ok(self.real::<f32>(variant, kernel(convolution))),
@@ -381,21 +356,19 @@ impl<'a> Subject<'a> {
                 let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
                 Ok(self.row(variant, &self.golden, &times))
             }
-            Variant::Fast { skip } => self.machine(variant, &self.deployed, skip, 1),
-            Variant::Metered(transport) => self.metered(variant, transport),
             Variant::WeightBits(bits) => {
                 let network = quantise(&with_weight_bits(&self.converted, bits)?)?;
-                self.machine(variant, &network, true, 1)
+                self.machine(variant, &network, 1)
             }
             Variant::DecayBits(bits) => {
                 let step = f64::from(1 << (12 - u32::from(bits.min(12))));
                 // A decay of 0 would never forget.
                 let coarse =
                     |d: Decay| Decay::new((f64::from(d.get()) / step).round_ties_even().max(1.0) as i64 * step as i64);
-                self.machine(variant, &with_decays(&self.deployed, coarse)?, true, 1)
+                self.machine(variant, &with_decays(&self.deployed, coarse)?, 1)
             }
-            Variant::Merged(steps) => self.machine(variant, &slower(&self.deployed, steps)?, true, steps),
-            Variant::Early(_) => self.machine(variant, &self.deployed, true, 1),
+            Variant::Merged(steps) => self.machine(variant, &slower(&self.deployed, steps)?, steps),
+            Variant::Fast { .. } | Variant::Metered(_) | Variant::Early(_) => self.machine(variant, &self.deployed, 1),
         }
     }
 }
@@ -435,9 +408,8 @@ fn merge(sample: &Sample, steps: u32) -> Sample {
     Sample::new(sample.steps().div_ceil(steps), &events, sample.label()).unwrap_or_else(|_| sample.clone())
 }
 
-fn with_weight_bits(graph: &Graph, bits: u8) -> Result<Graph, ParetoError> {
-    let width = |error: OutOfRange| ParetoError::Variant(error.to_string());
-    let format = WeightBits::new(i64::from(bits)).map_err(width)?;
+fn with_weight_bits(graph: &Graph, bits: u8) -> Result<Graph, Error> {
+    let format = WeightBits::new(i64::from(bits)).map_err(wrong)?;
     Ok(graph.with_projections(|target, projection| {
         let mut projection = projection.clone();
         let integers = matches!(
@@ -479,28 +451,24 @@ fn weights(kind: &ProjectionKind) -> Vec<f64> {
 }
 
 /// The network with other neurons.
-fn with_neurons(
-    network: &Quantised,
-    f: impl Fn(Neuron) -> Result<Neuron, OutOfRange>,
-) -> Result<Quantised, ParetoError> {
-    let wrong = |error: &dyn std::fmt::Display| ParetoError::Variant(error.to_string());
+fn with_neurons(network: &Quantised, f: impl Fn(Neuron) -> Result<Neuron, OutOfRange>) -> Result<Quantised, Error> {
     let mut parts: Parts = network.parts().clone();
     for population in parts.populations.iter_mut() {
         if let Units::Compartments { neurons, .. } = &mut population.units {
-            *neurons = neurons.try_map(|_, neuron| f(neuron)).map_err(|e| wrong(&e))?;
+            *neurons = neurons.try_map(|_, neuron| f(neuron)).map_err(wrong)?;
         }
     }
-    Quantised::new(parts).map_err(|e| wrong(&e))
+    Quantised::new(parts).map_err(wrong)
 }
 
-fn with_decays(network: &Quantised, f: impl Fn(Decay) -> Result<Decay, OutOfRange>) -> Result<Quantised, ParetoError> {
+fn with_decays(network: &Quantised, f: impl Fn(Decay) -> Result<Decay, OutOfRange>) -> Result<Quantised, Error> {
     with_neurons(network, |neuron| Ok(Neuron { du: f(neuron.du)?, dv: f(neuron.dv)?, ..neuron }))
 }
 
 /// The network for steps that are so many times as long: what is kept is kept so many times over,
 /// and the voltage, which a current is added to once instead of so often, has a threshold as much
 /// lower.
-fn slower(network: &Quantised, steps: u32) -> Result<Quantised, ParetoError> {
+fn slower(network: &Quantised, steps: u32) -> Result<Quantised, Error> {
     let decay = |d: Decay| {
         let keep = libm::pow(1.0 - f64::from(d.get()) / 4096.0, f64::from(steps));
         Decay::new(libm::rint(4096.0 * (1.0 - keep)) as i64)

@@ -93,7 +93,6 @@ impl SuiteCase {
 }
 
 /// All networks, small ones first.
-#[must_use]
 pub fn cases() -> Vec<SuiteCase> {
     let case =
         |name, make| SuiteCase { name, copies: 1, large: false, relays: false, ways: Ways::All, axons: None, make };

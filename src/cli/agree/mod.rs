@@ -120,7 +120,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let name = &graph.facts().name;
         let (mark, picture) = (format!("agree {name}"), format!("agreement-{name}.svg"));
         let svg = nsim_report::agree::bars(name, attribution);
-        output::update_section(path, &mark, &report.markdown(&picture), &picture, &svg, context)?;
+        output::update_section(path, &mark, &report.markdown(&picture), Some((&picture, &svg)), context)?;
     }
     if !taken {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;

@@ -12,9 +12,9 @@ use nsim_ann::{AnnKind, AnnResult, AnnSettings, Senses, trained};
 use nsim_energy::environment::Environment;
 use nsim_files as io;
 use nsim_files::training::TrainingFile;
-use nsim_report::bench::paper::PaperReport;
+use nsim_report::bench::paper as report;
 use nsim_session::error::Error;
-use nsim_study::published::paper::{PaperRow, blank, stored};
+use nsim_study::published::paper::{PaperRow, stored};
 use nsim_train::fit::Example;
 use nsim_train::job::Job;
 use nsim_train::raster::Raster;
@@ -94,7 +94,7 @@ fn rows(file: &TrainingFile, kind: AnnKind, results: &[AnnResult], folds: u32, e
         measured,
         deviation,
         note: note.clone(),
-        ..blank("ann", &task_of(file), &modality, quantity)
+        ..PaperRow::new("ann", &task_of(file), &modality, quantity)
     };
     vec![
         row("accuracy", Some(mean), (tested > 1).then(|| (square / (tested - 1) as f64).sqrt())),
@@ -151,8 +151,7 @@ pub fn run(args: &AnnArgs, context: Context) -> Result<Answer, Error> {
         io::write::text(path, context.force, &stored(&provenance, &all))?;
     }
     if !taken {
-        let report = PaperReport { rows: &all };
-        output::print(context.format, || report.tables(), || report.json(), || report.csv())?;
+        output::print(context.format, || report::tables(&all), || report::json(&all), || report::csv(&all))?;
     }
     Ok(Answer::Yes)
 }

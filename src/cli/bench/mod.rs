@@ -166,16 +166,14 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
                 target = target.with_limits(limits.with(Resource::AxonsIn, axons).with(Resource::AxonsOut, axons));
             }
             if case.ways == Ways::Refused {
-                let refusal = mapping::refuse(case, &bench, &target);
-                refused.push(refusal.map_err(|error| Error::Fault(error.to_string()))?);
+                refused.push(mapping::refuse(case, &bench, &target)?);
                 continue;
             }
             mapping::map_all(case, &bench, &target, args.time_budget, |row| {
                 tracing::info!("{} {} placed {}: {:.1} s", row.network, row.strategy.name(), row.placed, row.seconds);
                 rows.push(row);
                 done();
-            })
-            .map_err(|error| Error::Fault(error.to_string()))?;
+            })?;
         }
         Ok::<_, Error>((rows, refused))
     })?;

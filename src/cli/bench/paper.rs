@@ -22,12 +22,12 @@ use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_reference::{Model, Options};
-use nsim_report::bench::paper::PaperReport;
+use nsim_report::bench::paper as report;
 use nsim_session::Keep;
 use nsim_session::error::Error;
 use nsim_session::inputs::{seen_by, stimulus};
 use nsim_session::samples::reference;
-use nsim_study::early::{Trial, TrialRun};
+use nsim_study::early::Trial;
 use nsim_study::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
 use nsim_study::published::paper;
 use nsim_study::published::paper::PaperRow;
@@ -166,7 +166,7 @@ fn trial(
     });
     let steps = samples.iter().map(|sample| sample.steps() as usize).max().unwrap_or(0);
     let (timestep_ms, spent_uj) = (quantised.parts().timestep_ms, vec![0.0; steps]);
-    Trial::new(TrialRun { samples: &samples, outcomes: &outcomes, steps, timestep_ms, spent_uj: &spent_uj })
+    Trial::new(&samples, &outcomes, timestep_ms, &spent_uj)
 }
 
 /// Accuracy and energy after each step of a mapped network on its samples.
@@ -188,9 +188,7 @@ fn timed(workload: &Workload<'_>, context: Context) -> Result<Trial, Error> {
         steps_per_sample: Some(steps),
         ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
     });
-    let (samples, outcomes) = (workload.samples(), &run.outcomes);
-    let steps = steps as usize;
-    Trial::new(TrialRun { samples: &samples, outcomes, steps, timestep_ms, spent_uj: &spent })
+    Trial::new(&workload.samples(), &run.outcomes, timestep_ms, &spent)
 }
 
 fn chosen(samples: &[Sample], numbers: &[usize]) -> Vec<Sample> {
@@ -310,12 +308,11 @@ pub fn run(args: &PaperArgs, context: Context) -> Result<Answer, Error> {
     if !args.stored && args.train.is_none() {
         run_shipped(args, &mut rows, context)?;
     }
-    let report = PaperReport { rows: &rows };
     if let Some(path) = &args.markdown {
-        io::write::text(path, context.force, &report.markdown())?;
+        io::write::text(path, context.force, &report::markdown(&rows))?;
     }
     if !taken {
-        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+        output::print(context.format, || report::text(&rows), || report::json(&rows), || report::csv(&rows))?;
     }
     Ok(Answer::Yes)
 }

@@ -76,7 +76,7 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let subject = Subject::new(&graph, &integers.fits, &target, samples, args.seconds)?;
     let variants = Variant::all(graph.has_srm());
     let mut rows = output::with_progress(context, variants.len(), "variants", |done| {
-        let measured = variants.into_iter().map(|variant| subject.measure(variant).map_err(Error::from));
+        let measured = variants.into_iter().map(|variant| subject.measure(variant));
         measured.inspect(|_| done()).collect::<Result<Vec<_>, _>>()
     })?;
     mark_front(&mut rows);
@@ -94,14 +94,8 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     }
     if let Some(path) = &args.update {
         let picture = format!("pareto-{name}.svg");
-        output::update_section(
-            path,
-            &format!("pareto {name}"),
-            &report.markdown(&picture),
-            &picture,
-            &report.svg(),
-            context,
-        )?;
+        let (mark, section) = (format!("pareto {name}"), report.markdown(&picture));
+        output::update_section(path, &mark, &section, Some((&picture, &report.svg())), context)?;
     }
     if !taken {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;

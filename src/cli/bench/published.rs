@@ -6,7 +6,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_energy::published::files::workload;
 use nsim_files as io;
-use nsim_report::bench::published::PublishedReport;
+use nsim_report::bench::published as report;
 use nsim_session::error::Error;
 use nsim_study::published::rows;
 
@@ -54,12 +54,11 @@ pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
             return Err(Error::Usage(format!("--only {only}: no such work; there are {}", works.join(", "))));
         }
     }
-    let report = PublishedReport { rows: &rows };
     if let Some(path) = &args.plot {
-        output::write_picture(path, &report.svg(), context)?;
+        output::write_picture(path, &report::svg(&rows), context)?;
     }
     if !taken {
-        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+        output::print(context.format, || report::text(&rows), || report::json(&rows), || report::csv(&rows))?;
     }
     Ok(Answer::Yes)
 }

@@ -115,7 +115,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         next: next.as_ref(),
     };
     if let Some(path) = &args.update {
-        output::update_text(path, &format!("convert {}", job.graph.facts().name), &report.markdown(), context)?;
+        let mark = format!("convert {}", job.graph.facts().name);
+        output::update_section(path, &mark, &report.markdown(), None, context)?;
     }
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)

@@ -30,7 +30,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
     let reported = |workload: &Workload<'_>, evaluated: Evaluated| {
         let Evaluated { energy, run, deployment } = evaluated;
-        if let (Some(path), Some(svg)) = (&args.plot, nsim_report::energy_chart::svg(&energy)) {
+        if let (Some(path), Some(svg)) = (&args.plot, nsim_report::charts::results::hardware(&energy.json())) {
             output::write_picture(path, &svg, context)?;
         }
         if let Some(folder) = &args.export_sanafe {

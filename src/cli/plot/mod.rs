@@ -8,6 +8,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use serde_json::Value;
 
 use crate::cli::args::jobs;
@@ -19,7 +20,6 @@ use crate::cli::energy::evaluate::evaluate;
 use crate::cli::energy::workload::workload;
 use crate::cli::output;
 use nsim_compile::DEFAULT_RATE;
-use nsim_dynamics as neuron;
 use nsim_files as io;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CompartmentId, PopulationId};
@@ -28,7 +28,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::charts::results;
-use nsim_report::charts::sample::{Traced, raster, voltage};
+use nsim_report::charts::sample::{raster, traced, voltage};
 use nsim_session::error::Error;
 use nsim_session::priced::Metered;
 
@@ -64,42 +64,25 @@ pub enum What {
     Agreement,
 }
 
+/// Schemas of results, the command that prints one, and how one is drawn.
+type OfResult = (&'static [&'static str], &'static str, fn(&Value) -> Option<String>);
+
 impl What {
     /// The name that is typed.
-    fn name(self) -> &'static str {
-        match self {
-            What::Raster => "raster",
-            What::Voltage => "voltage",
-            What::Hardware => "hardware",
-            What::Energy => "energy",
-            What::Time => "time",
-            What::Map => "map",
-            What::Pareto => "pareto",
-            What::Agreement => "agreement",
-        }
+    fn name(self) -> String {
+        self.to_possible_value().map_or(String::new(), |value| value.get_name().to_string())
     }
 
-    /// The schemas of results that it is drawn from, and the command that prints one; none for what
-    /// needs a run.
-    fn results(self) -> Option<(&'static [&'static str], &'static str)> {
-        match self {
-            What::Raster | What::Voltage | What::Map => None,
-            What::Hardware | What::Energy | What::Time => Some((&["nsim.energy/1"], "nsim energy")),
-            What::Pareto => Some((&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto")),
-            What::Agreement => Some((&["nsim.agree/1"], "nsim agree")),
-        }
-    }
-
-    /// The picture of a result.
-    fn of_result(self, result: &Value) -> Option<String> {
-        match self {
-            What::Hardware => results::hardware(result),
-            What::Energy => results::energy(result),
-            What::Time => results::time(result),
-            What::Pareto => results::pareto(result),
-            What::Agreement => results::agreement(result),
-            What::Raster | What::Voltage | What::Map => None,
-        }
+    /// How it is drawn from a result; none for what needs a run.
+    fn of_result(self) -> Option<OfResult> {
+        Some(match self {
+            What::Raster | What::Voltage | What::Map => return None,
+            What::Hardware => (&["nsim.energy/1"], "nsim energy", results::hardware),
+            What::Energy => (&["nsim.energy/1"], "nsim energy", results::energy),
+            What::Time => (&["nsim.energy/1"], "nsim energy", results::time),
+            What::Pareto => (&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto", results::pareto),
+            What::Agreement => (&["nsim.agree/1"], "nsim agree", results::agreement),
+        })
     }
 }
 
@@ -135,38 +118,33 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage("nsim plot draws a picture: --format is for results".to_string()));
     }
     let taken = output::check_files(None, [&args.output], context)?;
-    let what = args.what;
+    let (what, name) = (args.what, args.what.name());
     if !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage) {
-        return Err(Error::Usage(format!("nsim plot {}: --probe is for raster and voltage", what.name())));
+        return Err(Error::Usage(format!("nsim plot {name}: --probe is for raster and voltage")));
     }
-    let model = &args.cost.job.model;
-    if let (true, results) = (saved::is_result(model), what.results()) {
-        let Some((schemas, command)) = results else {
-            return Err(Error::Usage(format!("nsim plot {} runs a model: {model} is a result", what.name())));
+    let (model, of_result) = (&args.cost.job.model, what.of_result());
+    if saved::is_result(model) {
+        let Some((schemas, command, draw)) = of_result else {
+            return Err(Error::Usage(format!("nsim plot {name} runs a model: {model} is a result")));
         };
         let help = format!("give what {command} printed with --format json");
         let (result, _) = saved::read(Path::new(model), schemas, &help)?;
         let missing = || {
-            let message = format!("has nothing to draw as {}", what.name());
+            let message = format!("has nothing to draw as {name}");
             Diagnostic::new("report.result", message).in_file(Path::new(model)).help(help.as_str())
         };
-        return write(args, &what.of_result(&result).ok_or_else(missing)?, taken, context);
+        return write(args, &draw(&result).ok_or_else(missing)?, taken, context);
     }
-    match what {
-        What::Hardware | What::Energy | What::Time => evaluate(&args.cost, None, context, |_, evaluated| {
-            let picture = what.of_result(&evaluated.energy.json());
-            let picture =
-                picture.ok_or_else(|| Error::Usage(format!("nsim plot {}: the run has no timesteps", what.name())))?;
+    match (what, of_result) {
+        (_, None) => mapped(args, taken, context),
+        (What::Pareto | What::Agreement, Some((_, command, _))) => Err(Error::Usage(format!(
+            "nsim plot {name} draws a result: {command} {model} --format json > FILE.json, then give that file"
+        ))),
+        (_, Some((.., draw))) => evaluate(&args.cost, None, context, |_, evaluated| {
+            let picture = draw(&evaluated.energy.json());
+            let picture = picture.ok_or_else(|| Error::Usage(format!("nsim plot {name}: the run has no timesteps")))?;
             write(args, &picture, taken, context)
         }),
-        What::Raster | What::Voltage | What::Map => mapped(args, taken, context),
-        What::Pareto | What::Agreement => {
-            let command = what.results().map_or("", |(_, command)| command);
-            Err(Error::Usage(format!(
-                "nsim plot {} draws a result: {command} {model} --format json > FILE.json, then give that file",
-                what.name()
-            )))
-        }
     }
 }
 
@@ -219,7 +197,9 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
             raster.spikes.iter().for_each(|&(_, unit)| counts[(first.0 + unit) as usize] += 1);
         }
     }
-    let (ids, traced) = traced(network, populations, &counts);
+    let wanted = populations.into_iter().map(|(id, named)| (id, named, OF_EACH));
+    let spikes = |id: CompartmentId| u64::from(counts[id.0 as usize]);
+    let (ids, traced) = traced(network, wanted, spikes, MOST_TRACED);
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
     write(args, &voltage(&title, network, &timeline, &traced), taken, context)
 }
@@ -265,33 +245,6 @@ fn chosen(network: &Quantised, probes: &[String], what: What) -> Result<Vec<(Pop
     }
     let first = |at: usize| found[..at].iter().all(|other| *other != found[at]);
     Ok((0..found.len()).filter(|&at| first(at)).map(|at| found[at]).collect())
-}
-
-/// The compartments to draw: those that are named, and of populations those that spike most.
-fn traced(
-    network: &Quantised,
-    populations: Vec<(PopulationId, Option<u32>)>,
-    counts: &[u32],
-) -> (Vec<CompartmentId>, Vec<Traced>) {
-    let thresholds = neuron::thresholds(network);
-    let (mut ids, mut traced) = (Vec::new(), Vec::new());
-    for (id, named) in populations {
-        let population = &network.populations()[id];
-        let Some(first) = population.first_compartment() else { continue };
-        let mut units: Vec<u32> = match named {
-            Some(unit) => vec![unit],
-            None => (0..population.shape.len()).collect(),
-        };
-        units.sort_by_key(|&unit| std::cmp::Reverse(counts[(first.0 + unit) as usize]));
-        units.truncate(OF_EACH);
-        units.sort_unstable();
-        for unit in units.into_iter().take(MOST_TRACED.saturating_sub(ids.len())) {
-            ids.push(CompartmentId(first.0 + unit));
-            let name = format!("{}[{}]", population.name, network.index_shown(id, unit));
-            traced.push(Traced { name, threshold: thresholds[(first.0 + unit) as usize] });
-        }
-    }
-    (ids, traced)
 }
 
 fn write(args: &Args, svg: &str, taken: bool, context: Context) -> Result<Answer, Error> {

@@ -84,7 +84,6 @@ pub struct Roofline {
 
 impl Roofline {
     /// Name and figure of each.
-    #[must_use]
     pub fn list(&self) -> [(&'static str, &RooflineFigure); 6] {
         [
             ("peak_gflops", &self.peak_gflops),

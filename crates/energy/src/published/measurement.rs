@@ -20,7 +20,6 @@ pub struct MeasuredCell {
 
 impl MeasuredCell {
     /// The value and half a unit of its last digit, when it is a positive decimal.
-    #[must_use]
     pub fn value(&self) -> Option<(f64, f64)> {
         let text = self.printed.value.trim();
         let digits = text.split_once('.').map_or(0, |(_, fraction)| fraction.len());

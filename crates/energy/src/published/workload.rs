@@ -82,7 +82,6 @@ named_variants!(Quantity {
 
 impl Quantity {
     /// What it is.
-    #[must_use]
     pub fn kind(self) -> FigureKind {
         match self {
             Quantity::StepTime | Quantity::SpikingTime | Quantity::ManagementTime => FigureKind::Time,
@@ -92,7 +91,6 @@ impl Quantity {
     }
 
     /// The unit of its figures.
-    #[must_use]
     pub fn unit(self) -> &'static str {
         match self.kind() {
             FigureKind::Power => "mW",
@@ -102,7 +100,6 @@ impl Quantity {
     }
 
     /// Which sum it is of.
-    #[must_use]
     pub fn accounting(self) -> Accounting {
         use Quantity::{AboveBoot, AboveLoaded, RailsEmpty, RailsIdle, RailsStatic, RailsTotal};
         match self {
@@ -113,7 +110,6 @@ impl Quantity {
 
     /// Figures that are wrong together with it; `None` of sums and differences, which no class
     /// bounds.
-    #[must_use]
     pub fn class(self) -> Option<FigureClass> {
         Some(match self {
             Quantity::CoreStaticPower | Quantity::X86StaticPower => FigureClass::Static,
@@ -346,7 +342,6 @@ fn always() -> Between {
 
 impl WorkloadPopulation {
     /// Name, shape and rate; a relay has no rate of its own.
-    #[must_use]
     pub fn parts(&self) -> (&str, &[u32], Option<Between>) {
         match self {
             WorkloadPopulation::Input { name, shape, rate } | WorkloadPopulation::Layer { name, shape, rate } => {
@@ -359,7 +354,6 @@ impl WorkloadPopulation {
 
 impl WorkloadProjection {
     /// Source and target.
-    #[must_use]
     pub fn ends(&self) -> [&str; 2] {
         match self {
             WorkloadProjection::Dense { from, to }

@@ -55,7 +55,6 @@ pub(super) fn energy(row: &EnergyRow) -> Option<f64> {
 }
 
 /// The ratios of other rows to the chip's total; none to a row whose power is assumed.
-#[must_use]
 pub fn ratios(chip: &EnergyRow, others: &[(EnergyRow, String)]) -> Vec<Ratio> {
     let of = |other: &EnergyRow| {
         let over = |this: Option<f64>, that: Option<f64>| Some(that? / this.filter(|this| *this > 0.0)?);
@@ -107,14 +106,8 @@ impl Comparison {
             let mut table = plain(&["Over the chip's", "Power", "Latency", "Energy", "EDP"]);
             for ratio in &self.ratios {
                 let times = |x: f64| format!("{} x", short(x));
-                let Ratio { hardware, total_mw, latency_us, energy_uj, edp_pjs } = ratio;
-                table.add_row([
-                    hardware.clone(),
-                    times(*total_mw),
-                    times(*latency_us),
-                    times(*energy_uj),
-                    times(*edp_pjs),
-                ]);
+                let ratios = [ratio.total_mw, ratio.latency_us, ratio.energy_uj, ratio.edp_pjs].map(times);
+                table.add_row(std::iter::once(ratio.hardware.clone()).chain(ratios));
             }
             let _ = writeln!(out, "Other hardware, physical:\n{}\n", table.trim_fmt());
         }

@@ -3,6 +3,7 @@
 use comfy_table::{CellAlignment, Table};
 
 use nsim_files::table as text;
+use nsim_files::table::digits;
 
 /// An empty table: the first column, units and sources to the left, figures to the right.
 pub(super) fn plain(header: &[&str]) -> Table {
@@ -19,11 +20,6 @@ pub(super) fn unknown() -> String {
     "unknown".to_string()
 }
 
-/// A figure with three significant digits.
-pub(super) fn three_digits(x: f64) -> String {
-    digits(x, 3)
-}
-
 /// An end of an interval: two significant digits, three of hundreds, thousands as `2.8k`, without a
 /// zero before the point.
 pub(super) fn brief(x: f64) -> String {
@@ -34,17 +30,6 @@ pub(super) fn brief(x: f64) -> String {
         _ => digits(x, 2),
     };
     text.strip_prefix('0').filter(|rest| rest.starts_with('.')).map_or(text.clone(), str::to_string)
-}
-
-/// A figure with this many significant digits, and no fewer of a whole number.
-fn digits(x: f64, significant: i32) -> String {
-    if x == 0.0 || !x.is_finite() {
-        return format!("{x}");
-    }
-    let rounded: f64 = format!("{x:.*e}", (significant - 1) as usize).parse().unwrap_or(x);
-    let decimals = (significant - 1 - rounded.abs().log10().floor() as i32).clamp(0, 12) as usize;
-    // Whole numbers keep their digits.
-    format!("{:.decimals$}", if decimals == 0 { x } else { rounded })
 }
 
 /// A figure with at least five significant digits and no more than six decimals, without trailing

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::Comparison;
-use super::format::{brief, plain, short, three_digits, unknown};
+use super::format::{brief, plain, short, unknown};
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
@@ -17,7 +17,7 @@ use nsim_cost::estimate::{Bound, Convention, EnergyRow, Estimate, FigureSource, 
 use nsim_cost::job::Accounting;
 use nsim_cost::job::Mode;
 use nsim_cost::{Host, Transport};
-use nsim_files::table::{Column, count, csv_of, csv_text, or_empty, wrapped};
+use nsim_files::table::{count, csv, csv_text, three, wrapped};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
@@ -67,7 +67,6 @@ pub struct ConstantEntry {
 }
 
 /// The constants of a preset, barriers last.
-#[must_use]
 pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
     let barriers = constants.barrier.iter().map(|entry| (format!("barrier_time_{}_tiles", entry.tiles), &entry.time));
     let singles = constants.list().into_iter().map(|(name, constant)| (name.to_string(), constant));
@@ -84,7 +83,6 @@ pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
 }
 
 /// The object of `nsim.energy/1` for what did not run.
-#[must_use]
 pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
     json!({
         "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
@@ -207,7 +205,6 @@ impl EnergyReport {
     }
 
     /// The object of `nsim.energy/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let breakdown = self.estimate.breakdown_pj.as_ref().map(|parts| {
             let parts = parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj)));
@@ -265,32 +262,12 @@ impl EnergyReport {
     }
 
     /// The rows as comma-separated values with a header; unknown figures are empty.
-    ///
-    /// # Errors
-    /// When the writer fails, which for one in memory it does not.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<EnergyRow>; 19] = [
-            ("hardware", |row| row.hardware.clone()),
-            ("unit", |row| row.unit.to_string()),
-            ("convention", |row| row.convention.name().to_string()),
-            ("static_mw", |row| or_empty(row.static_mw)),
-            ("dynamic_mw", |row| or_empty(row.dynamic_mw)),
-            ("total_mw", |row| or_empty(row.total_mw)),
-            ("latency_us", |row| or_empty(row.latency_us)),
-            ("energy_uj", |row| or_empty(row.energy_uj)),
-            ("edp_pjs", |row| or_empty(row.edp_pjs)),
-            ("total_mw_low", |row| or_empty(row.low.and_then(|low| low.total_mw))),
-            ("latency_us_low", |row| or_empty(row.low.and_then(|low| low.latency_us))),
-            ("energy_uj_low", |row| or_empty(row.low.and_then(|low| low.energy_uj))),
-            ("edp_pjs_low", |row| or_empty(row.low.and_then(|low| low.edp_pjs))),
-            ("total_mw_high", |row| or_empty(row.high.and_then(|high| high.total_mw))),
-            ("latency_us_high", |row| or_empty(row.high.and_then(|high| high.latency_us))),
-            ("energy_uj_high", |row| or_empty(row.high.and_then(|high| high.energy_uj))),
-            ("edp_pjs_high", |row| or_empty(row.high.and_then(|high| high.edp_pjs))),
-            ("source", |row| row.source.name().to_string()),
-            ("power_source", |row| row.power_source.name().to_string()),
-        ];
-        csv_of(self.rows(), &columns)
+    pub fn csv(&self) -> String {
+        let columns = "hardware,unit,convention,static_mw,dynamic_mw,total_mw,latency_us,energy_uj,edp_pjs,\
+                       total_mw_low=low.total_mw,latency_us_low=low.latency_us,energy_uj_low=low.energy_uj,\
+                       edp_pjs_low=low.edp_pjs,total_mw_high=high.total_mw,latency_us_high=high.latency_us,\
+                       energy_uj_high=high.energy_uj,edp_pjs_high=high.edp_pjs,source,power_source";
+        csv(self.rows(), columns)
     }
 
     /// The energy-delay product of a row in the unit of the table: nJ s, or pJ s as the paper
@@ -308,7 +285,7 @@ impl EnergyReport {
         let cell = |figure: Option<f64>, exact: bool| match figure {
             None => String::new(),
             Some(figure) if exact => format!("{figure}"),
-            Some(figure) => three_digits(figure),
+            Some(figure) => three(figure),
         };
         let power = |figure: Option<f64>| cell(figure, printed) + if assumed { "?" } else { "" };
         let product = |figure: Option<f64>| {
@@ -427,22 +404,22 @@ impl EnergyReport {
             let unused = board_chips - chips_used.min(board_chips);
             let unused = (unused > 0).then(|| {
                 let boot = self.estimate.job.boot * unused as f64 / *board_chips as f64;
-                format!("{} mW of it are {unused} chips of the board that are not used.", three_digits(boot))
+                format!("{} mW of it are {unused} chips of the board that are not used.", three(boot))
             });
             let packing = "Packing copies on fewer chips saves profiler milliwatts, not board watts.".to_string();
             return unused.into_iter().chain([packing]).chain(self.dominant()).collect();
         }
         let each = |total: u64, copies: u32| {
             let cores = total as f64 / f64::from(copies.max(1));
-            if cores.fract() == 0.0 { format!("{cores}") } else { three_digits(cores) }
+            if cores.fract() == 0.0 { format!("{cores}") } else { three(cores) }
         };
         let mut said = Vec::new();
         let is_printed = |row: &EnergyRow| row.source == FigureSource::Published && row.hardware.ends_with(", printed");
         let job = self.job.as_ref().filter(|_| self.rows().any(is_printed));
         if *copies > 1 {
             let all = self.estimate.job.profiler();
-            let share = all.map_or_else(unknown, |all| three_digits(all / f64::from(*copies)));
-            let all = all.map_or_else(unknown, three_digits);
+            let share = all.map_or_else(unknown, |all| three(all / f64::from(*copies)));
+            let all = all.map_or_else(unknown, three);
             said.push(format!("Rows are one x86 core's and one copy's; all copies draw {all} mW, {share} each."));
         }
         if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
@@ -478,11 +455,10 @@ impl EnergyReport {
         };
         let free = if self.mode == Mode::Realtime { "A step's work takes" } else { "A step takes" };
         let share = (100.0 * most / all).floor();
-        Some(format!("{free} {} us, {share} % of it for {what}.", three_digits(all)))
+        Some(format!("{free} {} us, {share} % of it for {what}.", three(all)))
     }
 
     /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
-    #[must_use]
     pub fn headline(&self) -> String {
         let mut out = self.table(false);
         for remark in self.remarks() {
@@ -501,25 +477,19 @@ impl EnergyReport {
 
     /// The table as comma-separated values, for a table in a paper: the same lines, each with all
     /// of its cells.
-    ///
-    /// # Errors
-    /// As [`EnergyReport::csv`].
-    pub fn paper_csv(&self) -> Result<String, csv::Error> {
+    pub fn paper_csv(&self) -> String {
         let physical = self.convention() == Convention::Physical;
         let energy = if physical { "Energy (\u{b5}J)" } else { "Energy (mW / steps)" };
         let edp = if physical { "EDP (nJ s)" } else { "EDP (pJ s)" };
         let header =
             ["Hardware", "Static (mW)", "Dynamic (mW)", "Total (mW)", "Latency (\u{b5}s)", energy, edp, "Source"];
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record(header)?;
-        for (name, cells, source) in self.lines(false) {
-            out.write_record([name.trim_start().to_string()].iter().chain(&cells).chain([&source]))?;
-        }
-        csv_text(out)
+        let row = |(name, cells, source): (String, [String; 6], String)| {
+            std::iter::once(name.trim_start().to_string()).chain(cells).chain([source]).collect()
+        };
+        csv_text(header.map(String::from).to_vec(), self.lines(false).into_iter().map(row))
     }
 
     /// The whole report for people: what a reader asks first comes first.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out = self.table(true);
         for remark in self.remarks() {

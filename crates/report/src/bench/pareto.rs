@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::charts::results;
 use nsim_energy::environment::Environment;
-use nsim_files::table::{Column, csv_of, four, markdown_of, or_empty, table_of};
+use nsim_files::table::{Column, csv, four, markdown_of, or_empty, rounded, table_of};
 use nsim_study::pareto::VariantRow;
 
 /// Everything that the report says.
@@ -24,9 +24,8 @@ pub struct ParetoReport<'a> {
     pub rows: &'a [VariantRow],
 }
 
-fn rounded(x: f64) -> f64 {
-    format!("{x:.6}").parse().unwrap_or(x)
-}
+/// What is said of a variant in CSV.
+const KEYS: &str = "variant,us_per_timestep,spread,class_agreement,accuracy,coincidence,potential_rmse,exact,on_front";
 
 const COLUMNS: [Column<VariantRow>; 9] = [
     ("variant", |row| row.variant.name()),
@@ -42,7 +41,6 @@ const COLUMNS: [Column<VariantRow>; 9] = [
 
 impl ParetoReport<'_> {
     /// `nsim.bench/1`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let row = |row: &VariantRow| {
             json!({
@@ -71,15 +69,8 @@ impl ParetoReport<'_> {
     }
 
     /// A row a variant.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let mut columns = COLUMNS;
-        let keys = ["us_per_timestep", "spread", "class_agreement", "accuracy", "coincidence", "potential_rmse"];
-        columns[1..7].iter_mut().zip(keys).for_each(|(column, key)| column.0 = key);
-        columns[8] = ("on_front", |row| row.on_front.to_string());
-        csv_of(self.rows, &columns)
+    pub fn csv(&self) -> String {
+        csv(self.json()["rows"].as_array().into_iter().flatten(), KEYS)
     }
 
     fn what(&self) -> String {
@@ -88,7 +79,6 @@ impl ParetoReport<'_> {
     }
 
     /// For people.
-    #[must_use]
     pub fn text(&self) -> String {
         let table = table_of(self.rows, &COLUMNS, 1);
         format!(
@@ -99,7 +89,6 @@ impl ParetoReport<'_> {
     }
 
     /// A section of a document, with a chart under `picture`.
-    #[must_use]
     pub fn markdown(&self, picture: &str) -> String {
         let mut out = format!("{}; {}.\n\n", self.what(), self.environment);
         out += &format!("![run time against error of {}]({picture})\n\n", self.model);
@@ -107,7 +96,6 @@ impl ParetoReport<'_> {
     }
 
     /// Run time against error, with the front.
-    #[must_use]
     pub fn svg(&self) -> String {
         results::pareto(&self.json()).unwrap_or_default()
     }
@@ -144,12 +132,10 @@ mod tests {
         let json = report.json();
         assert_eq!((&json["schema"], &json["name"]), (&json!("nsim.bench/1"), &json!("pareto")));
         let row = &json["rows"][0];
-        for key in
-            ["variant", "us_per_timestep", "spread", "class_agreement", "coincidence", "potential_rmse", "on_front"]
-        {
+        for key in KEYS.split(',') {
             assert!(row.get(key).is_some(), "{key}");
         }
         assert!(report.svg().contains("fast") && report.markdown("p.svg").contains("| fast |"));
-        assert!(report.csv().unwrap().contains("fast,1.500"));
+        assert!(report.csv().contains("fast,1.5,"));
     }
 }

@@ -2,26 +2,14 @@
 
 use serde_json::{Value, json};
 
+use crate::charts::draw::Axis;
 use crate::charts::plot;
-use crate::charts::plot::{Axis, Series};
-use nsim_files::table::{Column, csv_of, table_of, wrapped};
+use crate::charts::plot::Series;
+use nsim_files::table::{Column, table_of, three, wrapped};
 use nsim_study::published::{PublishedRow, factors_by_work, geometric_mean};
 
 /// Above this factor a prediction is far off, and the report says why.
 const FAR: f64 = 1.5;
-
-/// Everything that the report says.
-#[derive(Debug)]
-pub struct PublishedReport<'a> {
-    /// The rows, each figure by all findings and without those of its authors.
-    pub rows: &'a [PublishedRow],
-}
-
-/// Three digits: no constant is known better.
-fn three(x: f64) -> String {
-    let decimals = (2 - x.abs().log10().floor() as i32).clamp(0, 6) as usize;
-    if x == 0.0 { "0".to_string() } else { format!("{x:.decimals$}") }
-}
 
 fn end(row: &PublishedRow, of: fn((f64, f64)) -> f64) -> String {
     row.interval.map_or_else(|| "-".to_string(), |interval| three(of(interval)))
@@ -37,119 +25,97 @@ const COLUMNS: [Column<PublishedRow>; 7] = [
     ("ratio", |row| format!("{:.2}", row.predicted / row.published)),
 ];
 
-impl PublishedReport<'_> {
-    /// `nsim.bench/1`.
-    #[must_use]
-    pub fn json(&self) -> Value {
-        let row = |row: &PublishedRow| {
-            json!({
-                "work": row.work,
-                "workload": row.workload,
-                "quantity": row.quantity.name(),
-                "kind": row.quantity.kind(),
-                "unit": row.quantity.unit(),
-                "published": row.published,
-                "predicted": row.predicted,
-                "low": row.interval.map(|interval| interval.0),
-                "high": row.interval.map(|interval| interval.1),
-                "left_out": row.left_out,
-                "first_hand": row.first_hand,
-                "accounting": row.accounting(),
-                "activity": row.activity,
-                "assumed": row.assumed,
-                "source": row.source,
-                "cause": row.cause,
-            })
+/// What is said of a figure in CSV.
+const KEYS: &str =
+    "work,workload,quantity,kind,unit,published,predicted,low,high,left_out,accounting,source,first_hand,cause";
+
+/// `nsim.bench/1`.
+pub fn json(rows: &[PublishedRow]) -> Value {
+    let row = |row: &PublishedRow| {
+        json!({
+            "work": row.work,
+            "workload": row.workload,
+            "quantity": row.quantity.name(),
+            "kind": row.quantity.kind(),
+            "unit": row.quantity.unit(),
+            "published": row.published,
+            "predicted": row.predicted,
+            "low": row.interval.map(|interval| interval.0),
+            "high": row.interval.map(|interval| interval.1),
+            "left_out": row.left_out,
+            "first_hand": row.first_hand,
+            "accounting": row.accounting(),
+            "activity": row.activity,
+            "assumed": row.assumed,
+            "source": row.source,
+            "cause": row.cause,
+        })
+    };
+    json!({ "schema": "nsim.bench/1", "name": "published", "rows": rows.iter().map(row).collect::<Vec<_>>() })
+}
+
+/// A row a figure.
+pub fn csv(rows: &[PublishedRow]) -> String {
+    nsim_files::table::csv(json(rows)["rows"].as_array().into_iter().flatten(), KEYS)
+}
+
+fn of_kind(rows: &[PublishedRow], left_out: bool) -> impl Iterator<Item = &PublishedRow> {
+    rows.iter().filter(move |row| row.left_out == left_out)
+}
+
+/// For people.
+pub fn text(rows: &[PublishedRow]) -> String {
+    let mut out =
+        format!("without what a work's own authors found\n\n{}\n", table_of(of_kind(rows, true), &COLUMNS, 2));
+    let second_hand = || rows.iter().filter(|row| !row.first_hand);
+    if second_hand().next().is_some() {
+        out += &format!("\nknown second-hand\n\n{}\n", table_of(second_hand(), &COLUMNS, 2));
+    }
+    for (time, name) in [(false, "power and energy"), (true, "time")] {
+        let by_work = factors_by_work(rows, time);
+        let (Some(mean), Some(worst)) =
+            (geometric_mean(by_work.values().copied()), by_work.values().copied().reduce(f64::max))
+        else {
+            continue;
         };
-        json!({ "schema": "nsim.bench/1", "name": "published", "rows": self.rows.iter().map(row).collect::<Vec<_>>() })
+        out +=
+            &format!("\n{name}, median factor of each of {} works: mean {mean:.2}, worst {worst:.2}\n", by_work.len());
+        let works = by_work.iter().map(|(work, factor)| format!("{work} {factor:.2}")).collect::<Vec<_>>();
+        out += &wrapped(&works.join(", "));
     }
-
-    /// A row a figure.
-    ///
-    /// # Errors
-    /// Never in practice: the rows are built in memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
-        let columns: [Column<PublishedRow>; 14] = [
-            ("work", |row| row.work.clone()),
-            ("workload", |row| row.workload.clone()),
-            ("quantity", |row| row.quantity.name().to_string()),
-            ("kind", |row| row.quantity.kind().name().to_string()),
-            ("unit", |row| row.quantity.unit().to_string()),
-            ("published", |row| row.published.to_string()),
-            ("predicted", |row| row.predicted.to_string()),
-            ("low", |row| row.interval.map_or_else(String::new, |interval| interval.0.to_string())),
-            ("high", |row| row.interval.map_or_else(String::new, |interval| interval.1.to_string())),
-            ("left_out", |row| row.left_out.to_string()),
-            ("accounting", |row| row.accounting().name().to_string()),
-            ("source", |row| row.source.clone()),
-            ("first_hand", |row| row.first_hand.to_string()),
-            ("cause", |row| row.cause.clone().unwrap_or_default()),
-        ];
-        csv_of(self.rows, &columns)
-    }
-
-    fn of_kind(&self, left_out: bool) -> impl Iterator<Item = &PublishedRow> {
-        self.rows.iter().filter(move |row| row.left_out == left_out)
-    }
-
-    /// For people.
-    #[must_use]
-    pub fn text(&self) -> String {
-        let mut out =
-            format!("without what a work's own authors found\n\n{}\n", table_of(self.of_kind(true), &COLUMNS, 2));
-        let second_hand = || self.rows.iter().filter(|row| !row.first_hand);
-        if second_hand().next().is_some() {
-            out += &format!("\nknown second-hand\n\n{}\n", table_of(second_hand(), &COLUMNS, 2));
+    let mut said: Vec<&str> = Vec::new();
+    for row in of_kind(rows, true).filter(|row| row.factor() > FAR) {
+        if let Some(cause) = row.cause.as_deref().filter(|cause| !said.contains(cause)) {
+            out += &wrapped(&format!("{}, {}: {cause}", row.workload, row.quantity.name()));
+            said.push(cause);
         }
-        for (time, name) in [(false, "power and energy"), (true, "time")] {
-            let by_work = factors_by_work(self.rows, time);
-            let (Some(mean), Some(worst)) =
-                (geometric_mean(by_work.values().copied()), by_work.values().copied().reduce(f64::max))
-            else {
-                continue;
-            };
-            out += &format!(
-                "\n{name}, median factor of each of {} works: mean {mean:.2}, worst {worst:.2}\n",
-                by_work.len()
-            );
-            let works = by_work.iter().map(|(work, factor)| format!("{work} {factor:.2}")).collect::<Vec<_>>();
-            out += &wrapped(&works.join(", "));
-        }
-        let mut said: Vec<&str> = Vec::new();
-        for row in self.of_kind(true).filter(|row| row.factor() > FAR) {
-            if let Some(cause) = row.cause.as_deref().filter(|cause| !said.contains(cause)) {
-                out += &wrapped(&format!("{}, {}: {cause}", row.workload, row.quantity.name()));
-                said.push(cause);
-            }
-        }
-        let mut last = "";
-        for row in self.of_kind(true).filter(|row| !row.assumed.is_empty()) {
-            if std::mem::replace(&mut last, &row.workload) != row.workload {
-                out += &wrapped(&format!("{} assumes: {}", row.workload, row.assumed.join("; ")));
-            }
-        }
-        out
     }
+    let mut last = "";
+    for row in of_kind(rows, true).filter(|row| !row.assumed.is_empty()) {
+        if std::mem::replace(&mut last, &row.workload) != row.workload {
+            out += &wrapped(&format!("{} assumes: {}", row.workload, row.assumed.join("; ")));
+        }
+    }
+    out
+}
 
-    /// Published against predicted, with intervals and the line on which they are equal.
-    #[must_use]
-    pub fn svg(&self) -> String {
-        let own: Vec<&PublishedRow> = self.of_kind(true).filter(|row| row.published > 0.0).collect();
-        let ends = own.iter().map(|row| row.published);
-        let (low, high) = ends.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), x| (low.min(x), high.max(x)));
-        let equal = vec![(low, low), (high, high)];
-        let mut series = vec![Series::Line { name: "equal".to_string(), points: equal }];
-        series.push(Series::Intervals {
-            name: "80 % interval".to_string(),
-            points: own.iter().filter_map(|row| Some((row.published, row.interval?.0, row.interval?.1))).collect(),
-        });
-        series.push(Series::Points {
-            name: "predicted, its authors left out".to_string(),
-            points: own.iter().map(|row| (row.published, row.predicted, String::new())).collect(),
-            joined: false,
-        });
-        plot::chart("published and predicted (mW, us, nJ)", &Axis::log("published"), &Axis::log("predicted"), &series)
-    }
+/// Published against predicted, with intervals and the line on which they are equal.
+pub fn svg(rows: &[PublishedRow]) -> String {
+    let own: Vec<&PublishedRow> = of_kind(rows, true).filter(|row| row.published > 0.0).collect();
+    let ends = own.iter().map(|row| row.published);
+    let (low, high) = ends.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), x| (low.min(x), high.max(x)));
+    let equal = vec![(low, low), (high, high)];
+    let mut series = vec![Series::Line { name: "equal".to_string(), points: equal }];
+    series.push(Series::Intervals {
+        name: "80 % interval".to_string(),
+        points: own.iter().filter_map(|row| Some((row.published, row.interval?.0, row.interval?.1))).collect(),
+    });
+    series.push(Series::Points {
+        name: "predicted, its authors left out".to_string(),
+        points: own.iter().map(|row| (row.published, row.predicted, String::new())).collect(),
+        joined: false,
+    });
+    plot::chart("published and predicted (mW, us, nJ)", &Axis::log("published"), &Axis::log("predicted"), &series)
 }
 
 #[cfg(test)]
@@ -177,22 +143,8 @@ mod tests {
 
     #[test]
     fn json_has_the_keys_of_the_contract() {
-        let json = PublishedReport { rows: &[row(true, 8.0)] }.json();
-        for key in [
-            "work",
-            "workload",
-            "quantity",
-            "kind",
-            "unit",
-            "published",
-            "predicted",
-            "low",
-            "high",
-            "left_out",
-            "accounting",
-            "source",
-            "cause",
-        ] {
+        let json = json(&[row(true, 8.0)]);
+        for key in KEYS.split(',') {
             assert!(json["rows"][0].get(key).is_some(), "{key}");
         }
         assert_eq!((&json["rows"][0]["kind"], &json["rows"][0]["accounting"]), (&json!("time"), &json!("profiler")));
@@ -201,11 +153,9 @@ mod tests {
     #[test]
     fn the_text_counts_what_was_left_out_and_names_causes_of_what_is_far_off() {
         let rows = [row(false, 8.0), row(true, 8.0), row(true, 40.0)];
-        let text = PublishedReport { rows: &rows }.text();
+        let text = text(&rows);
         // 1.25 and 4: their median is 2.24.
         assert!(text.contains("time, median factor of each of 1 works: mean 2.24, worst 2.24"), "{text}");
         assert!(text.contains("w-1, step time: slow host") && text.contains("w-1 assumes: rates"), "{text}");
-        assert_eq!(three(0.012_345), "0.0123");
-        assert_eq!(three(1234.5), "1234");
     }
 }

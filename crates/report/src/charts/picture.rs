@@ -25,7 +25,6 @@ pub const ENDINGS: &str = ".svg, .png or .pdf";
 
 impl PictureFormat {
     /// The kind that a file's name says; none when it says none.
-    #[must_use]
     pub fn from_name(path: &Path) -> Option<Self> {
         match path.extension()?.to_string_lossy().to_ascii_lowercase().as_str() {
             "svg" => Some(PictureFormat::Svg),
@@ -72,7 +71,6 @@ impl PictureFormat {
 const FONT_DIGITS: &str = include_str!("../../../../assets/roboto/roboto-latin.woff2.base64");
 
 /// A picture with its font in it.
-#[must_use]
 pub fn with_font(svg: &str) -> String {
     let Some((head, rest)) = svg.split_once('>') else { return svg.to_string() };
     let head = head.replace("font-family=\"sans-serif\"", "font-family=\"Roboto, Arial, sans-serif\"");

@@ -6,7 +6,9 @@
 
 use serde_json::Value;
 
-use super::plot::{self, Axis, Series};
+use super::draw::Axis;
+use super::plot::{self, Series};
+use nsim_files::table::three;
 
 fn number(value: &Value) -> Option<f64> {
     value.as_f64().filter(|number| number.is_finite())
@@ -28,18 +30,7 @@ fn parts(value: &Value) -> Vec<(String, f64)> {
         .collect()
 }
 
-/// Three digits of a number.
-fn short(number: f64) -> String {
-    match number.abs() {
-        100.0.. => format!("{number:.0}"),
-        10.0..100.0 => format!("{number:.1}"),
-        1.0..10.0 => format!("{number:.2}"),
-        _ => format!("{number:.3}"),
-    }
-}
-
 /// Power, time and energy of a timestep on all hardware of `nsim.energy/1`, side by side.
-#[must_use]
 pub fn hardware(result: &Value) -> Option<String> {
     let totals: Vec<&Value> = rows(&result["rows"]).iter().filter(|row| row["unit"] == "total").collect();
     let names: Vec<String> = totals.iter().map(|row| words(&row["hardware"]).to_string()).collect();
@@ -58,7 +49,6 @@ pub fn hardware(result: &Value) -> Option<String> {
 
 /// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the
 /// neuron cores.
-#[must_use]
 pub fn energy(result: &Value) -> Option<String> {
     let chip = &rows(&result["rows"]).first()?["hardware"];
     let unit = |unit: &str| rows(&result["rows"]).iter().find(|row| row["hardware"] == *chip && row["unit"] == unit);
@@ -77,17 +67,16 @@ pub fn energy(result: &Value) -> Option<String> {
     series.extend(parts.iter().map(|(name, pj)| (name.clone(), vec![0.0, share(*pj, dynamic)])));
     let title =
         format!("{} on {}: where the energy of a timestep goes", words(&result["model"]), words(&result["target"]));
-    let whole = format!("all: {} uJ", short(number(&total["energy_uj"])?));
+    let whole = format!("all: {} uJ", three(number(&total["energy_uj"])?));
     // What events cost is little beside static power, and less than a microjoule.
     let of_events = match dynamic / 1e6 {
-        uj if uj < 0.1 => format!("neuron dynamic: {} nJ", short(uj * 1e3)),
-        uj => format!("neuron dynamic: {} uJ", short(uj)),
+        uj if uj < 0.1 => format!("neuron dynamic: {} nJ", three(uj * 1e3)),
+        uj => format!("neuron dynamic: {} uJ", three(uj)),
     };
     Some(plot::stacked(&title, &Axis::linear("share (%)"), &[whole, of_events], &series))
 }
 
 /// Where the time of a timestep goes, of `nsim.energy/1`: a bar for each part.
-#[must_use]
 pub fn time(result: &Value) -> Option<String> {
     let parts = parts(&result["time_us_per_timestep"]);
     let total: f64 = parts.iter().map(|(_, us)| us).sum();
@@ -95,18 +84,17 @@ pub fn time(result: &Value) -> Option<String> {
         "{} on {}: where the {} us of a timestep go",
         words(&result["model"]),
         words(&result["target"]),
-        short(total)
+        three(total)
     );
     let (names, values): (Vec<String>, Vec<f64>) = parts.into_iter().unzip();
     let labels: Vec<String> =
-        names.iter().zip(&values).map(|(name, us)| format!("{name}: {} us", short(*us))).collect();
+        names.iter().zip(&values).map(|(name, us)| format!("{name}: {} us", three(*us))).collect();
     (!labels.is_empty())
         .then(|| plot::bars(&title, &Axis::linear("time of a mean timestep (us)"), &labels, &[(String::new(), values)]))
 }
 
 /// Run time against error of `nsim bench pareto`, or energy against time of `nsim map --pareto`,
 /// with the front.
-#[must_use]
 pub fn pareto(result: &Value) -> Option<String> {
     let benched = result["name"] == "pareto";
     let all = rows(if benched { &result["rows"] } else { &result["pareto"] });
@@ -154,7 +142,6 @@ pub fn pareto(result: &Value) -> Option<String> {
 
 /// Causes of disagreement of `nsim agree`, forward and reversed; without them, how far each layer
 /// agrees.
-#[must_use]
 pub fn agreement(result: &Value) -> Option<String> {
     let model = words(&result["model"]);
     let shares = rows(&result["attribution"]);

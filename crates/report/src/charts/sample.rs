@@ -1,23 +1,170 @@
-//! A sample step by step as pictures: spikes of populations, potentials of compartments.
+//! One sample over time as SVG, a panel below another: spikes of senses or populations, potentials
+//! of compartments.
 //!
-//! Input: a [`Timeline`] of a network. Output: one SVG text each. What a timeline left out is said
-//! in the picture.
+//! Input: a recording, or a [`Timeline`] of a network. Output: one SVG text, the same for the same
+//! input. What a timeline left out is said in the picture. Dots of one kind are one path, so that
+//! ten thousand of them stay a file of some hundred kilobytes.
 
 use std::fmt::Write as _;
 
-use super::plot::{Axis, BOTTOM, COLOURS, HEIGHT, LEFT, RIGHT, Scale, TOP, WIDTH, frame, text_at};
-use super::raster::{Panel, Raster};
+use super::draw::{Axis, BOTTOM, COLOURS, END, LEFT, MIDDLE, Mark, RIGHT, Scale, Sheet, TOP, stroked};
+use nsim_dynamics::thresholds;
 use nsim_files::table::count;
-use nsim_ir::base::id::PopulationId;
+use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::quantised::Quantised;
 use nsim_session::timeline::Timeline;
 
+/// Between two panels.
+const GAP: f64 = 12.0;
 /// Points of a curve; a longer one shows the largest potential of each group of steps.
 const MOST_POINTS: usize = 1_500;
-/// Between two panels.
-const GAP: f64 = 10.0;
 /// A panel is as high as so many times the lowest at most.
 const MOST_SHARE: f64 = 3.0;
+/// Panels of a raster; more would be thinner than their names.
+const MOST_PANELS: usize = 24;
+
+/// What a panel shows.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Content {
+    /// Spikes of so many channels as (step, channel), under the name of their kind; channel 0 is at
+    /// the top.
+    Spikes(u32, Vec<(String, Vec<(u32, u32)>)>),
+    /// A potential in thresholds after so many steps.
+    Potential(Vec<(usize, f64)>),
+}
+
+/// A sense, a population or a compartment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Panel {
+    /// What it is.
+    pub label: String,
+    /// Its share of the height.
+    pub share: f64,
+    /// What is drawn.
+    pub content: Content,
+}
+
+/// One sample.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Panels {
+    /// The title.
+    pub title: String,
+    /// What all panels show, where they do not say it.
+    pub what: String,
+    /// Timesteps.
+    pub steps: u32,
+    /// Milliseconds of a timestep.
+    pub timestep_ms: f64,
+    /// When what decides the class begins, in ms from the start.
+    pub onset_ms: Option<f64>,
+    /// From top to bottom.
+    pub panels: Vec<Panel>,
+}
+
+impl Panels {
+    /// The picture.
+    pub fn svg(&self) -> String {
+        let mut sheet = Sheet::chart(&self.title, "time into the sample, ms", &self.what);
+        let end_ms = f64::from(self.steps) * self.timestep_ms;
+        let across = Scale::new(&Axis::linear(""), [0.0, end_ms].into_iter(), LEFT, RIGHT);
+        let at = |steps: f64| across.place(steps * self.timestep_ms).unwrap_or(LEFT);
+        let end = at(f64::from(self.steps));
+        let gaps = GAP * self.panels.len().saturating_sub(1) as f64;
+        let shares: f64 = self.panels.iter().map(|panel| panel.share).sum();
+        let (mut top, mut kinds) = (TOP, 0);
+        for (number, panel) in self.panels.iter().enumerate() {
+            let height = (BOTTOM - TOP - gaps) * panel.share / shares;
+            sheet.rect([LEFT, top, end - LEFT, height], &stroked("#999", 1.0, ""));
+            match &panel.content {
+                Content::Spikes(channels, of_kinds) => {
+                    sheet.upright(top + height / 2.0, &panel.label);
+                    sheet.text((LEFT - 8.0, top + 10.0), END, "0");
+                    sheet.text((LEFT - 8.0, top + height), END, &channels.saturating_sub(1).to_string());
+                    let (row, length) = (height / f64::from((*channels).max(1)), (at(1.0) - at(0.0)).max(1.0));
+                    for (name, spikes) in of_kinds {
+                        let colour = COLOURS[kinds % COLOURS.len()];
+                        let mut path = String::new();
+                        for &(step, channel) in spikes {
+                            let y = top + (f64::from(channel) + 0.5) * row;
+                            _ = write!(path, "M{:.1} {y:.1}h{length:.1}", at(f64::from(step)));
+                        }
+                        sheet.path(&path, &stroked(colour, row.clamp(0.8, 4.0), ""));
+                        sheet.legend(kinds, (colour, Mark::Dot), name);
+                        kinds += 1;
+                    }
+                }
+                Content::Potential(points) => {
+                    let values = points.iter().map(|point| point.1);
+                    let (low, high) = values.fold((0.0, 1.0), |(low, high): (f64, f64), v| (low.min(v), high.max(v)));
+                    let up = |v: f64| top + height - (v - low) / (high - low) * height;
+                    for (level, dashes) in [(0.0, ""), (1.0, "4 3")] {
+                        sheet.line([LEFT, up(level), end, up(level)], &stroked("#888", 0.8, dashes));
+                        sheet.text((LEFT - 6.0, up(level) + 4.0), END, &level.to_string());
+                    }
+                    let points: Vec<_> = points.iter().map(|&(step, v)| (at(step as f64), up(v))).collect();
+                    sheet.through(&points, &stroked(COLOURS[number % COLOURS.len()], 1.3, ""));
+                    sheet.text((RIGHT + 10.0, top + height / 2.0 + 4.0), "", &panel.label);
+                }
+            }
+            top += height + GAP;
+        }
+        // The axis is rounded up, the panels end with the recording.
+        sheet.ticks_across(&across, end, false);
+        if let Some(onset) = self.onset_ms {
+            let x = at(onset / self.timestep_ms);
+            sheet.line([x, TOP - 8.0, x, BOTTOM + 22.0], &stroked("#000", 1.0, "5 3"));
+            sheet.text((x, BOTTOM + 34.0), MIDDLE, &format!("onset {onset:.0} ms"));
+        }
+        sheet.svg()
+    }
+}
+
+/// Spikes of the first of these populations, each in a panel of its own.
+pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[PopulationId]) -> String {
+    let panel = |&id: &PopulationId| {
+        let raster = &timeline.rasters[id.0 as usize];
+        let mut kind = count(raster.spikes.len() as u64, "spike");
+        if raster.every > 1 {
+            kind = format!("{kind}, 1 unit in {}", raster.every);
+        }
+        if raster.cut {
+            kind += ", no more kept";
+        }
+        Panel {
+            label: network.populations()[id].name.clone(),
+            share: f64::from(raster.units).sqrt().clamp(4.0, 4.0 * MOST_SHARE),
+            content: Content::Spikes(raster.units, vec![(kind, raster.spikes.clone())]),
+        }
+    };
+    let (steps, all) = timeline.steps;
+    let first = if steps < all { format!(" (first {steps} of {all} steps)") } else { String::new() };
+    let drawn = &shown[..shown.len().min(MOST_PANELS)];
+    let cut = match drawn.len() < shown.len() {
+        true => format!(", {MOST_PANELS} of {} populations", shown.len()),
+        false => String::new(),
+    };
+    let (title, timestep_ms) = (format!("{title}{first}{cut}"), network.parts().timestep_ms);
+    let panels = drawn.iter().map(panel).collect();
+    Panels { title, what: String::new(), steps, timestep_ms, onset_ms: None, panels }.svg()
+}
+
+/// Potentials over time in parts of their thresholds, a panel for each compartment; the timeline
+/// holds those of `traced`, in this order.
+pub fn voltage(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced]) -> String {
+    let steps = timeline.steps.0;
+    let group = (steps as usize).div_ceil(MOST_POINTS).max(1);
+    let reduced = if group > 1 { format!(", the largest of {group} steps each") } else { String::new() };
+    let panel = |(of, trace): (&Traced, &Vec<i32>)| {
+        let largest = trace.chunks(group).filter_map(|part| part.iter().max()).enumerate();
+        // A point stands at the end of its steps.
+        let end = |point: usize| ((point + 1) * group).min(steps as usize);
+        let points = largest.map(|(point, &v)| (end(point), f64::from(v) / of.threshold)).collect();
+        Panel { label: of.name.clone(), share: 1.0, content: Content::Potential(points) }
+    };
+    let panels = traced.iter().zip(&timeline.potentials).map(panel).collect();
+    let (title, what) = (title.to_string(), format!("potential (dashed: threshold){reduced}"));
+    Panels { title, what, steps, timestep_ms: network.parts().timestep_ms, onset_ms: None, panels }.svg()
+}
 
 /// A compartment whose potential is drawn.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,93 +175,57 @@ pub struct Traced {
     pub threshold: f64,
 }
 
-/// Panels of a raster; more would be thinner than their names.
-const MOST_PANELS: usize = 24;
-
-/// Spikes of the first of these populations, each in a panel of its own.
-#[must_use]
-pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[PopulationId]) -> String {
-    let panel = |&id: &PopulationId| {
-        let raster = &timeline.rasters[id.0 as usize];
-        let name = &network.populations()[id].name;
-        let mut kind = count(raster.spikes.len() as u64, "spike");
-        if raster.every > 1 {
-            kind = format!("{kind}, 1 unit in {}", raster.every);
+/// The compartments to draw, at most so many: of each population the unit that is named, or as many
+/// units as are given, those that spike most.
+pub fn traced(
+    network: &Quantised,
+    populations: impl IntoIterator<Item = (PopulationId, Option<u32>, usize)>,
+    spikes: impl Fn(CompartmentId) -> u64,
+    most: usize,
+) -> (Vec<CompartmentId>, Vec<Traced>) {
+    let thresholds = thresholds(network);
+    let (mut ids, mut traced) = (Vec::new(), Vec::new());
+    for (id, named, of_each) in populations {
+        let population = &network.populations()[id];
+        let Some(first) = population.first_compartment() else { continue };
+        let mut units: Vec<u32> = named.map_or_else(|| (0..population.shape.len()).collect(), |unit| vec![unit]);
+        units.sort_by_key(|&unit| std::cmp::Reverse(spikes(CompartmentId(first.0 + unit))));
+        units.truncate(of_each.min(most - ids.len()));
+        units.sort_unstable();
+        for unit in units {
+            ids.push(CompartmentId(first.0 + unit));
+            let name = format!("{}[{}]", population.name, network.index_shown(id, unit));
+            traced.push(Traced { name, threshold: thresholds[(first.0 + unit) as usize] });
         }
-        if raster.cut {
-            kind += ", no more kept";
-        }
-        Panel {
-            label: name.clone(),
-            channels: raster.units,
-            share: f64::from(raster.units).sqrt().clamp(4.0, 4.0 * MOST_SHARE),
-            kinds: vec![(kind, raster.spikes.clone())],
-        }
-    };
-    let (steps, all) = timeline.steps;
-    let first = if steps < all { format!(" (first {steps} of {all} steps)") } else { String::new() };
-    let drawn = &shown[..shown.len().min(MOST_PANELS)];
-    let cut = if drawn.len() < shown.len() {
-        format!(", {MOST_PANELS} of {} populations", shown.len())
-    } else {
-        String::new()
-    };
-    Raster {
-        title: format!("{title}{first}{cut}"),
-        steps,
-        timestep_ms: network.parts().timestep_ms,
-        onset_ms: None,
-        panels: drawn.iter().map(panel).collect(),
     }
-    .svg()
+    (ids, traced)
 }
 
-/// Potentials over time in parts of their thresholds, a panel for each compartment; the timeline
-/// holds those of `traced`, in this order.
-#[must_use]
-pub fn voltage(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced]) -> String {
-    let timestep_ms = network.parts().timestep_ms;
-    let steps = timeline.steps.0 as usize;
-    let group = steps.div_ceil(MOST_POINTS).max(1);
-    let reduced = if group > 1 { format!(", the largest of {group} steps each") } else { String::new() };
-    let mut out = frame(title, "time into the sample, ms", &format!("potential (dashed: threshold){reduced}"));
-    let end_ms = steps as f64 * timestep_ms;
-    let across = Scale::new(&Axis::linear(""), [0.0, end_ms].into_iter(), LEFT, WIDTH - RIGHT);
-    let at = |ms: f64| across.place(ms).unwrap_or(LEFT);
-    let each = (HEIGHT - BOTTOM - TOP) / traced.len().max(1) as f64;
-    for (row, (of, trace)) in traced.iter().zip(&timeline.potentials).enumerate() {
-        let (top, bottom) = (TOP + each * row as f64, TOP + each * (row as f64 + 1.0) - GAP);
-        let largest = trace.chunks(group).map(|part| part.iter().copied().max().unwrap_or(0));
-        let parts: Vec<f64> = largest.map(|v| f64::from(v) / of.threshold).collect();
-        let (low, high) = parts.iter().fold((0.0, 1.0), |(low, high): (f64, f64), &v| (low.min(v), high.max(v)));
-        let up = |v: f64| bottom - (v - low) / (high - low) * (bottom - top);
-        _ = writeln!(
-            out,
-            r##"<rect x="{LEFT}" y="{top:.1}" width="{:.1}" height="{:.1}" fill="none" stroke="#bbb"/>"##,
-            at(end_ms) - LEFT,
-            bottom - top
-        );
-        for (level, dash) in [(0.0, ""), (1.0, "4 3")] {
-            _ = writeln!(
-                out,
-                r##"<path d="M{LEFT} {:.1}H{:.1}" stroke="#888" stroke-width="0.8" stroke-dasharray="{dash}" fill="none"/>"##,
-                up(level),
-                at(end_ms)
-            );
-            text_at(&mut out, LEFT - 6.0, up(level) + 4.0, "end", &level.to_string());
-        }
-        // A point stands at the end of its steps.
-        let points = parts.iter().enumerate().map(|(point, &v)| {
-            let ms = ((point + 1) * group).min(steps) as f64 * timestep_ms;
-            format!("{:.1},{:.1}", at(ms), up(v))
-        });
-        let colour = COLOURS[row % COLOURS.len()];
-        let points = points.collect::<Vec<_>>().join(" ");
-        _ = writeln!(out, r#"<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.3"/>"#);
-        text_at(&mut out, WIDTH - RIGHT + 10.0, (top + bottom) / 2.0 + 4.0, "start", &of.name);
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_spike_has_its_dot_and_the_onset_its_line() {
+        let panel = |share: f64, spikes: &[(u32, u32)]| {
+            let kinds = vec![("spike".into(), spikes.to_vec()), ("none".into(), Vec::new())];
+            Panel { label: "channels".into(), share, content: Content::Spikes(4, kinds) }
+        };
+        let raster = Panels {
+            title: "a < b".into(),
+            what: String::new(),
+            steps: 10,
+            timestep_ms: 2.0,
+            onset_ms: Some(6.0),
+            panels: vec![panel(1.0, &[(0, 0), (9, 3)]), panel(3.0, &[(5, 1)])],
+        };
+        let svg = raster.svg();
+        // Twenty milliseconds over 494 pixels from 76 on: step 9 begins at 18 ms.
+        assert_eq!(svg.matches("h49.4").count(), 3);
+        assert!(svg.contains("M76.0 ") && svg.contains(&format!("M{:.1} ", 76.0 + 18.0 * 24.7)), "{svg}");
+        assert!(svg.contains("onset 6 ms") && svg.contains("a &lt; b") && svg.ends_with("</svg>\n"));
+        assert_eq!(svg.matches("<path").count(), 4);
+        let still = Panels { onset_ms: None, panels: Vec::new(), steps: 0, ..raster }.svg();
+        assert!(!still.contains("onset") && !still.contains("NaN"));
     }
-    for (x, label) in across.ticks().into_iter().filter(|(x, _)| *x <= at(end_ms) + 0.5) {
-        text_at(&mut out, x, HEIGHT - BOTTOM + 14.0, "middle", &label);
-    }
-    out + "</svg>\n"
 }

@@ -1,18 +1,15 @@
 //! A mapping as rows of numbers: where its cores lie, how full they are, what links carry. For a
 //! page.
 
-use std::collections::BTreeMap;
-
 use serde_json::{Value, json};
 
+use crate::charts::board::mostly;
 use nsim_compile::Compiled;
 use nsim_compile::explore::traffic::Links;
-use nsim_ir::base::id::CoreId;
 use nsim_ir::hardware::Target;
 use nsim_ir::resource::Resource;
 
 /// Cores with their use of each resource, and loaded links.
-#[must_use]
 pub fn json(compiled: &Compiled, target: &Target, links: &Links) -> Value {
     let mesh = compiled.placement.mesh();
     let limits = target.limits();
@@ -25,7 +22,7 @@ pub fn json(compiled: &Compiled, target: &Target, links: &Links) -> Value {
             let site = compiled.placement.site(core);
             let (x, y) = mesh.tile(site);
             let needs = resources.map(|resource| used[resource]);
-            let row = json!([core.0, site.chip, x, y, site.core, mostly(compiled, core)]);
+            let row = json!([core.0, site.chip, x, y, site.core, mostly(compiled, core).0]);
             let rest = needs.iter().map(|&need| json!(need)).chain([json!(used.synapses)]);
             row.as_array().into_iter().flatten().cloned().chain(rest).collect()
         })
@@ -48,17 +45,4 @@ pub fn json(compiled: &Compiled, target: &Target, links: &Links) -> Value {
         "mesh": { "chips_x": mesh.chips_x, "chips_y": mesh.chips_y, "width": mesh.width, "height": mesh.height,
                   "cores_per_tile": mesh.cores_per_tile },
     })
-}
-
-/// The population of one copy that most compartments of a core belong to, by its place in the
-/// network.
-fn mostly(compiled: &Compiled, core: CoreId) -> u32 {
-    let per_copy = compiled.one.populations().len().max(1) as u32;
-    let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
-    for &id in &compiled.partition.members()[core] {
-        let (population, _) = compiled.quantised.population_of(id);
-        *counts.entry(population.0 % per_copy).or_default() += 1;
-    }
-    let most = counts.into_iter().max_by_key(|&(population, count)| (count, std::cmp::Reverse(population)));
-    most.map_or(0, |(population, _)| population)
 }

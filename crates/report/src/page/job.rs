@@ -7,13 +7,12 @@
 use serde_json::Value;
 
 use crate::agree::AgreeReport;
-use crate::page::sample::Watched;
+use crate::charts::sample::{Traced, traced};
 use crate::page::{Sections, fit, network, sample};
 use nsim_agree::compare::{Side, compare_networks, machine_trace, output_layer, real_trace};
 use nsim_agree::ladder::layers;
 use nsim_compile::{Options, compile};
 use nsim_cost::Transport;
-use nsim_dynamics as neuron;
 use nsim_energy::evaluate::Evaluated;
 use nsim_energy::workload::Workload;
 use nsim_files::network::Network;
@@ -21,7 +20,7 @@ use nsim_files::write::checksum;
 use nsim_ir::base::id::CompartmentId;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::graph::Graph;
-use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::quantised::Quantised;
 use nsim_ir::source_counts::SourceCounts;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
@@ -74,7 +73,6 @@ pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<Graph>,
 }
 
 /// Samples of which the trained and the deployed network are compared.
-#[must_use]
 pub fn compared(workload: &Workload<'_>) -> usize {
     workload.samples().len().min(COMPARED)
 }
@@ -100,28 +98,10 @@ pub fn agreement(workload: &Workload<'_>, trained: &Graph, progress: Progress<'_
 
 /// The compartments whose potentials are drawn: of the output, then of each population, those that
 /// spike most.
-fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Watched>) {
-    let thresholds = neuron::thresholds(network);
-    let (mut ids, mut watched) = (Vec::new(), Vec::new());
+fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Traced>) {
     let output = network.parts().output;
     let others = network.populations().ids().filter(|&id| id != output);
-    for id in std::iter::once(output).chain(others) {
-        let population = &network.populations()[id];
-        let Units::Compartments { first, .. } = population.units else { continue };
-        let mut numbers: Vec<u32> = (first.0..first.0 + population.shape.len()).collect();
-        numbers.sort_by_key(|&number| std::cmp::Reverse(counts.compartments[CompartmentId(number)]));
-        let most =
-            if id == output { WATCHED_OF_EACH.max(network.parts().classes.len().min(6)) } else { WATCHED_OF_EACH };
-        numbers.truncate(most);
-        numbers.sort_unstable();
-        for number in numbers.into_iter().take(WATCHED.saturating_sub(ids.len())) {
-            ids.push(CompartmentId(number));
-            let index = network.index_shown(id, number - first.0);
-            watched.push(Watched {
-                name: format!("{}[{index}]", population.name),
-                threshold: thresholds[number as usize],
-            });
-        }
-    }
-    (ids, watched)
+    let of_output = WATCHED_OF_EACH.max(network.parts().classes.len().min(6));
+    let wanted = std::iter::once((output, None, of_output)).chain(others.map(|id| (id, None, WATCHED_OF_EACH)));
+    traced(network, wanted, |id| counts.compartments[id], WATCHED)
 }

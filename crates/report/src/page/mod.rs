@@ -14,6 +14,7 @@ use std::io::Read;
 
 use serde_json::{Value, json};
 
+use crate::charts::draw::COLOURS;
 use nsim_ir::base::names::markup;
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -60,13 +61,13 @@ pub struct Sections {
 }
 
 /// The page.
-#[must_use]
 pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String {
     let Sections { results, network, fit, sample, confusion, agreement } = sections;
     let data = json!({
         "schema": "nsim.report/1",
         "nsim": env!("CARGO_PKG_VERSION"),
         "title": title,
+        "colours": COLOURS,
         "command": provenance.command,
         "origins": provenance.origins,
         "results": results,

@@ -15,7 +15,6 @@ const MOST_POPULATIONS: usize = 40;
 const MOST_PROJECTIONS: usize = 200;
 
 /// The populations that a page draws: the first of the file, and the output.
-#[must_use]
 pub fn drawn(network: &Quantised) -> Vec<PopulationId> {
     let output = network.parts().output;
     let others = network.populations().ids().filter(|&id| id != output).take(MOST_POPULATIONS - 1);
@@ -26,7 +25,6 @@ pub fn drawn(network: &Quantised) -> Vec<PopulationId> {
 
 /// The populations that are drawn and the projections between them, in the order of the file, and
 /// how many there are in all.
-#[must_use]
 pub fn json(network: &Quantised) -> Value {
     let parts = network.parts();
     let drawn = drawn(network);

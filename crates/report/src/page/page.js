@@ -2,8 +2,8 @@
 "use strict";
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  // Okabe and Ito (2008): told apart by people who see fewer colours. Decals tell bars apart without any.
-  const colours = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#7f7f7f", "#f0e442", "#332288", "#000000"];
+  // Decals tell bars apart without any colours.
+  const { colours } = data;
   const main = document.getElementById("main");
   const nav = document.getElementById("nav");
   const waiting = [];
@@ -343,7 +343,7 @@
     const xAxis = all.map((_, index) => ({ gridIndex: index, type: "value", min: 0, max: sample.steps, axisLabel: { show: index === last }, axisTick: { show: index === last }, splitLine: { show: false }, ...(index === last ? axisName("timestep", 24) : {}) }));
     const yAxis = shown.map((raster, index) => ({ gridIndex: index, type: "value", min: -0.5, max: raster.units - 0.5, inverse: true, axisLabel: { show: true, showMinLabel: false, formatter: (y) => (Number.isInteger(y) ? y : "") }, splitNumber: 2, minInterval: 1, splitLine: { show: false }, name: raster.name, nameLocation: "middle", nameGap: 44, nameRotate: raster.name.length > 9 || heights[index] < 60 ? 0 : 90, nameTextStyle: { width: 84, overflow: "truncate" } }));
     const series = shown.map((raster, index) => ({
-      type: "scatter", name: raster.name, xAxisIndex: index, yAxisIndex: index, symbol: "rect", symbolSize: raster.units <= 12 ? [2, 9] : 2.4, large: raster.step.length > 3000, largeThreshold: 3000, progressive: 0, itemStyle: { color: raster.name === outputName ? colours[5] : raster.name === shown[0].name ? "#555" : colours[index % 5] },
+      type: "scatter", name: raster.name, xAxisIndex: index, yAxisIndex: index, symbol: "rect", symbolSize: raster.units <= 12 ? [2, 9] : 2.4, large: raster.step.length > 3000, largeThreshold: 3000, progressive: 0, itemStyle: { color: raster.name === outputName ? colours[1] : raster.name === shown[0].name ? "#555" : colours[2 + (index % 4)] },
       data: raster.step.map((step, at) => [step, raster.unit[at]]),
     }));
     if (counted) {
@@ -451,7 +451,7 @@
             const line = (x1_, y1, x2, y2) => ({ type: "line", shape: { x1: x1_, y1, x2, y2 }, style: { stroke: "#333", lineWidth: 2 } });
             return { type: "group", children: [line(x0, y, x1, y), line(x0, y - 6, x0, y + 6), line(x1, y - 6, x1, y + 6)] };
           } },
-          { type: "scatter", symbolSize: 12, data: known.map((row, index) => ({ value: [row[key], index], symbol: row.hardware === rows[0].hardware ? "circle" : "diamond", itemStyle: { color: row.hardware === rows[0].hardware ? colours[0] : colours[5] } })) },
+          { type: "scatter", symbolSize: 12, data: known.map((row, index) => ({ value: [row[key], index], symbol: row.hardware === rows[0].hardware ? "circle" : "diamond", itemStyle: { color: row.hardware === rows[0].hardware ? colours[0] : colours[1] } })) },
         ],
       });
     }

@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use serde_json::{Value, json};
 
 use super::network::drawn;
+use crate::charts::sample::Traced;
 use nsim_ir::base::id::{Id, PopulationId};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
@@ -14,25 +15,9 @@ use nsim_session::timeline::{Raster, Timeline};
 /// Points of a curve over steps; a longer one is reduced.
 const MOST_POINTS: usize = 1_500;
 
-/// A compartment whose potential is drawn.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Watched {
-    /// Population and index.
-    pub name: String,
-    /// Its threshold.
-    pub threshold: f64,
-}
-
 /// A sample over its steps: means of so many steps in a row of everything that is counted, the
 /// largest potential of each such group, every kept spike of the populations that are [`drawn`].
-#[must_use]
-pub fn json(
-    network: &Quantised,
-    timeline: &Timeline,
-    watched: &[Watched],
-    sample: &Sample,
-    outcome: &Outcome,
-) -> Value {
+pub fn json(network: &Quantised, timeline: &Timeline, watched: &[Traced], sample: &Sample, outcome: &Outcome) -> Value {
     let (kept, all) = timeline.steps;
     let group = (kept as usize).div_ceil(MOST_POINTS).max(1);
     let columns = timeline.layout.columns();
@@ -82,7 +67,6 @@ pub fn json(
 
 /// Samples of each class (rows) by the class that the network gave (columns; the last is none);
 /// null without labels.
-#[must_use]
 pub fn confusion(network: &Quantised, samples: &[&Sample], outcomes: &[Outcome]) -> Value {
     let outputs = network.populations()[network.parts().output].shape.len() as usize;
     let labels = samples.iter().filter_map(|sample| sample.label());

@@ -118,20 +118,17 @@ named_variants!(StandardNetwork {
 
 impl StandardNetwork {
     /// The network of a name.
-    #[must_use]
     pub fn named(name: &str) -> Option<StandardNetwork> {
         StandardNetwork::ALL.into_iter().find(|standard| standard.name() == name)
     }
 
     /// Whether a step has so much to do that sharing it out over threads can pay.
-    #[must_use]
     pub fn wants_threads(self) -> bool {
         matches!(self, StandardNetwork::Random32k | StandardNetwork::Random1m | StandardNetwork::Conv10m)
     }
 
     /// The standard network with the same compartments and synapses: its program serves both, only
     /// the input differs.
-    #[must_use]
     pub fn program_of(self) -> StandardNetwork {
         match self {
             StandardNetwork::VtSnn5Pct => StandardNetwork::VtSnn1Pct,

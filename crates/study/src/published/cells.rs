@@ -7,8 +7,9 @@
 //! target.
 
 use crate::early::Trial;
-use crate::published::paper::{PaperRow, blank};
+use crate::published::paper::PaperRow;
 use nsim_files::shipped::{CELLS, Shipped};
+use nsim_files::table::rounded;
 use nsim_files::training::{LossDesc, TrainingFile};
 use nsim_ir::base::stats::{mean_sd, wilson};
 use nsim_session::error::{Error, Result};
@@ -41,13 +42,11 @@ pub fn cells() -> impl Iterator<Item = Cell> {
 
 impl Cell {
     /// `TASK-MODALITY`.
-    #[must_use]
     pub fn name(&self) -> &'static str {
         self.training.name
     }
 
     /// The name under which the network of the first fold ships.
-    #[must_use]
     pub fn model(&self, loss: &str) -> String {
         format!("paper-{}-{loss}", self.name())
     }
@@ -67,7 +66,6 @@ impl Cell {
     }
 
     /// When decisions are read, in ms from the beginning of a sample.
-    #[must_use]
     pub fn times_ms(&self) -> &'static [u32] {
         match self.task {
             "slip" => &[20, 30, 40, 50, 60, 80, 100, 150],
@@ -90,7 +88,6 @@ impl Neurons {
     pub const ALL: [Neurons; 2] = [Neurons::Loihi, Neurons::Srm];
 
     /// As it is typed.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Neurons::Loihi => "loihi",
@@ -100,7 +97,6 @@ impl Neurons {
 
     /// The field `neuron` of a training file with these; none: as the file has it. Time constants
     /// are the paper's 10 and 1 bins (clear-nus/VT_SNN, network parameters).
-    #[must_use]
     pub fn field(self, file: &TrainingFile) -> Option<String> {
         let bin_ms = *file.timestep_ms;
         let srm = || {
@@ -140,7 +136,7 @@ impl Tested<'_> {
             deviation: (figures.len() > 1).then_some(deviation),
             note,
             folds: figures,
-            ..blank(table, self.cell.task, self.cell.modality, quantity)
+            ..PaperRow::new(table, self.cell.task, self.cell.modality, quantity)
         }
     }
 
@@ -154,7 +150,6 @@ impl Tested<'_> {
     }
 
     /// Accuracy, decisions by time, when decided, energy.
-    #[must_use]
     pub fn rows(&self) -> Vec<PaperRow> {
         let Tested { folds, epochs, copies, trials, .. } = self;
         let tested = trials.len();
@@ -194,10 +189,6 @@ impl Tested<'_> {
     }
 }
 
-fn rounded(x: f64) -> f64 {
-    (x * 1e6).round() / 1e6
-}
-
 /// The interval of an accuracy at a time.
 struct At {
     time_ms: u32,
@@ -210,7 +201,6 @@ struct At {
 ///
 /// A sense leads at a time when the whole interval of its accuracy is above that of the other, and
 /// above what naming any one class reaches.
-#[must_use]
 pub fn leads(rows: &[PaperRow]) -> Vec<String> {
     let mut said = Vec::new();
     let cells = ["slip", "container"].iter().flat_map(|task| LOSSES.map(|loss| (*task, loss)));
@@ -308,7 +298,7 @@ mod tests {
             loss: Some("count".to_string()),
             low: Some(low),
             high: Some(high),
-            ..blank("early", "slip", modality, &format!("accuracy_by_{time}_ms"))
+            ..PaperRow::new("early", "slip", modality, &format!("accuracy_by_{time}_ms"))
         };
         let rows = [
             row("tactile", 10, 0.4, 0.5),

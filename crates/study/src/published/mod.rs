@@ -13,12 +13,13 @@ pub mod predict;
 use std::collections::BTreeMap;
 
 use self::network::Rates;
-use self::predict::{PredictError, predict};
+use self::predict::predict;
 use nsim_cost::CostTable;
 use nsim_cost::job::Accounting;
 use nsim_energy::published::workload::{FigureKind, Quantity, WorkloadFile};
 use nsim_ir::hardware::Target;
-use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status};
+use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status, median};
+use nsim_session::error::Error;
 
 /// A printed figure and its prediction.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,13 +53,11 @@ pub struct PublishedRow {
 
 impl PublishedRow {
     /// How far the prediction is off, as a factor of at least 1.
-    #[must_use]
     pub fn factor(&self) -> f64 {
         (self.predicted / self.published).max(self.published / self.predicted)
     }
 
     /// Which sum the figure is of.
-    #[must_use]
     pub fn accounting(&self) -> Accounting {
         self.quantity.accounting()
     }
@@ -80,13 +79,13 @@ fn without(constants: &Constants, group: &str) -> Constants {
 /// that they have no such row.
 ///
 /// # Errors
-/// [`PredictError`] where a workload cannot be compiled or run.
+/// [`Error`] where a workload cannot be compiled or run.
 pub fn rows(
     workloads: &[WorkloadFile],
     constants: &Constants,
-    target: impl Fn(&str) -> Result<Target, PredictError>,
+    target: impl Fn(&str) -> Result<Target, Error>,
     progress: impl Fn(),
-) -> Result<Vec<PublishedRow>, PredictError> {
+) -> Result<Vec<PublishedRow>, Error> {
     let mut rows = Vec::new();
     for file in workloads {
         let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
@@ -97,7 +96,7 @@ pub fn rows(
             Status::Published => None,
             _ => Some([Rates::Low, Rates::High].map(|end| predict(file, &target, end, &tables))),
         };
-        let ends = ends.map(|[low, high]| Ok::<_, PredictError>([low?, high?])).transpose()?;
+        let ends = ends.map(|[low, high]| Ok::<_, Error>([low?, high?])).transpose()?;
         let ways = if file.first_hand { 2 } else { 1 };
         for (which, left_out) in [false, true].into_iter().take(ways).enumerate() {
             for (number, figure) in file.figures.iter().enumerate() {
@@ -136,31 +135,24 @@ pub fn rows(
 }
 
 /// The median factor of each work's figures of some kinds, its authors' findings left out.
-#[must_use]
 pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64> {
     let mut by_work: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     let counted = |row: &&PublishedRow| row.left_out;
     for row in rows.iter().filter(counted).filter(|row| (row.quantity.kind() == FigureKind::Time) == time) {
         by_work.entry(&row.work).or_default().push(row.factor());
     }
-    by_work.into_iter().filter_map(|(work, factors)| Some((work, middle(factors)?))).collect()
+    by_work.into_iter().filter_map(|(work, factors)| Some((work, median(factors)?))).collect()
 }
 
 /// The geometric mean.
-#[must_use]
 pub fn geometric_mean(factors: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let count = factors.len();
     (count > 0).then(|| (factors.map(f64::ln).sum::<f64>() / count as f64).exp())
 }
 
-fn middle(factors: Vec<f64>) -> Option<f64> {
-    nsim_ir::hardware::constants::median(factors)
-}
-
 /// How far predictions of each class were off: at the finite-sample rank of the works' largest
 /// errors, as split conformal prediction with works as groups has it (Vovk, Gammerman and Shafer
 /// 2005, chapter 4).
-#[must_use]
 pub fn class_errors(rows: &[PublishedRow]) -> Vec<ClassError> {
     let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out).collect();
     let step = |row: &PublishedRow| {

@@ -37,7 +37,6 @@ pub enum Rates {
 
 impl Rates {
     /// The value of a range at this end.
-    #[must_use]
     pub fn of_range(self, rate: Between) -> f64 {
         match self {
             Rates::Value => rate.value,
@@ -49,7 +48,6 @@ impl Rates {
 
 /// Steps before anything is counted: twice as many as the slowest compartment waits for its first
 /// spike.
-#[must_use]
 pub fn warm_up(file: &WorkloadFile, rates: Rates) -> u32 {
     let layers = file.populations.iter().filter(|population| matches!(population, WorkloadPopulation::Layer { .. }));
     let rates = layers.filter_map(|layer| Some(rates.of_range(layer.parts().2?))).filter(|&rate| rate > 0.0);

@@ -6,7 +6,6 @@
 //! that price a user's network.
 
 use super::network::{COUNTED, Rates, build, warm_up};
-use crate::networks::BuildError;
 use nsim_compile::{CompileError, Compiled, Front, Options, with_program};
 use nsim_cost::estimate::{Case, JobPower};
 use nsim_cost::job::DeployedCores;
@@ -16,7 +15,6 @@ use nsim_cost::transport::Words;
 use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use nsim_energy::published::workload::{Per, PublishedFigure, Quantity, WorkloadFile};
 use nsim_ir::activity::Activity;
-use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates;
@@ -29,30 +27,9 @@ use nsim_ir::spikes::Engine;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_session::error::Error;
 
-/// Why a workload could not be predicted.
-#[derive(Debug, thiserror::Error)]
-pub enum PredictError {
-    /// A file or a constant cannot be used.
-    #[error(transparent)]
-    Input(#[from] Diagnostic),
-    /// The network could not be built.
-    #[error("{0}: {1}")]
-    Build(String, BuildError),
-    /// It does not fit the cores of its layout.
-    #[error("{0} does not compile: {1}")]
-    Compile(String, Box<CompileError>),
-    /// Its sums could not be exact.
-    #[error("{0}: {1}")]
-    Image(String, String),
-}
-
-impl From<PredictError> for Error {
-    fn from(error: PredictError) -> Self {
-        match error {
-            PredictError::Input(diagnostic) => diagnostic.into(),
-            other => Error::Fault(other.to_string()),
-        }
-    }
+/// A workload that cannot be predicted.
+fn failed(file: &WorkloadFile, problem: impl std::fmt::Display) -> Error {
+    Error::Fault(format!("{}: {problem}", file.name))
 }
 
 /// The compartments of each core of one copy: each part of the layout fills its cores evenly.
@@ -74,8 +51,8 @@ fn members(file: &WorkloadFile, network: &Quantised) -> IdVec<CoreId, Vec<Compar
 }
 
 /// One copy on the cores of its layout, in the order of the file.
-fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Compiled, PredictError> {
-    let failed = |error: CompileError| PredictError::Compile(file.name.clone(), Box::new(error));
+fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Compiled, Error> {
+    let failed = |error: CompileError| failed(file, format!("does not compile: {error}"));
     let members = members(file, &network);
     let mesh = Mesh::for_target(target);
     let sites: Option<IdVec<CoreId, Site>> = (0..members.len() as u32).map(|core| mesh.site(core)).collect();
@@ -155,14 +132,15 @@ fn figure(
 /// numbers.
 ///
 /// # Errors
-/// [`PredictError`].
+/// [`Error`] where the network cannot be built, does not fit the cores of its layout, or its sums
+/// could not be exact.
 pub fn predict(
     file: &WorkloadFile,
     target: &Target,
     rates: Rates,
     tables: &[CostTable],
-) -> Result<Vec<Vec<f64>>, PredictError> {
-    let (network, sample) = build(file, rates).map_err(|error| PredictError::Build(file.name.clone(), error))?;
+) -> Result<Vec<Vec<f64>>, Error> {
+    let (network, sample) = build(file, rates).map_err(|error| failed(file, error))?;
     let compiled = mapped(file, network, target)?;
     let deployment = deployment(file, target);
     let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
@@ -178,8 +156,7 @@ pub fn predict(
     let timing = deployment.timing(Transport::default(), 1);
     let settings = MeterSettings::new(tables.iter().map(table).collect(), timing, &compiled.program, timestep);
     let (mut meter, mut activity) = (StepMeter::new(settings), Activity::new(compiled.program.cores().len()));
-    let image =
-        Image::new(&compiled.program, 1).map_err(|error| PredictError::Image(file.name.clone(), error.to_string()))?;
+    let image = Image::new(&compiled.program, 1).map_err(|error| failed(file, error))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
     let before = warm_up(file, rates);
     machine.begin(before + COUNTED);

@@ -115,7 +115,6 @@ impl Runner {
     }
 
     /// How long a variant runs, compared with others: its model's numbers times its copies.
-    #[must_use]
     pub fn size(&self, job: &Job) -> u64 {
         let Ok(model) = self.model(&job.model) else { return 0 };
         model.as_ref().as_ref().map_or(0, Unchanged::numbers) * u64::from(job.options.copies)

@@ -13,6 +13,7 @@ use std::path::Path;
 
 use crate::sweep::row::Cells;
 use crate::sweep::variants::{FIGURES, Sweep};
+use nsim_files::table::csv_text;
 use nsim_files::text::sha256;
 use nsim_files::write::Batch;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -33,7 +34,6 @@ pub struct Table<'s> {
 const CHECKSUM: &str = "checksum of ";
 
 /// The name of the column of checksums, for rows that were made from files of this digest.
-#[must_use]
 pub fn checksum_column(work: &str) -> String {
     format!("{CHECKSUM}{}", work.get(..16).unwrap_or(work))
 }
@@ -73,13 +73,11 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
 }
 
 /// A row as a journal keeps it.
-#[must_use]
 pub fn line(variant: u64, cells: &Cells) -> String {
     format!("{variant},{}", cells.join(","))
 }
 
 /// A row from a journal.
-#[must_use]
 pub fn from_line(line: &str) -> Option<(u64, Cells)> {
     let (variant, cells) = line.split_once(',')?;
     let cells: Vec<String> = cells.split(',').map(str::to_string).collect();
@@ -88,13 +86,11 @@ pub fn from_line(line: &str) -> Option<(u64, Cells)> {
 
 impl<'s> Table<'s> {
     /// A table without rows.
-    #[must_use]
     pub fn new(sweep: &'s Sweep) -> Self {
         Table { sweep, rows: BTreeMap::new(), column: None }
     }
 
     /// Names of the columns.
-    #[must_use]
     pub fn columns(&self) -> Vec<&'s str> {
         std::iter::once("variant").chain(self.sweep.columns()).chain(FIGURES).collect()
     }
@@ -108,18 +104,13 @@ impl<'s> Table<'s> {
     }
 
     /// The table as CSV; of a shard with its column of checksums.
-    ///
-    /// # Errors
-    /// When memory cannot be written, which does not happen.
-    pub fn csv(&self, checksums: Option<&str>) -> Result<String, csv::Error> {
-        let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record(self.columns().into_iter().chain(checksums))?;
-        self.records().try_for_each(|mut record| {
+    pub fn csv(&self, checksums: Option<&str>) -> String {
+        let header = self.columns().into_iter().chain(checksums).map(str::to_string).collect();
+        let rows = self.records().map(|mut record| {
             record.extend(checksums.map(|column| checksum(column, &record)));
-            out.write_record(record)
-        })?;
-        let bytes = out.into_inner().map_err(csv::IntoInnerError::into_error)?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+            record
+        });
+        csv_text(header, rows)
     }
 
     /// Adds the rows of a shard's table; returns whether they have checksums.
@@ -192,9 +183,7 @@ impl<'s> Table<'s> {
     /// # Errors
     /// `write.*`.
     pub fn write(&self, path: &Path, checksums: Option<&str>, batch: &mut Batch) -> Result<()> {
-        let text =
-            self.csv(checksums).map_err(|error| Diagnostic::new("write.failed", error.to_string()).in_file(path))?;
-        batch.add(path, |out| out.write_all(text.as_bytes()))
+        batch.add(path, |out| out.write_all(self.csv(checksums).as_bytes()))
     }
 }
 
@@ -218,32 +207,32 @@ mod tests {
         };
         let mut whole = Table::new(&sweep);
         whole.rows.extend([(1, row("12")), (0, row("34"))]);
-        let csv = whole.csv(None).unwrap();
+        let csv = whole.csv(None);
         let mut shards = [Table::new(&sweep), Table::new(&sweep)];
         shards[0].rows.insert(1, row("12"));
         shards[1].rows.insert(0, row("34"));
         let (column, other) = (checksum_column(&"ab".repeat(32)), checksum_column("other"));
         for checksums in [None, Some(column.as_str())] {
             let mut merged = Table::new(&sweep);
-            assert_eq!(merged.add_csv(&shards[0].csv(checksums).unwrap()).unwrap(), checksums.is_some());
+            assert_eq!(merged.add_csv(&shards[0].csv(checksums)).unwrap(), checksums.is_some());
             assert!(merged.check_whole().unwrap_err().message.contains("variant 0"));
-            merged.add_csv(&shards[1].csv(checksums).unwrap()).unwrap();
+            merged.add_csv(&shards[1].csv(checksums)).unwrap();
             merged.check_whole().unwrap();
-            assert_eq!(merged.csv(None).unwrap(), csv);
-            assert!(merged.add_csv(&whole.csv(checksums).unwrap()).unwrap_err().message.contains("twice"));
+            assert_eq!(merged.csv(None), csv);
+            assert!(merged.add_csv(&whole.csv(checksums)).unwrap_err().message.contains("twice"));
             // Cut anywhere, a part is refused or lacks a variant.
-            let part = whole.csv(checksums).unwrap();
+            let part = whole.csv(checksums);
             for end in 0..part.len() {
                 let mut cut = Table::new(&sweep);
                 assert!(cut.add_csv(&part[..end]).and_then(|_| cut.check_whole()).is_err(), "{}", &part[..end]);
             }
         }
         let mut merged = Table::new(&sweep);
-        merged.add_csv(&shards[0].csv(Some(&column)).unwrap()).unwrap();
+        merged.add_csv(&shards[0].csv(Some(&column))).unwrap();
         for other in [Some(other.as_str()), None] {
-            assert!(merged.add_csv(&shards[1].csv(other).unwrap()).unwrap_err().message.contains("other files"));
+            assert!(merged.add_csv(&shards[1].csv(other)).unwrap_err().message.contains("other files"));
         }
-        let summed = whole.csv(Some(&column)).unwrap();
+        let summed = whole.csv(Some(&column));
         for (from, to) in [("34", "35"), ("0.158", "0.159"), ("0a0a", "0a0b"), ("true", "tru"), ("ab", "ac")] {
             let changed = summed.replacen(from, to, 1);
             assert_eq!(Table::new(&sweep).add_csv(&changed).unwrap_err().code, "sweep.shard", "{changed}");

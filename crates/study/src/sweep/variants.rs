@@ -47,7 +47,7 @@ const OPTIONS: [&str; 7] = ["copies", "strategy", "objective", "seed", "constant
 const INPUTS: [&str; 2] = ["samples", "seed"];
 
 /// What one variant runs.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Job {
     /// A model file or the name of a shipped model.
     pub model: String,
@@ -96,17 +96,11 @@ impl Job {
     fn new(file: &SweepFile) -> Self {
         Job {
             model: file.model.clone(),
-            dt_ms: None,
             target: file.target.clone(),
             input: file.input.clone(),
-            samples: None,
             seed: file.seed,
             options: Options { copies: file.copies, ..Options::default() },
-            constants: None,
-            mode: Mode::Offline,
-            convention: Convention::Physical,
-            of_model: Vec::new(),
-            of_target: Vec::new(),
+            ..Job::default()
         }
     }
 
@@ -264,26 +258,22 @@ impl Sweep {
     }
 
     /// The same with the milliseconds of a timestep, for models whose files do not say.
-    #[must_use]
     pub fn with_timestep(mut self, dt_ms: Option<f64>) -> Self {
         self.base.dt_ms = dt_ms;
         self
     }
 
     /// How many variants there are.
-    #[must_use]
     pub fn len(&self) -> u64 {
         self.list.len() as u64 * self.axes.iter().map(|axis| axis.values.len() as u64).product::<u64>()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// Names of what varies.
-    #[must_use]
     pub fn columns(&self) -> Vec<&str> {
         self.listed.iter().map(String::as_str).chain(self.axes.iter().map(|axis| axis.name.as_str())).collect()
     }
@@ -301,7 +291,6 @@ impl Sweep {
     }
 
     /// The values of a variant, by column.
-    #[must_use]
     pub fn values(&self, variant: u64) -> Vec<&str> {
         let (entry, on_axes) = self.place(variant);
         let listed = self.list[entry].iter().map(|value| value.as_deref().unwrap_or_default());
@@ -325,7 +314,6 @@ impl Sweep {
     }
 
     /// Models, targets, inputs and constants that variants name.
-    #[must_use]
     pub fn names(&self) -> Vec<String> {
         let mut scratch = self.base.clone();
         let mut names = Vec::new();
@@ -355,14 +343,12 @@ impl Sweep {
     }
 
     /// Whether variants may differ in how long they run before what they change is looked at.
-    #[must_use]
     pub fn has_sizes(&self) -> bool {
         let paths = self.axes.iter().flat_map(|axis| &axis.paths).chain(&self.listed);
         paths.into_iter().any(|path| ["model", "options.copies"].contains(&path.as_str()))
     }
 
     /// The text that it was read from.
-    #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
