@@ -22,5 +22,6 @@ mod relays;
 mod silicon;
 mod skipping;
 mod soft_reset;
+mod stages;
 mod step_rules;
 mod vtsnn_random;

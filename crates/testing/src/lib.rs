@@ -90,7 +90,7 @@ impl Builder {
     /// Nothing yet.
     #[must_use]
     pub fn new() -> Self {
-        let parts = Parts::empty("test");
+        let parts = Parts { name: "test".to_string(), ..Parts::default() };
         Builder { parts, channels: 0, compartments: 0 }
     }
 
