@@ -5,6 +5,7 @@
 
 mod agreement;
 mod big_integers;
+mod cases;
 #[path = "../common/mod.rs"]
 mod common;
 mod differential;
