@@ -11,6 +11,7 @@
 
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use nsim::compile::{Options, compile};
@@ -73,7 +74,7 @@ struct Row {
     kind: &'static str,
     setting: String,
     network: Quantised,
-    program: Program,
+    program: Arc<Program>,
     skip: bool,
     rule: Option<Rule>,
 }
@@ -106,7 +107,7 @@ type Did = (String, u64, u64, u64);
 
 fn measure(scene: &Scene) {
     let rows = rows(scene);
-    let images: Vec<Image> = rows.iter().map(|row| Image::new(&row.program, 1).unwrap()).collect();
+    let images: Vec<Arc<Image>> = rows.iter().map(|row| Image::new(&row.program, 1).unwrap()).collect();
     let mut machines: Vec<Machine> = (rows.iter().zip(&images))
         .map(|(row, image)| Machine::new(image, Settings { skip: row.skip, per_step: false }))
         .collect();

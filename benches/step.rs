@@ -5,6 +5,7 @@
 // A bench that cannot go on has failed; criterion's macro makes functions without documentation.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -23,7 +24,7 @@ fn step(c: &mut Criterion) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let mut group = c.benchmark_group("step");
     group.sample_size(20).measurement_time(Duration::from_secs(3));
-    let mut mapped: Option<(StandardNetwork, Program)> = None;
+    let mut mapped: Option<(StandardNetwork, Arc<Program>)> = None;
     for standard in StandardNetwork::ALL {
         let bench = standard.build().unwrap();
         let program = match mapped.take() {

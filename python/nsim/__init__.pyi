@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 Path = Union[str, "PathLike[str]"]
 Array = NDArray[Any]
 Sources = Union[str, Sequence[str], None]
+Channels = Union[Sequence[int], NDArray[np.integer[Any]], NDArray[np.bool_]]
 Spikes = Union[Array, Events, Dictionary[str, Union[Array, Events]], str, Sequence[str], None]
 
 __version__: str
@@ -292,6 +293,8 @@ class Mapping:
         probe: Sequence[str] = (),
     ) -> Run:
         """Runs `[channels.., T]`, `[samples, channels.., T]`, a dictionary of such arrays, sources, or the model's scene."""
+    def session(self, seed: Optional[int] = None) -> Session:
+        """Opens a session, to be stepped from a loop."""
     def energy(
         self,
         spikes: Spikes = None,
@@ -329,6 +332,41 @@ class Mapping:
         """How long a timestep takes to simulate on one thread."""
     def report(self, path: Path, spikes: Spikes = None, *, force: bool = False, **options: Any) -> "PathLike[str]":
         """Writes the page of `nsim report`; the other options are those of `energy`."""
+
+class Session:
+    """A mapping after some timestep."""
+
+    def step(self, inputs: Union[dict[str, Channels], Channels, None] = None) -> None:
+        """One timestep with the channels of each input population that spike: their numbers, or a truth value each."""
+    @property
+    def steps(self) -> int:
+        """Timesteps since the session was opened or reset."""
+    def __getitem__(self, population: str) -> Population: ...
+    def snapshot(self) -> Snapshot: ...
+    def restore(self, snapshot: Snapshot) -> None: ...
+    def reset(self) -> None: ...
+    def energy(self, **options: Any) -> Energy:
+        """What the timesteps so far cost; options are those of `Mapping.energy`."""
+    def __enter__(self) -> Session: ...
+    def __exit__(self, *exception: object) -> None: ...
+
+class Snapshot:
+    """The state of a session after some timestep."""
+
+class Population:
+    """What a population of a session did in the last timestep."""
+
+    @property
+    def spikes(self) -> NDArray[np.int32]:
+        """Who spiked, ascending."""
+    @property
+    def values(self) -> NDArray[np.int32]:
+        """What each of these spikes carried, 1 for a binary spike."""
+    @property
+    def v(self) -> NDArray[np.int32]: ...
+    @property
+    def u(self) -> NDArray[np.int32]: ...
+    def __len__(self) -> int: ...
 
 class Run:
     @property

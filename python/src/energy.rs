@@ -13,7 +13,7 @@ use nsim::energy::workload::Workload;
 use nsim::files::text::sha256;
 use nsim::files::write;
 use nsim::files::write::check_free;
-use nsim::ir::program::Program;
+use nsim::ir::spikes::{Sample, Stimulus};
 use nsim::report::page::job as page;
 use nsim::report::page::{Origin, Provenance, html};
 use nsim::session::samples::Progress;
@@ -63,16 +63,19 @@ pub struct Energy {
     report: EnergyReport,
 }
 
+fn shown(shared: &Shared, spikes: Option<&Bound<'_, PyAny>>, keywords: &Keywords<'_>) -> PyResult<Shown> {
+    Shown::new(&shared.compiled().one, shared.scene.as_deref(), spikes, keywords)
+}
+
 /// Runs and prices a mapping; `then` takes the result.
 fn priced<T: Send>(
     py: Python<'_>,
     (shared, plan): (&Shared, &Plan),
-    spikes: Option<&Bound<'_, PyAny>>,
+    shown: Shown,
     keywords: &Keywords<'_>,
     then: impl FnOnce(&Workload<'_>, Evaluated, (Transport, Progress<'_>)) -> Result<T, Problem> + Send,
 ) -> PyResult<T> {
     let compiled = shared.compiled();
-    let shown = Shown::new(&compiled.one, shared.scene.as_deref(), spikes, keywords)?;
     let options = options(py, keywords)?;
     keywords.none_left()?;
     let long = is_long(shared, &shown);
@@ -86,7 +89,7 @@ fn priced<T: Send>(
             true => Some(nsim::compile(compiled.one.clone(), &shared.target, &nsim::Options::default())?),
             false => None,
         };
-        let program: &Program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
+        let program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
         let evaluated = evaluate(plan, &workload, &options, Some((&compiled.one, program)), |metered, watched| {
             workload.simulate(metered, watched, true, (progress, None))
         })?;
@@ -109,7 +112,8 @@ pub fn report(
 ) -> PyResult<PathBuf> {
     check_free(&path, force).map_err(|problem| raised(py, problem))?;
     let network = &what.0.network;
-    let page = priced(py, what, spikes, keywords, |workload, evaluated, (transport, progress)| {
+    let shown = shown(what.0, spikes, keywords)?;
+    let page = priced(py, what, shown, keywords, |workload, evaluated, (transport, progress)| {
         let mut sections = page::sections(workload, &evaluated, transport)?;
         if let Some(trained) = page::trained(workload, network)? {
             sections.agreement = page::agreement(workload, &trained, progress)?;
@@ -134,7 +138,21 @@ impl Energy {
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
-        priced(py, (shared, plan), spikes, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
+        let shown = shown(shared, spikes, keywords)?;
+        priced(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
+    }
+
+    /// Runs and prices a mapping for one sample.
+    pub fn of_sample(
+        py: Python<'_>,
+        shared: &Shared,
+        plan: &Plan,
+        sample: Sample,
+        keywords: &Keywords<'_>,
+    ) -> PyResult<Self> {
+        let stimulus = Stimulus { samples: vec![sample], origin: vec!["session".to_string()], seed: None };
+        let shown = Shown { stimulus, order: vec![0] };
+        priced(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
     fn total(&self, figure: &str) -> Option<f64> {

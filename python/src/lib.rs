@@ -18,6 +18,7 @@ mod memory;
 mod network;
 mod projections;
 mod run;
+mod session;
 mod shared;
 mod spikes;
 mod sweep;
@@ -36,6 +37,9 @@ fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<network::Network>()?;
     module.add_class::<mapping::Mapping>()?;
     module.add_class::<run::Run>()?;
+    module.add_class::<session::Session>()?;
+    module.add_class::<session::Snapshot>()?;
+    module.add_class::<session::Population>()?;
     module.add_class::<energy::Energy>()?;
     module.add_class::<events::Events>()?;
     module.add_class::<agree::Agreement>()?;

@@ -25,6 +25,7 @@ use crate::error::{Problem, raised};
 use crate::keywords::Keywords;
 use crate::projections;
 use crate::run::Run;
+use crate::session::Session;
 use crate::shared::Shared;
 use crate::spikes::Shown;
 use crate::work::detached;
@@ -220,6 +221,14 @@ impl Mapping {
         let keywords = Keywords::new(options)?;
         let shown = Shown::new(&self.0.compiled().one, self.0.scene.as_deref(), spikes, &keywords)?;
         Run::new(py, &self.0, shown, &keywords)
+    }
+
+    /// Opens a session: the network before its first timestep, to be stepped from a loop. Close it
+    /// by `with`. `seed` is for what a network draws at random; today's neuron kinds draw nothing.
+    #[pyo3(signature = (seed=None))]
+    fn session(&self, py: Python<'_>, seed: Option<u64>) -> PyResult<Session> {
+        let _ = seed;
+        Session::new(py, &self.0)
     }
 
     /// What the mapping costs for these samples: `nsim energy`, compared with the `baselines` that

@@ -8,21 +8,6 @@ use nsim::files::network::Network;
 use nsim::ir::hardware::Target;
 use nsim::machine::Image;
 use nsim::session::samples::{Division, laid_out};
-use self_cell::self_cell;
-
-/// The program laid out for one thread; none where threads share a sample, as its image depends on
-/// their number.
-type LaidOut<'p> = Option<Image<'p>>;
-
-self_cell!(
-    /// A compiled network with its layout.
-    pub struct Ready {
-        owner: Compiled,
-        #[covariant]
-        dependent: LaidOut,
-    }
-);
-
 /// A mapping that runs and energies share.
 pub struct Shared {
     /// The model, as it was named.
@@ -33,7 +18,10 @@ pub struct Shared {
     pub target: Target,
     /// The network as its file says.
     pub network: Arc<Network>,
-    ready: Ready,
+    compiled: Compiled,
+    /// The program laid out for one thread; none where threads share a sample, as its image
+    /// depends on their number.
+    image: Option<Arc<Image>>,
     warned: AtomicBool,
 }
 
@@ -41,24 +29,25 @@ impl Shared {
     /// A mapping of this network, laid out where one thread runs it.
     pub fn new(model: &str, network: &Arc<Network>, compiled: Compiled, target: Target) -> Self {
         let division = Division::new(&compiled.program, 2);
-        let ready = Ready::new(compiled, |compiled| match division.shards {
+        let image = match division.shards {
             1 => laid_out(&compiled.program, division).ok(),
             _ => None,
-        });
+        };
         let scene = network.file().scene.clone();
         Shared {
             model: model.to_string(),
             scene,
             target,
             network: network.clone(),
-            ready,
+            compiled,
+            image,
             warned: AtomicBool::new(false),
         }
     }
 
     /// The compiled network.
     pub fn compiled(&self) -> &Compiled {
-        self.ready.borrow_owner()
+        &self.compiled
     }
 
     /// Whether nobody has been warned of what this network does; after the first call somebody has.
@@ -67,7 +56,7 @@ impl Shared {
     }
 
     /// The program, laid out for runs of this division.
-    pub fn image(&self, division: Division) -> Option<&Image<'_>> {
-        self.ready.borrow_dependent().as_ref().filter(|_| division.shards == 1)
+    pub fn image(&self, division: Division) -> Option<&Arc<Image>> {
+        self.image.as_ref().filter(|_| division.shards == 1)
     }
 }

@@ -159,7 +159,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let warnings = warnings(finished);
     let cores = job.program().zip(activity.as_ref());
     let cores = cores.map_or_else(Vec::new, |(program, activity)| core_rows(program, activity, None));
-    let detail = Detail { sums, cores, warnings, ranks: ranks::rows(&rows, job.program()) };
+    let detail = Detail { sums, cores, warnings, ranks: ranks::rows(&rows, job.program().map(|program| &**program)) };
     output::warn_all(&detail.warnings);
     let report = RunReport {
         network,

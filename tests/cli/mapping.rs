@@ -70,7 +70,7 @@ fn stages_of_the_compiler_are_shown_as_text_that_reads_back() {
     let placement: Placement = parse(&shown("placement"), "stage").unwrap();
     let program: Program = parse(&shown("program"), "stage").unwrap();
     let compiled = compile(network, &load_target("loihi1-chip").unwrap(), &Options::default()).unwrap();
-    assert!((partition, placement, program) == (compiled.partition, compiled.placement, compiled.program));
+    assert!((partition, placement, program.into()) == (compiled.partition, compiled.placement, compiled.program));
     let refused = object(&["show", "vtsnn-slip", "--as", "program", "--target", "tiny"], 1);
     assert_eq!((&refused["schema"], &refused["fits"]), (&"nsim.show/1".into(), &false.into()));
 }

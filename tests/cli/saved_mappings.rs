@@ -86,7 +86,7 @@ fn the_saved_mapping_of_32_copies_passes_the_checker_on_32_cores() {
 
 #[test]
 fn the_number_of_threads_changes_no_mapping() {
-    let with = |threads: usize, network: &Quantised, target: &Target, options: &Options| -> Program {
+    let with = |threads: usize, network: &Quantised, target: &Target, options: &Options| -> Arc<Program> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| compile(network.clone(), target, options).unwrap().program)
     };

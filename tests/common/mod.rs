@@ -22,7 +22,6 @@ use nsim::ir::base::fixed::{
 };
 use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::ir::graph::{PerCompartment, Shape};
-use nsim::ir::program::Program;
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Reset, Units};
 use nsim::ir::resource::Resource;
@@ -39,10 +38,8 @@ pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
         (1024, 1024, 64);
     (limits[Resource::Accumulators], limits[Resource::AxonsIn]) = (1 << 16, 1 << 16);
     let compiled = compile(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
-    // A test's engines live as long as the test.
-    let program: &'static Program = Box::leak(Box::new(compiled.program));
-    let image: &'static Image = Box::leak(Box::new(Image::new(program, 1).unwrap()));
-    let machine = |skip| Box::new(Machine::new(image, Settings { skip, per_step: false }));
+    let image = Image::new(&compiled.program, 1).unwrap();
+    let machine = |skip| Box::new(Machine::new(&image, Settings { skip, per_step: false }));
     vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]
 }
 

@@ -20,6 +20,7 @@ mod pruning;
 mod ranks;
 mod reference;
 mod relays;
+mod sessions;
 mod silicon;
 mod skipping;
 mod soft_reset;

@@ -267,7 +267,7 @@ fn a_payload_that_is_lost_moved_or_changed_in_a_program_is_found() {
     let mapped = compile(network, &target, &Options::default()).unwrap();
     assert_eq!(check(&mapped.quantised, &mapped.program).map(drop), Ok(()));
     let changed = |change: Change<'_>| {
-        let mut parts = mapped.program.clone().into_parts();
+        let mut parts = mapped.program.parts().clone();
         assert_eq!(parts.graded.len(), 1, "the compartments of one population");
         change(&mut parts.graded);
         Program::new(parts)

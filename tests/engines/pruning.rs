@@ -3,6 +3,7 @@
 
 use crate::common;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use crate::common::random::{self, Draw};
 use crate::common::{Net, biased, format, neuron};
@@ -196,7 +197,7 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
         }
         // The compiler checks the program against the pruned network.
         let compiled = compile(pruned.clone(), chip, &plain()).unwrap();
-        let images: Vec<Image> =
+        let images: Vec<Arc<Image>> =
             SETTINGS.iter().map(|&(shares, _)| Image::new(&compiled.program, shares).unwrap()).collect();
         let mut machines: Vec<Machine> = (SETTINGS.iter().zip(&images))
             .map(|(&(_, skip), image)| Machine::new(image, Settings { skip, per_step: false }))

@@ -100,7 +100,7 @@ impl Case {
             let program = &compiled.program;
             if count > 1 {
                 let whole = self.compiled(share(rank, count, true));
-                assert_eq!(&whole.program.part(rank).unwrap(), program, "{}: part {rank} of {count}", self.what);
+                assert_eq!(whole.program.part(rank).unwrap(), **program, "{}: part {rank} of {count}", self.what);
                 let tables = program.cores().enumerate().filter(|(core, _)| !program.holds(*core));
                 assert!(tables.into_iter().all(|(_, image)| image.inputs.is_empty()), "{}", self.what);
             }

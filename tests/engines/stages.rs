@@ -52,7 +52,7 @@ fn the_text_of_each_stage_reads_back_as_the_stage() {
         let Ok(compiled) = compile_saved(network.clone(), &target, &Options::default(), &file) else { return };
         text(&compiled.partition, 2);
         text(&compiled.placement, 2);
-        let program = text(&compiled.program, 5);
+        let program = text(&*compiled.program, 5);
         if seed % 10 > 0 {
             return;
         }

@@ -4,6 +4,8 @@
 //! compared per sample. Errors: recordings of another number of samples, a program whose sums could
 //! leave their integers.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::classes::ClassTally;
@@ -67,7 +69,7 @@ pub struct Deployed<'a> {
     /// The steps from real numbers to integers.
     pub ladder: &'a Ladder,
     /// The integers, mapped.
-    pub program: &'a Program,
+    pub program: &'a Arc<Program>,
     /// In run order.
     pub samples: &'a [&'a Sample],
     /// Compare only so many steps of each sample.
@@ -154,7 +156,7 @@ pub fn real_trace(graph: &Graph, integers: &Quantised) -> impl Fn(&Sample) -> Tr
 /// `run.too-large`.
 pub fn machine_trace<'a>(
     network: &Quantised,
-    program: &'a Program,
+    program: &'a Arc<Program>,
 ) -> Result<impl Fn(&Sample) -> Trace + Sync + use<'a>> {
     let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
     let (thresholds, recorded) = (neuron::thresholds(network), (network.compartments(), network.output()));

@@ -21,7 +21,7 @@ fn copies_are_written_as_each_by_itself_and_proven_from_one_of_each_kind() {
         let Ok(mapped) = compile(random_network(seed), &board, &options) else { continue };
         let (network, limits) = (&mapped.quantised, board.limits());
         let alone = route(network, &mapped.partition, &mapped.placement, (1, None), limits).unwrap();
-        assert_eq!(mapped.program, alone, "seed {seed}");
+        assert_eq!(*mapped.program, alone, "seed {seed}");
         assert_eq!(
             check_copies(network, &alone, copies),
             Ok(0),
@@ -43,7 +43,7 @@ fn a_change_of_one_copy_is_found() {
         let seat = mapped.program.seats()[CompartmentId(5 * mapped.one.compartments())];
         let mut changes: Vec<Parts> = Vec::new();
         let mut change = |f: &dyn Fn(&mut Parts) -> Option<()>| {
-            let mut parts = mapped.program.clone().into_parts();
+            let mut parts = mapped.program.parts().clone();
             if f(&mut parts).is_some() {
                 changes.push(parts);
             }

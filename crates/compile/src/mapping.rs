@@ -5,6 +5,8 @@
 //! and can run; one of a network that is mapped by its kernels has boxes instead, from which
 //! everything but single synapses can be counted.
 
+use std::sync::Arc;
+
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
@@ -19,7 +21,7 @@ use nsim_partition::strategy::boxes::Boxes;
 #[derive(Debug, Clone)]
 pub enum Synapses {
     /// The tables of every core.
-    Written(Box<Program>),
+    Written(Arc<Program>),
     /// The box of each core.
     Symbolic(Box<Boxes>),
 }
@@ -62,7 +64,7 @@ pub struct Mapping<P = Synapses> {
 }
 
 /// A mapping with its program.
-pub type Compiled = Mapping<Program>;
+pub type Compiled = Mapping<Arc<Program>>;
 
 impl Mapping {
     /// How far its synapses are expanded.
@@ -84,7 +86,6 @@ impl Mapping {
         let Synapses::Written(program) = program else {
             return Err(CompileError::fault("a symbolic mapping has no program"));
         };
-        let program = *program;
         Ok(Mapping { one, quantised, partition, placement, program, checked, seconds, target, options, placed, rates })
     }
 }

@@ -229,7 +229,7 @@ mod tests {
                 let share = Share { rank, whole: false, ..options.share };
                 let own = Options { share, ..Options::default() };
                 let opened = open(sent.clone(), &board, &own).unwrap();
-                assert_eq!(opened.compiled.program, compiled.program.part(rank).unwrap(), "seed {seed}, rank {rank}");
+                assert_eq!(*opened.compiled.program, compiled.program.part(rank).unwrap(), "seed {seed}, rank {rank}");
                 assert_eq!(opened.note.as_deref(), Some("note"));
                 assert_eq!(opened.compiled.options.copies, options.copies);
                 assert_eq!(opened.compiled.quantised.compartments(), compiled.quantised.compartments());

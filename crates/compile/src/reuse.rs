@@ -105,7 +105,7 @@ pub fn with_neurons_of(compiled: &Compiled, one: Quantised, target: &Target) -> 
         quantised,
         partition: partition.clone(),
         placement: placement.clone(),
-        program,
+        program: program.into(),
         checked: *checked,
         seconds: Vec::new(),
         target: target.name().to_string(),

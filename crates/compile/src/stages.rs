@@ -395,7 +395,7 @@ fn with_program_dealt(mapping: Mapping, target: &Target, dealt: Option<Dealt>) -
     let mut clock = Clock(mapping.seconds.clone());
     let Mapping { quantised: network, partition, placement, .. } = &mapping;
     let program = by_patterns(network, partition, (placement, dealt), target, &mut clock)?;
-    Mapping { program: Synapses::Written(Box::new(program)), seconds: clock.0, ..mapping }.into_compiled()
+    Mapping { program: Synapses::Written(program.into()), seconds: clock.0, ..mapping }.into_compiled()
 }
 
 /// The program of a network that is mapped by its kernels, written, verified and checked.
@@ -467,7 +467,19 @@ impl PlacedPart {
         let (one, quantised) = (one.without_projections(), all.without_projections());
         let (seconds, target, options) = (clock.0, target.name().to_string(), *options);
         let rates = Rates::assumed(DEFAULT_RATE);
-        Ok(Mapping { one, quantised, partition, placement, program, checked, seconds, target, options, placed, rates })
+        Ok(Mapping {
+            one,
+            quantised,
+            partition,
+            placement,
+            program: program.into(),
+            checked,
+            seconds,
+            target,
+            options,
+            placed,
+            rates,
+        })
     }
 }
 
@@ -543,7 +555,7 @@ impl Placed {
             .stage("route", || match boxes {
                 None => {
                     let program = route(&quantised, &partition, &placement, (options.copies, dealt), limits)?;
-                    Ok((Synapses::Written(Box::new(program)), Vec::new()))
+                    Ok((Synapses::Written(program.into()), Vec::new()))
                 }
                 Some(boxes) => {
                     let sample = sample(&quantised, &partition, &placement, &boxes.to_be_checked(), limits)?;

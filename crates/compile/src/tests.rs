@@ -167,7 +167,7 @@ fn mutable() -> (Quantised, Parts) {
     let dense = Connectivity::Dense { targets: 3, weights };
     builder.connect((y, b), format, 2, dense);
     let network = builder.build();
-    let parts = compiled(network.clone(), limits().with(Resource::Compartments, 4)).program.into_parts();
+    let parts = compiled(network.clone(), limits().with(Resource::Compartments, 4)).program.parts().clone();
     (network, parts)
 }
 
@@ -464,7 +464,7 @@ fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
 fn population_axons_that_no_chip_has_are_found_out() {
     let limits = limits().with(Resource::Compartments, 512);
     let network = layers();
-    let good = compiled(network.clone(), limits.clone()).program.into_parts();
+    let good = compiled(network.clone(), limits.clone()).program.parts().clone();
     let board = target(1, 1, limits);
     type Mutation = (&'static str, fn(&mut Stored));
     let mutations: [Mutation; 8] = [

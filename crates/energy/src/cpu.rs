@@ -10,6 +10,7 @@
 //! files is not timed.
 
 use std::hint::black_box;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ndarray::{Array1, Array2, s};
@@ -274,7 +275,7 @@ pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Resu
 ///
 /// # Errors
 /// Why the program cannot run.
-pub fn event_driven(program: &Program, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
+pub fn event_driven(program: &Arc<Program>, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
     let image = Image::new(program, 1).map_err(|error| error.to_string())?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
     let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };

@@ -4,6 +4,7 @@
 //! plan comes first, because a published job says how many copies of it there were.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
 use crate::job::{EnergyJob, per_decision, report, saved};
 use crate::options::{CostOptions, DeploymentArg, DeploymentSource, tables, with_preset};
@@ -126,7 +127,7 @@ pub fn evaluate(
     plan: &Plan,
     workload: &Workload<'_>,
     options: &CostOptions,
-    alone: Option<(&Quantised, &Program)>,
+    alone: Option<(&Quantised, &Arc<Program>)>,
     simulate: impl FnOnce(MeterSettings, Option<EarlyExit>) -> Result<Run<StepMeter>, Error>,
 ) -> Result<Evaluated, Error> {
     let CostOptions { mode, convention, accounting, .. } = *options;

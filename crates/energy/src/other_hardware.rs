@@ -1,6 +1,7 @@
 //! Rows of other hardware: published, modelled, or measured on this machine.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::baseline::{Figures, NetworkShape, Work};
@@ -37,7 +38,7 @@ pub struct OneCopy<'a> {
     /// The network.
     pub network: &'a Quantised,
     /// It, mapped alone.
-    pub program: Option<&'a Program>,
+    pub program: Option<&'a Arc<Program>>,
     /// What it is shown.
     pub samples: &'a [&'a Sample],
     /// Timesteps of a sample; `None` when samples differ.

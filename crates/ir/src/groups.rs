@@ -8,6 +8,7 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::base::csr::Csr;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
@@ -55,7 +56,7 @@ pub struct OneCopy {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CoreGroups {
     /// The first group of each kind, one after the other.
-    pub program: Program,
+    pub program: Arc<Program>,
     /// What of it is of which kind.
     pub kinds: Vec<Kind>,
     /// All groups, by their first core.
@@ -184,7 +185,7 @@ impl CoreGroups {
             cores: group.cores.clone(),
         };
         let groups = together.iter().zip(alike).map(group).collect();
-        Ok(CoreGroups { program: Program::new(parts)?, kinds, groups })
+        Ok(CoreGroups { program: Program::new(parts)?.into(), kinds, groups })
     }
 
     /// Copies of the network in the program.

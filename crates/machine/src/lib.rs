@@ -18,6 +18,8 @@ pub mod layout;
 pub mod ranks;
 pub mod update;
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use crate::count::spike_counts::SpikeCounts;
@@ -53,10 +55,10 @@ impl Default for Settings {
 /// about as much as adding it, and visiting a skip block at rest as much as a few dozen additions.
 const VISIT_ALL_FROM: u64 = 8;
 
-/// The state of a run over an image.
-#[derive(Debug)]
-pub struct Machine<'i> {
-    image: &'i Image<'i>,
+/// The state of a run over an image. A copy goes on from the same step, apart from the original.
+#[derive(Debug, Clone)]
+pub struct Machine {
+    image: Arc<Image>,
     shards: Vec<ShardState>,
     settings: Settings,
     arch: pulp::Arch,
@@ -85,13 +87,13 @@ pub struct Machine<'i> {
     counts: SpikeCounts,
 }
 
-impl<'i> Machine<'i> {
+impl Machine {
     /// A machine at rest.
     #[must_use]
-    pub fn new(image: &'i Image<'i>, settings: Settings) -> Self {
+    pub fn new(image: &Arc<Image>, settings: Settings) -> Self {
         let slots = image.longest_delay as usize + 1;
         Machine {
-            image,
+            image: image.clone(),
             shards: image.shards.iter().map(|shard| ShardState::new(image, shard, slots)).collect(),
             settings,
             arch: width::vectors(),
@@ -119,12 +121,7 @@ impl<'i> Machine<'i> {
     /// # Panics
     /// When the image is of no part, or the ranks hold parts of different mappings.
     #[must_use]
-    pub fn of_part(
-        image: &'i Image<'i>,
-        settings: Settings,
-        ranks: &Ranks,
-        shown: Option<(CompartmentId, u32)>,
-    ) -> Self {
+    pub fn of_part(image: &Arc<Image>, settings: Settings, ranks: &Ranks, shown: Option<(CompartmentId, u32)>) -> Self {
         let at_once = settings.per_step || shown.is_some();
         let others = Some(Exchange::new(image.program(), ranks, shown, at_once));
         Machine { others, ..Machine::new(image, settings) }
@@ -143,7 +140,7 @@ impl<'i> Machine<'i> {
 
     /// The same, with the spikes of each source and what left its field by compartment.
     pub fn take_counts(&mut self) -> (Activity, SourceCounts) {
-        self.counts.take(self.image, &mut self.shards, self.arch)
+        self.counts.take(&self.image, &mut self.shards, self.arch)
     }
 
     /// Compartment updates of the sample so far that were left out because the compartment was at
@@ -197,7 +194,7 @@ impl<'i> Machine<'i> {
 
     /// Waits for the other ranks' spikes of the last step.
     fn take_remote(&mut self) {
-        let image = self.image;
+        let image = &*self.image;
         let Some(others) = &mut self.others else { return };
         if !others.take(&mut self.remote) {
             return;
@@ -221,7 +218,7 @@ impl<'i> Machine<'i> {
     /// A phase of every shard's step.
     #[inline(always)]
     fn each_shard(&mut self, phase: Phase, channels: &[ChannelId], left: u32) {
-        let image = self.image;
+        let image = &*self.image;
         let input = &StepInput {
             phase,
             step: self.step,
@@ -246,7 +243,7 @@ impl<'i> Machine<'i> {
 
     /// Exchange: the spikes of all shards in one list.
     fn exchange(&mut self) {
-        let image = self.image;
+        let image = &*self.image;
         self.spikes.clear();
         self.payloads.clear();
         for state in &mut self.shards {
@@ -268,7 +265,7 @@ impl<'i> Machine<'i> {
 
     /// Counts of the step.
     fn count(&mut self, channels: &[ChannelId], left: u32) {
-        let image = self.image;
+        let image = &*self.image;
         if !image.delivery_counts_channels {
             let counts = self.counts.channels.as_mut_slice();
             for channel in channels {
@@ -293,11 +290,11 @@ impl<'i> Machine<'i> {
         self.totals.synaptic_events += self.last_events;
         if self.settings.per_step {
             self.last.clear();
-            image.tally.add_visits(1, &mut self.last);
+            image.tally().add_visits(1, &mut self.last);
             for state in &self.shards {
                 tally::add_active(&state.active, &mut self.last);
             }
-            image.tally.add_step((channels, &self.spikes), left, &mut self.last);
+            image.tally().add_step((channels, &self.spikes), left, &mut self.last);
         }
         self.counts.steps += 1;
     }
@@ -316,13 +313,13 @@ impl<'i> Machine<'i> {
             self.shown.extend(self.remote.iter().filter(|spike| spike.0.wrapping_sub(first.0) < size));
         }
         if self.settings.per_step {
-            self.image.tally.add_remote(&self.remote, left, &mut self.last);
+            self.image.tally().add_remote(&self.remote, left, &mut self.last);
             others.merge(&mut self.last);
         }
     }
 }
 
-impl Engine for Machine<'_> {
+impl Engine for Machine {
     fn begin(&mut self, steps: u32) {
         self.shards.iter_mut().for_each(ShardState::clear);
         (self.step, self.steps) = (0, steps);
@@ -331,7 +328,7 @@ impl Engine for Machine<'_> {
         self.take_remote();
         self.remote.clear();
         self.last_events = 0;
-        self.counts.begin(self.image, &self.shards, self.arch);
+        self.counts.begin(&self.image, &self.shards, self.arch);
         self.totals = Totals::default();
         self.last.clear();
     }
@@ -374,7 +371,7 @@ impl Engine for Machine<'_> {
         self.totals.compartment_updates += u64::from(steps) * self.image.held as u64;
         if self.settings.per_step {
             self.last.clear();
-            self.image.tally.add_visits(1, &mut self.last);
+            self.image.tally().add_visits(1, &mut self.last);
             if let Some(others) = &self.others {
                 others.merge(&mut self.last);
             }
@@ -425,9 +422,9 @@ impl Engine for Machine<'_> {
         let left = self.steps.saturating_sub(self.step);
         let spikes = self.spikes.iter().chain(&self.remote);
         let sources = spikes.map(|spike| self.image.channels + spike.0);
-        let pending = self.image.tally.events_within(sources.clone(), left);
+        let pending = self.image.tally().events_within(sources.clone(), left);
         let undelivered: i64 = sources.map(|source| self.image.residual.get(source)).sum();
-        let residual = self.counts.sample_residual(self.image, &self.shards, self.arch) - undelivered;
+        let residual = self.counts.sample_residual(&self.image, &self.shards, self.arch) - undelivered;
         let synaptic_events = (self.totals.synaptic_events + pending).wrapping_add_signed(residual);
         Totals { synaptic_events, ..self.totals }
     }

@@ -17,6 +17,7 @@ pub mod populations;
 pub mod priced;
 pub mod ranks;
 pub mod samples;
+pub mod session;
 pub mod shapes;
 pub mod steps;
 pub mod timeline;

@@ -113,7 +113,7 @@ impl<'c> Metered<'c> {
     }
 
     /// The cores that are run.
-    fn program(&self) -> &Program {
+    fn program(&self) -> &Arc<Program> {
         self.groups.as_ref().map_or(&self.compiled.program, |groups| &groups.program)
     }
 

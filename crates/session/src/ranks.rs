@@ -9,7 +9,7 @@
 //! what a step costs, or when a sample is decided, has to be known at once
 //! ([`nsim_machine::Machine::of_part`]).
 
-use std::borrow::Cow;
+use std::sync::Arc;
 
 use super::Outcome;
 use nsim_ir::activity::{Activity, Overflow, Totals};
@@ -76,12 +76,12 @@ pub fn peak_mib() -> Option<f64> {
 ///
 /// # Errors
 /// `run.part` when the program is not dealt out, or is another rank's part: a fault of the caller.
-pub fn part_of<'p>(program: &'p Program, ranks: &Ranks) -> Result<Cow<'p, Program>, Diagnostic> {
+pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Diagnostic> {
     let wrong = |what: String| Diagnostic::new("run.part", what);
     match program.held_rank() {
-        Some(rank) if rank == ranks.rank() => Ok(Cow::Borrowed(program)),
+        Some(rank) if rank == ranks.rank() => Ok(program.clone()),
         Some(rank) => Err(wrong(format!("rank {} holds the part of rank {rank}", ranks.rank()))),
-        None => Ok(Cow::Owned(program.part(ranks.rank()).map_err(|error| wrong(error.to_string()))?)),
+        None => Ok(program.part(ranks.rank()).map_err(|error| wrong(error.to_string()))?.into()),
     }
 }
 

@@ -3,6 +3,7 @@
 //! Input: a program or network, samples, what to keep of each. Output: outcomes in run order,
 //! whatever the number of threads. Errors: a program whose sums could leave their integers.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -109,7 +110,7 @@ impl Division {
 ///
 /// # Errors
 /// `run.too-large` when the program's sums could not be exact.
-pub fn laid_out(program: &Program, division: Division) -> Result<Image<'_>, Diagnostic> {
+pub fn laid_out(program: &Arc<Program>, division: Division) -> Result<Arc<Image>, Diagnostic> {
     Image::new(program, division.shards).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))
 }
 
@@ -118,7 +119,7 @@ pub fn laid_out(program: &Program, division: Division) -> Result<Image<'_>, Diag
 /// # Errors
 /// As [`laid_out`].
 pub fn fast<M: Meter>(
-    program: &Program,
+    program: &Arc<Program>,
     samples: &[&Sample],
     running: Running<'_>,
     new_meter: impl Fn() -> M + Sync,
@@ -137,7 +138,7 @@ pub fn fast<M: Meter>(
 /// # Errors
 /// As [`laid_out`], and `run.part`.
 fn on_ranks<M: Meter>(
-    program: &Program,
+    program: &Arc<Program>,
     samples: &[&Sample],
     running: Running<'_>,
     ranks: &Ranks,
@@ -162,7 +163,7 @@ fn on_ranks<M: Meter>(
         let (mut outcomes, mut meter, mut skipped_updates) = (Vec::new(), new_meter(), 0);
         for sample in samples {
             let mut of_sample = new_meter();
-            let outcome = run_copies(&mut machine, sample, copies, keep, |machine: &Machine<'_>, passed| {
+            let outcome = run_copies(&mut machine, sample, copies, keep, |machine: &Machine, passed| {
                 if is_first {
                     of_sample.see(machine.last_step(), passed);
                 }
@@ -194,7 +195,7 @@ fn on_ranks<M: Meter>(
 /// The same on a program that is laid out already, for runs of the same division.
 #[must_use]
 pub fn fast_on<M: Meter>(
-    image: &Image<'_>,
+    image: &Arc<Image>,
     division: Division,
     samples: &[&Sample],
     running: Running<'_>,
@@ -208,7 +209,7 @@ pub fn fast_on<M: Meter>(
         let mut all = new_meter();
         for sample in part {
             let mut meter = new_meter();
-            let see = |machine: &Machine<'_>, passed| meter.see(machine.last_step(), passed);
+            let see = |machine: &Machine, passed| meter.see(machine.last_step(), passed);
             let outcome = run_copies(&mut machine, sample, copies, keep, see);
             all.merge(&meter);
             progress();

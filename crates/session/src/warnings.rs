@@ -6,10 +6,12 @@
 //! change to make.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 
 use crate::populations::{ByPopulation, PopulationCounts};
 use crate::samples::{Running, fast};
 use crate::{Keep, Outcome};
+
 use nsim_dynamics as neuron;
 use nsim_golden::Golden;
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
@@ -36,7 +38,7 @@ pub struct Warning {
 #[derive(Debug, Clone, Copy)]
 pub enum Ran<'a> {
     /// The machine.
-    Program(&'a Program),
+    Program(&'a Arc<Program>),
     /// The golden interpreter.
     Integers,
     /// The reference engine, in real numbers.
@@ -138,7 +140,7 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
 ///
 /// # Errors
 /// As [`fast`].
-pub fn warnings_of(network: &Quantised, program: &Program, samples: &[&Sample]) -> Result<Vec<Warning>> {
+pub fn warnings_of(network: &Quantised, program: &Arc<Program>, samples: &[&Sample]) -> Result<Vec<Warning>> {
     let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
     let running =
         Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None };

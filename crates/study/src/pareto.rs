@@ -359,7 +359,7 @@ impl<'a> Subject<'a> {
         let times = self.timed(|| {
             for sample in &self.samples {
                 let mut seen = meter.fresh();
-                let add = |machine: &Machine<'_>, times| seen.add(machine.last_step(), times, false);
+                let add = |machine: &Machine, times| seen.add(machine.last_step(), times, false);
                 black_box(run_sample(&mut machine, sample, &keep, add));
                 black_box(&seen);
             }

@@ -1,6 +1,7 @@
 //! From MODEL, `--target` and `--mapping` to something that can run.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::prune::PruneArgs;
@@ -178,7 +179,7 @@ impl Job {
 
     /// The program, when it is mapped.
     #[must_use]
-    pub fn program(&self) -> Option<&Program> {
+    pub fn program(&self) -> Option<&Arc<Program>> {
         self.mapped().map(|(compiled, _)| &compiled.program)
     }
 

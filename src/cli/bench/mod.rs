@@ -6,9 +6,9 @@ pub mod paper;
 pub mod pareto;
 pub mod published;
 
-use std::borrow::Cow;
 use std::cell::OnceCell;
 use std::hint::black_box;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::cli::args::values;
@@ -202,9 +202,9 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
         let program = map(same[0], network, target)?;
         let part = match ranks::several() {
             Some(ranks) => part_of(&program, ranks)?,
-            None => Cow::Borrowed(&program),
+            None => program,
         };
-        let images = Images::new(&part);
+        let images = Images::new(part);
         for standard in same {
             let BenchNetwork { period, .. } = build(*standard)?;
             rows.extend(step_rows(*standard, &images, &period, budget, context)?);
@@ -219,24 +219,24 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
 }
 
 /// A program flattened for one thread and for all, each when it is first asked for.
-struct Images<'p> {
-    program: &'p Program,
-    one: OnceCell<Image<'p>>,
-    shared: OnceCell<Image<'p>>,
+struct Images {
+    program: Arc<Program>,
+    one: OnceCell<Arc<Image>>,
+    shared: OnceCell<Arc<Image>>,
 }
 
-impl<'p> Images<'p> {
-    fn new(program: &'p Program) -> Self {
+impl Images {
+    fn new(program: Arc<Program>) -> Self {
         Images { program, one: OnceCell::new(), shared: OnceCell::new() }
     }
 
-    fn get(&self, standard: StandardNetwork, threads: usize) -> Result<&Image<'p>, Error> {
+    fn get(&self, standard: StandardNetwork, threads: usize) -> Result<&Arc<Image>, Error> {
         let place = if threads == 1 { &self.one } else { &self.shared };
         if let Some(image) = place.get() {
             return Ok(image);
         }
         let begin = Instant::now();
-        let image = Image::new(self.program, threads).map_err(|e| fault(standard, &e))?;
+        let image = Image::new(&self.program, threads).map_err(|e| fault(standard, &e))?;
         tracing::info!("{}: image {:.3} s", standard.name(), begin.elapsed().as_secs_f64());
         Ok(place.get_or_init(|| image))
     }
@@ -305,7 +305,7 @@ fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming,
     (StepTiming { totals, ..measured }, sums.0, sums.1)
 }
 
-fn map(standard: StandardNetwork, network: Quantised, target: &str) -> Result<Program, Error> {
+fn map(standard: StandardNetwork, network: Quantised, target: &str) -> Result<Arc<Program>, Error> {
     let target = io::target::load_target(target)?;
     let options = Options { share: ranks::share(), ..Options::default() };
     let compiled = compile_on(ranks::several(), network, &target, &options).map_err(|error| match error {

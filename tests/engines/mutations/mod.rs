@@ -11,6 +11,7 @@
 mod kinds;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use self::kinds::{Expected, KINDS};
 use crate::common::random::{self, Draw};
@@ -179,7 +180,7 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
             let mut tallies = vec![Tally::default(); KINDS.len()];
             for target in &targets {
                 let Compiled { program, .. } = compile(network.clone(), target, &options).unwrap();
-                mutate(&network, target, program, seed, &mut tallies);
+                mutate(&network, target, Arc::unwrap_or_clone(program), seed, &mut tallies);
             }
             tallies
         })

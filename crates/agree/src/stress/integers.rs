@@ -1,6 +1,7 @@
 //! Cases in integers: three interpreters of one small network at the ends of its fields.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use super::exact::{Compartment, Parameters, scaled};
 use super::outcome::Outcome;
@@ -131,7 +132,7 @@ impl Plan {
         })?)
     }
 
-    fn program(&self, target: &Target) -> Result<(Quantised, Program), Unbuildable> {
+    fn program(&self, target: &Target) -> Result<(Quantised, Arc<Program>), Unbuildable> {
         let network = self.network()?;
         let mut limits = target.limits().clone();
         (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles]) = (1024, 1024);

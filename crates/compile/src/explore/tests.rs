@@ -489,7 +489,7 @@ fn programs_of_boxes_are_those_written_synapse_by_synapse() {
         assert!(written == meant, "seed {seed}");
         (alike, cores) = (alike + partition.cores() - sample.len(), cores + partition.cores());
         let compiled = with_program(mapping, &board).unwrap();
-        assert!(compiled.program == meant, "seed {seed}");
+        assert!(*compiled.program == meant, "seed {seed}");
     }
     assert!(alike > 1_000 && cores > 2_000, "{alike} of {cores} cores are written as others are");
 }

@@ -18,7 +18,7 @@ use nsim_ir::source_counts::{LeftField, SourceCounts};
 
 /// Spikes since the activity was last taken. Those of compartments are counted in their shard's
 /// state.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct SpikeCounts {
     /// n of each channel.
     pub channels: Vec<u32>,
@@ -84,12 +84,12 @@ impl SpikeCounts {
         for &(source, _) in &self.late {
             fired[source as usize] -= 1;
         }
-        let mut sum = image.tally.sum(&fired);
+        let mut sum = image.tally().sum(&fired);
         for same in self.late.chunk_by(|a, b| a.1 == b.1) {
-            image.tally.add_spikes(same.iter().map(|late| late.0), |_| 1, same[0].1, &mut sum);
+            image.tally().add_spikes(same.iter().map(|late| late.0), |_| 1, same[0].1, &mut sum);
         }
         self.late.clear();
-        image.tally.add_visits(self.steps, &mut sum);
+        image.tally().add_visits(self.steps, &mut sum);
         for (state, shard) in shards.iter_mut().zip(&image.shards) {
             for (count, block) in state.take_active(shard).into_iter().zip(&shard.blocks) {
                 sum.cores[block.core].active += count;

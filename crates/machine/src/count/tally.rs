@@ -9,9 +9,10 @@
 //! How many synapses of a list are dense is known beforehand. Only near a sample's end, where
 //! deliveries fall after it, are synapses counted one by one.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
+use self_cell::self_cell;
 
 use crate::count::routing_tables::{RoutingTables, Selected};
 use nsim_ir::activity::StepActivity;
@@ -116,6 +117,32 @@ pub struct Tally<'p> {
     /// By source, what its messages cause if every synapse is counted; `None` where there are more
     /// than are kept. Made by the first step that is counted by itself.
     kept: OnceLock<Option<Csr<Caused>>>,
+}
+
+self_cell!(
+    /// A program and what spikes cause in it.
+    pub struct ProgramTally {
+        owner: Arc<Program>,
+        #[covariant]
+        dependent: Tally,
+    }
+
+    impl {Debug}
+);
+
+impl ProgramTally {
+    /// The counts of a program.
+    #[must_use]
+    pub fn of(program: &Arc<Program>) -> Self {
+        ProgramTally::new(program.clone(), |program| Tally::new(program))
+    }
+
+    /// The counts.
+    #[inline]
+    #[must_use]
+    pub fn get(&self) -> &Tally<'_> {
+        self.borrow_dependent()
+    }
 }
 
 impl<'p> Tally<'p> {

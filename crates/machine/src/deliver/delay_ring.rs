@@ -29,6 +29,20 @@ pub(crate) struct DelayRing<S> {
     row_queue: Vec<RowPlace>,
 }
 
+impl<S: Sum> Clone for DelayRing<S> {
+    fn clone(&self) -> Self {
+        let copy = |sums: &Aligned<S>| {
+            // Untouched pages stay untouched.
+            let mut copy = Aligned::new(sums.len());
+            copy[..self.lanes].copy_from_slice(&sums[..self.lanes]);
+            copy
+        };
+        let (lanes, arrivals) = (self.lanes, self.arrivals.clone());
+        let sums = self.sums.iter().map(copy).collect();
+        DelayRing { lanes, sums, arrivals, queue: Vec::new(), row_queue: Vec::new() }
+    }
+}
+
 impl<S: Sum> DelayRing<S> {
     /// An empty ring of so many lanes, slots, and words of skip blocks; `compact` if a list of the
     /// shard is.

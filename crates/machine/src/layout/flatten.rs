@@ -307,7 +307,7 @@ mod tests {
     fn flattened_synapses_are_those_that_messages_select() {
         for (seed, shards) in [(1, 1), (2, 3)] {
             let program = program(seed);
-            let image = Image::new(&program, shards).unwrap();
+            let image = Image::new(&program.clone().into(), shards).unwrap();
             assert_eq!(image.shards.len(), shards);
             let lanes: Vec<usize> = image.shards.iter().map(|shard| shard.lanes).collect();
             let delays = [0, 3, 17];

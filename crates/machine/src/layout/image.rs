@@ -11,7 +11,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::count::residual::Residual;
-use crate::count::tally::Tally;
+use crate::count::tally::{ProgramTally, Tally};
 use crate::layout::delivery_cost::DeliveryParts;
 use crate::layout::fan_out::FanOut;
 use crate::layout::flatten::Flattener;
@@ -59,10 +59,10 @@ pub(crate) enum SumWidth {
 
 /// A program laid out.
 #[derive(Debug)]
-pub struct Image<'p> {
-    program: &'p Program,
+pub struct Image {
+    program: Arc<Program>,
     /// What spikes cause on the chip.
-    pub(crate) tally: Tally<'p>,
+    tally: ProgramTally,
     /// The longest delay field.
     pub(crate) longest_delay: u32,
     pub(crate) semantics: Semantics,
@@ -101,17 +101,17 @@ pub struct Image<'p> {
     rows: Arc<WeightRows>,
 }
 
-impl<'p> Image<'p> {
+impl Image {
     /// Flattens a program into about so many shards.
     ///
     /// # Errors
     /// [`ImageError`] when sums could not be exact or an index would overflow.
-    pub fn new(program: &'p Program, shards: usize) -> Result<Self, ImageError> {
+    pub fn new(program: &Arc<Program>, shards: usize) -> Result<Arc<Self>, ImageError> {
         let parts = program.parts();
-        let tally = Tally::new(program);
+        let tally = ProgramTally::of(program);
         let mut image = Image {
-            program,
-            longest_delay: tally.longest_delay(),
+            program: program.clone(),
+            longest_delay: tally.get().longest_delay(),
             tally,
             semantics: parts.semantics,
             reset: parts.reset,
@@ -146,13 +146,18 @@ impl<'p> Image<'p> {
         image.delivery_counts_channels = matches!(image.shards.as_slice(), [shard]
             if matches!(shard.from_channels.as_slice(), [fan_out] if fan_out.is_narrow(image.channels)));
         image.residual = image.replace_by_means();
-        Ok(image)
+        Ok(Arc::new(image))
     }
 
     /// The program.
     #[must_use]
-    pub fn program(&self) -> &'p Program {
-        self.program
+    pub fn program(&self) -> &Arc<Program> {
+        &self.program
+    }
+
+    /// What spikes cause on the chip.
+    pub(crate) fn tally(&self) -> &Tally<'_> {
+        self.tally.get()
     }
 
     /// Number of compartments, those included that other processes hold.
@@ -210,7 +215,7 @@ impl<'p> Image<'p> {
             + fields
             + 4 * (self.lanes.len() + self.payloads.len())
             + self.residual.bytes()
-            + self.tally.bytes()
+            + self.tally().bytes()
             + self.rows.bytes()
     }
 
@@ -221,7 +226,7 @@ impl<'p> Image<'p> {
         let (mut blocks, mut lane) = (Vec::new(), 0u32);
         // Parameters and population of the last block, if it is updated as vectors.
         let mut last: Option<(u32, usize)> = None;
-        let order = LaneOrder::new(self.program);
+        let order = LaneOrder::new(&self.program);
         for (core, core_image) in parts.cores.enumerate().filter(|(core, _)| self.program.holds(*core)) {
             let slots = order.slots(core);
             let ids: Vec<CompartmentId> = slots.iter().map(|&slot| core_image.ids[usize::from(slot)]).collect();
@@ -413,9 +418,9 @@ impl<'p> Image<'p> {
         }
         delays.sort_unstable();
         let lanes: Vec<usize> = self.shards.iter().map(|shard| shard.lanes).collect();
-        let rows = ProgramRows::new(self.program);
+        let rows = ProgramRows::new(&self.program);
         self.rows = Arc::clone(&rows.rows);
-        let flattener = Flattener::new(self.program, &self.lanes, (&self.bases, &delays), &rows);
+        let flattener = Flattener::new(&self.program, &self.lanes, (&self.bases, &delays), &rows);
         for (kind, sources) in [0..self.channels, self.channels..self.sources() as u32].into_iter().enumerate() {
             let builders = flattener.flatten(sources, &lanes).into_par_iter().enumerate();
             let fan_outs: Vec<_> = builders

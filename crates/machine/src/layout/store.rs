@@ -81,6 +81,15 @@ impl<T: Copy + Default> Aligned<T> {
     }
 }
 
+impl<T: Copy + Default> Clone for Aligned<T> {
+    fn clone(&self) -> Self {
+        // The copy lies elsewhere, and begins at a cache line of its own.
+        let mut copy = Aligned::new(self.len());
+        copy.copy_from_slice(self);
+        copy
+    }
+}
+
 impl<T> Deref for Aligned<T> {
     type Target = [T];
 

@@ -14,7 +14,7 @@ use nsim_ir::placement::Route;
 use nsim_ir::program::Program;
 
 /// Which of this rank's compartments another rank has axons of.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 enum Wanted {
     /// None.
     None,
@@ -25,7 +25,7 @@ enum Wanted {
 }
 
 /// The exchange, as one rank takes part in it.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Exchange {
     ranks: Ranks,
     /// By rank.

@@ -64,7 +64,7 @@ pub(crate) struct Step<'a> {
     /// The shard's state.
     pub state: &'a mut ShardState,
     /// The image.
-    pub image: &'a Image<'a>,
+    pub image: &'a Image,
     /// The shard.
     pub shard: &'a Shard,
     /// Parameters.
@@ -112,14 +112,14 @@ impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
 }
 
 /// The state of a shard.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct ShardState {
     state: CompartmentState,
     rings: Rings,
 }
 
 /// The delay ring, with the narrowest sums that are exact.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 enum Rings {
     Bits16(DelayRing<i16>),
     Bits32(DelayRing<i32>),
@@ -127,7 +127,7 @@ enum Rings {
 }
 
 /// Registers, and what was counted.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct CompartmentState {
     u: Aligned<i32>,
     /// As `kernel::store` writes them; plain where `hold` is not empty.

@@ -1,0 +1,153 @@
+//! A mapped network that is stepped from outside: by a robot, an environment, a notebook.
+//!
+//! Input: a laid-out program and, in each step, the channels that spike. Output: who spiked, and
+//! registers. Nobody has to know how long the sample will be. A session is a value: a copy goes on
+//! from the same step, apart from the original, which is all that a snapshot is. Stepping a sample
+//! does exactly what running it does. What was shown is kept, so that the steps so far can be
+//! priced as a sample.
+//!
+//! Errors: `session.channel` for channels that the network lacks, `session.too-long` beyond what
+//! can be kept.
+
+use std::sync::Arc;
+
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::id::{ChannelId, CompartmentId};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::{Copies, Engine, Sample};
+use nsim_machine::{Image, Machine, Settings};
+
+/// Input spikes that are kept, 8 bytes each; later ones are counted only.
+const MOST_KEPT: usize = 1 << 26;
+
+/// An engine after some step.
+#[derive(Debug, Clone)]
+pub struct Session {
+    machine: Machine,
+    copies: Copies,
+    /// Input spikes of one copy: (step, channel).
+    kept: Vec<(u32, ChannelId)>,
+    steps: u32,
+    /// Whether an input spike was not kept.
+    is_cut: bool,
+    /// The last step's input: of one copy, and of all.
+    shown: Vec<ChannelId>,
+    all: Vec<ChannelId>,
+}
+
+impl Session {
+    /// A session before its first step, over so many copies of a network that all see the same.
+    #[must_use]
+    pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
+        let mut session = Session {
+            machine: Machine::new(image, Settings::default()),
+            copies: Copies { copies, channels: one.channels() },
+            kept: Vec::new(),
+            steps: 0,
+            is_cut: false,
+            shown: Vec::new(),
+            all: Vec::new(),
+        };
+        session.reset();
+        session
+    }
+
+    /// Goes back to before the first step, as a sample's end does.
+    pub fn reset(&mut self) {
+        // So many steps never come: no delivery is taken for one after the end.
+        self.machine.begin(u32::MAX);
+        self.kept.clear();
+        self.shown.clear();
+        (self.steps, self.is_cut) = (0, false);
+    }
+
+    /// Steps so far.
+    #[must_use]
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// One timestep in which these channels of each copy spike, in any order; one that is given
+    /// twice spikes once.
+    ///
+    /// # Errors
+    /// `session.channel`; the session stays as it was.
+    pub fn step(&mut self, channels: impl IntoIterator<Item = ChannelId>) -> Result<()> {
+        self.all.clear();
+        self.all.extend(channels);
+        if !self.all.is_sorted_by(|a, b| a < b) {
+            self.all.sort_unstable();
+            self.all.dedup();
+        }
+        let Copies { copies, channels } = self.copies;
+        if let Some(last) = self.all.last().filter(|last| last.0 >= channels) {
+            let message = format!("channel {} is not one of the network's {channels}", last.0);
+            return Err(Diagnostic::new("session.channel", message).help("channels are counted from 0"));
+        }
+        std::mem::swap(&mut self.shown, &mut self.all);
+        self.is_cut |= self.kept.len() + self.shown.len() > MOST_KEPT || self.steps == u32::MAX - 1;
+        if !self.is_cut {
+            self.kept.extend(self.shown.iter().map(|&channel| (self.steps, channel)));
+        }
+        if copies == 1 {
+            self.machine.step(&self.shown);
+        } else {
+            self.all.clear();
+            let firsts = (0..copies).map(|copy| copy * channels);
+            self.all.extend(firsts.flat_map(|first| self.shown.iter().map(move |c| ChannelId(c.0 + first))));
+            self.machine.step(&self.all);
+        }
+        self.steps = self.steps.saturating_add(1);
+        Ok(())
+    }
+
+    /// Passes over steps without input, if nothing at all would happen in them; otherwise does
+    /// nothing and returns false.
+    pub fn skip(&mut self, steps: u32) -> bool {
+        let rests = self.machine.rest(steps);
+        if rests && steps > 0 {
+            self.shown.clear();
+            self.steps = self.steps.saturating_add(steps);
+        }
+        rests
+    }
+
+    /// The channels of one copy that spiked in the last step, ascending.
+    #[must_use]
+    pub fn shown(&self) -> &[ChannelId] {
+        &self.shown
+    }
+
+    /// Which of so many consecutive compartments spiked in the last step, counted from the first,
+    /// and what their spikes carried, ascending.
+    pub fn spikes(&self, first: CompartmentId, count: u32) -> Vec<(u32, i32)> {
+        let payloads = self.machine.payloads().iter().copied().chain(std::iter::repeat(1));
+        let spikes = self.machine.spikes().iter().zip(payloads);
+        let mut own: Vec<(u32, i32)> = spikes
+            .filter_map(|(spike, payload)| Some((spike.0.checked_sub(first.0).filter(|&i| i < count)?, payload)))
+            .collect();
+        own.sort_unstable();
+        own
+    }
+
+    /// The engine, for its registers.
+    #[must_use]
+    pub fn engine(&self) -> &impl Engine {
+        &self.machine
+    }
+
+    /// What was shown so far, as a sample of as many steps.
+    ///
+    /// # Errors
+    /// `session.too-long`.
+    pub fn sample(&self) -> Result<Sample> {
+        let too_long = || {
+            let message = format!("more than {MOST_KEPT} input spikes were shown, which are not all kept");
+            Diagnostic::new("session.too-long", message).help("call reset() where a trial ends")
+        };
+        if self.is_cut {
+            return Err(too_long());
+        }
+        Sample::new(self.steps, &self.kept, None).map_err(|_| too_long())
+    }
+}

@@ -1,0 +1,293 @@
+//! A mapping that is stepped from Python: by a loop with a robot or an environment in it.
+
+use std::sync::Arc;
+
+use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim::ir::quantised::{Quantised, Units};
+use nsim::ir::spikes::Engine;
+use nsim::session::samples::{Division, laid_out};
+use nsim::session::session::Session as Stepped;
+use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods};
+use pyo3::exceptions::{PyKeyError, PyTypeError};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList, PyTuple};
+
+use crate::energy::{self, Energy};
+use crate::error::raised;
+use crate::keywords::{Keywords, usage};
+use crate::shared::Shared;
+use crate::work::detached;
+
+/// A mapping after some timestep; `Mapping.session()` opens one.
+///
+/// `step` does one timestep, `session["POPULATION"]` shows what a population did in it. Copies of a
+/// network all see the same; spikes and registers are those of the first.
+#[pyclass(module = "nsim")]
+pub struct Session {
+    mapping: Arc<Shared>,
+    stepped: Option<Stepped>,
+}
+
+/// The state of a session after some timestep.
+#[pyclass(frozen, module = "nsim")]
+pub struct Snapshot {
+    mapping: Arc<Shared>,
+    stepped: Stepped,
+}
+
+/// What a population of a session did in the last timestep.
+#[pyclass(frozen, module = "nsim")]
+pub struct Population {
+    session: Py<Session>,
+    id: PopulationId,
+}
+
+impl Session {
+    /// A session before its first step.
+    pub fn new(py: Python<'_>, mapping: &Arc<Shared>) -> PyResult<Self> {
+        let compiled = mapping.compiled();
+        let opened = detached(py, || {
+            let division = Division::new(&compiled.program, 1);
+            let image = match mapping.image(division) {
+                Some(image) => image.clone(),
+                None => laid_out(&compiled.program, division)?,
+            };
+            Ok(Stepped::open(&image, &compiled.one, compiled.options.copies))
+        });
+        let stepped = opened.map_err(|problem: Diagnostic| raised(py, problem))?;
+        Ok(Session { mapping: mapping.clone(), stepped: Some(stepped) })
+    }
+
+    fn network(&self) -> &Quantised {
+        &self.mapping.compiled().one
+    }
+
+    fn stepped(&self) -> PyResult<&Stepped> {
+        self.stepped.as_ref().ok_or_else(closed)
+    }
+}
+
+fn closed() -> PyErr {
+    usage("the session is closed".into(), "open another: with mapping.session() as session")
+}
+
+/// Channels of a population that spike in a step, from their numbers or from a truth value each.
+fn channels(given: &Bound<'_, PyAny>, first: ChannelId, (name, units): (&str, u32)) -> PyResult<Vec<ChannelId>> {
+    fn listed<T: Element + Copy + TryInto<u32>>(array: &Bound<'_, PyArray1<T>>) -> Option<Vec<u32>> {
+        array.readonly().as_array().iter().map(|&number| number.try_into().ok()).collect()
+    }
+    let numbers = if let Ok(array) = given.cast::<PyArray1<i64>>() {
+        listed(array)
+    } else if let Ok(array) = given.cast::<PyArray1<i32>>() {
+        listed(array)
+    } else if let Ok(array) = given.cast::<PyArray1<u32>>() {
+        listed(array)
+    } else if let Ok(array) = given.cast::<PyArrayDyn<bool>>() {
+        let array = array.readonly();
+        if array.as_array().len() != units as usize {
+            let message = format!("'{name}' has {units} channels, and {} truth values", array.as_array().len());
+            return Err(usage(message, "give a truth value for each channel, or the numbers of those that spike"));
+        }
+        Some((0..).zip(array.as_array()).filter(|(_, spikes)| **spikes).map(|(number, _)| number).collect())
+    } else if given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>() || given.hasattr("__array__")? {
+        given.call_method0("tolist").unwrap_or_else(|_| given.clone()).extract().ok()
+    } else {
+        let message = format!("the channels of '{name}' are {}", given.get_type().name()?);
+        return Err(PyTypeError::new_err(format!("{message}, not a list or an array")));
+    };
+    let help = "give the numbers of the channels that spike, counted from 0; what their spikes carry is the \
+                population's `payload`";
+    let Some(numbers) = numbers else {
+        return Err(usage(format!("the channels of '{name}' are not all whole numbers from 0"), help));
+    };
+    if let Some(number) = numbers.iter().find(|number| **number >= units) {
+        return Err(usage(format!("'{name}' has {units} channels, and {number} is to spike"), help));
+    }
+    Ok(numbers.into_iter().map(|number| ChannelId(first.0 + number)).collect())
+}
+
+#[pymethods]
+impl Session {
+    /// One timestep.
+    ///
+    /// `inputs` is a dictionary from input populations to the numbers of the channels that spike, or
+    /// to an array with a truth value for each channel; of a network with one input population it
+    /// may be the channels alone. Populations that are left out are silent.
+    #[pyo3(signature = (inputs=None))]
+    fn step(&mut self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let mut spiking = Vec::new();
+        if let Some(inputs) = inputs {
+            let network = self.network();
+            let mut add = |name: &str, given: &Bound<'_, PyAny>| {
+                let found = network.inputs().find(|(_, population)| population.name == name);
+                let Some((first, units)) = found.and_then(|(_, p)| Some((p.first_channel()?, p.shape.len()))) else {
+                    let known: Vec<&str> = network.inputs().map(|(_, population)| population.name.as_str()).collect();
+                    let message = format!("'{name}' is no input population");
+                    return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
+                };
+                spiking.extend(channels(given, first, (name, units))?);
+                Ok(())
+            };
+            match inputs.cast::<PyDict>() {
+                Ok(by_name) => by_name.iter().try_for_each(|(name, given)| add(&name.extract::<String>()?, &given))?,
+                Err(_) => {
+                    let mut names = network.inputs().map(|(_, population)| population.name.as_str());
+                    match (names.next(), names.next()) {
+                        (Some(name), None) => add(name, inputs)?,
+                        _ => {
+                            let message = "the network has several input populations".to_string();
+                            return Err(usage(message, "give a dictionary from input populations to channels"));
+                        }
+                    }
+                }
+            }
+        }
+        let stepped = self.stepped.as_mut().ok_or_else(closed)?;
+        detached(py, || stepped.step(spiking)).map_err(|problem| raised(py, problem))
+    }
+
+    /// Timesteps since the session was opened or reset.
+    #[getter]
+    fn steps(&self) -> PyResult<u32> {
+        Ok(self.stepped()?.steps())
+    }
+
+    /// The state, to be gone back to.
+    fn snapshot(&self) -> PyResult<Snapshot> {
+        Ok(Snapshot { mapping: self.mapping.clone(), stepped: self.stepped()?.clone() })
+    }
+
+    /// Goes back to a snapshot of a session of the same mapping.
+    fn restore(&mut self, snapshot: &Snapshot) -> PyResult<()> {
+        self.stepped()?;
+        if !Arc::ptr_eq(&self.mapping, &snapshot.mapping) {
+            let message = "the snapshot is of another mapping".to_string();
+            return Err(usage(message, "restore what snapshot() of a session of this mapping gave"));
+        }
+        self.stepped = Some(snapshot.stepped.clone());
+        Ok(())
+    }
+
+    /// Goes back to before the first timestep.
+    fn reset(&mut self) -> PyResult<()> {
+        self.stepped.as_mut().ok_or_else(closed)?.reset();
+        Ok(())
+    }
+
+    /// What the timesteps so far cost, as `Mapping.energy` prices a sample of the same input; it
+    /// runs once more. Keywords are those of `Mapping.energy`.
+    #[pyo3(signature = (**options))]
+    fn energy(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Energy> {
+        let sample = self.stepped()?.sample().map_err(|problem| raised(py, problem))?;
+        if sample.steps() == 0 {
+            return Err(usage("no timestep has been done".into(), "call step() first"));
+        }
+        let keywords = Keywords::new(options)?;
+        let plan = energy::plan(py, &self.mapping.model, &keywords, None)?;
+        plan.of_mapping().map_err(|error| raised(py, error))?;
+        Energy::of_sample(py, &self.mapping, &plan, sample, &keywords)
+    }
+
+    fn __getitem__(slf: &Bound<'_, Self>, name: &str) -> PyResult<Population> {
+        let session = slf.borrow();
+        session.stepped()?;
+        let network = session.network();
+        let Some(id) = network.population_named(name) else {
+            let known: Vec<&str> = network.populations().iter().map(|population| population.name.as_str()).collect();
+            return Err(PyKeyError::new_err(format!("no population '{name}'; there are: {}", known.join(", "))));
+        };
+        Ok(Population { session: slf.clone().unbind(), id })
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __exit__(&mut self, _type: &Bound<'_, PyAny>, _value: &Bound<'_, PyAny>, _traceback: &Bound<'_, PyAny>) {
+        self.stepped = None;
+    }
+
+    fn __repr__(&self) -> String {
+        let name = &self.network().parts().name;
+        match &self.stepped {
+            Some(stepped) => format!("<nsim.Session {name} after {} timesteps>", stepped.steps()),
+            None => format!("<nsim.Session {name}, closed>"),
+        }
+    }
+}
+
+impl Population {
+    /// What spiked in the last step, and what it carried.
+    fn spiking(&self, py: Python<'_>) -> PyResult<Vec<(u32, i32)>> {
+        let session = self.session.borrow(py);
+        let (stepped, network) = (session.stepped()?, session.network());
+        let population = &network.populations()[self.id];
+        let units = population.shape.len();
+        Ok(match &population.units {
+            Units::Input(first) => {
+                let own = stepped.shown().iter().filter_map(|channel| channel.0.checked_sub(first.0));
+                own.filter(|&number| number < units).map(|number| (number, population.spike_factor())).collect()
+            }
+            Units::Compartments { first, .. } => {
+                let spikes = stepped.spikes(*first, units);
+                spikes.into_iter().map(|(i, value)| (network.index_shown(self.id, i), value)).collect()
+            }
+        })
+    }
+
+    fn registers<'py>(
+        &self,
+        py: Python<'py>,
+        name: &str,
+        read: impl Fn(&dyn Engine, CompartmentId) -> i32,
+    ) -> PyResult<Bound<'py, PyArray1<i32>>> {
+        let session = self.session.borrow(py);
+        let (stepped, network) = (session.stepped()?, session.network());
+        let population = &network.populations()[self.id];
+        let Some(first) = population.first_compartment() else {
+            let message = format!("input population '{}' has no {name}", population.name);
+            return Err(usage(message, "populations of compartments have registers"));
+        };
+        let engine = stepped.engine();
+        // Compartments that pruning took away rest at 0.
+        let mut values = vec![0; network.units_shown(self.id) as usize];
+        for i in 0..population.shape.len() {
+            values[network.index_shown(self.id, i) as usize] = read(engine, CompartmentId(first.0 + i));
+        }
+        Ok(PyArray1::from_vec(py, values))
+    }
+}
+
+#[pymethods]
+impl Population {
+    /// The numbers of those that spiked in the last timestep, ascending, int32.
+    #[getter]
+    fn spikes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i32>>> {
+        let spiking = self.spiking(py)?;
+        Ok(PyArray1::from_iter(py, spiking.into_iter().map(|(number, _)| number as i32)))
+    }
+
+    /// What each of these spikes carried, 1 for a binary spike, int32.
+    #[getter]
+    fn values<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i32>>> {
+        let spiking = self.spiking(py)?;
+        Ok(PyArray1::from_iter(py, spiking.into_iter().map(|(_, value)| value)))
+    }
+
+    /// The membrane of each compartment after the last timestep, int32.
+    #[getter]
+    fn v<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i32>>> {
+        self.registers(py, "v", |engine, compartment| engine.v(compartment))
+    }
+
+    /// The current of each compartment after the last timestep, int32.
+    #[getter]
+    fn u<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i32>>> {
+        self.registers(py, "u", |engine, compartment| engine.u(compartment))
+    }
+
+    fn __len__(&self, py: Python<'_>) -> usize {
+        self.session.borrow(py).network().units_shown(self.id) as usize
+    }
+}

@@ -1,0 +1,122 @@
+"""Stepping gives what running gives; a snapshot is gone back to; the page's loop runs."""
+
+import re
+import unittest
+from pathlib import Path
+
+import numpy as np
+
+import nsim
+
+PAGE = Path(__file__).parents[2] / "docs/session.md"
+
+
+def recorded(mapping, steps=60, rate=0.1, seed=7):
+    """Random spikes for each input population, `[channels, T]`."""
+    draw = np.random.default_rng(seed)
+    shapes = {name: shape for name, kind, shape in mapping.populations if kind == "input"}
+    return {name: draw.random((int(np.prod(shape)), steps)) < rate for name, shape in shapes.items()}
+
+
+def stepped(mapping, session, spikes, first=0, end=None, how=np.flatnonzero):
+    """Spikes, membranes and currents of every population after each step."""
+    seen = []
+    names = [name for name, kind, _ in mapping.populations if kind != "input"]
+    for t in range(first, end or next(iter(spikes.values())).shape[1]):
+        session.step({name: how(array[:, t]) for name, array in spikes.items()})
+        populations = [session[name] for name in names]
+        seen.append([array.tolist() for p in populations for array in (p.spikes, p.v, p.u)])
+    return seen
+
+
+class Sessions(unittest.TestCase):
+    def test_stepping_is_running(self):
+        for model, copies in [("vtsnn-slip", 1), ("container-tactile", 3)]:
+            mapping = nsim.load(model).map(copies=copies)
+            spikes = recorded(mapping)
+            names = [name for name, kind, _ in mapping.populations if kind != "input"]
+            probes = [f"{name}.{what}" for name in names for what in ("spikes", "v", "u")]
+            run = mapping.run({name: array.astype(np.uint8) for name, array in spikes.items()}, probe=probes)
+            probed = [run.probe(probe)[0] for probe in probes]
+            # Numbers, lists, truth values and other integers mean the same.
+            listed = lambda array: np.flatnonzero(array).tolist()
+            narrow = lambda array: np.flatnonzero(array)[::-1].astype(np.int16)
+            for how in (np.flatnonzero, np.asarray, listed, narrow):
+                with self.subTest(model=model), mapping.session() as session:
+                    seen = stepped(mapping, session, spikes, how=how)
+                    for t, values in enumerate(seen):
+                        for at, probe in enumerate(probed):
+                            expected = np.flatnonzero(probe[:, t]) if at % 3 == 0 else probe[:, t]
+                            self.assertEqual(values[at], expected.tolist(), f"{probes[at]}, step {t}")
+                    self.assertGreater(sum(len(values[at]) for values in seen for at in range(0, len(probes), 3)), 30)
+                    self.assertEqual(session.steps, 60)
+                    theirs = mapping.energy({name: array.astype(np.uint8) for name, array in spikes.items()}).json()
+                    ours = session.energy().json()
+                    for result in (ours, theirs):
+                        del result["input"], result["checksum"]
+                    self.assertEqual(ours, theirs)
+
+    def test_a_snapshot_is_gone_back_to(self):
+        mapping = nsim.load("vtsnn-slip").map()
+        spikes = recorded(mapping, steps=100)
+        with mapping.session() as session, mapping.session() as other:
+            stepped(mapping, session, spikes, 0, 50)
+            middle = session.snapshot()
+            whole = stepped(mapping, session, spikes, 50)
+            for one in (session, other):
+                one.restore(middle)
+                self.assertEqual(one.steps, 50)
+                self.assertEqual(stepped(mapping, one, spikes, 50), whole)
+            session.reset()
+            self.assertEqual(stepped(mapping, session, spikes, 0)[50:], whole)
+            with self.assertRaisesRegex(nsim.Error, "another mapping"):
+                nsim.load("vtsnn-slip").map().session().restore(middle)
+
+    def test_input_populations_and_values(self):
+        mapping = nsim.load("container-tactile").map()
+        with mapping.session() as session:
+            session.step([3, 1, 3])
+            self.assertEqual((session["tactile"].spikes.tolist(), session["tactile"].values.tolist()), ([1, 3], [1, 1]))
+            self.assertEqual(session["tactile"].spikes.dtype, np.int32)
+            session.step()
+            self.assertEqual(len(session["tactile"].spikes), 0)
+            self.assertEqual((len(session["out"]), session["out"].v.dtype), (20, np.int32))
+
+    def test_what_is_refused_changes_nothing(self):
+        mapping = nsim.load("vtsnn-slip").map()
+        channels = dict((name, int(np.prod(shape))) for name, kind, shape in mapping.populations if kind == "input")
+        with mapping.session() as session:
+            for wrong, says in [
+                ({"tactile": [channels["tactile"]]}, "is to spike"),
+                ({"tactile": [-1]}, "whole numbers"),
+                ({"tactile": [0.5]}, "whole numbers"),
+                ({"tactile": np.array([0.0])}, "whole numbers"),
+                ({"tactile": np.zeros(3, bool)}, "3 truth values"),
+                ({"touch": [1]}, "the input populations are: tactile, vision"),
+                ([1], "several input populations"),
+            ]:
+                with self.assertRaisesRegex(nsim.Error, says):
+                    session.step(wrong)
+                self.assertEqual(session.steps, 0)
+            for wrong in ({"tactile": 3}, {"tactile": "3"}, {"tactile": {3: 1}}):
+                self.assertRaises(TypeError, session.step, wrong)
+            self.assertRaises(KeyError, lambda: session["no"])
+            with self.assertRaisesRegex(nsim.Error, "has no v"):
+                session["tactile"].v
+            with self.assertRaisesRegex(nsim.Error, "no timestep"):
+                session.energy()
+        for closed in (session.step, session.snapshot, session.reset, lambda: session["out"], lambda: session.steps):
+            with self.assertRaisesRegex(nsim.Error, "with mapping.session"):
+                closed()
+
+    def test_the_loop_of_the_page(self):
+        loop = re.search(r"```python\n(.*?)```", PAGE.read_text(), re.S)
+        scope = {}
+        exec(compile(loop.group(1), str(PAGE), "exec"), scope)
+        lead = np.sort(scope["counts"])[-1] - np.sort(scope["counts"])[-2]
+        self.assertEqual(lead, 3)
+        self.assertGreater(scope["counts"].sum(), 0)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,110 @@
+//! Stepping does what running does, and a copy of a session goes on from the same step.
+
+use crate::common::random;
+use nsim::compile::{Options, compile};
+use nsim::files::target::load_target;
+use nsim::ir::base::fixed::Payload;
+use nsim::ir::base::id::{ChannelId, CompartmentId};
+use nsim::ir::quantised::Quantised;
+use nsim::ir::resource::Resource;
+use nsim::ir::spikes::{Copies, Engine, Sample};
+use nsim::machine::{Image, Machine, Settings};
+use nsim::session::session::Session;
+use nsim::session::{Keep, Probe, Quantity, run_copies};
+
+/// Spikes, u and v of the first copy after a step.
+type Seen = (Vec<(u32, i32)>, Vec<(i32, i32)>);
+
+fn seen(session: &Session, network: &Quantised) -> Seen {
+    let n = network.compartments();
+    let registers = (0..n).map(CompartmentId).map(|c| (session.engine().u(c), session.engine().v(c)));
+    (session.spikes(CompartmentId(0), n), registers.collect())
+}
+
+/// One step of a sample; of steps without input that can be passed over, one is.
+fn step(session: &mut Session, sample: &Sample, step: u32) {
+    if sample.at(step).is_empty() && step % 2 == 1 && session.skip(1) {
+        return;
+    }
+    // Any order, and a channel twice, are one spike.
+    let channels = sample.at(step).iter().rev().chain(sample.at(step).first());
+    session.step(channels.copied()).unwrap();
+}
+
+/// The same network; every population may send graded spikes.
+fn graded_if(graded: bool, network: Quantised) -> Quantised {
+    let mut parts = network.parts().clone();
+    parts.populations.iter_mut().filter(|_| graded).for_each(|population| population.payload = Payload::new(3).ok());
+    Quantised::new(parts).unwrap()
+}
+
+#[test]
+fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
+    let chip = load_target("loihi1-chip").unwrap();
+    let mut limits = chip.limits().clone();
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
+        (1024, 1024, 64);
+    limits[Resource::Accumulators] = 1 << 16;
+    let chip = chip.with_limits(limits);
+    let (mut spikes, mut graded) = (0, 0);
+    for seed in 0..60 {
+        let network = graded_if(seed % 4 == 0, random::network(seed));
+        let sample = random::sample(&network, seed);
+        let copies = 1 + seed as u32 % 3;
+        let Ok(mapped) = compile(network.clone(), &chip, &Options { copies, ..Options::default() }) else { continue };
+        let image = Image::new(&mapped.program, 1 + seed as usize % 2).unwrap();
+        // The obvious way: a run with probes.
+        let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
+        let probes = [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into();
+        let keep = Keep { output: network.output(), probes, early_exit: None };
+        let mut machine = Machine::new(&image, Settings::default());
+        let channels = network.channels();
+        let ran = run_copies(&mut machine, &sample, Copies { copies, channels }, &keep, |_, _| ());
+
+        let mut session = Session::open(&image, &mapped.one, copies);
+        let (n, steps) = (network.compartments() as usize, sample.steps() as usize);
+        let mut middle = None;
+        let mut all = Vec::new();
+        for t in 0..sample.steps() {
+            if t == sample.steps() / 2 {
+                middle = Some(session.clone());
+            }
+            step(&mut session, &sample, t);
+            let now = seen(&session, &network);
+            for c in 0..n {
+                let at = c * steps + t as usize;
+                let spiked = now.0.iter().any(|&(spike, _)| spike as usize == c);
+                let probed = (ran.probes[0][at] == 1, ran.probes[1][at], ran.probes[2][at]);
+                assert_eq!((spiked, now.1[c].0, now.1[c].1), probed, "network {seed}, step {t}, compartment {c}");
+            }
+            spikes += now.0.len();
+            graded += now.0.iter().filter(|(_, value)| *value != 1).count();
+            all.push(now);
+        }
+        assert_eq!(session.sample().unwrap(), sample.clone().with_label(None), "network {seed}: what was shown");
+        // Back to the middle, twice: neither changes what the other goes back to.
+        let middle = middle.unwrap();
+        for _ in 0..2 {
+            session = middle.clone();
+            for t in sample.steps() / 2..sample.steps() {
+                step(&mut session, &sample, t);
+                assert!(seen(&session, &network) == all[t as usize], "network {seed}: step {t} after going back");
+            }
+        }
+        session.reset();
+        for t in 0..sample.steps() {
+            step(&mut session, &sample, t);
+            assert!(seen(&session, &network) == all[t as usize], "network {seed}: step {t} after a reset");
+        }
+    }
+    assert!(spikes > 10_000 && graded > 100, "{spikes} spikes, {graded} of them graded");
+}
+
+#[test]
+fn a_channel_that_is_not_there_changes_nothing() {
+    let network = random::network(1);
+    let mapped = compile(network.clone(), &load_target("nahuku-32").unwrap(), &Options::default()).unwrap();
+    let mut session = Session::open(&Image::new(&mapped.program, 1).unwrap(), &mapped.one, 1);
+    let refused = session.step([ChannelId(network.channels())]).unwrap_err();
+    assert_eq!((refused.code, session.steps()), ("session.channel", 0));
+}
