@@ -1,7 +1,6 @@
 //! The ladder from a trained network to the machine: both ends are what they claim, and every rung
 //! is real.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::common::data;
@@ -12,10 +11,8 @@ use nsim::agree::ladder::{Ladder, layers};
 use nsim::agree::trace::{Layer, Trace};
 use nsim::compile::{Options, compile};
 use nsim::files::lower::lower;
-use nsim::files::network::{Network, NetworkFile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::base::id::ChannelId;
 use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
@@ -26,11 +23,7 @@ use nsim::quantise::analytic::Fit;
 use nsim::reference;
 use nsim::reference::{Kernel, Model, Reference};
 use nsim::train::convert::search::search;
-
-fn graph(text: &str) -> Graph {
-    let source = SourceText::new("m.ron", text);
-    lower(&Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap()).unwrap()
-}
+use nsim_testing::graph;
 
 /// As the paper's tactile network, small: weights of both signs, high rates.
 const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [

@@ -598,19 +598,9 @@ fn visit_weights<E>(projection: &graph::Projection, mut f: impl FnMut(f64, Span)
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
     use nsim_dynamics::synapses::Enumerate;
-    use nsim_files::lower::lower;
-    use nsim_files::network::{Network, NetworkFile};
-    use nsim_ir::base::diagnostic::SourceText;
-
-    fn quantised(text: &str) -> Result<Quantised> {
-        let source = SourceText::new("m.ron", text);
-        let file = NetworkFile::parse(&source)?;
-        quantise(&lower(&Network::new(file, source, BTreeMap::new())?)?)
-    }
+    use nsim_testing::graph;
 
     #[test]
     fn windows_and_random_synapses_lower() {
@@ -622,7 +612,7 @@ mod tests {
             projections: [SumPool2d(from: [\"in\"], to: \"pool\", kernel: (2, 2), padding: (1, 0), weight: 2),
              Conv2d(from: [\"pool\"], to: \"conv\", weights: [[[[2, 4]], [[6, 8]]]], padding: (0, 1), stride: (2, 2)),
              Random(from: [\"conv\"], to: \"o\", fan_out: 4, low: -6, high: 6, seed: 3, delay: 2)], output: \"o\")";
-        let q = quantised(text).unwrap();
+        let q = quantise(&graph(text)).unwrap();
         let pool = &q.projections().as_slice()[0].connectivity;
         let mut reached = Vec::new();
         pool.for_each_from(25 + 4 * 5 + 3, |target, weight| reached.push((target, weight)));
