@@ -302,7 +302,7 @@ fn shares_add_up_to_the_disagreement() {
 
 #[test]
 fn the_search_comes_nearer_than_the_analytic_start() {
-    let graph = graph(&decided());
+    let graph = graph(decided());
     let (calibration, unseen) = (samples(100..130), samples(0..60));
     let found = search(&graph, &borrowed(&calibration), 16, |_| ()).unwrap();
     assert!(found.end.count_error < 0.6 * found.start.count_error, "{:?} {:?}", found.start, found.end);
@@ -525,7 +525,7 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
 
     // A loop that loses no bits beside the projection that does.
     let network = lower_and_quantise(&text.replace("exp: -2", "exp: 1")).unwrap();
-    let graph = graph(&text.replace("exp: -2", "exp: 1"));
+    let graph = graph(text.replace("exp: -2", "exp: 1"));
     let matrix = |text: &str| -> Vec<Vec<i64>> { serde_json::from_str(text).unwrap() };
     let (first, own) = (matrix(&first), matrix(&own));
     let target = load_target("loihi1-chip").unwrap();

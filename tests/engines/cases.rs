@@ -65,7 +65,7 @@ fn quantised(source: SourceText) -> Result<Quantised, Diagnostic> {
 }
 
 /// What a stage makes of a model, as text.
-fn made(stage: &str, model: SourceText, call: Call) -> Result<String, Refused> {
+fn made(stage: &str, model: SourceText, call: &Call) -> Result<String, Refused> {
     let network = quantised(model)?;
     let board = format!("Target(base: \"loihi1-chip\", chips_x: {})", call.chips);
     let board = target(&SourceText::new("board.ron", board), Origin::File)?;
@@ -109,7 +109,7 @@ fn stages_make_of_their_cases_what_they_made_before() {
             let call = |options| parse(&SourceText::new(&*name, options), "case.options").unwrap();
             let call = options.map_or_else(Call::default, call);
             let stage = folder.file_name().to_string_lossy().into_owned();
-            let out = made(&stage, SourceText::new(&*name, model), call)
+            let out = made(&stage, SourceText::new(&*name, model), &call)
                 .unwrap_or_else(|refused| pretty(&refused, 2).unwrap());
             let kept = path.with_extension("out.ron");
             if bless {
