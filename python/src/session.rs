@@ -111,9 +111,9 @@ fn channels(given: &Bound<'_, PyAny>, first: ChannelId, (name, units): (&str, u3
 impl Session {
     /// One timestep.
     ///
-    /// `inputs` is a dictionary from input populations to the numbers of the channels that spike, or
-    /// to an array with a truth value for each channel; of a network with one input population it
-    /// may be the channels alone. Populations that are left out are silent.
+    /// `inputs` is a dictionary from input populations to the numbers of the channels that spike,
+    /// or to an array with a truth value for each channel; of a network with one input population
+    /// it may be the channels alone. Populations that are left out are silent.
     #[pyo3(signature = (inputs=None))]
     fn step(&mut self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mut spiking = Vec::new();

@@ -173,6 +173,42 @@ fn random_networks_are_the_same_in_both_engines() {
 
 /// Networks large enough that their lists of synapses take the form of three bytes each, and shares
 /// of them that do not.
+/// What spikes near the ends of samples lose is summed by source over all samples.
+#[test]
+fn counts_taken_after_many_samples_are_those_taken_after_each() {
+    let chip = load_target("loihi1-chip").unwrap();
+    let mut shortened = 0;
+    for seed in 0..40 {
+        let network = random::network(seed);
+        let n = network.compartments();
+        let (_, compiled) = partitions(&network, &chip, 5, seed).swap_remove(1);
+        let image = Image::new(&compiled.program, 2).unwrap();
+        let machine = || Machine::new(&image, Settings::default());
+        let (mut once, mut each, mut golden) = (machine(), machine(), Golden::new(&network));
+        let mut sum: Option<Activity> = None;
+        let mut events = 0;
+        for k in 0..4 {
+            let whole = random::sample(&network, 7 * seed + k);
+            let sample = whole.beginning(whole.steps() / (1 + k as u32));
+            let expected = trace(&mut golden, n, &sample);
+            events += expected.totals.synaptic_events;
+            shortened += u64::from(sample.steps() < 20);
+            for engine in [&mut once, &mut each] {
+                assert_same(&expected, &trace(engine, n, &sample), &format!("network {seed}, sample {k}"));
+            }
+            let activity = each.take_activity();
+            match &mut sum {
+                Some(sum) => sum.merge(&activity),
+                None => sum = Some(activity),
+            }
+        }
+        let sum = sum.unwrap();
+        assert_eq!(sum.totals().synaptic_events, events, "network {seed}");
+        assert_eq!(once.take_activity(), sum, "network {seed}");
+    }
+    assert!(shortened > 10, "{shortened} short samples");
+}
+
 #[test]
 fn a_large_random_network_is_the_same_in_both_engines() {
     let sizes = Random { compartments: 4_500, background: 4, driven: 100, period: 30 };

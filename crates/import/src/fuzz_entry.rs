@@ -1,5 +1,5 @@
-//! What the fuzz targets of `tests/hostile/lines.rs` and the tests of their corpora run: each parser on any
-//! bytes.
+//! What the fuzz targets of `tests/hostile/lines.rs` and the tests of their corpora run: each
+//! parser on any bytes.
 //!
 //! Input: bytes. Output: nothing; a parser may refuse them, and may not panic or take memory beyond
 //! its bound. Models that are read are turned into the text and back, as an import does.

@@ -211,7 +211,7 @@ impl Machine {
         // They reach as many steps as are left, this one, which follows their own, included.
         let left = self.steps.saturating_sub(self.step);
         if left <= image.longest_delay {
-            self.counts.note_late(self.remote.iter().map(|spike| image.channels + spike.0), left);
+            self.counts.note_late(image, self.remote.iter().map(|spike| image.channels + spike.0), left);
         }
     }
 
@@ -273,11 +273,11 @@ impl Machine {
             }
         }
         if left <= image.longest_delay {
-            self.counts.note_late(channels.iter().map(|channel| channel.0), left);
+            self.counts.note_late(image, channels.iter().map(|channel| channel.0), left);
         }
         if left <= image.longest_delay + 1 {
             let sources = self.spikes.iter().map(|spike| image.channels + spike.0);
-            self.counts.note_late(sources, left.saturating_sub(1));
+            self.counts.note_late(image, sources, left.saturating_sub(1));
         }
         self.last_events = 0;
         for state in &self.shards {

@@ -261,8 +261,10 @@ impl<M: Meter> Run<M> {
 }
 
 /// Samples that a thread takes at once: four parts a thread balance samples of different lengths.
+/// One thread takes all, since counts are summed once a part.
 fn chunk(samples: &[&Sample]) -> usize {
-    samples.len().div_ceil(rayon::current_num_threads() * 4).max(1)
+    let parts = if rayon::current_num_threads() == 1 { 1 } else { rayon::current_num_threads() * 4 };
+    samples.len().div_ceil(parts).max(1)
 }
 
 /// What a run without cores yields.

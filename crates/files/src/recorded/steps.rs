@@ -1,8 +1,9 @@
 //! A table with a row for each timestep of each sample, written as its rows come.
 //!
-//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, or
-//! a NumPy array of records whose fields are the columns. Memory does not grow with the rows. Times and energies are counted in ps and fJ and written in us and pJ, in CSV with all
-//! digits, so that sums over rows are exact.
+//! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, or a
+//! NumPy array of records whose fields are the columns. Memory does not grow with the rows. Times
+//! and energies are counted in ps and fJ and written in us and pJ, in CSV with all digits, so that
+//! sums over rows are exact.
 //!
 //! Errors: those of the writer; an array whose rows are not as many as its header says.
 

@@ -1,20 +1,25 @@
 //! How often each source spiked, and the counts that follow from it.
 //!
 //! Let c(s) be what one spike of source s causes on the chip (`tally`), n(s) how often s spiked
-//! since the activity was last taken, and L the spikes so near a sample's end that some delivery
-//! falls after it. With c(s, k) for what a spike causes if its deliveries reach only k steps,
+//! since the activity was last taken, and l(s, k) how often it spiked so near a sample's end that
+//! its deliveries reached only k steps. A synapse of delay d then lost the events of all spikes
+//! with k <= d:
 //!
 //! ```text
-//! activity = sum over s of (n(s) - spikes of s in L) c(s) + sum over (s, k) in L of c(s, k)
+//! activity = sum over s of n(s) c(s) - sum over s, synapses of s with delay d, k <= d of l(s, k)
 //! ```
 //!
-//! Why: c is the same for every spike, so a step only counts spikes.
+//! Why: c is the same for every spike, so a step only counts spikes. Each synapse of a source is
+//! looked at once for all its late spikes: with long delays most spikes of a short sample are late.
 
 use crate::layout::image::Image;
 use crate::update::state::ShardState;
 use nsim_ir::activity::Activity;
 use nsim_ir::base::id::Id;
 use nsim_ir::source_counts::{LeftField, SourceCounts};
+
+/// Delays that a field of 6 bits has.
+pub(crate) const DELAYS: usize = 64;
 
 /// Spikes since the activity was last taken. Those of compartments are counted in their shard's
 /// state.
@@ -24,8 +29,8 @@ pub(crate) struct SpikeCounts {
     pub channels: Vec<u32>,
     /// n of each compartment that another process holds, by compartment; empty where there is none.
     pub remote: Vec<u32>,
-    /// L: sources and the steps that their deliveries reach.
-    late: Vec<(u32, u32)>,
+    /// l, by the steps that are reached, then by source; empty where there were no such spikes.
+    late: Vec<Vec<u32>>,
     /// Timesteps.
     pub steps: u64,
     /// The residual of the spikes since `channels` was last cleared that were before this sample;
@@ -40,7 +45,7 @@ impl SpikeCounts {
         SpikeCounts {
             channels: vec![0; image.channels as usize],
             remote: vec![0; remote],
-            late: Vec::new(),
+            late: vec![Vec::new(); image.longest_delay as usize + 1],
             steps: 0,
             residual_before: 0,
         }
@@ -51,10 +56,24 @@ impl SpikeCounts {
         self.residual_before = self.residual(image, shards, arch);
     }
 
-    /// Notes spikes whose deliveries reach only `reach` more steps.
+    /// Notes spikes of an image's sources whose deliveries reach only `reach` more steps, at most
+    /// as many as the longest delay.
     #[cold]
-    pub fn note_late(&mut self, sources: impl Iterator<Item = u32>, reach: u32) {
-        self.late.extend(sources.map(|source| (source, reach)));
+    pub fn note_late(&mut self, image: &Image, sources: impl Iterator<Item = u32>, reach: u32) {
+        let late = &mut self.late[reach as usize];
+        late.resize(image.sources(), 0);
+        sources.for_each(|source| late[source as usize] += 1);
+    }
+
+    /// How many events the synapses of a source lost to the ends of samples, by delay.
+    fn lost(&self, source: usize) -> [u64; DELAYS] {
+        let mut lost = [0; DELAYS];
+        let mut so_far = 0;
+        for (late, lost) in self.late.iter().zip(&mut lost) {
+            so_far += u64::from(late.get(source).copied().unwrap_or(0));
+            *lost = so_far;
+        }
+        lost
     }
 
     /// The residual of the sample's synaptic events, those of undelivered spikes included
@@ -81,14 +100,13 @@ impl SpikeCounts {
         let by_source = self.by_source(&fired, image, shards);
         let of_compartments = fired[self.channels.len()..].iter_mut();
         of_compartments.zip(&mut self.remote).for_each(|(fired, remote)| *fired += std::mem::take(remote));
-        for &(source, _) in &self.late {
-            fired[source as usize] -= 1;
-        }
         let mut sum = image.tally().sum(&fired);
-        for same in self.late.chunk_by(|a, b| a.1 == b.1) {
-            image.tally().add_spikes(same.iter().map(|late| late.0), |_| 1, same[0].1, &mut sum);
+        if self.late.iter().any(|late| !late.is_empty()) {
+            for source in (0..fired.len()).filter(|&source| fired[source] > 0) {
+                image.tally().take_lost(source as u32, &self.lost(source), &mut sum);
+            }
+            self.late.iter_mut().for_each(Vec::clear);
         }
-        self.late.clear();
         image.tally().add_visits(self.steps, &mut sum);
         for (state, shard) in shards.iter_mut().zip(&image.shards) {
             for (count, block) in state.take_active(shard).into_iter().zip(&shard.blocks) {
@@ -120,6 +138,7 @@ impl SpikeCounts {
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.channels.as_slice()) + size_of_val(self.remote.as_slice())
+        let late: usize = self.late.iter().map(|late| size_of_val(late.as_slice())).sum();
+        size_of_val(self.channels.as_slice()) + size_of_val(self.remote.as_slice()) + late
     }
 }

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use self_cell::self_cell;
 
 use crate::count::routing_tables::{RoutingTables, Selected};
+use crate::count::spike_counts::DELAYS;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
@@ -212,6 +213,9 @@ impl<'p> Tally<'p> {
     #[must_use]
     pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
         let mut sum = 0;
+        if reach == 0 {
+            return sum;
+        }
         self.tables.resolve(sources, |Selected { core, list, stored, formats, .. }| {
             let (dense, sparse) = self.events((core, list), stored, formats, reach);
             sum += dense + sparse;
@@ -330,6 +334,23 @@ impl<'p> Tally<'p> {
         let mut sum = parts.next().unwrap_or_else(|| StepActivity::new(cores));
         parts.for_each(|part| sum.merge(&part));
         sum
+    }
+
+    /// Takes off the synaptic events that a source's synapses lost, by delay.
+    pub fn take_lost(&self, source: u32, lost: &[u64; DELAYS], sum: &mut StepActivity) {
+        if lost.iter().all(|&lost| lost == 0) {
+            return;
+        }
+        self.tables.resolve(std::iter::once(source), |Selected { core, stored, formats, .. }| {
+            let counts = &mut sum.cores[core];
+            for synapse in stored {
+                let lost = lost[usize::from(synapse.delay.get())];
+                match is_dense(&formats[usize::from(synapse.format)]) {
+                    true => counts.events_dense -= lost,
+                    false => counts.events_sparse -= lost,
+                }
+            }
+        });
     }
 
     /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one
