@@ -1,14 +1,12 @@
 //! Networks with real numbers become integers, are written, and are read again as the same
 //! integers.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::common::data;
 use assert_cmd::Command;
 use nsim::dynamics::synapses::Enumerate;
 use nsim::files::lower::lower;
-use nsim::files::network::{Network, NetworkFile};
 use nsim::files::training::TrainingFile;
 use nsim::golden::Golden;
 use nsim::ir::base::diagnostic::SourceText;
@@ -29,8 +27,7 @@ fn graph(populations: &str, projections: &str) -> Graph {
         "Network(name: \"n\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [1, 5, 6]), {populations}], \
          projections: [{projections}], output: \"o\")"
     );
-    let source = SourceText::new("m.ron", text);
-    lower(&Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap()).unwrap()
+    nsim_testing::graph(text)
 }
 
 /// Real thresholds, a convolution, a recurrent projection with a heavy tail, biases, decays of

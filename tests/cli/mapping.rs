@@ -4,6 +4,15 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use nsim::compile::{Options, compile};
+use nsim::files::target::load_target;
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::partition::Partition;
+use nsim::ir::placement::Placement;
+use nsim::ir::program::Program;
+use nsim::ir::quantised::Quantised;
+use nsim::ir::spanned::parse;
+
 use crate::{MODEL, has_keys, object, said, write};
 
 #[test]
@@ -47,6 +56,23 @@ fn a_fan_in_beyond_a_core_names_its_population_and_the_ways_out() {
     assert_eq!((&axons["population"], &axons["need"], &axons["limit"]), (&"sight".into(), &6300.into(), &4096.into()));
     let help = axons["help"].as_str().unwrap();
     assert!(help.contains("polarit") && help.contains("prune"), "{help}");
+}
+
+#[test]
+fn stages_of_the_compiler_are_shown_as_text_that_reads_back() {
+    let shown = |stage: &str| {
+        let (code, stdout, stderr) = said(&["show", "vtsnn-slip", "--as", stage, "--target", "loihi1-chip"]);
+        assert_eq!(code, 0, "{stderr}");
+        SourceText::new("stage.ron", stdout)
+    };
+    let network: Quantised = parse(&shown("quantised"), "stage").unwrap();
+    let partition: Partition = parse(&shown("partition"), "stage").unwrap();
+    let placement: Placement = parse(&shown("placement"), "stage").unwrap();
+    let program: Program = parse(&shown("program"), "stage").unwrap();
+    let compiled = compile(network, &load_target("loihi1-chip").unwrap(), &Options::default()).unwrap();
+    assert!((partition, placement, program.into()) == (compiled.partition, compiled.placement, compiled.program));
+    let refused = object(&["show", "vtsnn-slip", "--as", "program", "--target", "tiny"], 1);
+    assert_eq!((&refused["schema"], &refused["fits"]), (&"nsim.show/1".into(), &false.into()));
 }
 
 #[test]

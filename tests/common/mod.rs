@@ -148,7 +148,7 @@ pub struct Net {
 impl Net {
     /// An empty network with the semantics of the chip.
     pub fn new() -> Net {
-        let parts = Parts::empty("by hand");
+        let parts = Parts { name: "by hand".to_string(), ..Parts::default() };
         Net { parts, channels: 0, compartments: 0 }
     }
 

@@ -1,7 +1,6 @@
 //! The ladder from a trained network to the machine: both ends are what they claim, and every rung
 //! is real.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::common::data;
@@ -12,10 +11,8 @@ use nsim::agree::ladder::{Ladder, layers};
 use nsim::agree::trace::{Layer, Trace};
 use nsim::compile::{Options, compile};
 use nsim::files::lower::lower;
-use nsim::files::network::{Network, NetworkFile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::base::id::ChannelId;
 use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
@@ -26,11 +23,7 @@ use nsim::quantise::analytic::Fit;
 use nsim::reference;
 use nsim::reference::{Kernel, Model, Reference};
 use nsim::train::convert::search::search;
-
-fn graph(text: &str) -> Graph {
-    let source = SourceText::new("m.ron", text);
-    lower(&Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap()).unwrap()
-}
+use nsim_testing::graph;
 
 /// As the paper's tactile network, small: weights of both signs, high rates.
 const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [
@@ -309,7 +302,7 @@ fn shares_add_up_to_the_disagreement() {
 
 #[test]
 fn the_search_comes_nearer_than_the_analytic_start() {
-    let graph = graph(&decided());
+    let graph = graph(decided());
     let (calibration, unseen) = (samples(100..130), samples(0..60));
     let found = search(&graph, &borrowed(&calibration), 16, |_| ()).unwrap();
     assert!(found.end.count_error < 0.6 * found.start.count_error, "{:?} {:?}", found.start, found.end);
@@ -532,7 +525,7 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
 
     // A loop that loses no bits beside the projection that does.
     let network = lower_and_quantise(&text.replace("exp: -2", "exp: 1")).unwrap();
-    let graph = graph(&text.replace("exp: -2", "exp: 1"));
+    let graph = graph(text.replace("exp: -2", "exp: 1"));
     let matrix = |text: &str| -> Vec<Vec<i64>> { serde_json::from_str(text).unwrap() };
     let (first, own) = (matrix(&first), matrix(&own));
     let target = load_target("loihi1-chip").unwrap();

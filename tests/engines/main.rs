@@ -5,6 +5,7 @@
 
 mod agreement;
 mod big_integers;
+mod cases;
 #[path = "../common/mod.rs"]
 mod common;
 mod differential;
@@ -23,5 +24,6 @@ mod sessions;
 mod silicon;
 mod skipping;
 mod soft_reset;
+mod stages;
 mod step_rules;
 mod vtsnn_random;

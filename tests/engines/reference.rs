@@ -1,12 +1,8 @@
 //! The reference engine over whole networks: against SLAYER's own order of operations, and against
 //! the machine where both mean the same.
 
-use std::collections::BTreeMap;
-
 use nsim::files::lower::lower;
-use nsim::files::network::{Network, NetworkFile};
 use nsim::golden::Golden;
-use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
@@ -14,11 +10,7 @@ use nsim::ir::spikes::{Engine, Sample};
 use nsim::reference::{Kernel, Model, Options, Reference};
 use nsim::session::front::front;
 use nsim::session::front::real_and_integers;
-
-fn network(text: &str) -> Network {
-    let source = SourceText::new("m.ron", text);
-    Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap()
-}
+use nsim_testing::model as network;
 
 const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [
     Input(name: "a", shape: [6]), Input(name: "b", shape: [3]),

@@ -1,18 +1,13 @@
 //! Reset by subtraction: every engine computes the same, bounds hold, and only targets that say so
 //! have it.
 
-use std::collections::BTreeMap;
-
 use crate::common::random;
 use nsim::agree::causes::Rung;
 use nsim::agree::ladder::Ladder;
 use nsim::compile::{Options, compile};
-use nsim::files::lower::lower;
-use nsim::files::network::{Network, NetworkFile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::ir::arithmetic::Semantics;
-use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Graph;
 use nsim::ir::hardware::Target;
@@ -127,8 +122,7 @@ fn read(populations: &str) -> Graph {
          projections: [Dense(from: [\"in\"], to: \"hidden\", weights: [[20, 6, 4, 0], [30, 8, 40, 2], [2, 4, 6, 8]]), \
          Dense(from: [\"hidden\"], to: \"out\", weights: [[8, 20, 2], [6, 4, 2]])], output: \"out\")"
     );
-    let source = SourceText::new("n.ron", text);
-    lower(&Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap()).unwrap()
+    nsim_testing::graph(text)
 }
 
 fn integrators(kind: &str) -> Graph {

@@ -16,11 +16,11 @@ use nsim_ir::base::fixed::{BiasMantissa, Decay, Delay, SignMode, ThresholdMantis
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::Rates;
-use nsim_ir::graph::{PerCompartment, Shape, Window};
+use nsim_ir::graph::{Shape, Window};
 use nsim_ir::partition::{Partition, seats};
 use nsim_ir::program::{AxonTarget, Parts, Program, Stored, Synapse};
 use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::quantised::{Neuron, Quantised, Reset, Units};
+use nsim_ir::quantised::{Quantised, Reset, Units};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Pool, Resource};
 use nsim_partition::resources::exact::usage;
 use nsim_partition::resources::fan_in::FanIn;
@@ -37,42 +37,6 @@ fn reasons(network: Quantised, chips: u32, limits: Limits, copies: u32) -> Vec<R
     match compile(network, &target(chips, 1, limits), &options) {
         Err(CompileError::DoesNotFit(reasons)) => reasons,
         other => panic!("{:?}", other.map(|c| c.partition.cores())),
-    }
-}
-
-#[test]
-fn the_slip_network_fits_one_core_with_the_published_counts() {
-    let compiled = compiled(slip(3150), limits());
-    let usage = compiled.partition.usage().as_slice();
-    assert_eq!(usage.len(), 1);
-    // vt-snn: 156 + 3150 + 60 sources; words by nengo's formula.
-    assert_eq!(
-        (usage[0][Resource::AxonsIn], usage[0][Resource::SynapseWords], usage[0][Resource::Compartments]),
-        (3_366, 7_452, 62)
-    );
-}
-
-#[test]
-fn a_dense_layer_of_18_432_words_is_split_over_exactly_two_cores() {
-    let mut builder = Builder::new();
-    let (input, output) = (builder.input("in", 1024), builder.loihi("out", 128));
-    builder.dense(input, output, |s, t| ((s + t) % 100) as i16 * 2);
-    let compiled = compiled(builder.build(), limits());
-    let words: Vec<u64> = compiled.partition.usage().iter().map(|used| used[Resource::SynapseWords]).collect();
-    assert_eq!(compiled.partition.cores(), 2);
-    // 118 targets still take 9 + 7 words an axon, all 16,384; the other 10 take 2.
-    assert_eq!(words, [16_384, 2_048]);
-}
-
-#[test]
-fn both_polarities_of_the_vision_layer_do_not_fit_and_the_ways_out_are_said() {
-    let found = reasons(slip(6300), 1, limits(), 1);
-    assert_eq!(found.len(), 1, "{found:?}");
-    let reason = &found[0];
-    assert_eq!((reason.population.as_deref(), reason.resource.name()), (Some("sight"), "axons_in"));
-    assert_eq!((reason.need, reason.limit, reason.code), (6_300, 4_096, "map.axons-in"));
-    for way in ["merge polarities", "prune inputs", "pool more", "intermediate populations"] {
-        assert!(reason.help.contains(way), "{}", reason.help);
     }
 }
 
@@ -97,58 +61,6 @@ fn sources_are_gathered_in_population_axons_where_input_axons_are_too_few() {
 }
 
 #[test]
-fn every_reason_is_given_over_all_populations() {
-    let mut builder = Builder::new();
-    let (wide, narrow) = (builder.input("wide", 30), builder.input("narrow", 4));
-    let (a, b, c) = (builder.loihi("a", 3), builder.loihi("b", 3), builder.loihi("c", 40));
-    builder.dense(wide, a, |_, _| 2);
-    builder.dense(narrow, b, |_, _| 2);
-    builder.random(narrow, b, 60, 1);
-    builder.dense(b, c, |_, _| 2);
-    let tiny =
-        limits().with(Resource::AxonsIn, 20).with(Resource::SynapseWordsPerAxon, 3).with(Resource::Compartments, 4);
-    let found: Vec<_> = reasons(builder.build(), 1, tiny, 1)
-        .into_iter()
-        .map(|r| (r.population.unwrap(), r.resource, r.limit))
-        .collect();
-    assert!(found.contains(&("a".to_string(), Resource::AxonsIn.into(), 20)), "{found:?}");
-    // About 20 synapses of 14 bits from each channel to each of three targets: 5 words.
-    assert!(found.contains(&("b".to_string(), Resource::SynapseWordsPerAxon.into(), 3)), "{found:?}");
-}
-
-#[test]
-fn output_axons_that_no_split_can_lower_are_a_reason() {
-    let network = || {
-        let mut builder = Builder::new();
-        let (a, b) = (builder.loihi("a", 5), builder.loihi("b", 40));
-        builder.dense(a, b, |_, _| 2);
-        builder.build()
-    };
-    // Ten cores of b: each spike of a takes 10 axons.
-    let per_compartment = limits().with(Resource::Compartments, 4).with(Resource::AxonsOutPerCompartment, 9);
-    let found = reasons(network(), 1, per_compartment, 1);
-    assert_eq!(found.len(), 1);
-    assert_eq!((found[0].resource.name(), found[0].need, found[0].limit), ("axons_out_per_compartment", 11, 9));
-    let slots = limits().with(Resource::Compartments, 4).with(Resource::AxonsOut, 9);
-    let found = reasons(network(), 1, slots, 1);
-    assert_eq!((found[0].population.as_deref(), found[0].resource.name()), (Some("a"), "axons_out"));
-    // With room for 22 slots, two compartments of a fit on a core.
-    let compiled = compiled(network(), limits().with(Resource::Compartments, 4).with(Resource::AxonsOut, 22));
-    assert!(compiled.partition.usage().iter().all(|used| used[Resource::AxonsOut] <= 22));
-}
-
-#[test]
-fn more_copies_than_the_target_holds_is_a_reason_before_anything_large_is_made() {
-    let found = reasons(slip(3150), 1, limits(), 4_096);
-    assert_eq!(found[0].resource, Resource::Compartments);
-    assert!(found[0].help.contains("fewer than 4096 copies"), "{}", found[0].help);
-    let found = reasons(slip(3150), 1, limits(), 200);
-    // 200 x 3,366 input axons need at least 165 cores.
-    assert_eq!((found[0].resource.name(), found[0].need, found[0].limit), ("cores", 165, 128));
-    assert!(found[0].help.contains("at least 165 cores"), "{}", found[0].help);
-}
-
-#[test]
 fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
     let options = Options { copies: 32, placement: CopyPlacement::Packed, ..Options::default() };
     let board = target(2, 2, limits());
@@ -159,48 +71,6 @@ fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
     let small = compile(slip(100), &board, &options).unwrap();
     // 316 input axons and 62 compartments a copy: twelve copies share a core.
     assert_eq!(small.partition.cores(), 3);
-}
-
-#[test]
-fn a_population_that_fits_an_empty_core_is_kept_whole_when_that_costs_no_core() {
-    let mut builder = Builder::new();
-    let input = builder.input("in", 4);
-    let (a, b) = (builder.loihi("a", 700), builder.loihi("b", 600));
-    builder.dense(input, a, |_, _| 2);
-    builder.dense(input, b, |_, _| 2);
-    let kept = compiled(builder.build(), limits());
-    let sizes: Vec<usize> = kept.partition.members().iter().map(Vec::len).collect();
-    assert_eq!(sizes, [700, 600]);
-    let mut builder = Builder::new();
-    let input = builder.input("in", 4);
-    for name in ["a", "b", "c"] {
-        let population = builder.loihi(name, 600);
-        builder.dense(input, population, |_, _| 2);
-    }
-    let filled = compiled(builder.build(), limits());
-    let sizes: Vec<usize> = filled.partition.members().iter().map(Vec::len).collect();
-    assert_eq!(sizes, [1024, 776], "whole would take three cores");
-}
-
-#[test]
-fn too_many_profiles_and_delays_split_a_population() {
-    let mut builder = Builder::new();
-    let input = builder.input("in", 4);
-    let neuron =
-        |i| Neuron { du: Decay::new(i).unwrap(), vth: ThresholdMantissa::new(i / 50).unwrap(), ..neurons().get(0) };
-    let each = PerCompartment::Each((0..100).map(neuron).collect());
-    let varied = builder.loihi_with("varied", Shape::Line(100), each);
-    builder.dense(input, varied, |_, _| 2);
-    let profiles = compiled(builder.build(), limits());
-    assert_eq!(profiles.partition.cores(), 4, "100 profiles, 32 a core");
-    let mut builder = Builder::new();
-    let (input, late) = (builder.input("in", 4), builder.loihi("late", 1000));
-    let weights = vec![2i16; 4000].into();
-    let dense = Connectivity::Dense { targets: 1000, weights };
-    builder.connect((input, late), plain_format(), 31, dense);
-    let delays = compiled(builder.build(), limits());
-    let used: Vec<u64> = delays.partition.usage().iter().map(|used| used[Resource::Compartments]).collect();
-    assert_eq!(used, [256, 256, 256, 232], "8,192 accumulators, 32 slots a compartment");
 }
 
 #[test]
@@ -456,14 +326,6 @@ fn each_rule_of_the_verifier_can_fail() {
         let found = verify(&Program::new(good.clone()).unwrap(), &target(2, 2, tight)).unwrap_err();
         assert!(matches!(&found, Violation::Excess { capacity, .. } if *capacity == resource), "{found}");
     }
-}
-
-#[test]
-fn a_network_larger_than_the_target_is_refused_by_its_size() {
-    let mut builder = Builder::new();
-    builder.loihi("large", 200_000);
-    let found = reasons(builder.build(), 1, limits(), 1);
-    assert_eq!((found[0].need, found[0].limit), (200_000, 131_072));
 }
 
 #[test]

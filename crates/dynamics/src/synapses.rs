@@ -43,25 +43,9 @@ impl Enumerate for Connectivity {
                 }
             }
             Connectivity::Conv2d { window, kernel } => {
-                let (kh, kw) = window.kernel;
-                let per_group_in = window.source.0 / window.groups;
-                let per_group_out = window.target.0 / window.groups;
-                let channel = source / (window.source.1 * window.source.2);
-                let group = channel / per_group_in;
-                for out in group * per_group_out..(group + 1) * per_group_out {
-                    let base = (out * per_group_in + channel % per_group_in) * kh * kw;
-                    for_each_position(window, source, |y, x, ky, kx| {
-                        let target = (out * window.target.1 + y) * window.target.2 + x;
-                        f(target, kernel[(base + ky * kw + kx) as usize]);
-                    });
-                }
+                for_each_of_kernel(window, source, |target, place| f(target, kernel[place]));
             }
-            Connectivity::SumPool2d { window, weight } => {
-                let channel = source / (window.source.1 * window.source.2);
-                for_each_position(window, source, |y, x, _, _| {
-                    f((channel * window.target.1 + y) * window.target.2 + x, *weight);
-                });
-            }
+            Connectivity::SumPool2d { window, weight } => for_each_of_pool(window, source, |target| f(target, *weight)),
             Connectivity::Random { targets, fan_out, low, high, step, seed, first_source } => {
                 let entity = u64::from(*first_source) + u64::from(source);
                 for k in 0..u64::from(*fan_out) {
@@ -119,6 +103,30 @@ impl Enumerate for Connectivity {
             }
         }
     }
+}
+
+/// Calls `f(target, place in the kernel)` for every synapse of a source over a convolution.
+#[inline]
+pub fn for_each_of_kernel(window: &Window, source: u32, mut f: impl FnMut(u32, usize)) {
+    let (kh, kw) = window.kernel;
+    let per_group_in = window.source.0 / window.groups;
+    let per_group_out = window.target.0 / window.groups;
+    let channel = source / (window.source.1 * window.source.2);
+    let group = channel / per_group_in;
+    for out in group * per_group_out..(group + 1) * per_group_out {
+        let base = (out * per_group_in + channel % per_group_in) * kh * kw;
+        for_each_position(window, source, |y, x, ky, kx| {
+            let target = (out * window.target.1 + y) * window.target.2 + x;
+            f(target, (base + ky * kw + kx) as usize);
+        });
+    }
+}
+
+/// Calls `f(target)` for every synapse of a source over a pool, which keeps its channel.
+#[inline]
+pub fn for_each_of_pool(window: &Window, source: u32, mut f: impl FnMut(u32)) {
+    let channel = source / (window.source.1 * window.source.2);
+    for_each_position(window, source, |y, x, _, _| f((channel * window.target.1 + y) * window.target.2 + x));
 }
 
 /// Calls `f(y, x, ky, kx)` for every output position whose window covers this source, and its place

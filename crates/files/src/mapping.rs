@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use ron::extensions::Extensions;
 use ron::ser::PrettyConfig;
 use serde::Serialize;
 
@@ -61,7 +62,9 @@ pub fn mapping_text(mapping: &MappingFile) -> Result<String> {
 /// `write.ron` when the value's type cannot be written.
 pub fn pretty(value: &impl Serialize, lines: usize) -> Result<String> {
     let config = PrettyConfig::new().depth_limit(lines).struct_names(true).new_line("\n").indentor("    ");
-    let options = ron::Options::default().with_default_extension(ron::extensions::Extensions::IMPLICIT_SOME);
+    // Those with which `parse` reads.
+    let extensions = Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES;
+    let options = ron::Options::default().with_default_extension(extensions);
     let mut text = options
         .to_string_pretty(value, config)
         .map_err(|error| Diagnostic::new("write.ron", format!("cannot be written as RON: {error}")))?;

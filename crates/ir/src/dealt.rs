@@ -3,6 +3,8 @@
 //! Processes are *ranks*, numbered from 0. Input: the rank of each core. True of every [`Dealt`]:
 //! each core has one rank, below their number.
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::id::{CoreId, IdVec};
 use crate::base::shared::Shared;
 
@@ -24,7 +26,8 @@ impl Share {
 }
 
 /// The cores of a program, dealt out to ranks.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Dealt {
     /// Number of ranks.
     pub ranks: u32,

@@ -8,6 +8,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
+use serde::{Deserialize, Serialize};
 
 use crate::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use crate::base::diagnostic::{SourceText, Span};
@@ -26,7 +27,7 @@ pub const MOST_CHANNELS: u64 = 1 << 24;
 pub const MOST_SYNAPSES: u64 = 1 << 32;
 
 /// The shape of a population, flattened in C order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Shape {
     /// `[n]`
     Line(u32),
@@ -41,6 +42,15 @@ impl Shape {
         match self {
             Shape::Line(n) => n,
             Shape::Volume(c, h, w) => c * h * w,
+        }
+    }
+
+    /// [`Shape::len`], unless it is 2^32 or more.
+    #[must_use]
+    pub fn checked_len(self) -> Option<u32> {
+        match self {
+            Shape::Line(n) => Some(n),
+            Shape::Volume(c, h, w) => c.checked_mul(h)?.checked_mul(w),
         }
     }
 
@@ -79,7 +89,7 @@ impl fmt::Display for Shape {
 }
 
 /// One value for all compartments of a population, or one for each.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub enum PerCompartment<T> {
     /// The same for all.
     Same(T),
@@ -231,7 +241,8 @@ impl Population {
 }
 
 /// A window sliding over a `[C, H, W]` population; pairs are (y, x).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Window {
     /// Source channels, height, width.
     pub source: (u32, u32, u32),

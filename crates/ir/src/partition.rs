@@ -5,11 +5,14 @@
 
 use std::ops::{Index, IndexMut};
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
 use crate::resource::{Capacity, Limits, PerResource, Resource};
 
 /// Where a compartment sits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Seat {
     /// The core.
     pub core: CoreId,
@@ -18,7 +21,8 @@ pub struct Seat {
 }
 
 /// What a core uses.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct CoreUsage {
     /// Synapses, of which there may be any number.
     pub synapses: u64,
@@ -64,6 +68,14 @@ pub enum PartitionError {
     /// A compartment has two seats, or is not of this network.
     #[error("compartment {0} sits on more than one core, or does not exist")]
     Misplaced(CompartmentId),
+    /// What some core uses is not given.
+    #[error("there are {cores} cores, and what {given} of them use")]
+    Uncounted {
+        /// Number of cores.
+        cores: usize,
+        /// Number of cores of which it is known what they use.
+        given: usize,
+    },
     /// A core needs more than it has.
     #[error("{core} needs {need} {}, the limit is {limit}", capacity.name())]
     Excess {
@@ -79,11 +91,32 @@ pub enum PartitionError {
 }
 
 /// Compartments on logical cores, within every limit.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(try_from = "Text")]
 pub struct Partition {
+    limits: Limits,
     members: IdVec<CoreId, Vec<CompartmentId>>,
+    #[serde(skip)]
     seats: IdVec<CompartmentId, Seat>,
     usage: IdVec<CoreId, CoreUsage>,
+}
+
+/// A [`Partition`] as a text has it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, rename = "Partition")]
+struct Text {
+    limits: Limits,
+    members: IdVec<CoreId, Vec<CompartmentId>>,
+    usage: IdVec<CoreId, CoreUsage>,
+}
+
+impl TryFrom<Text> for Partition {
+    type Error = PartitionError;
+
+    fn try_from(Text { limits, members, usage }: Text) -> Result<Self, PartitionError> {
+        let compartments: usize = members.iter().map(Vec::len).sum();
+        Partition::new(compartments as u32, members, usage, &limits)
+    }
 }
 
 impl Partition {
@@ -91,31 +124,33 @@ impl Partition {
     /// `compile::resources::exact`).
     ///
     /// # Errors
-    /// [`PartitionError`] when a compartment has not exactly one seat or a core exceeds a limit.
-    ///
-    /// # Panics
-    /// When there are not as many usages as cores: a mistake of the caller.
+    /// [`PartitionError`] when a compartment has not exactly one seat, what a core uses is not
+    /// given, or a core exceeds a limit.
     pub fn new(
         compartments: u32,
         members: IdVec<CoreId, Vec<CompartmentId>>,
         usage: IdVec<CoreId, CoreUsage>,
         limits: &Limits,
     ) -> Result<Self, PartitionError> {
-        assert_eq!(members.len(), usage.len(), "one usage for each core");
+        let (cores, given) = (members.len(), usage.len());
+        if cores != given {
+            return Err(PartitionError::Uncounted { cores, given });
+        }
         let seats = seats(compartments, &members)?;
-        Partition { members, seats, usage }.within(limits)
+        Partition { limits: limits.clone(), members, seats, usage }.within(limits)
     }
 
     /// The same within other limits.
     ///
     /// # Errors
     /// [`PartitionError::Excess`] when a core exceeds one.
-    pub fn within(self, limits: &Limits) -> Result<Self, PartitionError> {
+    pub fn within(mut self, limits: &Limits) -> Result<Self, PartitionError> {
         for (core, used) in self.usage.enumerate() {
             if let Some((capacity, need, limit)) = used.excesses(limits).next() {
                 return Err(PartitionError::Excess { core, capacity, need, limit });
             }
         }
+        self.limits = limits.clone();
         Ok(self)
     }
 

@@ -4,11 +4,14 @@
 //! first, then north or south (dimension order, as Loihi's mesh does: Davies et al. 2018). True of
 //! every [`Placement`]: one to one, inside the mesh.
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::id::{CoreId, IdVec};
 use crate::hardware::Target;
 
 /// Sizes of the board and its chips.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Mesh {
     /// Chips from west to east.
     pub chips_x: u32,
@@ -39,6 +42,14 @@ impl Mesh {
         }
     }
 
+    /// Whether it has cores, and all of them can be numbered.
+    #[must_use]
+    pub fn is_countable(&self) -> bool {
+        let Mesh { chips_x, chips_y, width, height, cores_per_tile, cores_per_chip } = *self;
+        let all = [chips_x, chips_y, width, height, cores_per_tile].into_iter().try_fold(1u32, u32::checked_mul);
+        all.is_some_and(|all| all > 0 && (1..=width * height * cores_per_tile).contains(&cores_per_chip))
+    }
+
     /// Cores of the whole board.
     #[must_use]
     pub fn cores(&self) -> u32 {
@@ -58,13 +69,15 @@ impl Mesh {
         })
     }
 
-    /// The inverse of [`Mesh::site`], for a site inside the mesh.
+    /// The inverse of [`Mesh::site`]; `None` for a site outside the mesh.
     #[must_use]
     pub fn number(&self, site: Site) -> Option<u32> {
         let inside = site.x < self.width && site.y < self.height && site.core < self.cores_per_tile;
+        if !inside || site.chip >= self.chips_x * self.chips_y {
+            return None;
+        }
         let within = (site.y * self.width + site.x) * self.cores_per_tile + site.core;
-        (inside && site.chip < self.chips_x * self.chips_y && within < self.cores_per_chip)
-            .then(|| site.chip * self.cores_per_chip + within)
+        (within < self.cores_per_chip).then(|| site.chip * self.cores_per_chip + within)
     }
 
     /// Column and row of a site's tile over the whole board.
@@ -94,7 +107,8 @@ impl Mesh {
 }
 
 /// A physical core.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Site {
     /// Chip number, row of chips by row.
     pub chip: u32,
@@ -135,6 +149,9 @@ impl Route {
 /// A core that cannot be where it was put.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PlacementError {
+    /// The mesh has no cores.
+    #[error("the mesh has no cores, or more than can be numbered")]
+    Mesh,
     /// Outside the mesh.
     #[error("{core} is placed on chip {} tile ({}, {}) core {}, which the target does not \
              have", site.chip, site.x, site.y, site.core)]
@@ -155,10 +172,27 @@ pub enum PlacementError {
 }
 
 /// Every logical core's place.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(try_from = "Text")]
 pub struct Placement {
     mesh: Mesh,
     sites: IdVec<CoreId, Site>,
+}
+
+/// A [`Placement`] as a text has it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, rename = "Placement")]
+struct Text {
+    mesh: Mesh,
+    sites: IdVec<CoreId, Site>,
+}
+
+impl TryFrom<Text> for Placement {
+    type Error = PlacementError;
+
+    fn try_from(Text { mesh, sites }: Text) -> Result<Self, PlacementError> {
+        Placement::new(mesh, sites)
+    }
 }
 
 impl Placement {
@@ -167,6 +201,9 @@ impl Placement {
     /// # Errors
     /// [`PlacementError`] at the first core for which that is not so.
     pub fn new(mesh: Mesh, sites: IdVec<CoreId, Site>) -> Result<Self, PlacementError> {
+        if !mesh.is_countable() {
+            return Err(PlacementError::Mesh);
+        }
         let mut taken: std::collections::HashMap<u32, CoreId> = std::collections::HashMap::new();
         for (core, &site) in sites.enumerate() {
             let number = mesh.number(site).ok_or(PlacementError::Outside { core, site })?;

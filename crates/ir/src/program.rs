@@ -13,6 +13,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::csr::Csr;
@@ -26,7 +27,8 @@ use crate::quantised::connectivity::SynapseFormat;
 use crate::quantised::{Neuron, Output, Population, Reset};
 
 /// An input axon of a core.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct AxonTarget {
     /// The core.
     pub core: CoreId,
@@ -35,7 +37,8 @@ pub struct AxonTarget {
 }
 
 /// A synapse of an input axon's list.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Synapse {
     /// Slot of the target compartment.
     pub slot: u16,
@@ -48,7 +51,8 @@ pub struct Synapse {
 }
 
 /// A synapse format of a core.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct CoreFormat {
     /// Exponent, sign mode and bits of its weights.
     pub synapse: SynapseFormat,
@@ -64,7 +68,8 @@ pub struct CoreFormat {
 /// A core's entry for several sources, distinguished by the atom that their messages carry: the
 /// channels at one position of a population. Population axons that are given the same table store
 /// it once, each with another base.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct PopulationAxon {
     /// The list of atom 0; those of the other atoms follow it.
     pub table: u32,
@@ -75,7 +80,8 @@ pub struct PopulationAxon {
 }
 
 /// What the message of one source selects on a core.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub enum InputAxon {
     /// A list of its own, with the slots as they are.
     Discrete {
@@ -109,7 +115,8 @@ impl<'a> Selected<'a> {
 }
 
 /// A core's lists of synapses and the input axons that select them.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Stored {
     /// The lists: the tables of population axons, then those of discrete axons.
     pub lists: Csr<Synapse>,
@@ -214,13 +221,15 @@ impl Stored {
         }
     }
 
+    /// Whether the axons without an entry are not more than the lists.
+    fn has_lists(&self) -> bool {
+        self.plain as usize <= self.lists.len()
+    }
+
     /// Whether every axon selects a list, each list of a discrete axon is selected by it alone,
     /// each axon's atom is in the table of its population, and slots are below a number.
     fn is_closed(&self, slots: usize) -> bool {
         let most = |lists: Range<usize>| lists.flat_map(|list| self.lists.get(list)).map(|s| s.slot).max();
-        if self.plain as usize > self.lists.len() {
-            return false;
-        }
         if self.axons.is_empty() && self.populations.is_empty() {
             let below = |synapse: &Synapse| usize::from(synapse.slot) < slots;
             return self.plain as usize == self.lists.len() && self.lists.items().iter().all(below);
@@ -251,7 +260,8 @@ impl Stored {
 }
 
 /// A compartment's parameters on its core.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Compartment {
     /// Its fields.
     pub neuron: Neuron,
@@ -260,7 +270,8 @@ pub struct Compartment {
 }
 
 /// Everything that one core holds.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct CoreImage {
     /// Where it is.
     pub site: Site,
@@ -279,7 +290,8 @@ pub struct CoreImage {
 
 /// Consecutive sources whose spikes all carry the same integer. Sources are numbered channels
 /// first, then compartments.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Graded {
     /// The sources.
     pub sources: Range<u32>,
@@ -288,7 +300,8 @@ pub struct Graded {
 }
 
 /// The compartments of a population.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Compartments {
     /// The first.
     pub first: CompartmentId,
@@ -309,7 +322,8 @@ impl Compartments {
 }
 
 /// What the parts of a [`Program`] are.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, rename = "Program")]
 pub struct Parts {
     /// The mesh that sites are on.
     pub mesh: Mesh,
@@ -408,9 +422,24 @@ impl Parts {
 pub struct NotClosed(pub String);
 
 /// One closed image for each core.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "Parts")]
 pub struct Program {
     parts: Parts,
+}
+
+impl TryFrom<Parts> for Program {
+    type Error = NotClosed;
+
+    fn try_from(parts: Parts) -> Result<Self, NotClosed> {
+        Program::new(parts)
+    }
+}
+
+impl Serialize for Program {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.parts.serialize(serializer)
+    }
 }
 
 impl Program {
@@ -421,6 +450,12 @@ impl Program {
     /// share an axon.
     pub fn new(parts: Parts) -> Result<Self, NotClosed> {
         let wrong = |core: CoreId, what: &str| Err(NotClosed(format!("{core}: {what}")));
+        if !parts.mesh.is_countable() {
+            return Err(NotClosed("the mesh has no cores, or more than can be numbered".to_string()));
+        }
+        if let Some((core, _)) = parts.cores.enumerate().find(|(_, image)| !image.inputs.has_lists()) {
+            return wrong(core, "it has more discrete input axons than lists");
+        }
         let marks = Marks::new(&parts);
         let seen = parts.seen_before();
         let core = |marks: &Marks, core| {

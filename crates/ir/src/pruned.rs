@@ -1,9 +1,11 @@
 //! What pruning left out of a network, and why.
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::names::named_variants;
 
 /// Why something was left out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 pub enum Kind {
     /// An input channel that the stimulus never fires.
     DeadInput,
@@ -26,7 +28,7 @@ named_variants!(Kind {
 });
 
 /// How many of a kind were left out, and where.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Row {
     /// The kind.
     pub kind: Kind,

@@ -14,7 +14,8 @@ use std::collections::BTreeMap;
 use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// How synapse words are counted (`docs/formats.md`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -241,6 +242,23 @@ impl<T> PerResource<T> {
     #[must_use]
     pub fn from_fn(f: impl FnMut(Resource) -> T) -> Self {
         PerResource(Resource::ALL.map(f))
+    }
+}
+
+/// Written by the names of the resources, all of which a text has.
+impl<T: Serialize> Serialize for PerResource<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(Resource::ALL.iter().zip(&self.0))
+    }
+}
+
+impl<'de, T: Deserialize<'de> + Copy> Deserialize<'de> for PerResource<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let given = BTreeMap::<Resource, T>::deserialize(deserializer)?;
+        if let Some(missing) = Resource::ALL.into_iter().find(|resource| !given.contains_key(resource)) {
+            return Err(D::Error::custom(format_args!("missing field `{}`", missing.name())));
+        }
+        Ok(PerResource::from_fn(|resource| given[&resource]))
     }
 }
 

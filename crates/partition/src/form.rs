@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use serde::{Deserialize, Serialize};
+
 use crate::strategy::lattice::layers;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::hardware::Target;
@@ -17,7 +19,7 @@ pub const MOST_WRITTEN: u64 = 1 << 28;
 pub const MOST_RUN: u64 = 1 << 32;
 
 /// How far the synapses of a network are expanded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Form {
     /// Every synapse is written into a program.
     Written,

@@ -123,16 +123,6 @@ pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) ->
     one * most / peak(keep_u, keep_v)
 }
 
-/// The threshold at which a constant input brings the potential as far as the alpha kernel does,
-/// relative to the threshold.
-#[must_use]
-pub fn area_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v: f64) -> f64 {
-    // The sum of eps(k) = (e / tau) k r^k is (e / tau) r / (1 - r)^2.
-    let (tau, r) = (srm.tau_sr_ms / timestep_ms, real_keep(srm, timestep_ms));
-    let area = std::f64::consts::E / tau * r / ((1.0 - r) * (1.0 - r));
-    srm.theta / (area * (1.0 - keep_u) * (1.0 - keep_v))
-}
-
 /// Weights of the synapses of a compartment onto itself, of delay 0, 1, .., that give back what a
 /// spike's hard reset takes and bring the refractory response in its place.
 ///

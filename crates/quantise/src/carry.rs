@@ -172,17 +172,12 @@ fn rho(form: &RealForm) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
     use crate::analytic;
     use crate::analytic::Fit;
     use crate::exponents::Detail;
     use crate::quantise::{quantise_with, scales};
     use nsim_dynamics::synapses::Enumerate;
-    use nsim_files::lower::lower;
-    use nsim_files::network::{Network, NetworkFile};
-    use nsim_ir::base::diagnostic::SourceText;
     use nsim_ir::base::fixed::Decay;
 
     /// What a spike of each source leaves in the current after the last copy, less what real
@@ -191,9 +186,7 @@ mod tests {
         let text = "Network(name: \"t\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [40]), \
             Srm(name: \"o\", shape: [3], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10)], projections: [\
             Dense(from: [\"in\"], to: \"o\", weights: Uniform(low: -0.4, high: 0.7, seed: 2))], output: \"o\")";
-        let source = SourceText::new("m.ron", text.to_string());
-        let network = Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap();
-        let graph = lower(&network).unwrap();
+        let graph = nsim_testing::graph(text);
         let start = analytic::starts(&graph)[1].clone().unwrap();
         let copies: Vec<(u32, f64)> = (0..9).map(|k| (k * k / 2, 1.0 - 0.11 * f64::from(k))).collect();
         let fit = Fit {

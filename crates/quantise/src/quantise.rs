@@ -598,104 +598,9 @@ fn visit_weights<E>(projection: &graph::Projection, mut f: impl FnMut(f64, Span)
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
     use nsim_dynamics::synapses::Enumerate;
-    use nsim_files::lower::lower;
-    use nsim_files::network::{Network, NetworkFile};
-    use nsim_ir::base::diagnostic::SourceText;
-
-    fn quantised(text: &str) -> Result<Quantised> {
-        let source = SourceText::new("m.ron", text);
-        let file = NetworkFile::parse(&source)?;
-        quantise(&lower(&Network::new(file, source, BTreeMap::new())?)?)
-    }
-
-    fn network(loihi: &str, projection: &str) -> String {
-        format!(
-            "Network(name: \"t\", timestep_ms: 1.0,\n populations: [Input(name: \"in\", shape: [2]),\n  \
-             Loihi(name: \"o\", shape: [2], {loihi})],\n projections: [{projection}],\n output: \"o\")"
-        )
-    }
-
-    fn dense(q: &Quantised) -> &[i16] {
-        match &q.projections().as_slice()[0].connectivity {
-            Connectivity::Dense { weights, .. } => weights,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    #[test]
-    fn integer_weights_pass_and_are_stored_by_source() {
-        let text =
-            network("du: 1024, dv: 128, vth_mant: 80", "Dense(from: [\"in\"], to: \"o\", weights: [[2, 4], [-6, 8]])");
-        let q = quantised(&text).unwrap();
-        assert_eq!(dense(&q), [2, -6, 4, 8]);
-        assert!(q.parts().notes.is_empty());
-    }
-
-    #[test]
-    fn odd_weights_round_to_even_and_leave_a_note() {
-        let text =
-            network("du: 1024, dv: 128, vth_mant: 80", "Dense(from: [\"in\"], to: \"o\", weights: [[1, 3], [-1, -3]])");
-        let q = quantised(&text).unwrap();
-        assert_eq!(dense(&q), [0, 0, 4, -4], "halves go to the even multiple: 0.5 -> 0, 1.5 -> 2");
-        assert_eq!(q.parts().notes[0].message, "4 of 4 weights rounded to multiples of 2, by at most 1.000");
-    }
-
-    #[test]
-    fn a_real_threshold_scales_everything_that_comes_in() {
-        let text = network(
-            "tau_u_ms: 3.4760594967822066, dv: 128, vth: 0.5, bias: 0.25",
-            "Dense(from: [\"in\"], to: \"o\", weights: [[0.5, -0.25], [1.0, 0.125]])",
-        );
-        let q = quantised(&text).unwrap();
-        let mut scaled = [[0; 2]; 2];
-        for projection in q.projections() {
-            for source in 0..2 {
-                let at = |target: u32, weight| {
-                    scaled[target as usize][source as usize] +=
-                        nsim_dynamics::arithmetic::scaled(projection.format, weight);
-                };
-                projection.connectivity.for_each_from(source, at);
-            }
-        }
-        // 1.0 takes the greatest weight, 254, with exponent 3; -0.25 and 0.125 have exponent 1.
-        assert_eq!(scaled, [[128 << 9, -(254 << 7)], [254 << 9, 128 << 7]]);
-        let Units::Compartments { neurons, .. } = &q.populations().as_slice()[1].units else { panic!() };
-        let neuron = neurons.get(1);
-        // S = 254 * 64 * 2^3 register units, the last doubling at which 0.5 S is within 2^16: the
-        // threshold 0.5 S / 64 = 1,016; du = 4096 (1 - exp(-1 / tau)) = 1024.
-        assert_eq!((neuron.vth.get(), neuron.du.get()), (1016, 1024));
-        assert_eq!((neuron.bias_mant.get(), neuron.bias_exp.get()), (4064, 3));
-    }
-
-    #[test]
-    fn a_weight_out_of_range_is_refused_where_it_stands() {
-        let text = network(
-            "du: 1024, dv: 128, vth_mant: 80",
-            "Dense(from: [\"in\"], to: \"o\",\n weights: [[2, 4],\n  [-6, 400]])",
-        );
-        let error = quantised(&text).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "m.ron:6:3: projection in -> o: weight [1, 1] 400 is outside -256..=254 of 8 Mixed bits"
-        );
-    }
-
-    #[test]
-    fn a_decay_out_of_range_is_refused_where_it_stands() {
-        let text = network(
-            "du: [0, 5000], dv: 128, vth_mant: 80",
-            "Dense(from: [\"in\"], to: \"o\", weights: [[2, 4], [6, 8]])",
-        );
-        let error = quantised(&text).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "m.ron:3:36: population 'o': du of compartment 1: decay 5000 is outside 0..=4096"
-        );
-    }
+    use nsim_testing::graph;
 
     #[test]
     fn windows_and_random_synapses_lower() {
@@ -707,7 +612,7 @@ mod tests {
             projections: [SumPool2d(from: [\"in\"], to: \"pool\", kernel: (2, 2), padding: (1, 0), weight: 2),
              Conv2d(from: [\"pool\"], to: \"conv\", weights: [[[[2, 4]], [[6, 8]]]], padding: (0, 1), stride: (2, 2)),
              Random(from: [\"conv\"], to: \"o\", fan_out: 4, low: -6, high: 6, seed: 3, delay: 2)], output: \"o\")";
-        let q = quantised(text).unwrap();
+        let q = quantise(&graph(text)).unwrap();
         let pool = &q.projections().as_slice()[0].connectivity;
         let mut reached = Vec::new();
         pool.for_each_from(25 + 4 * 5 + 3, |target, weight| reached.push((target, weight)));

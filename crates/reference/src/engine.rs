@@ -31,28 +31,6 @@ pub struct Options {
     pub kernel: Kernel,
 }
 
-/// What a neuron is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum NeuronForm {
-    /// A spike response neuron.
-    Srm(srm::Parameters),
-    /// A current-based one.
-    Cuba(RealForm),
-}
-
-/// One synapse of a model.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Synapse<F> {
-    /// The channel or, after all channels, the compartment that it comes from.
-    pub source: u32,
-    /// Where it goes.
-    pub target: CompartmentId,
-    /// Steps from the source's spike to the update that it enters.
-    pub way: u32,
-    /// What a spike adds.
-    pub weight: F,
-}
-
 /// What a population's neurons are.
 #[derive(Debug, Clone)]
 enum Kind {
@@ -157,58 +135,6 @@ impl<F: Real> Model<F> {
     #[must_use]
     pub fn channels(&self) -> u32 {
         self.channels
-    }
-
-    /// How voltages are compared with thresholds.
-    #[must_use]
-    pub fn threshold_test(&self) -> ThresholdTest {
-        self.test
-    }
-
-    /// When all state returns to rest within a sample.
-    #[must_use]
-    pub fn reset(&self) -> Option<Reset> {
-        self.reset
-    }
-
-    /// Every neuron and its first step, in their order.
-    pub fn for_each_neuron(&self, mut each: impl FnMut(NeuronForm, u32)) {
-        for population in &self.populations {
-            for index in 0..population.count {
-                match &population.kind {
-                    Kind::Input => {}
-                    Kind::Srm(parameters) => each(NeuronForm::Srm(*parameters), population.start_step),
-                    Kind::Cuba(neurons) => each(NeuronForm::Cuba(neurons[index as usize]), population.start_step),
-                }
-            }
-        }
-    }
-
-    /// Every synapse: those of a source after those of all before it, in the order in which its
-    /// spike is delivered.
-    pub fn for_each_synapse(&self, mut each: impl FnMut(Synapse<F>)) {
-        for inputs_first in [true, false] {
-            for (population, projections) in self.populations.iter().zip(&self.projections) {
-                let input = matches!(population.kind, Kind::Input);
-                if input != inputs_first {
-                    continue;
-                }
-                let first = population.first + if input { 0 } else { self.channels };
-                for index in 0..population.count {
-                    for projection in projections {
-                        let to = self.populations[projection.target].first;
-                        projection.synapses.for_each_from(index, |target, weight| {
-                            each(Synapse {
-                                source: first + index,
-                                target: CompartmentId(to + target),
-                                way: projection.way(input),
-                                weight,
-                            });
-                        });
-                    }
-                }
-            }
-        }
     }
 
     fn at(&self, compartment: CompartmentId) -> (usize, usize) {

@@ -13,6 +13,6 @@ mod real;
 pub mod srm;
 pub mod synapses;
 
-pub use engine::{Model, NeuronForm, Options, Reference, Synapse};
+pub use engine::{Model, Options, Reference};
 pub use kernel::Kernel;
 pub use real::Real;

@@ -1,6 +1,6 @@
 //! Real synapses, enumerated from their source.
 
-use nsim_dynamics::synapses::for_each_position;
+use nsim_dynamics::synapses::{for_each_of_kernel, for_each_of_pool};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{Projection, ProjectionKind, Window};
 use nsim_ir::tensor::Tensor;
@@ -90,52 +90,29 @@ impl<F: Real> Synapses<F> {
 
     /// Adds a source's spike to the sums of its targets; returns the number of its synapses.
     pub fn deliver(&self, source: u32, sums: &mut [F]) -> u64 {
-        if let Synapses::Dense { targets, weights } = self {
-            let row = source as usize * *targets as usize;
-            for (sum, &weight) in sums.iter_mut().zip(&weights[row..row + *targets as usize]) {
-                *sum += weight;
-            }
-            return u64::from(*targets);
-        }
         let mut count = 0;
-        self.for_each_from(source, |target, weight| {
+        let mut add = |target: u32, weight: F| {
             sums[target as usize] += weight;
             count += 1;
-        });
-        count
-    }
-
-    /// Targets and weights of a source, in the order of delivery.
-    pub fn for_each_from(&self, source: u32, mut each: impl FnMut(u32, F)) {
+        };
         match self {
             Synapses::Dense { targets, weights } => {
                 let row = source as usize * *targets as usize;
-                (0..).zip(&weights[row..row + *targets as usize]).for_each(|(target, &weight)| each(target, weight));
+                for (sum, &weight) in sums.iter_mut().zip(&weights[row..row + *targets as usize]) {
+                    *sum += weight;
+                }
+                return u64::from(*targets);
             }
             Synapses::List { first, synapses } => {
-                let mine = &synapses[first[source as usize]..first[source as usize + 1]];
-                mine.iter().for_each(|&(target, weight)| each(target, weight));
+                let own = &synapses[first[source as usize]..first[source as usize + 1]];
+                own.iter().for_each(|&(target, weight)| add(target, weight));
             }
             Synapses::Conv { window, kernel } => {
-                let (kh, kw) = window.kernel;
-                let (per_in, per_out) = (window.source.0 / window.groups, window.target.0 / window.groups);
-                let channel = source / (window.source.1 * window.source.2);
-                let group = channel / per_in;
-                for out in group * per_out..(group + 1) * per_out {
-                    let base = (out * per_in + channel % per_in) * kh * kw;
-                    for_each_position(window, source, |y, x, ky, kx| {
-                        let target = (out * window.target.1 + y) * window.target.2 + x;
-                        each(target, kernel[(base + ky * kw + kx) as usize]);
-                    });
-                }
+                for_each_of_kernel(window, source, |target, place| add(target, kernel[place]));
             }
-            Synapses::Pool { window, weight } => {
-                let channel = source / (window.source.1 * window.source.2);
-                for_each_position(window, source, |y, x, _, _| {
-                    each((channel * window.target.1 + y) * window.target.2 + x, *weight);
-                });
-            }
+            Synapses::Pool { window, weight } => for_each_of_pool(window, source, |target| add(target, *weight)),
         }
+        count
     }
 }
 

@@ -29,12 +29,11 @@ pub fn hand_out(
 ) -> Result<Compiled, CompileError> {
     let synapses = placed.partitioned.all.synapses();
     let dealt = placed.dealt(options.share).ok_or_else(|| CompileError::fault("there are no other ranks"))?;
-    let parcel = Parcel::new(&placed, options.copies, &dealt, note);
+    let parcel = Parcel { placed: &placed, copies: options.copies, dealt: &dealt, note };
     for rank in 1..ranks.ranks() {
-        let words = parcel.of_rank(rank);
-        ranks.transport().give(rank, words);
+        let sent = parcel.of_rank(rank)?;
+        ranks.transport().give(rank, sent);
     }
-    drop(parcel);
     let compiled = placed.compiled(target, options, Some(dealt))?;
     let written: u64 = ranks.transport().gather(vec![own_synapses(&compiled, 0)]).concat().iter().sum();
     match written == synapses {
@@ -44,8 +43,13 @@ pub fn hand_out(
 }
 
 /// Tells the other ranks that the network does not fit.
-pub fn refuse(ranks: &Ranks) {
-    (1..ranks.ranks()).for_each(|rank| ranks.transport().give(rank, parcel::refusal()));
+///
+/// # Errors
+/// None that is known.
+pub fn refuse(ranks: &Ranks) -> Result<(), CompileError> {
+    let refusal = parcel::refusal()?;
+    (1..ranks.ranks()).for_each(|rank| ranks.transport().give(rank, refusal.clone()));
+    Ok(())
 }
 
 /// The part of another rank than the first, and the note that came with it.
@@ -54,8 +58,8 @@ pub fn refuse(ranks: &Ranks) {
 /// [`CompileError::DoesNotFit`], without reasons, where rank 0 has said so; [`CompileError::Fault`]
 /// when a check fails.
 pub fn receive(target: &Target, options: &Options, ranks: &Ranks) -> Result<Opened, CompileError> {
-    let words = ranks.transport().given();
-    let opened = parcel::open(words, target, options)?;
+    let parcel = ranks.transport().given();
+    let opened = parcel::open(parcel, target, options)?;
     ranks.transport().gather(vec![own_synapses(&opened.compiled, ranks.rank())]);
     Ok(opened)
 }
@@ -80,7 +84,7 @@ pub fn compile_on(
     match compile::place(front, target, options, &Rates::assumed(DEFAULT_RATE), form) {
         Ok(placed) => hand_out(placed, target, options, (ranks, None)),
         Err(error) => {
-            refuse(ranks);
+            refuse(ranks)?;
             Err(error)
         }
     }

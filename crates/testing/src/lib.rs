@@ -3,17 +3,31 @@
 // What cannot be made for a test fails it.
 #![allow(clippy::unwrap_used)]
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use nsim_files::lower::lower;
+use nsim_files::network::{Network, NetworkFile};
 use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::base::rng;
-use nsim_ir::graph::{PerCompartment, Shape, Window};
+use nsim_ir::graph::{Graph, PerCompartment, Shape, Window};
 use nsim_ir::hardware::{Chip, Target, TargetFile};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Parts, Population, Projection, Quantised, Units};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Resource};
+
+/// A model from its text.
+pub fn model(text: impl AsRef<str>) -> Network {
+    let source = SourceText::new("m.ron", text.as_ref());
+    Network::new(NetworkFile::parse(&source).unwrap(), source, BTreeMap::new()).unwrap()
+}
+
+/// The graph of a model's text.
+pub fn graph(text: impl AsRef<str>) -> Graph {
+    lower(&model(text)).unwrap()
+}
 
 /// The limits of a Loihi core as the shipped chip has them.
 pub fn limits() -> Limits {
@@ -90,7 +104,7 @@ impl Builder {
     /// Nothing yet.
     #[must_use]
     pub fn new() -> Self {
-        let parts = Parts::empty("test");
+        let parts = Parts { name: "test".to_string(), ..Parts::default() };
         Builder { parts, channels: 0, compartments: 0 }
     }
 

@@ -235,7 +235,7 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
     }
     let prepared = prepare_here(args, wanted, copies, probed)?;
     if matches!(prepared, Prepared::DoesNotFit(_)) {
-        handed::refuse(ranks);
+        handed::refuse(ranks)?;
     }
     Ok(prepared)
 }

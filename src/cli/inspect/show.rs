@@ -1,36 +1,80 @@
-//! `nsim show NAME`: a shipped file as it is.
+//! `nsim show NAME`: a shipped file as it is, or a stage of the compiler (`--as`), as RON.
 //!
-//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it.
-//! Output: its text, which is RON and can be saved, changed and used in its place.
+//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it;
+//! with `--as` a model. Output: its text, which can be saved, changed and used in its place; or the
+//! network in integers, its cores, their places, or their tables, as `nsim::ir` reads them.
 
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use crate::cli::args::jobs::{JobArgs, Prepared, Wanted, prepare};
+use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context, Format};
+use crate::cli::output;
 use nsim_files as io;
+use nsim_files::mapping::pretty;
 use nsim_files::shipped;
 use nsim_files::shipped::Shipped;
+use nsim_ir::base::names::named_variants;
 use nsim_session::error::Error;
 
-/// Print a shipped model, target, chip or preset of constants as RON
+/// A stage of the compiler.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// The network in integers.
+    Quantised,
+    /// Its compartments on logical cores.
+    Partition,
+    /// The cores' places on the mesh.
+    Placement,
+    /// The tables of the cores.
+    Program,
+}
+
+named_variants!(Stage {
+    Quantised = "quantised",
+    Partition = "partition",
+    Placement = "placement",
+    Program = "program",
+});
+
+/// Print a shipped model, target, chip or preset of constants, or a stage of the compiler, as RON
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
   nsim show nahuku-32                      a target
   nsim show chips/loihi1 > chip.ron        its chip, to be changed
   nsim show davies2018                     a preset of constants
-  nsim show                                all names")]
+  nsim show                                all names
+  nsim show model.ron --as quantised       a model in integers that fit their hardware fields
+  nsim show model.ron --as program --target loihi1-chip -o program.ron   the tables of its cores")]
 pub struct Args {
-    /// A shipped name, with its kind before it where several files have it
+    /// A shipped name, with its kind before it where several files have it; with --as, a model file
+    /// or the name of a shipped model
     pub name: Option<String>,
+    /// A stage of the compiler instead: the network in integers, its compartments on cores, the
+    /// places of the cores, or their tables
+    #[arg(long = "as", value_name = "STAGE", value_parser = one_of(&Stage::ALL, Stage::name), requires = "name")]
+    pub stage: Option<Stage>,
+    /// The target of the compiler: a file or the name of a shipped target
+    #[arg(long, default_value = "nahuku-32", requires = "stage")]
+    pub target: String,
+    /// Where to save the text
+    #[arg(short, long)]
+    pub output: Option<PathBuf>,
 }
 
 /// The command.
 ///
 /// # Errors
-/// [`Error::Usage`] for a name that no shipped file has, or several have.
+/// [`Error::Usage`] for a name that no shipped file has, or several have; when a model cannot be
+/// used or a file cannot be written. A model that does not fit is an answer.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let Some(name) = &args.name else {
         let names: Vec<&str> = all().map(without_extension).collect();
         let text = match context.format {
             Format::Json => {
-                let object = serde_json::json!({ "schema": "nsim.show/1", "names": names });
+                let object = json!({ "schema": "nsim.show/1", "names": names });
                 format!("{object:#}\n")
             }
             _ => names.iter().map(|name| format!("{name}\n")).collect(),
@@ -38,16 +82,33 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         io::write::stdout(&text)?;
         return Ok(Answer::Yes);
     };
-    let file = find(name)?;
-    let text = match context.format {
-        Format::Json => {
-            let object =
-                serde_json::json!({ "schema": "nsim.show/1", "name": without_extension(file), "text": file.text });
-            format!("{object:#}\n")
+    output::check_files(&args.output, [], context)?;
+    let (name, text) = match args.stage {
+        None => find(name).map(|file| (without_extension(file), file.text.to_string()))?,
+        Some(stage) => {
+            let job = JobArgs { target: args.target.clone(), ..JobArgs::for_model(name) };
+            let wanted = if stage == Stage::Quantised { Wanted::Quantised } else { Wanted::Mapped };
+            let job = match prepare(&job, wanted, 1)? {
+                Prepared::Ready(job) => job,
+                Prepared::DoesNotFit(why) => return why.say(json!({ "schema": "nsim.show/1", "name": name }), context),
+            };
+            // So deep that an entry of a table takes a line.
+            let text = match (stage, job.mapped()) {
+                (Stage::Partition, Some((compiled, _))) => pretty(&compiled.partition, 2)?,
+                (Stage::Placement, Some((compiled, _))) => pretty(&compiled.placement, 2)?,
+                (Stage::Program, Some((compiled, _))) => pretty(&compiled.program, 5)?,
+                _ => pretty(job.quantised(), 3)?,
+            };
+            (name.as_str(), text)
         }
-        _ => file.text.to_string(),
     };
-    io::write::stdout(&text)?;
+    if let Some(path) = &args.output {
+        io::write::text(path, context.force, &text)?;
+    } else if context.format == Format::Json {
+        io::write::stdout(&format!("{:#}\n", json!({ "schema": "nsim.show/1", "name": name, "text": text })))?;
+    } else {
+        io::write::stdout(&text)?;
+    }
     Ok(Answer::Yes)
 }
 

@@ -280,11 +280,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
     for (number, core) in file.cores.iter().enumerate() {
         let site = Site { chip: core.chip, x: core.x, y: core.y, core: core.core };
         let place = format!("chip {} tile ({}, {}) core {}", site.chip, site.x, site.y, site.core);
-        if site.x >= mesh.width
-            || site.y >= mesh.height
-            || site.core >= mesh.cores_per_tile
-            || mesh.number(site).is_none()
-        {
+        if mesh.number(site).is_none() {
             return wrong("mapping.site", format!("core {number} of the mapping: {place} is not on the target"));
         }
         let mut held = Vec::new();

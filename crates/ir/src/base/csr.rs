@@ -4,16 +4,39 @@
 //! row. Invariants: the offsets begin at 0, do not fall, and end at the number of items, which is
 //! below 2^32. Errors: [`NotClosed`] for offsets that break an invariant.
 
+use serde::ser::{Serialize, Serializer};
+
 /// Offsets that do not divide the items into rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the offsets of rows do not divide their items")]
 pub struct NotClosed;
 
 /// Rows of items.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize)]
+#[serde(try_from = "Vec<Vec<T>>")]
 pub struct Csr<T> {
     first: Vec<u32>,
     items: Vec<T>,
+}
+
+/// Written as a list of rows.
+impl<T: Serialize> Serialize for Csr<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.iter())
+    }
+}
+
+impl<T> TryFrom<Vec<Vec<T>>> for Csr<T> {
+    type Error = NotClosed;
+
+    fn try_from(rows: Vec<Vec<T>>) -> Result<Self, NotClosed> {
+        let ends = rows.iter().scan(0, |end, row| {
+            *end += row.len();
+            Some(u32::try_from(*end).map_err(|_| NotClosed))
+        });
+        let first = std::iter::once(Ok(0)).chain(ends).collect::<Result<_, _>>()?;
+        Csr::new(first, rows.into_iter().flatten().collect())
+    }
 }
 
 impl<T> Default for Csr<T> {

@@ -5,6 +5,8 @@
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
 /// A value that does not fit its field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{what} {value} is outside {low}..={high}")]
@@ -45,7 +47,8 @@ impl Field {
 macro_rules! ranged {
     ($(#[$doc:meta])* $name:ident($repr:ty) in $low:literal ..= $high:literal, $what:literal) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+        #[serde(try_from = "i64", into = "i64")]
         pub struct $name($repr);
         impl $name {
             /// The least value.
@@ -71,6 +74,17 @@ macro_rules! ranged {
             #[must_use]
             pub const fn get(self) -> $repr {
                 self.0
+            }
+        }
+        impl TryFrom<i64> for $name {
+            type Error = OutOfRange;
+            fn try_from(value: i64) -> Result<Self, OutOfRange> {
+                $name::new(value)
+            }
+        }
+        impl From<$name> for i64 {
+            fn from(field: $name) -> i64 {
+                field.0.into()
             }
         }
         impl fmt::Debug for $name {
@@ -149,7 +163,7 @@ pub const THRESHOLD_SHIFT: u32 = 6;
 pub const DECAY_ONE: i64 = 4096;
 
 /// Sign mode of a synapse format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Deserialize, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 pub enum SignMode {
     /// Weights of both signs; one bit is spent on the sign, so the least step of an 8-bit weight
     /// is 2.

@@ -7,6 +7,8 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::ops::{Index, IndexMut};
 
+use serde::{Deserialize, Serialize};
+
 /// An index into one index space.
 pub trait Id: Copy + Eq + Ord + std::hash::Hash + fmt::Debug {
     /// The id with this index. Ids count to `u32::MAX - 1`; sizes are checked where networks are
@@ -20,7 +22,8 @@ pub trait Id: Copy + Eq + Ord + std::hash::Hash + fmt::Debug {
 macro_rules! define_id {
     ($(#[$doc:meta])* $name:ident, $prefix:literal) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+        #[serde(transparent)]
         pub struct $name(pub u32);
         impl Id for $name {
             #[inline]
@@ -68,7 +71,8 @@ define_id!(
 );
 
 /// A vector indexed by `I` only.
-#[derive(Clone, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(transparent)]
 pub struct IdVec<I, T> {
     items: Vec<T>,
     space: PhantomData<I>,

@@ -6,11 +6,14 @@
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::fixed::{SignMode, WeightBits, WeightExponent};
 use crate::graph::{Shape, Window};
 
 /// The format that the synapses of a projection are stored in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct SynapseFormat {
     /// Weight exponent.
     pub exponent: WeightExponent,
@@ -21,7 +24,8 @@ pub struct SynapseFormat {
 }
 
 /// How the sources of a projection reach its targets, with integer weights.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub enum Connectivity {
     /// All to all; row-major `[source][target]`, so that a spike walks one row.
     Dense {
@@ -137,8 +141,10 @@ impl Connectivity {
             }
             Connectivity::Conv2d { window, kernel } => {
                 let per_group = window.source.0 / window.groups.max(1);
-                let size = (window.target.0 * per_group * window.kernel.0 * window.kernel.1) as usize;
-                if !window_fits(window, source, target) || kernel.len() != size {
+                let axes = [window.target.0, per_group, window.kernel.0, window.kernel.1];
+                if !window_fits(window, source, target)
+                    || kernel.len() as u128 != axes.iter().map(|&axis| u128::from(axis)).product()
+                {
                     return Err("the window does not fit its populations");
                 }
                 if !kernel.iter().all(|&w| fits(w)) {
@@ -150,8 +156,8 @@ impl Connectivity {
                     return Err("the window does not fit its populations");
                 }
             }
-            Connectivity::Random { targets: n, low: l, high: h, step: s, .. } => {
-                if *n != targets || !fits(*l) || !fits(*h) || l > h || *s != step {
+            Connectivity::Random { targets: n, fan_out, low: l, high: h, step: s, .. } => {
+                if *n != targets || (targets == 0 && *fan_out > 0) || !fits(*l) || !fits(*h) || l > h || *s != step {
                     return Err("the range of weights is not in its format");
                 }
             }
@@ -179,13 +185,12 @@ impl Window {
 }
 
 fn window_fits(window: &Window, source: Shape, target: Shape) -> bool {
+    let within = |pair: (u32, u32), least: u32| [pair.0, pair.1].iter().all(|n| (least..=65_535).contains(n));
     source.volume() == Some(window.source)
         && target.volume() == Some(window.target)
         && window.groups > 0
-        && window.stride.0 > 0
-        && window.stride.1 > 0
-        && window.dilation.0 > 0
-        && window.dilation.1 > 0
+        && [window.kernel, window.stride, window.dilation].into_iter().all(|pair| within(pair, 1))
+        && within(window.padding, 0)
         && window.source.0.is_multiple_of(window.groups)
         && window.target.0.is_multiple_of(window.groups)
 }

@@ -10,6 +10,8 @@ pub mod connectivity;
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use self::connectivity::{Connectivity, SynapseFormat};
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::fixed::{
@@ -21,7 +23,8 @@ use crate::neurons::NeuronKind;
 use crate::pruned;
 
 /// One compartment: its kind, and what its registers are set to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Neuron {
     /// Which rule its updates follow.
     pub kind: NeuronKind,
@@ -62,11 +65,19 @@ impl Neuron {
     };
 }
 
+/// What a text form leaves out is that of [`Neuron::PLAIN`].
+impl Default for Neuron {
+    fn default() -> Self {
+        Neuron::PLAIN
+    }
+}
+
 /// The parameters of a population's compartments.
 pub type Neurons = PerCompartment<Neuron>;
 
 /// What a population is made of.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub enum Units {
     /// Input channels from this one on.
     Input(ChannelId),
@@ -82,7 +93,8 @@ pub enum Units {
 }
 
 /// A population in integers.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Population {
     /// Its name.
     pub name: String,
@@ -122,7 +134,8 @@ impl Population {
 }
 
 /// A projection in integers.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Projection {
     /// `source -> target`.
     pub name: String,
@@ -139,7 +152,7 @@ pub struct Projection {
 }
 
 /// Something that quantisation changed or left behind, for the user to know.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub struct Note {
     /// The population or projection.
     pub entity: String,
@@ -150,7 +163,7 @@ pub struct Note {
 }
 
 /// What rounding did to the weights of a projection.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
 pub struct Rounded {
     /// Whether the weights were real numbers, not mantissas.
     pub real: bool,
@@ -163,7 +176,7 @@ pub struct Rounded {
 }
 
 /// The periodic reset of a network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Reset {
     /// Timesteps between two resets, at least 1.
     pub interval: u32,
@@ -185,7 +198,8 @@ pub struct Output {
 }
 
 /// What the parts of a [`Quantised`] network are made from.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Parts {
     /// The network's name.
     pub name: String,
@@ -216,12 +230,11 @@ pub struct Parts {
     pub gathers: bool,
 }
 
-impl Parts {
-    /// A network of this name without populations, in the chip's semantics, with timesteps of 1 ms.
-    #[must_use]
-    pub fn empty(name: &str) -> Self {
+/// No populations, in the chip's semantics, with timesteps of 1 ms.
+impl Default for Parts {
+    fn default() -> Self {
         Parts {
-            name: name.to_string(),
+            name: String::new(),
             timestep_ms: 1.0,
             populations: Default::default(),
             projections: Default::default(),
@@ -239,16 +252,39 @@ impl Parts {
 }
 
 /// The network in integers.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(try_from = "Text")]
 pub struct Quantised {
     parts: Parts,
+    #[serde(skip)]
     channels: u32,
+    #[serde(skip)]
     compartments: u32,
+    #[serde(skip)]
     outgoing: IdVec<PopulationId, Vec<ProjectionId>>,
+    #[serde(skip)]
     incoming: IdVec<PopulationId, Vec<ProjectionId>>,
     /// The populations of compartments with their first compartments, ascending.
+    #[serde(skip)]
     firsts: Vec<(u32, PopulationId)>,
     pruned: Option<Arc<Pruned>>,
+}
+
+/// A [`Quantised`] as a text has it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, rename = "Quantised")]
+struct Text {
+    parts: Parts,
+    #[serde(default)]
+    pruned: Option<Arc<Pruned>>,
+}
+
+impl TryFrom<Text> for Quantised {
+    type Error = Inconsistent;
+
+    fn try_from(Text { parts, pruned }: Text) -> Result<Self, Inconsistent> {
+        Quantised::new(parts)?.with_record(pruned)
+    }
 }
 
 /// What a pruned network was before, and what was left out.
@@ -257,7 +293,7 @@ pub struct Quantised {
 /// takes it as it is. With this record people still see the populations, shapes and numbers of
 /// their model file. Input populations always keep their channels; a population of compartments
 /// that lost some keeps its name and place, even when nothing is left of it.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub struct Pruned {
     /// The network before; of several copies, one.
     pub original: Quantised,
@@ -306,17 +342,26 @@ impl Quantised {
     pub fn new(parts: Parts) -> Result<Self, Inconsistent> {
         let (mut channels, mut compartments) = (0u32, 0u32);
         for population in &parts.populations {
+            let wrong = |what: &str| Err(Inconsistent(format!("population {} {what}", population.name)));
             let (first, counter) = match &population.units {
                 Units::Input(first) => (first.0, &mut channels),
                 Units::Compartments { first, .. } => (first.0, &mut compartments),
             };
             if first != *counter {
-                return Err(Inconsistent(format!(
-                    "population {} does not start where the last ended",
-                    population.name
-                )));
+                return wrong("does not start where the last ended");
             }
-            *counter += population.shape.len();
+            let Some(end) = population.shape.checked_len().and_then(|units| first.checked_add(units)) else {
+                return wrong("has more units than can be numbered");
+            };
+            if let Units::Compartments { neurons: PerCompartment::Each(neurons), .. } = &population.units
+                && neurons.len() != population.shape.len() as usize
+            {
+                return wrong("has not the parameters of one neuron for each compartment");
+            }
+            *counter = end;
+        }
+        if parts.reset.is_some_and(|reset| reset.interval == 0) {
+            return Err(Inconsistent("the periodic reset has no interval".to_string()));
         }
         let none = || parts.populations.iter().map(|_| Vec::new()).collect();
         let (mut outgoing, mut incoming): (IdVec<_, Vec<_>>, IdVec<_, Vec<_>>) = (none(), none());

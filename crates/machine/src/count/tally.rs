@@ -134,7 +134,7 @@ self_cell!(
 impl ProgramTally {
     /// The counts of a program.
     #[must_use]
-    pub fn of(program: &Arc<Program>) -> Self {
+    pub fn for_program(program: &Arc<Program>) -> Self {
         ProgramTally::new(program.clone(), |program| Tally::new(program))
     }
 

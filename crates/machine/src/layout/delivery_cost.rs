@@ -1,8 +1,7 @@
 //! What it takes to deliver spikes, by the forms in which synapses are held: the one table by which
 //! the planner chooses forms.
 //!
-//! Input: the parts of a delivery ([`DeliveryParts`]). Output: the time that the table
-//! ([`DELIVERY_COST`]) expects of them. A wrong entry makes runs slower and no result different, so
+//! A delivery has parts ([`DeliveryParts`]), and the table ([`DELIVERY_COST`]) a time for each. A wrong entry makes runs slower and no result different, so
 //! one table serves all processors.
 //!
 //! `cargo bench --bench delivery_cost` measures it: it times steps of small networks, each of which
@@ -44,12 +43,5 @@ impl DeliveryParts {
     pub fn numbers(self) -> [usize; 7] {
         let DeliveryParts { list, synapse, block, range, chunk, row, row_chunk } = self;
         [list, synapse, block, range, chunk, row, row_chunk]
-    }
-
-    /// Nanoseconds that the table expects.
-    #[must_use]
-    pub fn expected_ns(self) -> f64 {
-        self.numbers().iter().zip(DELIVERY_COST.numbers()).map(|(&number, cost)| (number * cost) as f64).sum::<f64>()
-            / 10.0
     }
 }

@@ -108,7 +108,7 @@ impl Image {
     /// [`ImageError`] when sums could not be exact or an index would overflow.
     pub fn new(program: &Arc<Program>, shards: usize) -> Result<Arc<Self>, ImageError> {
         let parts = program.parts();
-        let tally = ProgramTally::of(program);
+        let tally = ProgramTally::for_program(program);
         let mut image = Image {
             program: program.clone(),
             longest_delay: tally.get().longest_delay(),

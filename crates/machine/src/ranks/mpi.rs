@@ -25,8 +25,8 @@ const ROUND: c_int = 1;
 const FAILED: c_int = 2;
 /// The length of what a rank is given, and its pieces.
 const GIVEN: c_int = 3;
-/// Words of a piece.
-const PIECE: usize = 1 << 26;
+/// Bytes of a piece.
+const PIECE: usize = 1 << 28;
 /// How long a rank that waits for rank 0 sleeps before it looks again.
 const NAP: Duration = Duration::from_millis(1);
 /// How long the message of a failure may take to leave.
@@ -200,21 +200,21 @@ impl Transport for Mpi {
         parts(&received, &lengths)
     }
 
-    fn give(&mut self, to: u32, words: Vec<u32>) {
-        let length = [words.len() as u64];
+    fn give(&mut self, to: u32, bytes: Vec<u8>) {
+        let length = [bytes.len() as u64];
         let send = |place: *const c_void, count: usize, word| {
-            #[expect(unsafe_code, reason = "MPI is a C library; the words live until the call returns")]
+            #[expect(unsafe_code, reason = "MPI is a C library; the bytes live until the call returns")]
             unsafe {
                 ffi::MPI_Send(place, self::length(count), word, to as c_int, GIVEN, ffi::RSMPI_COMM_WORLD);
             }
         };
         #[expect(unsafe_code, reason = "MPI is a C library; its types are constants of it")]
-        let (wide, word) = unsafe { (ffi::RSMPI_UINT64_T, ffi::RSMPI_UINT32_T) };
+        let (wide, byte) = unsafe { (ffi::RSMPI_UINT64_T, ffi::RSMPI_UINT8_T) };
         send(length.as_ptr().cast(), 1, wide);
-        words.chunks(PIECE).for_each(|piece| send(piece.as_ptr().cast(), piece.len(), word));
+        bytes.chunks(PIECE).for_each(|piece| send(piece.as_ptr().cast(), piece.len(), byte));
     }
 
-    fn given(&mut self) -> Vec<u32> {
+    fn given(&mut self) -> Vec<u8> {
         // A wait of MPI's keeps a processor core busy, which rank 0 may need.
         let mut found = 0;
         while found == 0 {
@@ -228,19 +228,19 @@ impl Transport for Mpi {
             }
         }
         let receive = |place: *mut c_void, count: usize, word| {
-            #[expect(unsafe_code, reason = "MPI is a C library; there is room for as many words as rank 0 sends")]
+            #[expect(unsafe_code, reason = "MPI is a C library; there is room for as many bytes as rank 0 sends")]
             unsafe {
                 let (world, status) = (ffi::RSMPI_COMM_WORLD, ffi::RSMPI_STATUS_IGNORE);
                 ffi::MPI_Recv(place, length(count), word, 0, GIVEN, world, status);
             }
         };
         #[expect(unsafe_code, reason = "MPI is a C library; its types are constants of it")]
-        let (wide, word) = unsafe { (ffi::RSMPI_UINT64_T, ffi::RSMPI_UINT32_T) };
+        let (wide, byte) = unsafe { (ffi::RSMPI_UINT64_T, ffi::RSMPI_UINT8_T) };
         let mut length = 0u64;
         receive((&raw mut length).cast(), 1, wide);
-        let mut words = vec![0u32; length as usize];
-        words.chunks_mut(PIECE).for_each(|piece| receive(piece.as_mut_ptr().cast(), piece.len(), word));
-        words
+        let mut bytes = vec![0u8; length as usize];
+        bytes.chunks_mut(PIECE).for_each(|piece| receive(piece.as_mut_ptr().cast(), piece.len(), byte));
+        bytes
     }
 
     fn all(&mut self, here: bool) -> bool {

@@ -70,12 +70,12 @@ impl Transport for Threads {
         (0..others).map(|from| self.receive(from)).collect()
     }
 
-    fn give(&mut self, to: u32, words: Vec<u32>) {
-        self.send(to as usize, wide(&words));
+    fn give(&mut self, to: u32, bytes: Vec<u8>) {
+        self.send(to as usize, bytes.into_iter().map(u64::from).collect());
     }
 
-    fn given(&mut self) -> Vec<u32> {
-        self.receive(0).into_iter().map(|word| word as u32).collect()
+    fn given(&mut self) -> Vec<u8> {
+        self.receive(0).into_iter().map(|byte| byte as u8).collect()
     }
 
     fn all(&mut self, here: bool) -> bool {

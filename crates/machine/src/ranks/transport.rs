@@ -23,12 +23,12 @@ pub trait Transport: fmt::Debug + Send {
     /// The words of every rank, by rank, on rank 0; nothing on the others.
     fn gather(&mut self, words: Vec<u64>) -> Vec<Vec<u64>>;
 
-    /// Gives words to another rank, which takes them with [`Transport::given`]; on rank 0 only.
-    fn give(&mut self, to: u32, words: Vec<u32>);
+    /// Gives bytes to another rank, which takes them with [`Transport::given`]; on rank 0 only.
+    fn give(&mut self, to: u32, bytes: Vec<u8>);
 
-    /// The words that rank 0 gives to this one, which sleeps until they come: what they hold may
+    /// The bytes that rank 0 gives to this one, which sleeps until they come: what they hold may
     /// take minutes to find.
-    fn given(&mut self) -> Vec<u32>;
+    fn given(&mut self) -> Vec<u8>;
 
     /// Whether it is so on every rank.
     fn all(&mut self, here: bool) -> bool;

@@ -27,7 +27,7 @@ pub(crate) struct Builder {
 
 impl Builder {
     pub(crate) fn new(name: &str) -> Self {
-        let parts = Parts::empty(name);
+        let parts = Parts { name: name.to_string(), ..Parts::default() };
         Builder { parts, channels: 0, compartments: 0 }
     }
 

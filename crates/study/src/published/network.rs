@@ -101,7 +101,7 @@ fn local(sources: u32, targets: u32, fan_out: u32, reach: u32, seed: u64) -> Con
 /// # Errors
 /// [`BuildError`] where the shapes of a convolution do not fit each other.
 pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), BuildError> {
-    let mut parts = Parts::empty(&file.name);
+    let mut parts = Parts { name: file.name.clone(), ..Parts::default() };
     let all_steps = warm_up(file, end) + COUNTED;
     let (mut channels, mut compartments, mut input) = (0u32, 0u32, Vec::new());
     for (index, population) in file.populations.iter().enumerate() {
