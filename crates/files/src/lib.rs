@@ -15,6 +15,7 @@ pub mod mapping;
 pub mod model_builder;
 pub mod network;
 pub mod npy;
+mod numbers;
 pub mod recorded;
 pub mod safetensors;
 pub mod shipped;

@@ -22,6 +22,7 @@ use nsim_ir::graph::{
     Graph, MOST_CHANNELS, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, NeuronParameters, PerCompartment, Population,
     PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
 };
+use nsim_ir::locate::locate;
 use nsim_ir::neurons::ParameterField;
 use nsim_ir::spanned::Spanned;
 use nsim_ir::tensor::{ArrayRef, Numbers, Tensor};
@@ -286,7 +287,7 @@ impl Lowering<'_> {
     /// The numbers of a source; `shape` is what a seeded source should fill.
     fn tensor(&self, source: &Source, shape: &[u64], span: Span) -> Result<Arc<Tensor>, Diagnostic> {
         match source {
-            Source::InPlace(tensor, _) => Ok(Arc::new(tensor.clone())),
+            Source::InPlace(tensor) => Ok(Arc::new(tensor.clone())),
             Source::File(reference) => Ok(Arc::new(self.network.array(reference).clone())),
             Source::Uniform { low, high, step, seed } => {
                 let length = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
@@ -377,7 +378,7 @@ impl Lowering<'_> {
                 synapses: synapses
                     .iter()
                     .filter(|s| (first..first + size).contains(&s.0))
-                    .map(|&(from, to, weight, span)| (from - first, to, weight, span))
+                    .map(|&(from, to, weight, entry)| (from - first, to, weight, entry))
                     .collect(),
             },
             other => other.clone(),
@@ -396,7 +397,7 @@ impl Lowering<'_> {
                 weight_bits: synapse.weight_bits.cloned().unwrap_or_else(|| 8.into()),
                 delay,
                 weight_scale: synapse.weight_scale.cloned(),
-                weights_span: desc.value.weights().map_or(desc.span, |weights| weights.span),
+                weights_span: desc.value.weights_span().unwrap_or(desc.span),
                 kind,
             };
             graph.add_edge(source, target, projection);
@@ -406,8 +407,8 @@ impl Lowering<'_> {
 
 /// Synapses of a projection, and their own delay where they have one.
 type Part = (Option<Spanned<i64>>, ProjectionKind);
-/// (source, target, weight, place) each.
-type Listed = Vec<(u32, u32, f64, Span)>;
+/// (source, target, weight, entry of the list) each.
+type Listed = Vec<(u32, u32, f64, u32)>;
 /// Channels, height, width.
 type Volume = (u32, u32, u32);
 
@@ -441,7 +442,7 @@ impl Declared<'_> {
     }
 
     /// The weights with exactly this shape; trailing axes of length 1 are allowed and dropped.
-    fn weights(&self, weights: &Weights, shape: &[u64]) -> Result<(Arc<Tensor>, Arc<[Span]>), Diagnostic> {
+    fn weights(&self, weights: &Weights, shape: &[u64]) -> Result<Arc<Tensor>, Diagnostic> {
         let tensor = self.lowering.tensor(&weights.source, shape, weights.span)?;
         let mut found: Vec<u64> = tensor.shape().iter().map(|&axis| axis as u64).collect();
         while found.len() > shape.len() && found.last() == Some(&1) {
@@ -457,16 +458,12 @@ impl Declared<'_> {
                 .error("model.weights-shape", message, weights.span)
                 .help("weights are [target][source], kernels [out channel][in channel / groups][height][width]"));
         }
-        let rows: Arc<[Span]> = match &weights.source {
-            Source::InPlace(_, rows) => rows.as_slice().into(),
-            Source::File(_) | Source::Uniform { .. } => Arc::from([]),
-        };
-        Ok((tensor, rows))
+        Ok(tensor)
     }
 
     fn dense(&self, dense: &DenseDesc) -> Result<ProjectionKind, Diagnostic> {
-        let (weights, rows) = self.weights(&dense.weights, &[u64::from(self.target_shape.len()), self.sources])?;
-        Ok(ProjectionKind::Dense { weights, rows })
+        let shape = [u64::from(self.target_shape.len()), self.sources];
+        Ok(ProjectionKind::Dense { weights: self.weights(&dense.weights, &shape)? })
     }
 
     /// The synapses by their own delay, where they have one.
@@ -487,7 +484,7 @@ impl Declared<'_> {
             let array = |reference: &ArrayRef| network.array(reference);
             for synapse in arrays.read(array, network.source(), (self.sources, targets))? {
                 let Synapse { source, target, weight, delay } = synapse?;
-                by_delay.entry(delay).or_default().push((source, target, weight, arrays.weight.span));
+                by_delay.entry(delay).or_default().push((source, target, weight, 0));
             }
             let part = |(delay, synapses): (Option<i64>, Listed)| {
                 let delay = delay.map(|value| Spanned { value, span: delay_span });
@@ -501,15 +498,17 @@ impl Declared<'_> {
         let synapses = sparse
             .synapses
             .iter()
-            .map(|synapse| {
-                let (source, target, weight) = synapse.value;
+            .zip(0u32..)
+            .map(|(&(source, target, weight), entry)| {
                 for (what, index, size) in [("source", source, self.sources), ("target", target, targets)] {
                     if index >= size {
                         let message = format!("projection to '{}': {what} {index} is outside 0..{size}", self.to());
-                        return Err(self.error("model.synapse-index", message, synapse.span));
+                        let text = self.lowering.network.source().text();
+                        let place = locate(text, self.span, &format!("synapses.{entry}")).unwrap_or(self.span);
+                        return Err(self.error("model.synapse-index", message, place));
                     }
                 }
-                Ok((source as u32, target as u32, weight, synapse.span))
+                Ok((source as u32, target as u32, weight, entry))
             })
             .collect::<Result<_, _>>()?;
         Ok(vec![(None, ProjectionKind::Sparse { synapses })])
@@ -596,7 +595,7 @@ impl Declared<'_> {
         }
         // The kernel's size is read off the weights, so those are read first.
         let kernel = match &conv.weights.source {
-            Source::InPlace(tensor, _) => tensor.shape().to_vec(),
+            Source::InPlace(tensor) => tensor.shape().to_vec(),
             Source::File(reference) => self.lowering.network.array(reference).shape().to_vec(),
             Source::Uniform { .. } => {
                 return Err(self
@@ -614,7 +613,7 @@ impl Declared<'_> {
                 .help("kernels are [out channel][in channel / groups][height][width]"));
         };
         let shape = [u64::from(target.0), u64::from(source.0) / groups, kh as u64, kw as u64];
-        let (weights, rows) = self.weights(&conv.weights, &shape)?;
+        let weights = self.weights(&conv.weights, &shape)?;
         if kh == 0 || kw == 0 || kh > 65_535 || kw > 65_535 {
             return Err(self.error("model.window", format!("a kernel of {kh} x {kw}"), conv.weights.span));
         }
@@ -628,7 +627,7 @@ impl Declared<'_> {
             groups: groups as u32,
         };
         self.check_window(&window, conv.padding_after.as_ref())?;
-        Ok(ProjectionKind::Conv2d { window, weights, rows })
+        Ok(ProjectionKind::Conv2d { window, weights })
     }
 
     fn pool(&self, pool: &SumPool2dDesc) -> Result<ProjectionKind, Diagnostic> {

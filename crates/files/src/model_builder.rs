@@ -222,7 +222,7 @@ pub struct ModelBuilder {
 
 /// The synapses of a listed projection, by their own delay where they have one.
 fn listed(network: &Network, sparse: &SparseDesc) -> Result<Vec<(Option<i64>, ProjectionKind)>> {
-    let in_place = || sparse.synapses.iter().map(|synapse| synapse.value).collect();
+    let in_place = || sparse.synapses.clone();
     let Some(arrays) = &sparse.arrays else { return Ok(vec![(None, ProjectionKind::Sparse(in_place()))]) };
     let populations = &network.file().populations;
     let size_of = |name: &str| {
@@ -441,7 +441,7 @@ fn seeded(what: &str) -> Diagnostic {
 
 fn array_of(network: &Network, source: &Source) -> Result<Tensor> {
     let tensor = match source {
-        Source::InPlace(tensor, _) => tensor,
+        Source::InPlace(tensor) => tensor,
         Source::File(reference) => network.array(reference),
         Source::Uniform { .. } => return Err(seeded("a Uniform array")),
     };

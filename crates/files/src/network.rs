@@ -11,22 +11,22 @@ use std::sync::LazyLock;
 use serde::de::{DeserializeSeed, EnumAccess, Error, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
+use super::numbers;
 use super::synapses::SynapseArrays;
 use nsim_ir::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::shared::Shared;
-use nsim_ir::lists::{Triple, blank, numbers, triples};
 use nsim_ir::neurons::NeuronKind;
-use nsim_ir::spanned::{Shape, Spanned, list_at, parse_at, parse_blanked, raw, refuse, shape_of};
+use nsim_ir::spanned::{Spanned, parse, parse_at, raw, refuse};
 pub use nsim_ir::tensor::ArrayRef;
-use nsim_ir::tensor::{Numbers, Tensor};
+use nsim_ir::tensor::Tensor;
 
 /// Where an array of weights or parameters comes from.
 #[derive(Debug, Clone)]
 pub enum Source {
-    /// Numbers in the model file, with the place of each row for messages.
-    InPlace(Tensor, Vec<Span>),
+    /// Numbers in the model file.
+    InPlace(Tensor),
     /// An array in another file.
     File(ArrayRef),
     /// Seeded uniform numbers in `low..=high`, for untrained networks and benches: `low`,
@@ -71,39 +71,20 @@ pub struct Weights {
     pub span: Span,
 }
 
-/// The deepest lists: a convolution kernel is `[C'][C / groups][kh][kw]`.
-const DEEPEST: usize = 4;
-
-/// The list in place that stands at `span`.
-fn in_place<E: Error>(span: Span) -> Result<Source, E> {
-    let list = match list_at(span, |text| numbers(text, span, DEEPEST)) {
-        Ok(list) => list,
-        Err(error) => return refuse(error.span, error.message),
-    };
-    match Tensor::new(list.shape, Numbers::Reals(list.numbers)) {
-        Some(tensor) => Ok(Source::InPlace(tensor, list.entries)),
-        None => refuse(span, "the rows have different lengths"),
-    }
-}
-
 /// The synapses of a [`SparseDesc`].
-fn synapses<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Spanned<Triple>>, D::Error> {
-    let (_, span) = raw(deserializer)?;
-    match list_at(span, |text| triples(text, span)) {
-        Ok(list) => Ok(list.into_iter().map(|(value, span)| Spanned { value, span }).collect()),
-        Err(error) => refuse(error.span, error.message),
-    }
+fn synapses<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(u64, u64, f64)>, D::Error> {
+    Vec::deserialize(deserializer).map_err(|error| {
+        Error::custom(format!("{error}; a synapse is (source, target, weight), the first two whole numbers from 0"))
+    })
 }
 
 impl<'de> Deserialize<'de> for Weights {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let (shape, span) = shape_of(deserializer)?;
-        let source = match shape {
-            Shape::List => in_place(span)?,
-            Shape::Named(text) => parse_at::<NamedSource, _>(text, span)?.into(),
-            Shape::Number(_) => {
-                return refuse(span, "weights are a list of rows or a source such as Npy(\"file.npy\")");
-            }
+        let (text, span) = raw(deserializer)?;
+        let source = match text.as_bytes().first() {
+            Some(b'[') => Source::InPlace(numbers::list_at(text, span)?),
+            Some(byte) if byte.is_ascii_alphabetic() => parse_at::<NamedSource, _>(text, span)?.into(),
+            _ => return refuse(span, "weights are a list of rows or a source such as Npy(\"file.npy\")"),
         };
         Ok(Weights { source, span })
     }
@@ -130,11 +111,16 @@ pub enum ParameterValue {
 
 impl<'de> Deserialize<'de> for Parameter {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let (shape, span) = shape_of(deserializer)?;
-        let value = match shape {
-            Shape::Number(x) => ParameterValue::Same(x),
-            Shape::List => ParameterValue::Each(in_place(span)?),
-            Shape::Named(text) => ParameterValue::Each(parse_at::<NamedSource, _>(text, span)?.into()),
+        let (text, span) = raw(deserializer)?;
+        let value = match text.chars().next() {
+            Some('[') => ParameterValue::Each(Source::InPlace(numbers::list_at(text, span)?)),
+            Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => {
+                ParameterValue::Same(parse_at(text, span)?)
+            }
+            Some(c) if c.is_ascii_alphabetic() && !text.starts_with("inf") && !text.starts_with("NaN") => {
+                ParameterValue::Each(parse_at::<NamedSource, _>(text, span)?.into())
+            }
+            _ => return refuse(span, "expected a number, a list, or a source such as Npy(\"file.npy\")"),
         };
         Ok(Parameter { value, span })
     }
@@ -359,7 +345,7 @@ projection_desc!(
     SparseDesc, "Sparse" {
         /// (source, target, weight) each.
         #[serde(default, deserialize_with = "synapses")]
-        pub synapses: Vec<Spanned<(u64, u64, f64)>>,
+        pub synapses: Vec<(u64, u64, f64)>,
         /// The same as arrays in files, in place of `synapses`.
         pub arrays: Option<Spanned<SynapseArrays>>,
     }
@@ -471,6 +457,15 @@ impl ProjectionDesc {
         }
     }
 
+    /// Where an array of weights is named.
+    #[must_use]
+    pub fn weights_span(&self) -> Option<Span> {
+        match self {
+            ProjectionDesc::Sparse(sparse) => Some(sparse.arrays.as_ref()?.weight.span),
+            other => other.weights().map(|weights| weights.span),
+        }
+    }
+
     /// The weights, for the kinds that have an array of them.
     #[must_use]
     pub fn weights(&self) -> Option<&Weights> {
@@ -520,23 +515,13 @@ pub struct NetworkFile {
     pub provenance: Option<String>,
 }
 
-/// The fields whose lists hold numbers, however many.
-static LISTS: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
-    let parameters = NeuronKind::ALL.into_iter().flat_map(NeuronKind::parameter_names);
-    ["weights", "synapses"].into_iter().chain(parameters).collect()
-});
-
 impl NetworkFile {
     /// Parses the text of a model file.
     ///
     /// # Errors
-    /// `model.syntax` at the place of whatever is malformed.
+    /// `model.syntax` at the place of what is malformed.
     pub fn parse(source: &SourceText) -> Result<Self> {
-        const CODE: &str = "model.syntax";
-        match blank(source.text(), &LISTS) {
-            Ok(blanked) => parse_blanked(source, &blanked, CODE),
-            Err(error) => Err(Diagnostic::new(CODE, error.message).at(source, error.span)),
-        }
+        parse(source, "model.syntax")
     }
 }
 

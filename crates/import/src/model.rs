@@ -248,8 +248,8 @@ Network(
         let du = a.get("du").unwrap();
         assert!(matches!(du.value, ParameterValue::Same(x) if x == 1024.0));
         assert_eq!(text_of(du.span), "1024");
-        let ParameterValue::Each(Source::InPlace(tensor, spans)) = &a.get("dv").unwrap().value else { panic!() };
-        assert_eq!((tensor.numbers(), text_of(spans[1])), (&Numbers::Reals(vec![128.0, 256.0]), "256"));
+        let ParameterValue::Each(Source::InPlace(tensor)) = &a.get("dv").unwrap().value else { panic!() };
+        assert_eq!(tensor.numbers(), &Numbers::Reals(vec![128.0, 256.0]));
         let ParameterValue::Each(Source::File(reference)) = &a.get("vth_mant").unwrap().value else { panic!() };
         assert_eq!(network.array(reference).numbers(), &Numbers::Integers(vec![80, 90]));
         let PopulationDesc::Neurons(b) = &file.populations[2].value else { panic!() };
@@ -261,12 +261,12 @@ Network(
         assert_eq!(network.array(reference).shape(), [2, 18]);
         assert_eq!(text_of(file.projections[0].value.synapse().weight_exp.unwrap().span), "-1");
         let ProjectionDesc::Dense(second) = &file.projections[1].value else { panic!() };
-        let Source::InPlace(tensor, spans) = &second.weights.source else { panic!() };
-        assert_eq!((tensor.shape(), text_of(spans[1])), (&[2, 2][..], "[6.0, 8e0]"));
+        let Source::InPlace(tensor) = &second.weights.source else { panic!() };
+        assert_eq!(tensor.shape(), [2, 2]);
         let ProjectionDesc::Sparse(sparse) = &file.projections[2].value else { panic!() };
-        assert_eq!((sparse.synapses[1].value, text_of(sparse.synapses[1].span)), ((1, 0, -2.5), "(1, 0, -2.5)"));
+        assert_eq!(sparse.synapses[1], (1, 0, -2.5));
         let ProjectionDesc::Conv2d(conv) = &file.projections[3].value else { panic!() };
-        let Source::InPlace(kernel, _) = &conv.weights.source else { panic!() };
+        let Source::InPlace(kernel) = &conv.weights.source else { panic!() };
         assert_eq!((kernel.shape(), conv.stride.as_ref().unwrap().value), (&[1, 2, 1, 1][..], (2, 2)));
     }
 

@@ -46,7 +46,7 @@ fn synapses(network: &Network, shapes: &HashMap<&str, &[u64]>, projection: &Proj
         ProjectionDesc::Conv2d(conv) => {
             let (h, w, c, to_h, to_w) = volumes()?;
             let kernel = match &conv.weights.source {
-                Source::InPlace(tensor, _) => tensor.shape(),
+                Source::InPlace(tensor) => tensor.shape(),
                 Source::File(reference) => network.array(reference).shape(),
                 Source::Uniform { .. } => return None,
             };

@@ -1,11 +1,14 @@
-//! A value in a text of RON, found by its path and replaced.
+//! A value in a text of RON, found by its path: for the place in a message, or to be replaced.
 //!
-//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the text with that
-//! value. A part of a path is a field of a struct, the index of a list's item, or the `name` that
-//! an item of a list has. A field that a struct does not say is added to it: whether there may be
-//! such a field is for whoever reads the text. Comments and everything else stay as they are.
+//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the place of the
+//! path, or the text with that value. A part of a path is a field of a struct, the index of a
+//! list's item, or the `name` that an item of a list has. A field that is absent is added: the
+//! reader of the text decides whether there may be such a field. Comments and everything else stay
+//! as they are.
 
 use std::ops::Range;
+
+use crate::base::diagnostic::Span;
 
 /// A text that is read from a place on.
 struct Cursor<'a> {
@@ -157,17 +160,31 @@ pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
     Ok(format!("{}{value}{}", &text[..place.start], &text[place.end..]))
 }
 
-/// The value at a path, if it is there.
+/// The place of a path that begins at a value of the text; nothing when it leads nowhere.
 #[must_use]
-pub fn value<'t>(text: &'t str, path: &str) -> Option<&'t str> {
-    let mut place = Cursor { text, at: 0 }.value();
+pub fn locate(text: &str, value: Span, path: &str) -> Option<Span> {
+    let mut place = Cursor { text: text.get(..value.end)?, at: value.start }.value();
     for part in path.split('.') {
         match part_of(text, place, part) {
             Part::At(found) => place = found,
             Part::NotYet(_) | Part::Nothing => return None,
         }
     }
-    Some(&text[place])
+    Some(Span { start: place.start, end: place.end })
+}
+
+/// The value at a path, if it is there.
+#[must_use]
+pub fn value<'t>(text: &'t str, path: &str) -> Option<&'t str> {
+    locate(text, Span { start: 0, end: text.len() }, path).map(|place| &text[place.start..place.end])
+}
+
+/// The name before the first bracket of a text, after comments and attributes.
+#[must_use]
+pub fn root_name(text: &str) -> &str {
+    let mut cursor = Cursor { text, at: 0 };
+    cursor.skip_blanks();
+    cursor.identifier()
 }
 
 /// Whether a text is one value and nothing else: no comma or bracket ends it before its end, and
