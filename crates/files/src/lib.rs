@@ -12,7 +12,6 @@ pub mod disk;
 pub mod element;
 pub mod lower;
 pub mod mapping;
-pub mod model_builder;
 pub mod network;
 pub mod npy;
 mod numbers;

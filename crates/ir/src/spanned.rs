@@ -14,6 +14,7 @@ use serde::de::{Deserialize, DeserializeOwned, DeserializeSeed, Deserializer};
 use serde::ser::{Serialize, Serializer};
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use crate::locate::too_deep;
 
 thread_local! {
     /// Address and length of the text that this thread is parsing.
@@ -94,31 +95,37 @@ pub fn parse_at<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span
 /// What is wrong with it, and where; the innermost place that is known.
 pub fn read_at<'t, S: DeserializeSeed<'t>>(text: &'t str, span: Span, seed: S) -> Result<S::Value, Malformed> {
     options().from_str_seed(text, seed).map_err(|error| {
-        let (start, end) = (offset_of(text, error.span.start), offset_of(text, error.span.end));
-        let here = Span { start: span.start + start.min(end), end: span.start + end };
-        Malformed { span: INNERMOST.get().unwrap_or(here), message: message_for::<S::Value>(&error.code, text) }
+        let Malformed { span: Span { start, end }, message } = malformed(text, &error);
+        let here = Span { start: span.start + start, end: span.start + end };
+        Malformed { span: INNERMOST.get().unwrap_or(here), message }
     })
 }
 
-/// The message for a value of this type that cannot be read from this text.
-fn message_for<T>(error: &ron::Error, text: &str) -> String {
-    use ron::Error::{ExpectedArray, ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
-    let single = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
-    if matches!(error, ExpectedArray) && !text.is_empty() && text.len() <= 40 && text.chars().all(single) {
-        return format!("expected a list and found {text}: write [{text}]");
-    }
-    let whole = match std::any::type_name::<T>() {
-        "u32" | "u64" => "a whole number from 0",
-        "i64" => "a whole number",
-        _ => return plain(error),
-    };
-    match error {
-        // What follows the digits makes it another kind of number.
-        ExpectedInteger | IntegerOutOfBounds | TrailingCharacters => {
-            format!("expected {whole} and found {}", text.chars().take(40).collect::<String>())
+/// What RON found wrong with a text, and where.
+fn malformed(text: &str, error: &ron::error::SpannedError) -> Malformed {
+    use ron::Error::{ExpectedArray, ExpectedComma, ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
+    let end = offset_of(text, error.span.end);
+    let (before, after) = text.split_at(end);
+    let part = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
+    let start = before.trim_end_matches(part).len();
+    let token = Span { start, end: end + after.len() - after.trim_start_matches(part).len() };
+    let found = &text[token.start..token.end];
+    let message = match (&error.code, found.len()) {
+        (ExpectedArray, 1..=40) => format!("expected a list and found {found}: write [{found}]"),
+        (ExpectedInteger | IntegerOutOfBounds, 1..=40) if found.parse::<f64>().is_ok() => {
+            let least = if found.starts_with('-') { " from 0" } else { "" };
+            format!("expected a whole number{least} and found {found}")
         }
-        error => plain(error),
-    }
+        // What follows the digits makes it another kind of number.
+        (ExpectedComma | TrailingCharacters, 1..=40) if token.start < end && found.parse::<f64>().is_ok() => {
+            format!("expected a whole number and found {found}")
+        }
+        _ => {
+            let start = offset_of(text, error.span.start).min(end);
+            return Malformed { span: Span { start, end }, message: plain(&error.code) };
+        }
+    };
+    Malformed { span: token, message }
 }
 
 /// Fails at this place, while parsing.
@@ -171,17 +178,21 @@ pub struct Malformed {
     pub message: String,
 }
 
+/// Brackets that may be open at a place of a text. RON scans a value once for each bracket around it.
+const DEEPEST: u32 = 100;
+
 fn attempt<T: DeserializeOwned>(text: &str) -> Result<T, Malformed> {
+    if let Some(at) = too_deep(text, DEEPEST) {
+        let message = plain(&ron::Error::ExceededRecursionLimit);
+        return Err(Malformed { span: Span { start: at, end: at + 1 }, message });
+    }
     let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
     INNERMOST.set(None);
     let result = options().from_str::<T>(text);
     TEXT.set(before);
     result.map_err(|error| {
-        let span = INNERMOST.take().unwrap_or_else(|| {
-            let end = offset_of(text, error.span.end);
-            Span { start: offset_of(text, error.span.start).min(end), end }
-        });
-        Malformed { span, message: plain(&error.code) }
+        let found = malformed(text, &error);
+        Malformed { span: INNERMOST.take().unwrap_or(found.span), ..found }
     })
 }
 
@@ -259,8 +270,10 @@ fn other_missing_fields<T: DeserializeOwned>(
 
 /// RON's message in one line.
 fn plain(error: &ron::Error) -> String {
-    if matches!(error, ron::Error::ExceededRecursionLimit) {
-        return "brackets are nested too deeply".to_string();
+    match error {
+        ron::Error::ExceededRecursionLimit => return "brackets are nested too deeply".to_string(),
+        ron::Error::ExpectedComma => return "expected a comma or a closing bracket".to_string(),
+        _ => {}
     }
     let mut message = error.to_string().replace('\n', " ");
     if message.len() > 300 {
