@@ -470,7 +470,7 @@ fn drawn(folder: &Path) -> u64 {
                 _ => None,
             }
         };
-        Some(file.projections.iter().filter_map(|one| projection(one)).fold(0, u64::saturating_add))
+        Some(file.projections.iter().filter_map(projection).fold(0, u64::saturating_add))
     };
     ["m.ron", "input.ron"].iter().filter_map(|name| weights(name)).sum()
 }

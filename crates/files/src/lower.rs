@@ -501,8 +501,10 @@ impl Declared<'_> {
             let message = format!("projection to '{}': synapses and the projection have a delay", self.to());
             return Err(self.error("model.synapse-arrays", message, "arrays.delay"));
         }
+        let (network, sizes) = (self.lowering.network, (self.sources, self.target_shape.len().into()));
+        let stored = |array| network.array(array);
         let mut by_delay: BTreeMap<Option<u32>, Listed> = BTreeMap::new();
-        for synapse in arrays.read(self.lowering.network, self.span, (self.sources, self.target_shape.len().into()))? {
+        for synapse in arrays.read(stored, (network.source(), self.span), sizes)? {
             let Synapse { source, target, weight, delay } = synapse?;
             by_delay.entry(delay).or_default().push((source, target, weight, 0));
         }

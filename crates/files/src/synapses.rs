@@ -6,8 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::network::Network;
-use nsim_ir::base::diagnostic::{Diagnostic, Result, Span};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::locate::locate;
 use nsim_ir::tensor::{ArrayRef, Tensor};
 
@@ -54,27 +53,27 @@ impl SynapseArrays {
     }
 
     /// The synapses, in the order of the arrays, between so many sources and so many targets;
-    /// `declared` is the place of the projection in the model's text.
+    /// `text` is that of the model, in which the projection is `declared`.
     ///
     /// # Errors
     /// `model.synapse-arrays` when their lengths differ or sources are given twice or not at all;
     /// `model.synapse-index` for what is no index.
     pub fn read<'n>(
         &'n self,
-        network: &'n Network,
-        declared: Span,
+        stored: impl Fn(&'n ArrayRef) -> &'n Tensor,
+        (text, declared): (&'n SourceText, Span),
         (sources, targets): (u64, u64),
     ) -> Result<impl Iterator<Item = Result<Synapse>> + 'n> {
         let array = |name: &str| {
             let found = self.references().find(|(known, _)| *known == name)?;
-            Some(network.array(found.1))
+            Some(stored(found.1))
         };
         let at = move |code, name: &str, message: String| {
-            let place = locate(network.source().text(), declared, &format!("arrays.{name}"));
-            Diagnostic::new(code, message).at(network.source(), place.unwrap_or(declared))
+            let place = locate(text.text(), declared, &format!("arrays.{name}"));
+            Diagnostic::new(code, message).at(text, place.unwrap_or(declared))
         };
         let refuse = move |name: &str, message: String| at("model.synapse-arrays", name, message);
-        let (target, weight) = (network.array(&self.target), network.array(&self.weight));
+        let (target, weight) = (stored(&self.target), stored(&self.weight));
         let (source, first, delay) = (array("source"), array("first"), array("delay"));
         let all = target.len();
         for (name, tensor) in [("weight", Some(weight)), ("source", source), ("delay", delay)] {

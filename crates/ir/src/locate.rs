@@ -172,7 +172,9 @@ pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
 /// The place of a path that begins at a value of the text; nothing when it leads nowhere.
 #[must_use]
 pub fn locate(text: &str, value: Span, path: &str) -> Option<Span> {
-    let mut place = Cursor { text: text.get(..value.end)?, at: value.start }.value();
+    let mut cursor = Cursor { text: text.get(..value.end)?, at: value.start };
+    cursor.skip_blanks();
+    let mut place = cursor.at..value.end;
     for part in path.split('.') {
         match part_of(text, place, part) {
             Part::At(found) => place = found,

@@ -48,7 +48,11 @@ impl Network {
                     let sources = projection.from.iter().map(size).sum();
                     let declared = place(self.source(), &format!("projections.[{index}]"));
                     let mut by_delay: BTreeMap<Option<u32>, Vec<(u64, u64, f64)>> = BTreeMap::new();
-                    for synapse in arrays.read(self, declared, (sources, size(&projection.to)))? {
+                    for synapse in arrays.read(
+                        |array| self.array(array),
+                        (self.source(), declared),
+                        (sources, size(&projection.to)),
+                    )? {
                         let synapse = synapse?;
                         let listed = by_delay.entry(synapse.delay).or_default();
                         listed.push((synapse.source.into(), synapse.target.into(), synapse.weight));
