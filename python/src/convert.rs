@@ -3,7 +3,7 @@
 //! Input: a network with real numbers, spikes. Output: a [`Conversion`], whose figures and whose
 //! model are those of the command line.
 
-use nsim::files::model_builder::ModelBuilder;
+use nsim::files::network::NetworkFile;
 use nsim::files::shipped;
 use nsim::report::convert::ConvertReport;
 use nsim::train::convert::calibration;
@@ -30,7 +30,7 @@ const MOST_EPOCHS: u32 = 100_000;
 pub struct Conversion {
     json: Value,
     text: String,
-    model: ModelBuilder,
+    model: NetworkFile,
     network: Py<PyAny>,
 }
 
@@ -43,7 +43,7 @@ impl Conversion {
         target: &str,
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
-        built: impl FnOnce(&ModelBuilder) -> PyResult<Py<PyAny>>,
+        built: impl FnOnce(&NetworkFile) -> PyResult<Py<PyAny>>,
     ) -> PyResult<Self> {
         let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
         let job = detached(py, || Job::new(network, &target)).map_err(|problem| raised(py, problem))?;

@@ -2,16 +2,15 @@
 //!
 //! Input: populations and projections as dictionaries whose keys are the fields of a model file,
 //! with NumPy arrays or SciPy's sparse arrays as weights. Output: the [`Network`] that a model file
-//! with the same values gives, since both are built by [`ModelBuilder`] and checked by the front
+//! with the same values gives, since both are built by [`NetworkFile`] and checked by the front
 //! end. Errors: `usage` for a dictionary that cannot be read, `model.*` and `import.*` from the
 //! library.
 
 use std::path::Path;
 
-use nsim::files::model_builder::{
-    ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor,
+use nsim::files::network::{
+    Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor,
 };
-use nsim::files::network::Network;
 use nsim::import::foreign;
 use nsim::import::foreign::imported::DecayRule;
 use nsim::import::foreign::{Options, ResetMode};
@@ -52,7 +51,7 @@ fn required<'py, T: FromPyObjectOwned<'py>>(keywords: &Keywords<'py>, key: &str,
         .ok_or_else(|| usage(format!("{whose}: '{key}' is missing"), &format!("give it the key '{key}'")))
 }
 
-fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
+fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
     let keywords = Keywords::new(Some(given))?;
     let name: String = required(&keywords, "name", "a population")?;
     let whose = format!("population '{name}'");
@@ -62,7 +61,7 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
         Ok(axes) => axes.take(MOST_AXES).map(|one| axis(&one?)).collect::<PyResult<_>>()?,
         Err(_) => vec![axis(&shape)?],
     };
-    let built = PopulationBuilder::input(&name, shape);
+    let built = PopulationDesc::input(&name, shape);
     let kind: String = keywords.take("kind")?.unwrap_or_else(|| "Loihi".to_string());
     if kind == "Input" {
         keywords.none_left()?;
@@ -72,7 +71,7 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
         let number = |key: &'static str| Ok::<_, PyErr>((key, required(&keywords, key, &whose)?));
         let srm = [number("tau_sr_ms")?, number("tau_ref_ms")?, number("scale_ref")?, number("theta")?];
         keywords.none_left()?;
-        return Ok(PopulationBuilder { srm: Some(srm), ..built });
+        return Ok(PopulationDesc { srm: Some(srm), ..built });
     }
     let found = NeuronKind::ALL.into_iter().find(|known| known.name() == kind);
     let Some(kind) = found else {
@@ -100,7 +99,7 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationBuilder> {
     }
     let start_step = keywords.take("start_step")?.unwrap_or(0);
     keywords.none_left()?;
-    Ok(PopulationBuilder { kind, start_step, loihi: Some(parameters), ..built })
+    Ok(PopulationDesc { kind, start_step, loihi: Some(parameters), ..built })
 }
 
 /// The synapses of a SciPy sparse array `[target, source]`, whose shape is that of the populations.
@@ -185,7 +184,7 @@ fn kind(
     }
 }
 
-fn projection(given: &Bound<'_, PyDict>, populations: &[PopulationBuilder]) -> PyResult<ProjectionBuilder> {
+fn projection(given: &Bound<'_, PyDict>, populations: &[PopulationDesc]) -> PyResult<ProjectionDesc> {
     let keywords = Keywords::new(Some(given))?;
     let from: Bound<'_, PyAny> = required(&keywords, "from", "a projection")?;
     let from: Vec<String> = match from.extract::<String>() {
@@ -198,17 +197,17 @@ fn projection(given: &Bound<'_, PyDict>, populations: &[PopulationBuilder]) -> P
     let units_of = |name: &String| Some(populations.iter().find(|known| known.name == *name)?.units());
     let sources = from.iter().map(units_of).try_fold(0u64, |sum, units| sum.checked_add(units?));
     let kind = kind(&weights, &keywords, &whose, [units_of(&to), sources])?;
-    let usual = ProjectionBuilder::new("", &to, kind);
+    let usual = ProjectionDesc::new("", &to, kind);
     let signs = [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory];
     let sign_name = |sign: SignMode| match sign {
         SignMode::Mixed => "Mixed",
         SignMode::Excitatory => "Excitatory",
         SignMode::Inhibitory => "Inhibitory",
     };
-    let built = ProjectionBuilder {
+    let built = ProjectionDesc {
         from,
         delay: keywords.take("delay")?.unwrap_or(usual.delay),
-        weight_exp: keywords.take("weight_exp")?.unwrap_or(usual.weight_exp),
+        weight_exp: keywords.take("weight_exp")?.filter(|&exponent: &i64| exponent != 0),
         weight_bits: keywords.take("weight_bits")?.unwrap_or(usual.weight_bits),
         weight_scale: keywords.take("weight_scale")?,
         sign: keywords.one_of("sign", &signs, sign_name)?.unwrap_or(usual.sign),
@@ -226,8 +225,8 @@ pub fn built(
     output: &str,
     timestep_ms: f64,
     classes: Vec<String>,
-) -> PyResult<ModelBuilder> {
-    let mut model = ModelBuilder::new(name, timestep_ms);
+) -> PyResult<NetworkFile> {
+    let mut model = NetworkFile::new(name, timestep_ms);
     model.populations = populations.iter().map(population).collect::<PyResult<_>>()?;
     model.projections =
         projections.iter().map(|given| projection(given, &model.populations)).collect::<PyResult<_>>()?;

@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nsim::energy::evaluate::Plan;
-use nsim::files::model_builder::ModelBuilder;
-use nsim::files::network::PopulationDesc;
+use nsim::files::network::NetworkFile;
 use nsim::session::front::real_and_integers;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -58,7 +57,7 @@ pub struct Network {
 
 impl Network {
     /// The network that a written model would give.
-    pub fn built(py: Python<'_>, model: &ModelBuilder) -> PyResult<Self> {
+    pub fn built(py: Python<'_>, model: &NetworkFile) -> PyResult<Self> {
         let place = PathBuf::from(memory::place(&model.name));
         let network = detached(py, || model.build(&place)).map_err(|problem| raised(py, problem))?;
         Network::checked(py, network, Vec::new())
@@ -132,13 +131,12 @@ impl Network {
         let populations = self.network.file().populations.iter();
         populations
             .map(|population| {
-                let population = &population.value;
-                let kind = match population {
-                    PopulationDesc::Input(_) => "input",
-                    PopulationDesc::Neurons(_) => "integers",
-                    PopulationDesc::Srm(_) => "real",
+                let kind = match (&population.loihi, population.srm) {
+                    (Some(_), _) => "integers",
+                    (None, Some(_)) => "real",
+                    (None, None) => "input",
                 };
-                (population.name().value.clone(), kind, population.shape().value.clone())
+                (population.name.clone(), kind, population.shape.clone())
             })
             .collect()
     }
@@ -146,7 +144,7 @@ impl Network {
     /// Names of its classes; empty when the file has none.
     #[getter]
     fn classes(&self) -> Vec<String> {
-        self.network.file().classes.as_ref().map_or_else(Vec::new, |classes| classes.value.clone())
+        self.network.file().classes.clone()
     }
 
     /// The same network on the cores of a target.
@@ -266,7 +264,7 @@ impl Network {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Conversion> {
         let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
-        let built = |model: &ModelBuilder| Ok(Py::new(py, Network::built(py, model)?)?.into_any());
+        let built = |model: &NetworkFile| Ok(Py::new(py, Network::built(py, model)?)?.into_any());
         Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?, built)
     }
 
@@ -276,7 +274,7 @@ impl Network {
     /// Gives the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
-        let written = detached(py, || ModelBuilder::from_network(&self.network)?.write(&path, force));
+        let written = detached(py, || self.network.resolved()?.write(&path, force));
         written.map_err(|problem: nsim::ir::base::diagnostic::Diagnostic| raised(py, problem))
     }
 

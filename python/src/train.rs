@@ -115,8 +115,7 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
         let each = |plan: &Plan, examples: &[Example]| Ok(to_the_end(plan, examples, None)?.0);
         let trained = job.trained(state, &data, &folds, each)?;
         let report = TrainReport { job: &job, trained: &trained, model: None };
-        let (comment, provenance) = (report.provenance(&changed), report.summary());
-        let network = job.network(job.plan.result(&trained.state), &comment, &provenance)?;
+        let network = job.network(job.plan.result(&trained.state), &report.summary())?;
         Ok((trained, network))
     })?;
     let network = Py::new(py, Network::checked(py, network, Vec::new())?)?;

@@ -10,7 +10,6 @@ use serde_json::json;
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use nsim_files::model_builder::ModelBuilder;
 use nsim_files::write;
 use nsim_import::foreign::{hdf5, nir_export};
 use nsim_report::inspect::Findings;
@@ -43,7 +42,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     write::check_free(&args.output, context.force)?;
     let network = args.timestep.load(&args.model)?;
     nsim_session::front::check(&network)?;
-    let model = ModelBuilder::from_network(&network)?;
+    let model = network.resolved()?;
     let (tree, notes) = nir_export::export(&model)?;
     let bytes = hdf5::write(&tree)?;
     write::file(&args.output, context.force, |out| out.write_all(&bytes))?;

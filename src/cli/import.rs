@@ -13,7 +13,7 @@ use crate::cli::args::values::one_of_named;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_files::changes;
-use nsim_files::model_builder::{ModelBuilder, ProjectionKind};
+use nsim_files::network::{NetworkFile, Parameter, ProjectionKind};
 use nsim_import::foreign;
 use nsim_import::foreign::imported::DecayRule;
 use nsim_import::foreign::{Imported, Options, ResetMode};
@@ -153,7 +153,7 @@ fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
 
 /// What was imported, for people and scripts.
 fn findings(imported: &Imported, files: &[String]) -> Findings {
-    let ModelBuilder {
+    let NetworkFile {
         name,
         timestep_ms,
         populations,
@@ -170,8 +170,8 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
     let populations = populations.iter().map(|population| {
         let real = population.srm.into_iter().flatten().map(|(key, value)| format!("{key} {value}"));
         let parameters = population.loihi.iter().flatten().map(|(key, value)| match value {
-            nsim_files::model_builder::Parameter::Same(value) => format!("{key} {value}"),
-            nsim_files::model_builder::Parameter::Each(_) => format!("{key} each"),
+            Parameter::Same(value) => format!("{key} {value}"),
+            Parameter::Each(_) | Parameter::From(_) => format!("{key} each"),
         });
         let kind = match (&population.loihi, population.srm) {
             (Some(_), _) => "loihi",
@@ -183,13 +183,14 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
     });
     let projections = projections.iter().map(|projection| {
         let (kind, weights) = match &projection.kind {
-            ProjectionKind::Dense(weights) => ("dense", weights.shape().to_vec()),
+            ProjectionKind::Dense(weights) => ("dense", weights.tensor().shape().to_vec()),
             ProjectionKind::Sparse(synapses) => ("sparse", vec![synapses.len()]),
-            ProjectionKind::Conv2d { weights, .. } => ("conv2d", weights.shape().to_vec()),
+            ProjectionKind::Conv2d { weights, .. } => ("conv2d", weights.tensor().shape().to_vec()),
             ProjectionKind::SumPool2d { kernel, .. } => ("sumpool2d", vec![kernel.0 as usize, kernel.1 as usize]),
+            ProjectionKind::Arrays(_) | ProjectionKind::Random { .. } => ("sparse", Vec::new()),
         };
         let from = projection.from.join(" + ");
-        json!([from, projection.to, kind, weights, projection.delay, projection.weight_exp])
+        json!([from, projection.to, kind, weights, projection.delay, projection.weight_exp.unwrap_or(0)])
     });
     let layers = imported
         .layers

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nsim::files::lower::lower;
-use nsim::files::model_builder::ModelBuilder;
+use nsim::files::network::NetworkFile;
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::base::rng;
 use nsim::ir::graph::PopulationKind;
@@ -18,7 +18,7 @@ pub fn input(step: usize, channel: usize) -> bool {
 }
 
 /// Spikes of a population: `[step][unit]`.
-pub fn spikes(model: &ModelBuilder, population: &str, channels: usize) -> Vec<Vec<bool>> {
+pub fn spikes(model: &NetworkFile, population: &str, channels: usize) -> Vec<Vec<bool>> {
     let graph = lower(&model.build(Path::new("model")).unwrap()).unwrap();
     let (mut first, mut units) = (0, 0..0);
     for (_, found) in graph.populations() {

@@ -6,7 +6,6 @@ use std::path::Path;
 use crate::common::random;
 use nsim::compile::{Options, compile};
 use nsim::files::lower::lower;
-use nsim::files::model_builder::ModelBuilder;
 use nsim::files::shipped::Origin;
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
@@ -139,10 +138,12 @@ fn it_is_written_as_it_is_read_and_refuses_what_it_has_not() {
                 If(name: \"out\", shape: [2], vth_mant: [3, 4], refractory: 2)], \
                 projections: [Dense(from: [\"in\"], to: \"out\", weights: [[2], [4]])], output: \"out\")";
     let model = network(SourceText::new("n.ron", text), Origin::File).unwrap();
-    let builder = ModelBuilder::from_network(&model).unwrap();
+    let builder = model.resolved().unwrap();
     let again = builder.build(Path::new("again.ron")).unwrap();
-    assert_eq!(ModelBuilder::from_network(&again).unwrap(), builder);
-    assert!(builder.ron("arrays").0.contains("If(name: \"out\", shape: [2], vth_mant: [3, 4], refractory: 2)"));
+    assert_eq!(again.resolved().unwrap(), builder);
+    assert!(
+        builder.ron("arrays").unwrap().0.contains("If(name: \"out\", shape: [2], vth_mant: [3, 4], refractory: 2)")
+    );
     let leak = text.replace("refractory: 2", "dv: 2");
     let problem = network(SourceText::new("n.ron", leak), Origin::File).unwrap_err();
     assert!(problem.message.contains("Unexpected field named `dv` in `If`"), "{problem}");

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::torch::{Entry, checkpoint};
 use nsim::files::lower::lower;
-use nsim::files::model_builder::ModelBuilder;
+use nsim::files::network::NetworkFile;
 use nsim::import::foreign;
 use nsim::import::foreign::Options;
 use nsim::import::foreign::hdf5;
@@ -62,7 +62,7 @@ fn group(members: &[(&str, &str)]) -> Group {
 }
 
 /// The model of a file, or nothing where it is refused.
-fn model(root: &Group, options: &Options) -> Option<ModelBuilder> {
+fn model(root: &Group, options: &Options) -> Option<NetworkFile> {
     let bytes = hdf5::write(root).unwrap();
     let mut model = foreign::from_bytes(Path::new("net.nir"), bytes, options).ok()?.model;
     lower(&model.build(Path::new("net.nir")).ok()?).ok()?;
@@ -295,7 +295,7 @@ fn npy_image() -> Vec<u8> {
 
 /// A set of weights as VT_SNN saves them, or a state dict for neurons of real numbers, with a
 /// neuron of this text.
-fn described(kind: &str, change: Option<(&str, &str)>) -> Option<ModelBuilder> {
+fn described(kind: &str, change: Option<(&str, &str)>) -> Option<NetworkFile> {
     let mut fields: Vec<(&str, &str)> = match kind {
         "simulation" => vec![("Ts", "1"), ("tSample", "9")],
         "LOIHI" => vec![("vThMant", "80"), ("vDecay", "128"), ("iDecay", "1024"), ("refDelay", "1"), ("wgtExp", "0")],
@@ -327,7 +327,7 @@ fn described(kind: &str, change: Option<(&str, &str)>) -> Option<ModelBuilder> {
 }
 
 /// A state dict of one recurrent layer of a tool, with a tensor of this name changed.
-fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<ModelBuilder> {
+fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<NetworkFile> {
     let number = |name, x: f32| -> Entry { (name, vec![], vec![x]) };
     let weights: Entry = ("weight", vec![2, 3], vec![0.5, 1.0, 1.5, -0.5, 0.75, 1.25]);
     let named = |name, entry: &Entry| (name, entry.1.clone(), entry.2.clone());

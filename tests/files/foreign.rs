@@ -10,9 +10,7 @@ use crate::memory;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use nsim::files::model_builder::{
-    ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor,
-};
+use nsim::files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim::import::foreign;
 use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::{Item, Numbers};
@@ -397,7 +395,7 @@ fn layouts_and_links_of_hdf5_are_read_or_refused_by_their_names() {
         foreign::from_bytes(Path::new(name), bytes, &Options { dt_ms: Some(1.0), ..Options::default() })
     };
     let weights = |name: &str| match &read(name).unwrap().model.projections[0].kind {
-        ProjectionKind::Dense(weights) => weights.reals().collect::<Vec<_>>(),
+        ProjectionKind::Dense(weights) => weights.tensor().reals().collect::<Vec<_>>(),
         _ => panic!("{name}"),
     };
     for name in ["nir_float16", "nir_float16_big_endian", "nir_bfloat16"] {
@@ -464,18 +462,7 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
         let path = folder.path().join(format!("{name}.net"));
         std::fs::copy(corpus().join("hdf5").join(name), &path).unwrap();
         let network = load_model(path.to_str().unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"));
-        let kinds: Vec<&str> = network
-            .file()
-            .projections
-            .iter()
-            .map(|projection| match &projection.value {
-                nsim::files::network::ProjectionDesc::Dense(_) => "Dense",
-                nsim::files::network::ProjectionDesc::Sparse(_) => "Sparse",
-                nsim::files::network::ProjectionDesc::Conv2d(_) => "Conv2d",
-                nsim::files::network::ProjectionDesc::SumPool2d(_) => "SumPool2d",
-                nsim::files::network::ProjectionDesc::Random(_) => "Random",
-            })
-            .collect();
+        let kinds: Vec<&str> = network.file().projections.iter().map(ProjectionDesc::kind_name).collect();
         let mut sorted = (kinds.clone(), synapses.clone());
         sorted.0.sort_unstable();
         sorted.1.sort_unstable();
@@ -503,7 +490,7 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
 }
 
 /// Models of every kind of population and projection that a model holds.
-fn models() -> impl Strategy<Value = ModelBuilder> {
+fn models() -> impl Strategy<Value = NetworkFile> {
     let real = || prop_oneof![Just(0.0), -1e3..1e3f64, Just(1.0 / 3.0), Just(-1e-300)];
     let whole = |low: i64, high: i64| (low..=high).prop_map(|x| x as f64);
     let each = move |n: usize| {
@@ -526,7 +513,7 @@ fn models() -> impl Strategy<Value = ModelBuilder> {
         (-8i64..=7, 0u32..63, prop::option::of(1u64..100), "[a-zA-Z \"\\\\µ\n]{0,12}"),
     )
         .prop_map(|((first, second, inclusive, lava), kernel, dense, synapses, (exponent, delay, reset, text))| {
-            let mut model = ModelBuilder::new(&text, 0.1);
+            let mut model = NetworkFile::new(&text, 0.1);
             let parameters = |(du, dv, bias, _, refractory): (Parameter, Parameter, Option<f64>, u32, i64)| {
                 let mut list = vec![("du", du), ("dv", dv), ("vth_mant", Parameter::Same(80.0))];
                 if let Some(bias) = bias {
@@ -537,15 +524,9 @@ fn models() -> impl Strategy<Value = ModelBuilder> {
                 list
             };
             model.populations = vec![
-                PopulationBuilder::input("in", vec![2, 3, 3]),
-                PopulationBuilder {
-                    start_step: first.3,
-                    ..PopulationBuilder::loihi("a", vec![3, 2, 2], parameters(first))
-                },
-                PopulationBuilder {
-                    start_step: second.3,
-                    ..PopulationBuilder::loihi("b", vec![20], parameters(second))
-                },
+                PopulationDesc::input("in", vec![2, 3, 3]),
+                PopulationDesc { start_step: first.3, ..PopulationDesc::loihi("a", vec![3, 2, 2], parameters(first)) },
+                PopulationDesc { start_step: second.3, ..PopulationDesc::loihi("b", vec![20], parameters(second)) },
             ];
             let conv = ProjectionKind::Conv2d {
                 weights: tensor(vec![3, 2, 2, 2], kernel[..24].to_vec()),
@@ -555,19 +536,19 @@ fn models() -> impl Strategy<Value = ModelBuilder> {
                 dilation: (1, 1),
                 groups: 1,
             };
-            let joined = ProjectionBuilder {
+            let joined = ProjectionDesc {
                 from: vec!["in".into(), "a".into()],
                 delay,
-                weight_exp: exponent,
+                weight_exp: Some(exponent),
                 sign: SignMode::Mixed,
-                ..ProjectionBuilder::new("", "b", ProjectionKind::Dense(tensor(vec![20, 30], dense)))
+                ..ProjectionDesc::new("", "b", ProjectionKind::Dense(tensor(vec![20, 30], dense)))
             };
             model.projections = vec![
-                ProjectionBuilder { weight_scale: Some(2.5), ..ProjectionBuilder::new("in", "a", conv) },
+                ProjectionDesc { weight_scale: Some(2.5), ..ProjectionDesc::new("in", "a", conv) },
                 joined,
-                ProjectionBuilder {
+                ProjectionDesc {
                     weight_scale: Some(1.0),
-                    ..ProjectionBuilder::new("b", "b", ProjectionKind::Sparse(synapses))
+                    ..ProjectionDesc::new("b", "b", ProjectionKind::Sparse(synapses))
                 },
             ];
             model.output = "b".to_string();
@@ -579,6 +560,30 @@ fn models() -> impl Strategy<Value = ModelBuilder> {
         })
 }
 
+/// A model that is used as it was imported, one that was written and read again, and one that was
+/// parsed from its text are equal.
+#[test]
+fn every_imported_model_equals_the_one_that_is_read_from_its_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.ron");
+    let mut compared = 0;
+    let layouts = std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/layouts")).unwrap();
+    let layouts = layouts.map(|entry| entry.unwrap().path()).filter(|path| path.is_file());
+    let layouts = layouts.map(|path| (path.display().to_string(), std::fs::read(path).unwrap()));
+    for (name, bytes) in ["hdf5", "checkpoint"].into_iter().flat_map(files).chain(layouts) {
+        let options = Options { dt_ms: Some(1.0), ..Options::default() };
+        let Ok(imported) = foreign::from_bytes(Path::new(&name), bytes, &options) else { continue };
+        let built = imported.model.build(&path).unwrap();
+        assert_eq!(built.resolved().unwrap(), imported.model, "{name}");
+        assert_eq!(&NetworkFile::parse(built.source()).unwrap(), built.file(), "{name}");
+        imported.model.write(&path, true).unwrap();
+        let read = load_model(path.to_str().unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(read.resolved().unwrap(), imported.model, "{name}");
+        compared += 1;
+    }
+    assert!(compared >= 8, "{compared} files");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
@@ -587,7 +592,7 @@ proptest! {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.ron");
         model.write(&path, false).unwrap();
-        let back = ModelBuilder::from_network(&load_model(path.to_str().unwrap()).unwrap()).unwrap();
+        let back = load_model(path.to_str().unwrap()).unwrap().resolved().unwrap();
         prop_assert_eq!(&back, &model);
     }
 
@@ -602,13 +607,13 @@ proptest! {
 
 #[test]
 fn an_exported_file_that_was_changed_is_not_restored() {
-    let mut model = ModelBuilder::new("m", 0.5);
+    let mut model = NetworkFile::new("m", 0.5);
     let parameters =
         vec![("du", Parameter::Same(1024.0)), ("dv", Parameter::Same(0.0)), ("vth_mant", Parameter::Same(64.0))];
     model.populations =
-        vec![PopulationBuilder::input("in", vec![2]), PopulationBuilder::loihi("out", vec![1], parameters.clone())];
+        vec![PopulationDesc::input("in", vec![2]), PopulationDesc::loihi("out", vec![1], parameters.clone())];
     let weights = ProjectionKind::Dense(tensor(vec![1, 2], vec![2.0, -4.0]));
-    model.projections = vec![ProjectionBuilder::new("in", "out", weights)];
+    model.projections = vec![ProjectionDesc::new("in", "out", weights)];
     model.output = "out".to_string();
     let (mut tree, _) = nir_export::export(&model).unwrap();
     let Some(Item::Group(node)) = tree.items.get_mut("node") else { panic!() };

@@ -152,7 +152,10 @@ fn the_oxford_checkpoint_of_slayer_gives_its_recorded_spikes() {
         let theirs = npy::read(&data.join(file)).unwrap();
         let imported = foreign::read(&data.join("oxfordNet.pt"), &options).unwrap();
         let ours = imported.model.projections.iter().find(|projection| projection.to == layer).unwrap();
-        assert_eq!(ours.kind, nsim::files::model_builder::ProjectionKind::Dense(theirs));
+        assert_eq!(
+            ours.kind,
+            nsim::files::network::ProjectionKind::Dense(nsim::files::network::Weights::InPlace(theirs))
+        );
     }
 }
 
@@ -361,7 +364,7 @@ fn a_deep_network_with_an_image_and_resets_gives_what_its_equations_give() {
     let interval = 20;
     let options = Options { image: Some(image), reset_interval: Some(interval), ..Options::default() };
     let network = import(&path, &options);
-    let names: Vec<&str> = network.file().populations.iter().map(|p| p.value.name().value.as_str()).collect();
+    let names: Vec<&str> = network.file().populations.iter().map(|p| p.name.as_str()).collect();
     assert_eq!((names.len(), names[2], names[10], names[12]), (13, "layer2", "layer10", "layer13"));
 
     let expected = presented(&drive, input, &layers, interval as usize);

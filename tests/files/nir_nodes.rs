@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::real::{STEPS, input, spikes, total};
 use nsim::files::lower::lower;
-use nsim::files::model_builder::{ModelBuilder, Parameter, ProjectionKind};
+use nsim::files::network::{NetworkFile, Parameter, ProjectionKind};
 use nsim::import::foreign;
 use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::{Group, Item, Numbers};
@@ -57,7 +57,7 @@ fn step() -> Options {
     Options { dt_ms: Some(1.0), ..Options::default() }
 }
 
-fn import(root: &Group) -> ModelBuilder {
+fn import(root: &Group) -> NetworkFile {
     read(root, &step()).unwrap().model
 }
 
@@ -153,7 +153,7 @@ fn i64_scalar(x: i64) -> Numbers {
 }
 
 /// What another tool keeps of an export: the nodes.
-fn bare(model: &ModelBuilder) -> ModelBuilder {
+fn bare(model: &NetworkFile) -> NetworkFile {
     let (tree, notes) = nir_export::export(model).unwrap();
     assert!(notes.iter().all(|note| !note.contains("nir.read")), "{notes:?}");
     let graph = tree.group("node").unwrap();

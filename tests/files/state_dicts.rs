@@ -10,12 +10,11 @@ use std::path::{Path, PathBuf};
 use crate::real::{STEPS, input, spikes, total};
 use crate::torch::{Entry, checkpoint};
 use nsim::files::lower::lower;
-use nsim::files::model_builder::{Parameter, ProjectionKind};
+use nsim::files::network::{Parameter, ProjectionKind};
 use nsim::import::foreign;
 use nsim::import::foreign::{Imported, Options, ResetMode};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::rng;
-use nsim::ir::tensor::Tensor;
 
 /// Numbers from -0.5 to 1.5 in steps of 1/64, so that sums of them are exact.
 fn noise(count: usize, seed: u64) -> Vec<f32> {
@@ -264,7 +263,7 @@ fn lava_dl_counts_in_64ths_with_the_decays_of_the_file() {
 fn dense_weights(imported: &Imported, index: usize) -> Vec<f64> {
     let projection = &imported.model.projections[index];
     let ProjectionKind::Dense(weights) = &projection.kind else { panic!("{projection:?}") };
-    weights.reals().map(|w| w * (projection.weight_exp as f64).exp2()).collect()
+    weights.tensor().reals().map(|w| w * (projection.weight_exp.unwrap_or(0) as f64).exp2()).collect()
 }
 
 #[test]
@@ -305,7 +304,7 @@ fn a_kernel_over_all_of_its_input_is_a_dense_layer() {
     let as_it_is: Vec<f64> = kernel.iter().map(|&w| f64::from(w)).collect();
     assert_eq!(dense_weights(&imported, 0), as_it_is);
     let shape = |tensor: &ProjectionKind| match tensor {
-        ProjectionKind::Dense(weights) => Tensor::shape(weights).to_vec(),
+        ProjectionKind::Dense(weights) => weights.tensor().shape().to_vec(),
         other => panic!("{other:?}"),
     };
     assert_eq!(shape(&imported.model.projections[0].kind), [6, 24]);

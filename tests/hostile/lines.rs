@@ -452,26 +452,25 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
 /// How many weights the models of a folder draw from seeds: what they cost follows from shapes, not
 /// from the file's size.
 fn drawn(folder: &Path) -> u64 {
-    use nsim::files::network::{ProjectionDesc, Source};
+    use nsim::files::network::{ProjectionDesc, ProjectionKind, Source, Weights};
     let weights = |name: &str| {
         let network = nsim::import::model::load_model(&folder.join(name).display().to_string()).ok()?;
         let file = network.file();
         let units = |name: &str| -> Option<u64> {
-            let found = file.populations.iter().find(|population| population.value.name().as_str() == name)?;
-            found.value.shape().iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
+            let found = file.population(name)?;
+            found.shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
         };
         let projection = |projection: &ProjectionDesc| {
-            let synapse = projection.synapse();
-            let sources = synapse.from.iter().filter_map(|name| units(name)).sum::<u64>();
-            match projection {
-                ProjectionDesc::Dense(dense) if matches!(dense.weights.source, Source::Uniform { .. }) => {
-                    sources.checked_mul(units(synapse.to)?)
+            let sources = projection.from.iter().filter_map(|name| units(name)).sum::<u64>();
+            match &projection.kind {
+                ProjectionKind::Dense(Weights::From(Source::Uniform { .. })) => {
+                    sources.checked_mul(units(&projection.to)?)
                 }
-                ProjectionDesc::Random(random) => sources.checked_mul(random.fan_out.value),
+                ProjectionKind::Random { fan_out, .. } => sources.checked_mul(*fan_out),
                 _ => None,
             }
         };
-        Some(file.projections.iter().filter_map(|one| projection(&one.value)).fold(0, u64::saturating_add))
+        Some(file.projections.iter().filter_map(projection).fold(0, u64::saturating_add))
     };
     ["m.ron", "input.ron"].iter().filter_map(|name| weights(name)).sum()
 }

@@ -16,8 +16,8 @@ use nsim_files as io;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::hardware::Target;
+use nsim_ir::locate::root_name;
 use nsim_ir::mapping::MappingFile;
-use nsim_ir::spanned::root_name;
 use nsim_session::decision::Rule;
 use nsim_session::error::{Error, Result};
 

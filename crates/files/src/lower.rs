@@ -9,22 +9,20 @@ use std::sync::Arc;
 
 use petgraph::graph::{DiGraph, NodeIndex};
 
-use crate::network::{
-    Conv2dDesc, DenseDesc, Network, NeuronsDesc, Parameter, ParameterValue, PopulationDesc, ProjectionDesc, RandomDesc,
-    Source, SparseDesc, SrmDesc, SumPool2dDesc, SynapseDesc, Weights,
-};
-use crate::synapses::Synapse;
+use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind as Kind, Source, Weights};
+use crate::synapses::{Synapse, SynapseArrays};
 use nsim_ir::base::diagnostic::{Diagnostic, Span, gathered};
-use nsim_ir::base::fixed::{Delay, Payload, SignMode};
+use nsim_ir::base::fixed::{Delay, Payload};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{
     Graph, MOST_CHANNELS, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, NeuronParameters, PerCompartment, Population,
     PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
 };
+use nsim_ir::locate::{items, locate};
 use nsim_ir::neurons::ParameterField;
 use nsim_ir::spanned::Spanned;
-use nsim_ir::tensor::{ArrayRef, Numbers, Tensor};
+use nsim_ir::tensor::{Numbers, Tensor};
 
 /// The most numbers that a `Uniform` source may stand for: 2^28, half a gigabyte once quantised.
 const MOST_UNIFORM: u64 = 1 << 28;
@@ -39,18 +37,22 @@ const MOST_NAMED: usize = 20;
 /// # Errors
 /// A diagnostic at the first name, shape, size or delay that does not fit.
 pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
-    let lowering = Lowering { network };
     let file = network.file();
-    if !(file.timestep_ms.value > 0.0 && file.timestep_ms.value <= 1e6) {
-        let message = format!("timestep_ms {} is not above 0 and at most 1e6", file.timestep_ms.value);
-        return Err(lowering.error("model.timestep", message, file.timestep_ms.span));
+    let text = network.source().text();
+    let lowering = Lowering { network, whole: Span { start: 0, end: text.len() } };
+    let (populations, projections) = (items(text, "populations"), items(text, "projections"));
+    let timestep = file.timestep_ms;
+    if !(timestep > 0.0 && timestep <= 1e6) {
+        let message = format!("timestep_ms {timestep} is not above 0 and at most 1e6");
+        return Err(lowering.problem("model.timestep", message, "timestep_ms"));
     }
     let mut graph = DiGraph::new();
     let mut nodes: HashMap<&str, NodeIndex> = HashMap::new();
     let mut units = 0u64;
     let mut problems = Vec::new();
-    for desc in &file.populations {
-        let population = match lowering.population(desc) {
+    for (index, desc) in file.populations.iter().enumerate() {
+        let span = populations.get(index).copied().unwrap_or_default();
+        let population = match lowering.population(desc, span) {
             Ok(population) => population,
             Err(problem) => {
                 problems.push(Err(problem));
@@ -60,57 +62,53 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
         units += u64::from(population.shape.len());
         if matches!(population.kind, PopulationKind::Input) && u64::from(population.shape.len()) > MOST_CHANNELS {
             let message = format!("{} input channels are more than {MOST_CHANNELS}", population.shape.len());
-            return Err(lowering.error("model.too-large", message, desc.value.shape().span));
+            return Err(lowering.error("model.too-large", message, lowering.at(span, "shape")));
         }
         if units > MOST_UNITS {
             let message =
                 format!("the populations up to here have {units} channels and compartments, the limit is {MOST_UNITS}");
-            return Err(lowering.error("model.too-large", message, desc.value.shape().span));
+            return Err(lowering.error("model.too-large", message, lowering.at(span, "shape")));
         }
-        let name = desc.value.name();
-        if nodes.insert(name, graph.add_node(population)).is_some() {
-            let message = format!("population '{}' is declared twice", name.value);
+        if nodes.insert(&desc.name, graph.add_node(population)).is_some() {
+            let message = format!("population '{}' is declared twice", desc.name);
             return Err(lowering
-                .error("model.name-twice", message, name.span)
+                .error("model.name-twice", message, lowering.at(span, "name"))
                 .help("give each population its own name"));
         }
     }
     // What names a population that has a problem would have one too.
     gathered::<()>(problems)?;
-    let output = lowering.find(&nodes, &file.output, "output");
-    let joined = file.projections.iter().map(|desc| lowering.projection(desc, &nodes, &mut graph));
+    let output = lowering.find(&nodes, &file.output, "output", || lowering.at(lowering.whole, "output"));
+    let joined = file.projections.iter().enumerate().map(|(index, desc)| {
+        let span = projections.get(index).copied().unwrap_or_default();
+        lowering.projection((desc, span), &nodes, &mut graph)
+    });
     gathered(joined.chain([output.clone().map(drop)]))?;
     let output = output?;
     let size = graph[output].shape.len();
     if matches!(graph[output].kind, PopulationKind::Input) {
-        let message = format!("output '{}' is an input population", file.output.value);
-        return Err(lowering
-            .error("model.output", message, file.output.span)
-            .help("name a population of compartments"));
+        let message = format!("output '{}' is an input population", file.output);
+        return Err(lowering.problem("model.output", message, "output").help("name a population of compartments"));
     }
-    let classes = match &file.classes {
-        Some(classes) if classes.len() != size as usize => {
-            let message = format!("{} class names for {size} output compartments", classes.len());
-            return Err(lowering.error("model.classes", message, classes.span));
-        }
-        Some(classes) => classes.value.clone(),
-        None => Vec::new(),
-    };
+    let classes = &file.classes;
+    if !classes.is_empty() && classes.len() != size as usize {
+        let message = format!("{} class names for {size} output compartments", classes.len());
+        return Err(lowering.problem("model.classes", message, "classes"));
+    }
     if let Some(reset) = &file.reset
         && (reset.interval == 0 || reset.interval > u64::from(u32::MAX) || reset.offset > u64::from(u32::MAX))
     {
         let message =
             format!("reset interval {} with offset {}: the interval is 1 to 2^32 - 1", reset.interval, reset.offset);
-        return Err(lowering.error("model.reset", message, reset.span));
+        return Err(lowering.problem("model.reset", message, "reset"));
     }
-    let drain = file.drain.as_ref().map_or(0, |drain| drain.value);
-    if let Some(drain) = file.drain.as_ref().filter(|drain| drain.value > MOST_DRAIN) {
-        let message = format!("drain {} is outside 0..={MOST_DRAIN}", drain.value);
+    if file.drain > MOST_DRAIN {
+        let message = format!("drain {} is outside 0..={MOST_DRAIN}", file.drain);
         return Err(lowering
-            .error("model.drain", message, drain.span)
+            .problem("model.drain", message, "drain")
             .help("it is a step for each layer behind the first"));
     }
-    if let Some(name) = std::iter::once(&file.name).chain(&classes).find(|name| name.contains(is_unprintable)) {
+    if let Some(name) = std::iter::once(&file.name).chain(classes).find(|name| name.contains(is_unprintable)) {
         let message = format!("the name {name:?} has a character that controls a terminal or ends a line");
         let help = "name the network and its classes with characters that are printed";
         return Err(Diagnostic::new("model.name", message).help(help).in_file(network.source().path()));
@@ -118,11 +116,11 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
     let facts = NetworkFacts {
         name: file.name.clone(),
         source: network.source().clone(),
-        timestep_ms: file.timestep_ms.value,
+        timestep_ms: file.timestep_ms,
         decision: file.decision,
-        drain,
-        classes,
-        reset: file.reset.as_ref().map(|reset| reset.value),
+        drain: file.drain,
+        classes: classes.clone(),
+        reset: file.reset,
         threshold: file.threshold,
         semantics: file.semantics,
         weight_rounding: file.weight_rounding,
@@ -134,6 +132,7 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
 
 struct Lowering<'a> {
     network: &'a Network,
+    whole: Span,
 }
 
 type Nodes<'a> = HashMap<&'a str, NodeIndex>;
@@ -143,76 +142,88 @@ impl Lowering<'_> {
         Diagnostic::new(code, message).at(self.network.source(), span)
     }
 
-    fn find(&self, nodes: &Nodes, name: &Spanned<String>, role: &str) -> Result<NodeIndex, Diagnostic> {
-        nodes.get(name.as_str()).copied().ok_or_else(|| {
+    /// An error at a field of the network.
+    fn problem(&self, code: &'static str, message: impl Into<String>, path: &str) -> Diagnostic {
+        self.error(code, message, self.at(self.whole, path))
+    }
+
+    /// The place of a path within a declaration; that of the declaration where the path is absent.
+    fn at(&self, declaration: Span, path: &str) -> Span {
+        locate(self.network.source().text(), declaration, path).unwrap_or(declaration)
+    }
+
+    fn find(&self, nodes: &Nodes, name: &str, role: &str, place: impl Fn() -> Span) -> Result<NodeIndex, Diagnostic> {
+        nodes.get(name).copied().ok_or_else(|| {
             let mut known: Vec<&str> = nodes.keys().copied().collect();
             known.sort_unstable();
-            self.error(
-                "model.unknown-population",
-                format!("{role} names '{}', which is not a population", name.value),
-                name.span,
-            )
-            .help(format!(
-                "{}populations are: {}{}",
-                did_you_mean(name, known.iter().copied()),
-                known[..known.len().min(MOST_NAMED)].join(", "),
-                if known.len() > MOST_NAMED { ", .." } else { "" }
-            ))
+            self.error("model.unknown-population", format!("{role} names '{name}', which is not a population"), place())
+                .help(format!(
+                    "{}populations are: {}{}",
+                    did_you_mean(name, known.iter().copied()),
+                    known[..known.len().min(MOST_NAMED)].join(", "),
+                    if known.len() > MOST_NAMED { ", .." } else { "" }
+                ))
         })
     }
 
-    fn population(&self, desc: &Spanned<PopulationDesc>) -> Result<Population, Diagnostic> {
-        let name = desc.value.name();
+    fn population(&self, desc: &PopulationDesc, span: Span) -> Result<Population, Diagnostic> {
+        let name = &desc.name;
         // '@' and '#' separate copies and indices in reports, '=' and '.' stand in arguments that
         // name populations.
         if name.is_empty() || name.contains(|c: char| c.is_whitespace() || is_unprintable(c) || "@#=./\\:".contains(c))
         {
-            let message = format!("'{}' cannot be a population's name", name.value);
-            return Err(self.error("model.name", message, name.span).help(
+            let message = format!("'{name}' cannot be a population's name");
+            return Err(self.error("model.name", message, self.at(span, "name")).help(
                 "use letters, digits, '_' and '-': names stand in arguments such as name=file.npy and name.spikes",
             ));
         }
-        let shape = self.shape(desc.value.shape())?;
-        let kind = match &desc.value {
-            PopulationDesc::Input(_) => PopulationKind::Input,
-            PopulationDesc::Neurons(neurons) => {
-                PopulationKind::Neurons(self.neurons(neurons, desc.span, shape.len())?)
-            }
-            PopulationDesc::Srm(srm) => PopulationKind::Srm(self.srm(srm)?),
+        let shape = self.shape(&desc.shape, span)?;
+        let kind = match (&desc.loihi, desc.srm) {
+            (Some(parameters), _) => PopulationKind::Neurons(self.neurons(desc, parameters, span, shape.len())?),
+            (None, Some(srm)) => PopulationKind::Srm(self.srm(name, srm, span)?),
+            (None, None) => PopulationKind::Input,
         };
-        let payload = desc.value.payload().map(|payload| {
-            Payload::new(payload.value)
-                .map_err(|e| self.error("model.payload", format!("population '{}': {e}", name.value), payload.span))
+        let payload = desc.payload.map(|payload| {
+            let wrong = |e| self.error("model.payload", format!("population '{name}': {e}"), self.at(span, "payload"));
+            Payload::new(payload).map_err(wrong)
         });
-        Ok(Population { name: name.value.clone(), span: desc.span, shape, kind, payload: payload.transpose()? })
+        Ok(Population { name: name.clone(), span, shape, kind, payload: payload.transpose()? })
     }
 
-    fn shape(&self, shape: &Spanned<Vec<u64>>) -> Result<Shape, Diagnostic> {
+    fn shape(&self, shape: &[u64], span: Span) -> Result<Shape, Diagnostic> {
         let product = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
         match product {
             Some(units) if (1..=MOST_UNITS).contains(&units) => {}
             _ => {
-                let message = format!("shape {:?} does not hold 1 to {MOST_UNITS} units", shape.value);
-                return Err(self.error("model.shape", message, shape.span));
+                let message = format!("shape {shape:?} does not hold 1 to {MOST_UNITS} units");
+                return Err(self.error("model.shape", message, self.at(span, "shape")));
             }
         }
-        match *shape.value.as_slice() {
+        match *shape {
             [n] => Ok(Shape::Line(n as u32)),
             [c, h, w] => Ok(Shape::Volume(c as u32, h as u32, w as u32)),
             _ => Err(self
-                .error("model.shape", format!("shape {:?} has {} axes", shape.value, shape.len()), shape.span)
+                .error("model.shape", format!("shape {shape:?} has {} axes", shape.len()), self.at(span, "shape"))
                 .help("a shape is [n] or [channels, height, width]")),
         }
     }
 
-    fn neurons(&self, desc: &NeuronsDesc, span: Span, units: u32) -> Result<NeuronParameters, Diagnostic> {
-        let name = &desc.name.value;
+    fn neurons(
+        &self,
+        desc: &PopulationDesc,
+        parameters: &[(&'static str, Parameter)],
+        span: Span,
+        units: u32,
+    ) -> Result<NeuronParameters, Diagnostic> {
+        let name = &desc.name;
         for ParameterField { name: integer, default, real, help, .. } in desc.kind.parameters() {
-            let other = real.and_then(|(real, _)| Some((real, desc.get(real)?)));
-            match (desc.get(integer), other) {
-                (Some(_), Some((real, second))) => {
+            let other = real.and_then(|(real, _)| desc.parameter(real).map(|_| real));
+            match (desc.parameter(integer), other) {
+                (Some(_), Some(real)) => {
                     let message = format!("population '{name}' gives both {integer} and {real}");
-                    return Err(self.error("model.parameter-twice", message, second.span).help("keep one of them"));
+                    return Err(self
+                        .error("model.parameter-twice", message, self.at(span, real))
+                        .help("keep one of them"));
                 }
                 (None, None) if default.is_none() => {
                     let message = format!("population '{name}' has no {integer}");
@@ -221,73 +232,77 @@ impl Lowering<'_> {
                 _ => {}
             }
         }
-        if let (Some(real), None) = (desc.get("bias"), desc.get("vth")) {
+        if desc.parameter("bias").is_some() && desc.parameter("vth").is_none() {
             let message = format!("population '{name}' has a real bias beside an integer threshold");
             return Err(self
-                .error("model.parameter", message, real.span)
+                .error("model.parameter", message, self.at(span, "bias"))
                 .help("give bias_mant and bias_exp, or a real vth"));
         }
-        let start_step = match &desc.start_step {
-            Some(step) => u32::try_from(step.value).map_err(|_| {
-                let message = format!("population '{name}': start_step {} is outside 0..=2^32 - 1", step.value);
-                self.error("model.start-step", message, step.span)
-            })?,
-            None => 0,
+        let values = |(what, value): &(&'static str, Parameter)| {
+            Ok((*what, self.values(name, what, value, units, self.at(span, what))?))
         };
-        let values = |(what, value): &(&'static str, Parameter)| Ok((*what, self.values(name, what, value, units)?));
-        let given = desc.parameters.iter().map(values).collect::<Result<_, Diagnostic>>()?;
-        Ok(NeuronParameters { kind: desc.kind, given, start_step, greatest_input: None })
+        let given = parameters.iter().map(values).collect::<Result<_, Diagnostic>>()?;
+        Ok(NeuronParameters { kind: desc.kind, given, start_step: desc.start_step, greatest_input: None })
     }
 
-    fn srm(&self, desc: &SrmDesc) -> Result<SrmParameters, Diagnostic> {
-        let positive = |what: &str, field: &Spanned<f64>, least: f64| {
-            if field.value.is_finite() && field.value >= least && field.value <= 1e9 {
-                return Ok(field.value);
+    fn srm(&self, name: &str, srm: [(&'static str, f64); 4], span: Span) -> Result<SrmParameters, Diagnostic> {
+        let positive = |index: usize, least: f64| {
+            let (what, value) = srm[index];
+            if value.is_finite() && value >= least && value <= 1e9 {
+                return Ok(value);
             }
-            let message =
-                format!("population '{}': {what} {} is not within {least}..=1e9", desc.name.value, field.value);
-            Err(self.error("model.srm", message, field.span))
+            let message = format!("population '{name}': {what} {value} is not within {least}..=1e9");
+            Err(self.error("model.srm", message, self.at(span, what)))
         };
         const LEAST: f64 = 1e-9;
         Ok(SrmParameters {
-            tau_sr_ms: positive("tau_sr_ms", &desc.tau_sr_ms, LEAST)?,
-            tau_ref_ms: positive("tau_ref_ms", &desc.tau_ref_ms, LEAST)?,
-            scale_ref: positive("scale_ref", &desc.scale_ref, 0.0)?,
-            theta: positive("theta", &desc.theta, LEAST)?,
+            tau_sr_ms: positive(0, LEAST)?,
+            tau_ref_ms: positive(1, LEAST)?,
+            scale_ref: positive(2, 0.0)?,
+            theta: positive(3, LEAST)?,
         })
     }
 
-    fn values(&self, population: &str, what: &str, parameter: &Parameter, units: u32) -> Result<Values, Diagnostic> {
-        let each = match &parameter.value {
-            ParameterValue::Same(value) => PerCompartment::Same(*value),
-            ParameterValue::Each(source) => {
-                let tensor = self.tensor(source, &[u64::from(units)], parameter.span)?;
-                if tensor.len() != units as usize {
-                    let message = format!(
-                        "population '{population}': {what} has {} entries for {units} compartments",
-                        tensor.len()
-                    );
-                    return Err(self.error("model.parameter-size", message, parameter.span));
-                }
-                PerCompartment::Each((0..tensor.len()).map(|i| tensor.real(i)).collect())
+    fn values(
+        &self,
+        population: &str,
+        what: &str,
+        parameter: &Parameter,
+        units: u32,
+        span: Span,
+    ) -> Result<Values, Diagnostic> {
+        let each = match parameter {
+            Parameter::Same(value) => PerCompartment::Same(*value),
+            Parameter::Each(values) => PerCompartment::Each(values.clone()),
+            Parameter::From(source) => {
+                PerCompartment::Each(self.sourced(source, &[u64::from(units)], span)?.reals().collect())
             }
         };
+        if let PerCompartment::Each(values) = &each
+            && values.len() != units as usize
+        {
+            let message =
+                format!("population '{population}': {what} has {} entries for {units} compartments", values.len());
+            return Err(self.error("model.parameter-size", message, span));
+        }
         let finite = match &each {
             PerCompartment::Same(value) => value.is_finite(),
             PerCompartment::Each(values) => values.iter().all(|value| value.is_finite()),
         };
         if !finite {
             let message = format!("population '{population}': {what} is not a finite number");
-            return Err(self.error("model.not-finite", message, parameter.span));
+            return Err(self.error("model.not-finite", message, span));
         }
-        Ok(Values { each, span: parameter.span })
+        Ok(Values { each, span })
     }
 
     /// The numbers of a source; `shape` is what a seeded source should fill.
-    fn tensor(&self, source: &Source, shape: &[u64], span: Span) -> Result<Arc<Tensor>, Diagnostic> {
+    fn sourced(&self, source: &Source, shape: &[u64], span: Span) -> Result<Arc<Tensor>, Diagnostic> {
         match source {
-            Source::InPlace(tensor, _) => Ok(Arc::new(tensor.clone())),
-            Source::File(reference) => Ok(Arc::new(self.network.array(reference).clone())),
+            Source::Npy(_) | Source::Safetensors(..) => {
+                let array = source.array().map(|array| self.network.array(&array).clone());
+                Ok(Arc::new(array.expect("it is the array of a file")))
+            }
             Source::Uniform { low, high, step, seed } => {
                 let length = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
                 let length = length.filter(|&n| n <= MOST_UNIFORM).ok_or_else(|| {
@@ -313,48 +328,46 @@ impl Lowering<'_> {
 
     fn projection(
         &self,
-        desc: &Spanned<ProjectionDesc>,
+        (desc, span): (&ProjectionDesc, Span),
         nodes: &Nodes,
         graph: &mut DiGraph<Population, Projection>,
     ) -> Result<(), Diagnostic> {
-        let synapse = desc.value.synapse();
-        let target = self.find(nodes, synapse.to, "'to'")?;
+        let target = self.find(nodes, &desc.to, "'to'", || self.at(span, "to"))?;
         if matches!(graph[target].kind, PopulationKind::Input) {
-            let message = format!("a projection ends at '{}', which is an input", synapse.to.value);
-            return Err(self.error("model.target", message, synapse.to.span));
+            let message = format!("a projection ends at '{}', which is an input", desc.to);
+            return Err(self.error("model.target", message, self.at(span, "to")));
         }
-        if synapse.from.is_empty() {
-            return Err(self.error(
-                "model.source",
-                format!("the projection to '{}' comes from nowhere", synapse.to.value),
-                desc.span,
-            ));
+        if desc.from.is_empty() {
+            let message = format!("the projection to '{}' comes from nowhere", desc.to);
+            return Err(self.error("model.source", message, span));
         }
-        let sources: Vec<NodeIndex> =
-            synapse.from.iter().map(|name| self.find(nodes, name, "'from'")).collect::<Result<_, _>>()?;
+        let source = |(index, name): (usize, &String)| {
+            self.find(nodes, name, "'from'", || self.at(span, &format!("from.[{index}]")))
+        };
+        let sources: Vec<NodeIndex> = desc.from.iter().enumerate().map(source).collect::<Result<_, _>>()?;
         let sizes: Vec<u32> = sources.iter().map(|&node| graph[node].shape.len()).collect();
         let declared = Declared {
             lowering: self,
-            span: desc.span,
-            synapse,
+            span,
+            desc,
             sources: sizes.iter().map(|&size| u64::from(size)).sum(),
             source_shape: graph[sources[0]].shape,
             target_shape: graph[target].shape,
         };
-        let to_delay = |delay: i64, span: Span| {
-            Delay::new(delay).map_err(|e| {
-                self.error("model.delay-range", format!("projection to '{}': {e}", synapse.to.value), span)
+        let to_delay = |delay: u32, path: &str| {
+            Delay::new(delay.into()).map_err(|e| {
+                self.error("model.delay-range", format!("projection to '{}': {e}", desc.to), self.at(span, path))
                     .help("a longer delay needs a relay population")
             })
         };
-        let delay = synapse.delay.map_or(Ok(Delay::MIN), |delay| to_delay(delay.value, delay.span))?;
-        let parts = match &desc.value {
-            ProjectionDesc::Sparse(sparse) => declared.sparse(sparse)?,
-            other => vec![(None, declared.kind(other)?)],
+        let delay = to_delay(desc.delay, "delay")?;
+        let parts = match &desc.kind {
+            Kind::Arrays(arrays) => declared.arrays(arrays)?,
+            _ => vec![(None, declared.kind()?)],
         };
         for (own_delay, whole) in parts {
-            let delay = own_delay.map_or(Ok(delay), |own: Spanned<i64>| to_delay(own.value, own.span))?;
-            self.part(desc, delay, whole, (&sources, target), graph);
+            let delay = own_delay.map_or(Ok(delay), |own| to_delay(own, "arrays.delay"))?;
+            self.part((desc, span), delay, whole, (&sources, target), graph);
         }
         Ok(())
     }
@@ -362,13 +375,12 @@ impl Lowering<'_> {
     /// Adds a part of a projection, from each of its source populations.
     fn part(
         &self,
-        desc: &Spanned<ProjectionDesc>,
+        (desc, span): (&ProjectionDesc, Span),
         delay: Delay,
         whole: ProjectionKind,
         (sources, target): (&[NodeIndex], NodeIndex),
         graph: &mut DiGraph<Population, Projection>,
     ) {
-        let synapse = desc.value.synapse();
         let sizes: Vec<u32> = sources.iter().map(|&node| graph[node].shape.len()).collect();
         let firsts = sizes.iter().scan(0, |next, &size| Some(std::mem::replace(next, *next + size)));
         let firsts: Vec<u32> = firsts.collect();
@@ -377,7 +389,7 @@ impl Lowering<'_> {
                 synapses: synapses
                     .iter()
                     .filter(|s| (first..first + size).contains(&s.0))
-                    .map(|&(from, to, weight, span)| (from - first, to, weight, span))
+                    .map(|&(from, to, weight, entry)| (from - first, to, weight, entry))
                     .collect(),
             },
             other => other.clone(),
@@ -386,17 +398,28 @@ impl Lowering<'_> {
             1 => vec![whole],
             _ => firsts.iter().zip(&sizes).map(of_source).collect(),
         };
+        // A default was given nowhere, and has no place.
+        let given = |is_given: bool, path: &str| if is_given { self.at(span, path) } else { Span::default() };
+        let weights_span = match &desc.kind {
+            Kind::Dense(_) | Kind::Conv2d { .. } => self.at(span, "weights"),
+            Kind::Arrays(_) => self.at(span, "arrays.weight"),
+            _ => span,
+        };
+        let weight_exp =
+            Spanned { value: desc.weight_exp.unwrap_or(0), span: given(desc.weight_exp.is_some(), "weight_exp") };
+        let weight_bits = Spanned { value: desc.weight_bits, span: given(desc.weight_bits != 8, "weight_bits") };
+        let weight_scale = desc.weight_scale.map(|value| Spanned { value, span: self.at(span, "weight_scale") });
         for ((&source, first_source), kind) in sources.iter().zip(firsts).zip(kinds) {
             let projection = Projection {
                 name: format!("{} -> {}", graph[source].name, graph[target].name),
-                span: desc.span,
+                span,
                 first_source,
-                weight_exp: synapse.weight_exp.cloned().unwrap_or_else(|| 0.into()),
-                sign: synapse.sign.map_or(SignMode::Mixed, |sign| sign.value),
-                weight_bits: synapse.weight_bits.cloned().unwrap_or_else(|| 8.into()),
+                weight_exp: weight_exp.clone(),
+                sign: desc.sign,
+                weight_bits: weight_bits.clone(),
                 delay,
-                weight_scale: synapse.weight_scale.cloned(),
-                weights_span: desc.value.weights().map_or(desc.span, |weights| weights.span),
+                weight_scale: weight_scale.clone(),
+                weights_span,
                 kind,
             };
             graph.add_edge(source, target, projection);
@@ -405,9 +428,9 @@ impl Lowering<'_> {
 }
 
 /// Synapses of a projection, and their own delay where they have one.
-type Part = (Option<Spanned<i64>>, ProjectionKind);
-/// (source, target, weight, place) each.
-type Listed = Vec<(u32, u32, f64, Span)>;
+type Part = (Option<u32>, ProjectionKind);
+/// (source, target, weight, entry of the list) each.
+type Listed = Vec<(u32, u32, f64, u32)>;
 /// Channels, height, width.
 type Volume = (u32, u32, u32);
 
@@ -415,34 +438,46 @@ type Volume = (u32, u32, u32);
 struct Declared<'a> {
     lowering: &'a Lowering<'a>,
     span: Span,
-    synapse: SynapseDesc<'a>,
+    desc: &'a ProjectionDesc,
     sources: u64,
     source_shape: Shape,
     target_shape: Shape,
 }
 
 impl Declared<'_> {
-    fn kind(&self, desc: &ProjectionDesc) -> Result<ProjectionKind, Diagnostic> {
-        match desc {
-            ProjectionDesc::Dense(dense) => self.dense(dense),
-            ProjectionDesc::Sparse(_) => Ok(ProjectionKind::Sparse { synapses: Vec::new() }),
-            ProjectionDesc::Conv2d(conv) => self.conv(conv),
-            ProjectionDesc::SumPool2d(pool) => self.pool(pool),
-            ProjectionDesc::Random(random) => self.random(random),
+    fn kind(&self) -> Result<ProjectionKind, Diagnostic> {
+        match &self.desc.kind {
+            Kind::Dense(weights) => {
+                let shape = [u64::from(self.target_shape.len()), self.sources];
+                Ok(ProjectionKind::Dense { weights: self.weights(weights, &shape)? })
+            }
+            Kind::Sparse(synapses) => self.sparse(synapses),
+            Kind::Arrays(_) => Ok(ProjectionKind::Sparse { synapses: Vec::new() }),
+            Kind::Conv2d { weights, stride, padding, padding_after, dilation, groups } => {
+                self.conv(weights, [*stride, *padding, *padding_after, *dilation], *groups)
+            }
+            &Kind::SumPool2d { kernel, stride, padding, padding_after, weight } => {
+                self.pool([kernel, stride, padding, padding_after], weight)
+            }
+            &Kind::Random { fan_out, low, high, seed } => self.random(fan_out, (low, high), seed),
         }
     }
 
-    fn error(&self, code: &'static str, message: impl Into<String>, span: Span) -> Diagnostic {
-        self.lowering.error(code, message, span)
+    /// An error at a path within the declaration.
+    fn error(&self, code: &'static str, message: impl Into<String>, path: &str) -> Diagnostic {
+        self.lowering.error(code, message, self.lowering.at(self.span, path))
     }
 
     fn to(&self) -> &str {
-        self.synapse.to
+        &self.desc.to
     }
 
     /// The weights with exactly this shape; trailing axes of length 1 are allowed and dropped.
-    fn weights(&self, weights: &Weights, shape: &[u64]) -> Result<(Arc<Tensor>, Arc<[Span]>), Diagnostic> {
-        let tensor = self.lowering.tensor(&weights.source, shape, weights.span)?;
+    fn weights(&self, weights: &Weights, shape: &[u64]) -> Result<Arc<Tensor>, Diagnostic> {
+        let tensor = match weights {
+            Weights::InPlace(tensor) => Arc::new(tensor.clone()),
+            Weights::From(source) => self.lowering.sourced(source, shape, self.lowering.at(self.span, "weights"))?,
+        };
         let mut found: Vec<u64> = tensor.shape().iter().map(|&axis| axis as u64).collect();
         while found.len() > shape.len() && found.last() == Some(&1) {
             found.pop();
@@ -454,105 +489,76 @@ impl Declared<'_> {
                 tensor.shape()
             );
             return Err(self
-                .error("model.weights-shape", message, weights.span)
+                .error("model.weights-shape", message, "weights")
                 .help("weights are [target][source], kernels [out channel][in channel / groups][height][width]"));
         }
-        let rows: Arc<[Span]> = match &weights.source {
-            Source::InPlace(_, rows) => rows.as_slice().into(),
-            Source::File(_) | Source::Uniform { .. } => Arc::from([]),
-        };
-        Ok((tensor, rows))
+        Ok(tensor)
     }
 
-    fn dense(&self, dense: &DenseDesc) -> Result<ProjectionKind, Diagnostic> {
-        let (weights, rows) = self.weights(&dense.weights, &[u64::from(self.target_shape.len()), self.sources])?;
-        Ok(ProjectionKind::Dense { weights, rows })
-    }
-
-    /// The synapses by their own delay, where they have one.
-    fn sparse(&self, sparse: &SparseDesc) -> Result<Vec<Part>, Diagnostic> {
-        let targets = u64::from(self.target_shape.len());
-        if let Some(arrays) = &sparse.arrays {
-            if !sparse.synapses.is_empty() {
-                let message = format!("projection to '{}': both synapses and arrays are given", self.to());
-                return Err(self.error("model.synapse-arrays", message, arrays.span));
-            }
-            if let (Some(own), Some(_)) = (&arrays.delay, &sparse.delay) {
-                let message = format!("projection to '{}': synapses and the projection have a delay", self.to());
-                return Err(self.error("model.synapse-arrays", message, own.span));
-            }
-            let delay_span = arrays.delay.as_ref().map_or(arrays.span, |delay| delay.span);
-            let mut by_delay: BTreeMap<Option<i64>, Listed> = BTreeMap::new();
-            let network = self.lowering.network;
-            let array = |reference: &ArrayRef| network.array(reference);
-            for synapse in arrays.read(array, network.source(), (self.sources, targets))? {
-                let Synapse { source, target, weight, delay } = synapse?;
-                by_delay.entry(delay).or_default().push((source, target, weight, arrays.weight.span));
-            }
-            let part = |(delay, synapses): (Option<i64>, Listed)| {
-                let delay = delay.map(|value| Spanned { value, span: delay_span });
-                (delay, ProjectionKind::Sparse { synapses })
-            };
-            return Ok(match by_delay.is_empty() {
-                true => vec![(None, ProjectionKind::Sparse { synapses: Vec::new() })],
-                false => by_delay.into_iter().map(part).collect(),
-            });
+    /// The synapses of arrays by their own delay, where they have one.
+    fn arrays(&self, arrays: &SynapseArrays) -> Result<Vec<Part>, Diagnostic> {
+        if arrays.delay.is_some() && self.desc.delay != 0 {
+            let message = format!("projection to '{}': synapses and the projection have a delay", self.to());
+            return Err(self.error("model.synapse-arrays", message, "arrays.delay"));
         }
-        let synapses = sparse
-            .synapses
-            .iter()
-            .map(|synapse| {
-                let (source, target, weight) = synapse.value;
-                for (what, index, size) in [("source", source, self.sources), ("target", target, targets)] {
-                    if index >= size {
-                        let message = format!("projection to '{}': {what} {index} is outside 0..{size}", self.to());
-                        return Err(self.error("model.synapse-index", message, synapse.span));
-                    }
+        let (network, sizes) = (self.lowering.network, (self.sources, self.target_shape.len().into()));
+        let stored = |array| network.array(array);
+        let mut by_delay: BTreeMap<Option<u32>, Listed> = BTreeMap::new();
+        for synapse in arrays.read(stored, (network.source(), self.span), sizes)? {
+            let Synapse { source, target, weight, delay } = synapse?;
+            by_delay.entry(delay).or_default().push((source, target, weight, 0));
+        }
+        let part = |(delay, synapses): (Option<u32>, Listed)| (delay, ProjectionKind::Sparse { synapses });
+        Ok(match by_delay.is_empty() {
+            true => vec![part((None, Vec::new()))],
+            false => by_delay.into_iter().map(part).collect(),
+        })
+    }
+
+    fn sparse(&self, listed: &[(u64, u64, f64)]) -> Result<ProjectionKind, Diagnostic> {
+        let targets = u64::from(self.target_shape.len());
+        let synapse = |(&(source, target, weight), entry): (&(u64, u64, f64), u32)| {
+            for (what, index, size) in [("source", source, self.sources), ("target", target, targets)] {
+                if index >= size {
+                    let message = format!("projection to '{}': {what} {index} is outside 0..{size}", self.to());
+                    return Err(self.error("model.synapse-index", message, &format!("synapses.[{entry}]")));
                 }
-                Ok((source as u32, target as u32, weight, synapse.span))
-            })
-            .collect::<Result<_, _>>()?;
-        Ok(vec![(None, ProjectionKind::Sparse { synapses })])
+            }
+            Ok((source as u32, target as u32, weight, entry))
+        };
+        let synapses = listed.iter().zip(0..).map(synapse).collect::<Result<_, _>>()?;
+        Ok(ProjectionKind::Sparse { synapses })
     }
 
     fn volumes(&self, what: &str) -> Result<(Volume, Volume), Diagnostic> {
-        if self.synapse.from.len() != 1 {
-            let message = format!("{what} to '{}' has {} sources", self.to(), self.synapse.from.len());
-            return Err(self.error("model.window", message, self.span).help("declare one projection for each source"));
+        if self.desc.from.len() != 1 {
+            let message = format!("{what} to '{}' has {} sources", self.to(), self.desc.from.len());
+            return Err(self.error("model.window", message, "").help("declare one projection for each source"));
         }
         match (self.source_shape.volume(), self.target_shape.volume()) {
             (Some(source), Some(target)) => Ok((source, target)),
             _ => {
                 let message =
                     format!("{what} to '{}' goes from shape {} to {}", self.to(), self.source_shape, self.target_shape);
-                Err(self
-                    .error("model.window", message, self.span)
-                    .help("both shapes must be [channels, height, width]"))
+                Err(self.error("model.window", message, "").help("both shapes must be [channels, height, width]"))
             }
         }
     }
 
     /// Numbers of a window, each from `least` to 65,535.
-    fn pair(
-        &self,
-        pair: Option<&Spanned<(u64, u64)>>,
-        what: &str,
-        default: (u32, u32),
-        least: u64,
-    ) -> Result<(u32, u32), Diagnostic> {
-        let Some(pair) = pair else { return Ok(default) };
+    fn pair(&self, pair: (u64, u64), what: &str, least: u64) -> Result<(u32, u32), Diagnostic> {
         let range = least..=65_535;
-        if !range.contains(&pair.value.0) || !range.contains(&pair.value.1) {
-            let message = format!("projection to '{}': {what} {:?} is outside {range:?}", self.to(), pair.value);
-            return Err(self.error("model.window", message, pair.span));
+        if !range.contains(&pair.0) || !range.contains(&pair.1) {
+            let message = format!("projection to '{}': {what} {pair:?} is outside {range:?}", self.to());
+            return Err(self.error("model.window", message, what));
         }
-        Ok((pair.value.0 as u32, pair.value.1 as u32))
+        Ok((pair.0 as u32, pair.1 as u32))
     }
 
     /// Checks that the target is exactly what the window makes of the source, with `after` silent
     /// rows and columns appended to it.
-    fn check_window(&self, window: &Window, after: Option<&Spanned<(u64, u64)>>) -> Result<(), Diagnostic> {
-        let after = self.pair(after, "padding_after", window.padding, 0)?;
+    fn check_window(&self, window: &Window, after: (u64, u64)) -> Result<(), Diagnostic> {
+        let after = self.pair(after, "padding_after", 0)?;
         let size = |source: u32, kernel: u32, stride: u32, padding: (u32, u32), dilation: u32| {
             let reach = u64::from(dilation) * u64::from(kernel - 1) + 1;
             let room = u64::from(source) + u64::from(padding.0) + u64::from(padding.1);
@@ -575,16 +581,20 @@ impl Declared<'_> {
                 w.target.1,
                 w.target.2
             );
-            return Err(self.error("model.window", message, self.span).help(
+            return Err(self.error("model.window", message, "").help(
                 "size = (source + padding + padding_after - dilation (kernel - 1) - 1) / stride + 1, rounded down",
             ));
         }
         Ok(())
     }
 
-    fn conv(&self, conv: &Conv2dDesc) -> Result<ProjectionKind, Diagnostic> {
+    fn conv(
+        &self,
+        weights: &Weights,
+        [stride, padding, padding_after, dilation]: [(u64, u64); 4],
+        groups: u64,
+    ) -> Result<ProjectionKind, Diagnostic> {
         let (source, target) = self.volumes("Conv2d")?;
-        let groups = conv.groups.as_ref().map_or(1, |groups| groups.value);
         if groups == 0 || u64::from(source.0) % groups != 0 || u64::from(target.0) % groups != 0 {
             let message = format!(
                 "projection to '{}': {groups} groups do not divide {} and {} channels",
@@ -592,88 +602,80 @@ impl Declared<'_> {
                 source.0,
                 target.0
             );
-            return Err(self.error("model.window", message, conv.groups.as_ref().map_or(self.span, |g| g.span)));
+            return Err(self.error("model.window", message, "groups"));
         }
         // The kernel's size is read off the weights, so those are read first.
-        let kernel = match &conv.weights.source {
-            Source::InPlace(tensor, _) => tensor.shape().to_vec(),
-            Source::File(reference) => self.lowering.network.array(reference).shape().to_vec(),
-            Source::Uniform { .. } => {
-                return Err(self
-                    .error("model.window", "a convolution's kernel needs its size", conv.weights.span)
-                    .help("give the kernel in place or as a file"));
-            }
+        let Some(kernel) = self.lowering.network.tensor(weights).map(|kernel| kernel.shape().to_vec()) else {
+            return Err(self
+                .error("model.window", "a convolution's kernel needs its size", "weights")
+                .help("give the kernel in place or as a file"));
         };
         let (Some(&kh), Some(&kw)) = (kernel.get(2), kernel.get(3)) else {
             return Err(self
                 .error(
                     "model.weights-shape",
                     format!("projection to '{}': the kernel is {kernel:?}", self.to()),
-                    conv.weights.span,
+                    "weights",
                 )
                 .help("kernels are [out channel][in channel / groups][height][width]"));
         };
         let shape = [u64::from(target.0), u64::from(source.0) / groups, kh as u64, kw as u64];
-        let (weights, rows) = self.weights(&conv.weights, &shape)?;
+        let weights = self.weights(weights, &shape)?;
         if kh == 0 || kw == 0 || kh > 65_535 || kw > 65_535 {
-            return Err(self.error("model.window", format!("a kernel of {kh} x {kw}"), conv.weights.span));
+            return Err(self.error("model.window", format!("a kernel of {kh} x {kw}"), "weights"));
         }
         let window = Window {
             source,
             target,
             kernel: (kh as u32, kw as u32),
-            stride: self.pair(conv.stride.as_ref(), "stride", (1, 1), 1)?,
-            padding: self.pair(conv.padding.as_ref(), "padding", (0, 0), 0)?,
-            dilation: self.pair(conv.dilation.as_ref(), "dilation", (1, 1), 1)?,
+            stride: self.pair(stride, "stride", 1)?,
+            padding: self.pair(padding, "padding", 0)?,
+            dilation: self.pair(dilation, "dilation", 1)?,
             groups: groups as u32,
         };
-        self.check_window(&window, conv.padding_after.as_ref())?;
-        Ok(ProjectionKind::Conv2d { window, weights, rows })
+        self.check_window(&window, padding_after)?;
+        Ok(ProjectionKind::Conv2d { window, weights })
     }
 
-    fn pool(&self, pool: &SumPool2dDesc) -> Result<ProjectionKind, Diagnostic> {
+    fn pool(
+        &self,
+        [kernel, stride, padding, padding_after]: [(u64, u64); 4],
+        weight: f64,
+    ) -> Result<ProjectionKind, Diagnostic> {
         let (source, target) = self.volumes("SumPool2d")?;
-        let kernel = self.pair(Some(&pool.kernel), "kernel", (1, 1), 1)?;
         let window = Window {
             source,
             target,
-            kernel,
-            stride: self.pair(pool.stride.as_ref(), "stride", kernel, 1)?,
-            padding: self.pair(pool.padding.as_ref(), "padding", (0, 0), 0)?,
+            kernel: self.pair(kernel, "kernel", 1)?,
+            stride: self.pair(stride, "stride", 1)?,
+            padding: self.pair(padding, "padding", 0)?,
             dilation: (1, 1),
             groups: source.0,
         };
         if source.0 != target.0 {
             let message = format!("SumPool2d to '{}' goes from {} to {} channels", self.to(), source.0, target.0);
-            return Err(self.error("model.window", message, self.span));
+            return Err(self.error("model.window", message, ""));
         }
-        self.check_window(&window, pool.padding_after.as_ref())?;
-        Ok(ProjectionKind::SumPool2d { window, weight: pool.weight.clone() })
+        self.check_window(&window, padding_after)?;
+        let weight = Spanned { value: weight, span: self.lowering.at(self.span, "weight") };
+        Ok(ProjectionKind::SumPool2d { window, weight })
     }
 
-    fn random(&self, random: &RandomDesc) -> Result<ProjectionKind, Diagnostic> {
-        let synapses = self.sources.checked_mul(random.fan_out.value);
-        if synapses.is_none_or(|n| n > MOST_SYNAPSES) || u32::try_from(random.fan_out.value).is_err() {
+    fn random(&self, fan_out: u64, (low, high): (i64, i64), seed: u64) -> Result<ProjectionKind, Diagnostic> {
+        let synapses = self.sources.checked_mul(fan_out);
+        if synapses.is_none_or(|n| n > MOST_SYNAPSES) || u32::try_from(fan_out).is_err() {
             let message = format!(
-                "projection to '{}': {} sources times {} synapses is more than {MOST_SYNAPSES}",
+                "projection to '{}': {} sources times {fan_out} synapses is more than {MOST_SYNAPSES}",
                 self.to(),
-                self.sources,
-                random.fan_out.value
+                self.sources
             );
-            return Err(self.error("model.too-large", message, random.fan_out.span));
+            return Err(self.error("model.too-large", message, "fan_out"));
         }
-        if let Some(scale) = self.synapse.weight_scale {
-            return Err(self.error(
-                "model.random",
-                "a Random projection has integer weights and takes no weight_scale",
-                scale.span,
-            ));
+        if self.desc.weight_scale.is_some() {
+            let message = "a Random projection has integer weights and does not support weight_scale";
+            return Err(self.error("model.random", message, "weight_scale"));
         }
-        Ok(ProjectionKind::Random {
-            fan_out: random.fan_out.value as u32,
-            low: random.low.clone(),
-            high: random.high.clone(),
-            seed: random.seed.value,
-        })
+        let bound = |value: i64, path: &str| Spanned { value, span: self.lowering.at(self.span, path) };
+        Ok(ProjectionKind::Random { fan_out: fan_out as u32, low: bound(low, "low"), high: bound(high, "high"), seed })
     }
 }

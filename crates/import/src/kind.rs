@@ -17,7 +17,7 @@ use super::spikes::events::aedat::AEDAT;
 use super::spikes::events::text::is_header;
 use nsim_files::text::{NPY_MAGIC, is_standard_stream, open, refuse_pointer, unreadable};
 use nsim_ir::base::diagnostic::Result;
-use nsim_ir::spanned::root_name;
+use nsim_ir::locate::root_name;
 
 /// Bytes of a file that are looked at: a text may begin with comments.
 const HEAD: usize = 1 << 16;

@@ -8,12 +8,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::foreign;
-use nsim_files::network::{ArrayRef, Network, NetworkFile, array_refs};
+use nsim_files::network::{ArrayRef, Network, NetworkFile, place};
 use nsim_files::shipped;
 use nsim_files::shipped::Origin;
 use nsim_files::text::beside;
 use nsim_files::{changes, npy, safetensors};
-use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::tensor::Tensor;
 
 /// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported as
@@ -44,11 +44,11 @@ pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
 /// # Errors
 /// `model.timestep`.
 pub fn agreeing(network: Network, dt_ms: Option<f64>) -> Result<Network> {
-    let own = &network.file().timestep_ms;
-    let Some(dt) = dt_ms.filter(|dt| (dt / own.value - 1.0).abs() > 1e-9) else { return Ok(network) };
-    let message = format!("the model has a timestep of {} ms, which --dt {dt} contradicts", own.value);
+    let own = network.file().timestep_ms;
+    let Some(dt) = dt_ms.filter(|dt| (dt / own - 1.0).abs() > 1e-9) else { return Ok(network) };
+    let message = format!("the model has a timestep of {own} ms, which --dt {dt} contradicts");
     Err(Diagnostic::new("model.timestep", message)
-        .at(network.source(), own.span)
+        .at(network.source(), place(network.source(), "timestep_ms"))
         .help(format!("leave --dt out, or change the model: --set timestep_ms={dt}")))
 }
 
@@ -64,27 +64,7 @@ pub fn network(source: SourceText, origin: Origin) -> Result<Network> {
 /// A model from its final text.
 fn network_of(source: SourceText, origin: Origin) -> Result<Network> {
     let file = NetworkFile::parse(&source)?;
-    let arrays = read_arrays(&source, origin, array_refs(&file))?;
-    Network::new(file, source, arrays)
-}
-
-/// A model whose arrays are tensors of one safetensors file in memory, by whatever name the model
-/// refers to it.
-///
-/// # Errors
-/// `model.syntax`; of tensors, at the place that names them.
-pub fn with_tensors(source: SourceText, bytes: Vec<u8>) -> Result<Network> {
-    let file = NetworkFile::parse(&source)?;
-    let tensors = safetensors::TensorFile::from_bytes(source.path(), bytes)?;
-    let mut arrays = BTreeMap::new();
-    for (reference, span) in array_refs(&file) {
-        let tensor = match reference {
-            ArrayRef::Safetensors(_, key) => tensors.tensor(key),
-            ArrayRef::Npy(_) => Err(Diagnostic::new("io.missing", "it is not among the tensors in memory")),
-        };
-        let (ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _)) = reference;
-        arrays.insert(reference.clone(), tensor.map_err(|problem| point_at(&source, span, name, problem))?);
-    }
+    let arrays = read_arrays(&source, origin, &file)?;
     Network::new(file, source, arrays)
 }
 
@@ -105,14 +85,14 @@ impl Unchanged {
         }
         let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown").ok()?;
         let file = NetworkFile::parse(&source).ok()?;
-        let arrays = read_arrays(&source, origin, array_refs(&file)).ok()?;
+        let arrays = read_arrays(&source, origin, &file).ok()?;
         Some(Unchanged { network: Network::new(file, source, arrays).ok()?, origin })
     }
 
     /// Numbers in its arrays.
     #[must_use]
     pub fn numbers(&self) -> u64 {
-        array_refs(self.network.file()).iter().map(|(reference, _)| self.network.array(reference).len() as u64).sum()
+        self.network.file().arrays().iter().map(|(reference, _)| self.network.array(reference).len() as u64).sum()
     }
 
     /// The model as [`load_model`] would read it now, under the changes of the process and of the
@@ -130,33 +110,29 @@ impl Unchanged {
     }
 }
 
-fn read_arrays(
-    source: &SourceText,
-    origin: Origin,
-    references: Vec<(&ArrayRef, Span)>,
-) -> Result<BTreeMap<ArrayRef, Tensor>> {
+fn read_arrays(source: &SourceText, origin: Origin, file: &NetworkFile) -> Result<BTreeMap<ArrayRef, Tensor>> {
     let mut arrays = BTreeMap::new();
     // A safetensors file often holds every layer: it is read once.
-    let mut opened: BTreeMap<&str, safetensors::TensorFile> = BTreeMap::new();
-    for (reference, span) in references {
-        if arrays.contains_key(reference) {
+    let mut opened: BTreeMap<String, safetensors::TensorFile> = BTreeMap::new();
+    for (reference, path) in file.arrays() {
+        if arrays.contains_key(&reference) {
             continue;
         }
-        let tensor = match reference {
+        let tensor = match &reference {
             ArrayRef::Npy(name) => {
                 bytes_of(source, origin, name, npy::open, npy::Array::from_bytes).and_then(|array| array.tensor())
             }
             ArrayRef::Safetensors(name, key) => {
                 if !opened.contains_key(name.as_str()) {
                     let file = bytes_of(source, origin, name, safetensors::open, safetensors::TensorFile::from_bytes)
-                        .map_err(|problem| point_at(source, span, name, problem))?;
-                    opened.insert(name, file);
+                        .map_err(|problem| point_at(source, &path, &reference, problem))?;
+                    opened.insert(name.clone(), file);
                 }
                 opened[name.as_str()].tensor(key)
             }
         };
-        let (ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _)) = reference;
-        arrays.insert(reference.clone(), tensor.map_err(|problem| point_at(source, span, name, problem))?);
+        let tensor = tensor.map_err(|problem| point_at(source, &path, &reference, problem))?;
+        arrays.insert(reference, tensor);
     }
     Ok(arrays)
 }
@@ -178,16 +154,17 @@ fn bytes_of<T>(
 }
 
 /// A problem with an array's file, reported where the model names it.
-fn point_at(source: &SourceText, span: Span, name: &str, mut problem: Diagnostic) -> Diagnostic {
-    let file = problem.file().map_or_else(|| name.to_string(), |file| file.display().to_string());
+fn point_at(source: &SourceText, path: &str, array: &ArrayRef, mut problem: Diagnostic) -> Diagnostic {
+    let (ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _)) = array;
+    let file = problem.file().map_or_else(|| name.clone(), |file| file.display().to_string());
     problem.message = format!("{file}: {}", problem.message);
-    problem.at(source, span)
+    problem.at(source, place(source, path))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nsim_files::network::{ParameterValue, PopulationDesc, ProjectionDesc, Source};
+    use nsim_files::network::{Parameter, ProjectionKind, Source, Weights};
     use nsim_ir::tensor::Numbers;
 
     const EVERYTHING: &str = r#"// A comment.
@@ -238,36 +215,34 @@ Network(
     }
 
     #[test]
-    fn every_kind_of_value_is_read_and_knows_its_place() {
+    fn every_kind_of_value_is_read_and_its_place_is_found() {
         let folder = folder();
         let network = load(&folder, EVERYTHING).unwrap();
-        let text_of = |span: Span| &network.source().text()[span.start..span.end];
         let file = network.file();
-        assert_eq!(text_of(file.populations[0].value.name().span), "\"µ-in\"");
-        let PopulationDesc::Neurons(a) = &file.populations[1].value else { panic!() };
-        let du = a.get("du").unwrap();
-        assert!(matches!(du.value, ParameterValue::Same(x) if x == 1024.0));
-        assert_eq!(text_of(du.span), "1024");
-        let ParameterValue::Each(Source::InPlace(tensor, spans)) = &a.get("dv").unwrap().value else { panic!() };
-        assert_eq!((tensor.numbers(), text_of(spans[1])), (&Numbers::Reals(vec![128.0, 256.0]), "256"));
-        let ParameterValue::Each(Source::File(reference)) = &a.get("vth_mant").unwrap().value else { panic!() };
-        assert_eq!(network.array(reference).numbers(), &Numbers::Integers(vec![80, 90]));
-        let PopulationDesc::Neurons(b) = &file.populations[2].value else { panic!() };
-        let tau = &b.get("tau_v_ms").unwrap();
-        assert!(matches!(tau.value, ParameterValue::Each(Source::Uniform { low: 1.0, high: 2.5, seed: 7, .. })));
-        assert_eq!(text_of(tau.span), "Uniform(low: 1, high: 2.5, seed: 7)");
-        let ProjectionDesc::Dense(first) = &file.projections[0].value else { panic!() };
-        let Source::File(reference) = &first.weights.source else { panic!() };
-        assert_eq!(network.array(reference).shape(), [2, 18]);
-        assert_eq!(text_of(file.projections[0].value.synapse().weight_exp.unwrap().span), "-1");
-        let ProjectionDesc::Dense(second) = &file.projections[1].value else { panic!() };
-        let Source::InPlace(tensor, spans) = &second.weights.source else { panic!() };
-        assert_eq!((tensor.shape(), text_of(spans[1])), (&[2, 2][..], "[6.0, 8e0]"));
-        let ProjectionDesc::Sparse(sparse) = &file.projections[2].value else { panic!() };
-        assert_eq!((sparse.synapses[1].value, text_of(sparse.synapses[1].span)), ((1, 0, -2.5), "(1, 0, -2.5)"));
-        let ProjectionDesc::Conv2d(conv) = &file.projections[3].value else { panic!() };
-        let Source::InPlace(kernel, _) = &conv.weights.source else { panic!() };
-        assert_eq!((kernel.shape(), conv.stride.as_ref().unwrap().value), (&[1, 2, 1, 1][..], (2, 2)));
+        let text_at = |path: &str| {
+            let span = place(network.source(), path);
+            &network.source().text()[span.start..span.end]
+        };
+        assert_eq!((file.populations[0].name.as_str(), text_at("populations.[0].name")), ("µ-in", "\"µ-in\""));
+        let (a, b) = (&file.populations[1], &file.populations[2]);
+        assert_eq!((a.parameter("du"), text_at("populations.a.du")), (Some(&Parameter::Same(1024.0)), "1024"));
+        assert_eq!(a.parameter("dv"), Some(&Parameter::Each(vec![128.0, 256.0])));
+        let Some(Parameter::From(source)) = a.parameter("vth_mant") else { panic!() };
+        assert_eq!(network.array(&source.array().unwrap()).numbers(), &Numbers::Integers(vec![80, 90]));
+        let uniform = Source::Uniform { low: 1.0, high: 2.5, step: None, seed: 7 };
+        assert_eq!(b.parameter("tau_v_ms"), Some(&Parameter::From(uniform)));
+        assert_eq!(text_at("populations.b.tau_v_ms"), "Uniform(low: 1, high: 2.5, seed: 7)");
+        let weights = |index: usize| network.tensor(file.projections[index].weights().unwrap()).unwrap();
+        assert_eq!(weights(0).shape(), [2, 18]);
+        assert_eq!((file.projections[0].weight_exp, text_at("projections.[0].weight_exp")), (Some(-1), "-1"));
+        assert_eq!((weights(1).shape(), text_at("projections.[1].weights.[1]")), (&[2, 2][..], "[6.0, 8e0]"));
+        assert_eq!(file.projections[2].kind, ProjectionKind::Sparse(vec![(0, 1, 2.0), (1, 0, -2.5)]));
+        let ProjectionKind::Conv2d { weights: Weights::InPlace(kernel), stride, padding_after, .. } =
+            &file.projections[3].kind
+        else {
+            panic!()
+        };
+        assert_eq!((kernel.shape(), *stride, *padding_after), (&[1, 2, 1, 1][..], (2, 2), (0, 1)));
     }
 
     #[test]
@@ -306,7 +281,7 @@ Network(
         write("t.npy", &[1, 0, 1, 1]);
         write("w.npy", &[4, -2, 6, 8]);
         write("d.npy", &[0, 3, 3, 0]);
-        let lowered = |way: &str| nsim_files::model_builder::ModelBuilder::from_network(&load(&folder, &listed(way))?);
+        let lowered = |way: &str| load(&folder, &listed(way))?.resolved();
         let in_place = lowered("synapses: [(0, 1, 4), (0, 0, -2), (1, 1, 6), (2, 1, 8)]").unwrap();
         let files = r#"target: Npy("t.npy"), weight: Npy("w.npy")"#;
         for from in [r#"source: Npy("s.npy")"#, r#"first: Npy("f.npy")"#] {
@@ -315,8 +290,7 @@ Network(
         }
         let delayed = lowered(&format!(r#"arrays: (source: Npy("s.npy"), {files}, delay: Npy("d.npy"))"#)).unwrap();
         let found: Vec<_> = delayed.projections.iter().map(|p| (p.delay, p.kind.clone())).collect();
-        let sparse =
-            |synapses: &[(u64, u64, f64)]| nsim_files::model_builder::ProjectionKind::Sparse(synapses.to_vec());
+        let sparse = |synapses: &[(u64, u64, f64)]| ProjectionKind::Sparse(synapses.to_vec());
         assert_eq!(found, [(0, sparse(&[(0, 1, 4.0), (2, 1, 8.0)])), (3, sparse(&[(0, 0, -2.0), (1, 1, 6.0)]))]);
     }
 
@@ -331,7 +305,7 @@ Network(
         }
         let refused = |way: &str| {
             let network = load(&folder, &listed(&format!("arrays: ({way})"))).unwrap();
-            nsim_files::model_builder::ModelBuilder::from_network(&network).unwrap_err()
+            network.resolved().unwrap_err()
         };
         let two = r#"Npy("two.npy")"#;
         for (way, code, word) in [

@@ -61,8 +61,8 @@ named_variants!(ReadOut {
 
 /// u and v of each population return to zero before the updates of steps
 /// `start_step + offset + k * interval`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, rename = "Reset")]
 pub struct ResetDesc {
     /// Timesteps between two resets.
     pub interval: u64,

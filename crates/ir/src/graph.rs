@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use crate::base::diagnostic::{SourceText, Span};
 use crate::base::fixed::{Delay, Payload, SignMode};
+use crate::locate::locate;
 use crate::neurons::NeuronKind;
 use crate::spanned::Spanned;
 use crate::tensor::{Numbers, Tensor};
@@ -268,13 +269,11 @@ pub enum ProjectionKind {
     Dense {
         /// Weights of all columns of the declaration.
         weights: Arc<Tensor>,
-        /// Place of each row, when they stand in the model file.
-        rows: Arc<[Span]>,
     },
-    /// (source within this population, target, weight, place) each.
+    /// (source within this population, target, weight, entry of the declared list) each.
     Sparse {
         /// The synapses.
-        synapses: Vec<(u32, u32, f64, Span)>,
+        synapses: Vec<(u32, u32, f64, u32)>,
     },
     /// Cross-correlation with `[C'][C / groups][kh][kw]`.
     Conv2d {
@@ -282,8 +281,6 @@ pub enum ProjectionKind {
         window: Window,
         /// Kernel.
         weights: Arc<Tensor>,
-        /// Place of each output channel's kernel, when it stands in the model file.
-        rows: Arc<[Span]>,
     },
     /// The same weight from each position of a window.
     SumPool2d {
@@ -323,15 +320,13 @@ impl ProjectionKind {
             mapped.map_or_else(|| weights.clone(), Arc::new)
         };
         match self {
-            ProjectionKind::Dense { weights, rows } => {
-                ProjectionKind::Dense { weights: tensor(weights), rows: rows.clone() }
-            }
-            ProjectionKind::Conv2d { window, weights, rows } => {
-                ProjectionKind::Conv2d { window: *window, weights: tensor(weights), rows: rows.clone() }
+            ProjectionKind::Dense { weights } => ProjectionKind::Dense { weights: tensor(weights) },
+            ProjectionKind::Conv2d { window, weights } => {
+                ProjectionKind::Conv2d { window: *window, weights: tensor(weights) }
             }
             ProjectionKind::Sparse { synapses } => {
                 let each =
-                    synapses.iter().map(|&(source, target, w, span)| (source, target, f(target as usize, w), span));
+                    synapses.iter().map(|&(source, target, w, entry)| (source, target, f(target as usize, w), entry));
                 ProjectionKind::Sparse { synapses: each.collect() }
             }
             ProjectionKind::SumPool2d { .. } | ProjectionKind::Random { .. } => self.clone(),
@@ -362,6 +357,16 @@ pub struct Projection {
     pub weights_span: Span,
     /// How it reaches its targets.
     pub kind: ProjectionKind,
+}
+
+impl Projection {
+    /// The place of a row of weights, or of a listed synapse, where these stand in the model file.
+    #[must_use]
+    pub fn place_of(&self, source: &SourceText, entry: u32) -> Span {
+        let in_place = ["weights", "synapses"].map(|list| format!("{list}.{entry}"));
+        let found = in_place.iter().find_map(|path| locate(source.text(), self.span, path));
+        found.unwrap_or(self.weights_span)
+    }
 }
 
 /// Facts about a network as a whole.

@@ -14,7 +14,7 @@ pub mod firing_rates;
 pub mod graph;
 pub mod groups;
 pub mod hardware;
-pub mod lists;
+pub mod locate;
 pub mod mapping;
 pub mod neurons;
 pub mod partition;

@@ -5,22 +5,20 @@
 //! pass context to nested values. A value that fails inside a raw slice reports its own position,
 //! not that of the slice's end.
 
-use std::cell::{Cell, RefCell};
-use std::sync::Arc;
+use std::cell::Cell;
+use std::marker::PhantomData;
 
 use ron::extensions::Extensions;
 use ron::value::RawValue;
-use serde::de::{Deserialize, DeserializeOwned, Deserializer};
+use serde::de::{Deserialize, DeserializeOwned, DeserializeSeed, Deserializer};
 use serde::ser::{Serialize, Serializer};
 
-use super::lists::{ListError, too_deep};
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use crate::locate::too_deep;
 
 thread_local! {
     /// Address and length of the text that this thread is parsing.
     static TEXT: Cell<Option<(usize, usize)>> = const { Cell::new(None) };
-    /// The original text, with the lists that are blank in the parsed one.
-    static WRITTEN: RefCell<Option<Arc<str>>> = const { RefCell::new(None) };
     /// The innermost error seen so far: its place in the text.
     static INNERMOST: Cell<Option<Span>> = const { Cell::new(None) };
 }
@@ -86,37 +84,48 @@ fn offset_of(text: &str, position: ron::error::Position) -> usize {
     text.len()
 }
 
-/// Parses the text of a value that stands at `span`, such as that of a [`Shape`].
+/// Parses the text of a value that stands at `span`.
 pub fn parse_at<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
-    options().from_str(text).map_err(|error| {
-        if INNERMOST.get().is_none() {
-            let start = span.start + offset_of(text, error.span.start);
-            let end = span.start + offset_of(text, error.span.end);
-            INNERMOST.set(Some(Span { start: start.min(end), end }));
-        }
-        E::custom(message_for::<T>(&error.code, text))
+    read_at(text, span, PhantomData).or_else(|Malformed { span, message }| refuse(span, message))
+}
+
+/// Reads the text of a value that stands at `span`.
+///
+/// # Errors
+/// What is wrong with it, and where; the innermost place that is known.
+pub fn read_at<'t, S: DeserializeSeed<'t>>(text: &'t str, span: Span, seed: S) -> Result<S::Value, Malformed> {
+    options().from_str_seed(text, seed).map_err(|error| {
+        let Malformed { span: Span { start, end }, message } = malformed(text, &error);
+        let here = Span { start: span.start + start, end: span.start + end };
+        Malformed { span: INNERMOST.get().unwrap_or(here), message }
     })
 }
 
-/// The message for a value of this type that cannot be read from this text.
-fn message_for<T>(error: &ron::Error, text: &str) -> String {
-    use ron::Error::{ExpectedArray, ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
-    let single = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
-    if matches!(error, ExpectedArray) && !text.is_empty() && text.len() <= 40 && text.chars().all(single) {
-        return format!("expected a list and found {text}: write [{text}]");
-    }
-    let whole = match std::any::type_name::<T>() {
-        "u32" | "u64" => "a whole number from 0",
-        "i64" => "a whole number",
-        _ => return plain(error),
-    };
-    match error {
-        // What follows the digits makes it another kind of number.
-        ExpectedInteger | IntegerOutOfBounds | TrailingCharacters => {
-            format!("expected {whole} and found {}", text.chars().take(40).collect::<String>())
+/// What RON found wrong with a text, and where.
+fn malformed(text: &str, error: &ron::error::SpannedError) -> Malformed {
+    use ron::Error::{ExpectedArray, ExpectedComma, ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
+    let end = offset_of(text, error.span.end);
+    let (before, after) = text.split_at(end);
+    let part = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
+    let start = before.trim_end_matches(part).len();
+    let token = Span { start, end: end + after.len() - after.trim_start_matches(part).len() };
+    let found = &text[token.start..token.end];
+    let message = match (&error.code, found.len()) {
+        (ExpectedArray, 1..=40) => format!("expected a list and found {found}: write [{found}]"),
+        (ExpectedInteger | IntegerOutOfBounds, 1..=40) if found.parse::<f64>().is_ok() => {
+            let least = if found.starts_with('-') { " from 0" } else { "" };
+            format!("expected a whole number{least} and found {found}")
         }
-        error => plain(error),
-    }
+        // What follows the digits makes it another kind of number.
+        (ExpectedComma | TrailingCharacters, 1..=40) if token.start < end && found.parse::<f64>().is_ok() => {
+            format!("expected a whole number and found {found}")
+        }
+        _ => {
+            let start = offset_of(text, error.span.start).min(end);
+            return Malformed { span: Span { start, end }, message: plain(&error.code) };
+        }
+    };
+    Malformed { span: token, message }
 }
 
 /// Fails at this place, while parsing.
@@ -140,43 +149,9 @@ impl<T: Serialize> Serialize for Spanned<T> {
     }
 }
 
-/// A value that is a plain number, a list, or a named source of numbers, decided by its first
-/// character.
-pub enum Shape<'de> {
-    /// `3`, `-0.5`
-    Number(f64),
-    /// `[...]`, to be read by [`list_at`].
-    List,
-    /// `Npy("...")` and its like.
-    Named(&'de str),
-}
-
 /// The text of a value and its place.
 pub fn raw<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(&'de str, Span), D::Error> {
     Ok(place_of(<&RawValue>::deserialize(deserializer)?))
-}
-
-/// Reads a value whose first character decides its kind, and its place.
-pub fn shape_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(Shape<'de>, Span), D::Error> {
-    let (text, span) = raw(deserializer)?;
-    let shape = match text.chars().next() {
-        Some('[') => Shape::List,
-        Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => Shape::Number(parse_at(text, span)?),
-        Some(c) if c.is_ascii_alphabetic() && !text.starts_with("inf") && !text.starts_with("NaN") => {
-            Shape::Named(text)
-        }
-        _ => return refuse(span, "expected a number, a list, or a source such as Npy(\"file.npy\")"),
-    };
-    Ok((shape, span))
-}
-
-/// Reads a list from the original text.
-pub fn list_at<T>(span: Span, read: impl FnOnce(&str) -> Result<T, ListError>) -> Result<T, ListError> {
-    let written = WRITTEN.with_borrow(Option::clone).unwrap_or_default();
-    if written.get(span.start..span.end).is_none() {
-        return Err(ListError { span, message: "lists of numbers are read from files only".to_string() });
-    }
-    read(&written)
 }
 
 /// Parses a whole RON text.
@@ -184,45 +159,40 @@ pub fn list_at<T>(span: Span, read: impl FnOnce(&str) -> Result<T, ListError>) -
 /// # Errors
 /// A [`Diagnostic`] with the position of whatever is malformed; `code` names it.
 pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Result<T> {
-    parse_blanked(source, source.text(), code)
-}
-
-/// Parses a text in which the inside of lists may have been blanked out byte for byte; [`list_at`]
-/// reads those.
-pub fn parse_blanked<T: DeserializeOwned>(source: &SourceText, text: &str, code: &'static str) -> Result<T> {
-    attempt(text, source.text()).map_err(|Malformed { span, message }| {
-        let others = other_missing_fields::<T>(source.text(), text, &Malformed { span, message: message.clone() });
+    let text = source.text();
+    attempt(text).map_err(|malformed| {
+        let others = other_missing_fields::<T>(text, &malformed);
         let place = |&(at, _): &(usize, String)| source.position(at).line;
         let others: Vec<String> = others.iter().map(|one| format!("{} (line {})", one.1, place(one))).collect();
         let also = if others.is_empty() { String::new() } else { format!("; also missing: {}", others.join(", ")) };
-        Diagnostic::new(code, message + &also).at(source, span)
+        Diagnostic::new(code, malformed.message + &also).at(source, malformed.span)
     })
 }
 
 /// Why a text cannot be read, and where.
-struct Malformed {
-    span: Span,
-    message: String,
+#[derive(Debug)]
+pub struct Malformed {
+    /// Where in the text.
+    pub span: Span,
+    /// What is wrong there.
+    pub message: String,
 }
 
-/// Parses a text; `written` is the same without blanks.
-fn attempt<T: DeserializeOwned>(text: &str, written: &Arc<str>) -> Result<T, Malformed> {
-    if let Some(at) = too_deep(text) {
+/// Brackets that may be open at a place of a text. RON scans a value once for each bracket around it.
+const DEEPEST: u32 = 100;
+
+fn attempt<T: DeserializeOwned>(text: &str) -> Result<T, Malformed> {
+    if let Some(at) = too_deep(text, DEEPEST) {
         let message = plain(&ron::Error::ExceededRecursionLimit);
         return Err(Malformed { span: Span { start: at, end: at + 1 }, message });
     }
     let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
-    let written = WRITTEN.replace(Some(written.clone()));
     INNERMOST.set(None);
     let result = options().from_str::<T>(text);
     TEXT.set(before);
-    WRITTEN.set(written);
     result.map_err(|error| {
-        let span = INNERMOST.take().unwrap_or_else(|| {
-            let end = offset_of(text, error.span.end);
-            Span { start: offset_of(text, error.span.start).min(end), end }
-        });
-        Malformed { span, message: plain(&error.code) }
+        let found = malformed(text, &error);
+        Malformed { span: INNERMOST.take().unwrap_or(found.span), ..found }
     })
 }
 
@@ -242,11 +212,10 @@ fn missing_field(message: &str) -> Option<(&str, &str)> {
 /// Fields that are missing besides the first, and where. RON ends at the first one, so that is
 /// filled in and the text is read again, until something else is wrong.
 fn other_missing_fields<T: DeserializeOwned>(
-    written: &str,
     text: &str,
     Malformed { span, message }: &Malformed,
 ) -> Vec<(usize, String)> {
-    let (mut written, mut text, mut found) = (written.to_string(), text.to_string(), Vec::new());
+    let (mut text, mut found) = (text.to_string(), Vec::new());
     let (mut at, mut missing) = (span.start, missing_field(message).map(|(field, _)| field.to_string()));
     // Where values were filled in, and how long they are.
     let mut filled: Vec<(Span, usize)> = Vec::new();
@@ -260,9 +229,8 @@ fn other_missing_fields<T: DeserializeOwned>(
         while let Some(filler) = fillers.get(next) {
             next += 1;
             let inserted = format!("{comma} {field}: {filler},");
-            let with = |text: &str| format!("{}{inserted}{}", &text[..at], &text[at..]);
-            let (now, now_written) = (with(&text), with(&written));
-            let Err(Malformed { span, message }) = attempt::<T>(&now, &now_written.as_str().into()) else {
+            let now = format!("{}{inserted}{}", &text[..at], &text[at..]);
+            let Err(Malformed { span, message }) = attempt::<T>(&now) else {
                 return found;
             };
             let end = at + inserted.len();
@@ -293,7 +261,7 @@ fn other_missing_fields<T: DeserializeOwned>(
                 missing = Some(field.to_string());
                 at = span.start;
             }
-            (text, written) = (now, now_written);
+            text = now;
             break;
         }
     }
@@ -302,8 +270,10 @@ fn other_missing_fields<T: DeserializeOwned>(
 
 /// RON's message in one line.
 fn plain(error: &ron::Error) -> String {
-    if matches!(error, ron::Error::ExceededRecursionLimit) {
-        return "brackets are nested too deeply".to_string();
+    match error {
+        ron::Error::ExceededRecursionLimit => return "brackets are nested too deeply".to_string(),
+        ron::Error::ExpectedComma => return "expected a comma or a closing bracket".to_string(),
+        _ => {}
     }
     let mut message = error.to_string().replace('\n', " ");
     if message.len() > 300 {
@@ -312,29 +282,6 @@ fn plain(error: &ron::Error) -> String {
         message.push_str(" ...");
     }
     message
-}
-
-/// The name in front of the first bracket of a RON text, past comments and attributes.
-#[must_use]
-pub fn root_name(text: &str) -> &str {
-    let mut rest = text;
-    loop {
-        rest = rest.trim_start();
-        let end = if rest.starts_with("//") {
-            rest.find('\n')
-        } else if rest.starts_with("/*") {
-            rest.find("*/").map(|end| end + 2)
-        } else if rest.starts_with("#!") {
-            rest.find(']').map(|end| end + 1)
-        } else {
-            let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
-            return &rest[..end];
-        };
-        match end {
-            Some(end) => rest = &rest[end..],
-            None => return "",
-        }
-    }
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! An array of numbers as a file holds it: shape, and integers or reals in C order.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// A reference to an array outside the model file, relative to it.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub enum ArrayRef {
     /// A NumPy file.

@@ -244,7 +244,7 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
         let own = fits[node.index()].as_ref().map_or(&[][..], |fit| &fit.own);
         for (delay, weights) in own.iter().enumerate() {
             let weight = |i: u32| weights.get(i as usize).or(weights.first()).copied().unwrap_or(0.0);
-            let all = (0..population.shape.len()).map(|i| (i, i, weight(i), population.span));
+            let all = (0..population.shape.len()).map(|i| (i, i, weight(i), i));
             let projection = Projection {
                 name: format!("{}{ITSELF}", population.name),
                 span: population.span,

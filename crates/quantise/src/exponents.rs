@@ -97,25 +97,24 @@ fn factor(exponent: i64) -> f64 {
 }
 
 /// Its weights, each with its source and target where no two synapses share one, else with its
-/// output channel.
-fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, Span)> {
+/// output channel, and its entry in the declared list.
+fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, u32)> {
     match &projection.kind {
-        ProjectionKind::Dense { weights, rows } => {
+        ProjectionKind::Dense { weights } => {
             let columns = weights.shape().get(1).copied().unwrap_or(1);
             let targets = weights.shape().first().copied().unwrap_or(0);
-            let place = |target: usize| rows.get(target).copied().unwrap_or(projection.weights_span);
             let first = projection.first_source as usize;
             let all = (0..targets).flat_map(|target| (0..sources as usize).map(move |source| (source, target)));
             let weight = |(source, target): (usize, usize)| weights.real(target * columns + first + source);
-            all.map(|at| (at.0 as u32, at.1 as u32, weight(at), place(at.1))).collect()
+            all.map(|at| (at.0 as u32, at.1 as u32, weight(at), at.1 as u32)).collect()
         }
         ProjectionKind::Sparse { synapses } => synapses.clone(),
         ProjectionKind::Conv2d { weights, .. } => {
             let per_channel = (weights.len() / weights.shape().first().copied().unwrap_or(1).max(1)).max(1);
-            let at = |i: usize| (0, (i / per_channel) as u32, weights.real(i), projection.weights_span);
+            let at = |i: usize| (0, (i / per_channel) as u32, weights.real(i), 0);
             (0..weights.len()).map(at).collect()
         }
-        ProjectionKind::SumPool2d { weight, .. } => vec![(0, 0, weight.value, weight.span)],
+        ProjectionKind::SumPool2d { weight, .. } => vec![(0, 0, weight.value, 0)],
         ProjectionKind::Random { .. } => Vec::new(),
     }
 }
@@ -239,7 +238,7 @@ fn groups(projection: &Projection, sources: u32, scale: f64, detail: Detail) -> 
     let greatest = i64::from(WeightExponent::MAX.get());
     let exponent_of = |weight: f64| (least..=greatest).find(|&e| fits(weight, e)).unwrap_or(greatest);
     let top = all.iter().map(|synapse| exponent_of(synapse.2)).max().unwrap_or(0);
-    let used: Vec<&(u32, u32, f64, Span)> = all.iter().filter(|synapse| synapse.2 != 0.0).collect();
+    let used: Vec<&(u32, u32, f64, u32)> = all.iter().filter(|synapse| synapse.2 != 0.0).collect();
     let squares: f64 = used.iter().map(|synapse| synapse.2 * synapse.2).sum();
     let largest = used.iter().fold(0.0, |most: f64, synapse| most.max(synapse.2.abs()));
     let heavy = all.len() <= SMALL || largest > HEAVY * (squares / used.len().max(1) as f64).sqrt();
@@ -247,12 +246,12 @@ fn groups(projection: &Projection, sources: u32, scale: f64, detail: Detail) -> 
     {
         return vec![with(projection.kind.clone(), top)];
     }
-    let mut parts: Vec<Vec<(u32, u32, f64, Span)>> = vec![Vec::new(); GROUPS];
+    let mut parts: Vec<Vec<(u32, u32, f64, u32)>> = vec![Vec::new(); GROUPS];
     for &synapse in used {
         let below = (top - exponent_of(synapse.2)) / SPAN;
         parts[(below as usize).min(GROUPS - 1)].push(synapse);
     }
-    let part = |synapses: Vec<(u32, u32, f64, Span)>| {
+    let part = |synapses: Vec<(u32, u32, f64, u32)>| {
         let exponent = synapses.iter().map(|synapse| exponent_of(synapse.2)).max()?;
         let mut part = with(ProjectionKind::Sparse { synapses }, exponent);
         part.first_source = 0;

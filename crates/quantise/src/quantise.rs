@@ -257,15 +257,14 @@ impl Stage<'_> {
                 pinned = Some(here);
             }
             let (low, high) = format.sign.range(format.bits);
-            visit_weights(projection, |weight, _| {
+            visit_weights(projection, |weight| {
                 let limit = if weight < 0.0 { f64::from(low) } else { f64::from(high) };
                 // A weight of the wrong sign for its mode is refused where it is quantised.
                 if weight != 0.0 && limit != 0.0 {
                     driven = true;
                     largest = largest.min(register(limit / weight, exponent));
                 }
-                Ok::<(), Diagnostic>(())
-            })?;
+            });
         }
         // Without weights nothing limits the scale; a threshold of 1,024 mantissa units leaves room
         // for a bias.
@@ -445,18 +444,18 @@ struct Rounding<'a, 'b> {
 }
 
 impl Rounding<'_, '_> {
-    fn mantissa(&mut self, weight: f64, which: impl Display, span: Span) -> Result<i16> {
+    fn mantissa(&mut self, weight: f64, which: impl Display, place: impl Fn() -> Span) -> Result<i16> {
         let name = &self.projection.name;
         let exact = weight * self.factor.unwrap_or(1.0);
         if !exact.is_finite() {
             let message = format!("projection {name}: weight {which} is not a finite number");
-            return Err(self.stage.error("model.not-finite", message, span));
+            return Err(self.stage.error("model.not-finite", message, place()));
         }
         if self.factor.is_none() && exact.fract() != 0.0 {
             let message = format!("projection {name}: weight {which} {weight} is not an integer");
             return Err(self
                 .stage
-                .error("model.weight-not-integer", message, span)
+                .error("model.weight-not-integer", message, place())
                 .help("beside an integer vth_mant, real weights need a weight_scale; or give a real vth"));
         }
         let step = self.format.sign.step(self.format.bits);
@@ -470,7 +469,7 @@ impl Rounding<'_, '_> {
             );
             return Err(self
                 .stage
-                .error("model.weight-range", message, span)
+                .error("model.weight-range", message, place())
                 .help("raise weight_exp and halve the weights, choose another sign mode, or scale weights and threshold together"));
         }
         self.seen += 1;
@@ -485,26 +484,27 @@ impl Rounding<'_, '_> {
 
     fn connectivity(&mut self, sources: u32, targets: u32) -> Result<Connectivity> {
         let projection = self.projection;
+        let facts = self.stage.graph.facts();
+        let place = |entry: usize| move || projection.place_of(&facts.source, entry as u32);
         match &projection.kind {
-            ProjectionKind::Dense { weights, rows } => {
+            ProjectionKind::Dense { weights } => {
                 let mut by_source = vec![0i16; sources as usize * targets as usize];
                 let columns = columns(weights);
                 for target in 0..targets as usize {
-                    let span = rows.get(target).copied().unwrap_or(projection.weights_span);
                     for source in 0..sources as usize {
                         let column = projection.first_source as usize + source;
                         let weight = weights.real(target * columns + column);
                         by_source[source * targets as usize + target] =
-                            self.mantissa(weight, Entry(&[target, column]), span)?;
+                            self.mantissa(weight, Entry(&[target, column]), place(target))?;
                     }
                 }
                 Ok(Connectivity::Dense { targets, weights: by_source.into() })
             }
             ProjectionKind::Sparse { synapses } => {
                 let mut sorted: Vec<(u32, u32, i16)> = Vec::with_capacity(synapses.len());
-                for &(source, target, weight, span) in synapses {
+                for &(source, target, weight, entry) in synapses {
                     let which = Entry(&[source as usize, target as usize]);
-                    sorted.push((source, target, self.mantissa(weight, which, span)?));
+                    sorted.push((source, target, self.mantissa(weight, which, place(entry as usize))?));
                 }
                 sorted.sort_by_key(|&(source, target, _)| (source, target));
                 let mut first = vec![0u64; sources as usize + 1];
@@ -520,19 +520,18 @@ impl Rounding<'_, '_> {
                     weights: sorted.iter().map(|s| s.2).collect(),
                 })
             }
-            ProjectionKind::Conv2d { window, weights, rows } => {
+            ProjectionKind::Conv2d { window, weights } => {
                 let per_channel = weights.len() / window.target.0 as usize;
                 let kernel = (0..weights.len())
                     .map(|i| {
                         let channel = i / per_channel;
-                        let span = rows.get(channel).copied().unwrap_or(projection.weights_span);
-                        self.mantissa(weights.real(i), Entry(&[channel, i % per_channel]), span)
+                        self.mantissa(weights.real(i), Entry(&[channel, i % per_channel]), place(channel))
                     })
                     .collect::<Result<Arc<[i16]>, _>>()?;
                 Ok(Connectivity::Conv2d { window: *window, kernel })
             }
             ProjectionKind::SumPool2d { window, weight } => {
-                let weight = self.mantissa(weight.value, "of the pool", weight.span)?;
+                let weight = self.mantissa(weight.value, "of the pool", || weight.span)?;
                 Ok(Connectivity::SumPool2d { window: *window, weight })
             }
             ProjectionKind::Random { fan_out, low, high, seed } => {
@@ -545,7 +544,7 @@ impl Rounding<'_, '_> {
                         );
                         return Err(self.stage.error("model.random", message, bound.span));
                     }
-                    self.mantissa(bound.value as f64, what, bound.span)
+                    self.mantissa(bound.value as f64, what, || bound.span)
                 };
                 let (least, greatest) = (bound(low, "low")?, bound(high, "high")?);
                 if self.factor.is_some() || least > greatest {
@@ -577,22 +576,13 @@ fn columns(weights: &Tensor) -> usize {
     weights.shape().get(1).copied().unwrap_or(1)
 }
 
-/// Calls `f(weight, place)` for every weight that a projection was given.
-fn visit_weights<E>(projection: &graph::Projection, mut f: impl FnMut(f64, Span) -> Result<(), E>) -> Result<(), E> {
+/// Calls `f(weight)` for every weight that a projection was given.
+fn visit_weights(projection: &graph::Projection, mut f: impl FnMut(f64)) {
     match &projection.kind {
-        ProjectionKind::Dense { weights, rows } | ProjectionKind::Conv2d { weights, rows, .. } => {
-            let per_row = weights.len() / weights.shape().first().copied().unwrap_or(1).max(1);
-            (0..weights.len()).try_for_each(|i| {
-                let span = rows.get(i / per_row.max(1)).copied().unwrap_or(projection.weights_span);
-                f(weights.real(i), span)
-            })
-        }
-        ProjectionKind::Sparse { synapses } => synapses.iter().try_for_each(|&(_, _, weight, span)| f(weight, span)),
-        ProjectionKind::SumPool2d { weight, .. } => f(weight.value, weight.span),
-        ProjectionKind::Random { low, high, .. } => {
-            f(low.value as f64, low.span)?;
-            f(high.value as f64, high.span)
-        }
+        ProjectionKind::Dense { weights } | ProjectionKind::Conv2d { weights, .. } => weights.reals().for_each(f),
+        ProjectionKind::Sparse { synapses } => synapses.iter().for_each(|synapse| f(synapse.2)),
+        ProjectionKind::SumPool2d { weight, .. } => f(weight.value),
+        ProjectionKind::Random { low, high, .. } => [low, high].into_iter().for_each(|bound| f(bound.value as f64)),
     }
 }
 

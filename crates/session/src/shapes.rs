@@ -10,7 +10,7 @@
 use std::collections::HashMap;
 
 use nsim_compile::{CompileError, Reason};
-use nsim_files::network::{Network, ProjectionDesc};
+use nsim_files::network::{Network, ProjectionKind};
 use nsim_ir::graph::MOST_UNITS;
 use nsim_ir::hardware::Target;
 use nsim_ir::resource::Resource;
@@ -33,7 +33,7 @@ pub fn check(network: &Network, target: &Target, copies: u32) -> Result<(), Comp
     let sizes: HashMap<&str, u64> = file
         .populations
         .iter()
-        .filter_map(|population| Some((population.value.name().as_str(), units(&population.value.shape().value)?)))
+        .filter_map(|population| Some((population.name.as_str(), units(&population.shape)?)))
         .collect();
     // A population that is too large for any network is refused where it is lowered.
     if sizes.len() < file.populations.len() || sizes.values().any(|&size| size > MOST_UNITS) {
@@ -42,18 +42,17 @@ pub fn check(network: &Network, target: &Target, copies: u32) -> Result<(), Comp
     let mut bits: HashMap<&str, u128> = HashMap::new();
     let mut all = 0u128;
     for projection in &file.projections {
-        let synapse = projection.value.synapse();
         let sources: u128 =
-            synapse.from.iter().filter_map(|name| sizes.get(name.as_str())).map(|&n| u128::from(n)).sum();
-        let Some(&targets) = sizes.get(synapse.to.as_str()) else { continue };
-        let synapses = match &projection.value {
-            ProjectionDesc::Dense(_) => sources.saturating_mul(targets.into()),
-            ProjectionDesc::Random(random) => sources.saturating_mul(random.fan_out.value.into()),
+            projection.from.iter().filter_map(|name| sizes.get(name.as_str())).map(|&n| u128::from(n)).sum();
+        let Some(&targets) = sizes.get(projection.to.as_str()) else { continue };
+        let synapses = match &projection.kind {
+            ProjectionKind::Dense(_) => sources.saturating_mul(targets.into()),
+            ProjectionKind::Random { fan_out, .. } => sources.saturating_mul((*fan_out).into()),
             _ => 0,
         };
-        let width = synapse.weight_bits.map_or(8, |bits| u128::try_from(bits.value).unwrap_or(1).clamp(1, 8));
+        let width = u128::try_from(projection.weight_bits).unwrap_or(1).clamp(1, 8);
         all = all.saturating_add(synapses);
-        let sum = bits.entry(synapse.to.as_str()).or_default();
+        let sum = bits.entry(projection.to.as_str()).or_default();
         *sum = sum.saturating_add(synapses.saturating_mul(width));
     }
     if all < SMALL {
@@ -66,7 +65,7 @@ pub fn check(network: &Network, target: &Target, copies: u32) -> Result<(), Comp
         reasons.push(Reason::of_cores(target, copies, cores));
     }
     for population in &file.populations {
-        let name = population.value.name().as_str();
+        let name = population.name.as_str();
         let (Some(&bits), Some(&size)) = (bits.get(name), sizes.get(name).filter(|&&size| size > 0)) else { continue };
         let need = u64::try_from((bits / u128::from(size)).div_ceil(WORD)).unwrap_or(u64::MAX);
         if need > limit {

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use serde_json::{Value, json};
 
-use nsim_files::network::{Network, ParameterValue, PopulationDesc, ProjectionDesc, Source};
+use nsim_files::network::{Network, Parameter, ProjectionDesc, ProjectionKind};
 use nsim_report::inspect::{Findings, FindingsTable};
 
 fn units_of(shape: &[u64]) -> Option<u64> {
@@ -29,40 +29,26 @@ fn taps(input: u64, output: u64, kernel: u64, stride: u64, padding: u64, dilatio
 
 /// The synapses that a projection makes, when its shapes let them be counted.
 fn synapses(network: &Network, shapes: &HashMap<&str, &[u64]>, projection: &ProjectionDesc) -> Option<u64> {
-    let shape_of = |name: &str| shapes.get(name).copied();
-    let ends = projection.synapse();
-    let sources = ends.from.iter().try_fold(0u64, |sum, name| sum.checked_add(units_of(shape_of(&name.value)?)?))?;
-    let volumes = || match (shape_of(&ends.from.first()?.value)?, shape_of(&ends.to.value)?) {
+    let shape_of = |name: &String| shapes.get(name.as_str()).copied();
+    let sources = projection.from.iter().try_fold(0u64, |sum, name| sum.checked_add(units_of(shape_of(name)?)?))?;
+    let volumes = || match (shape_of(projection.from.first()?)?, shape_of(&projection.to)?) {
         (&[_, h, w], &[c, to_h, to_w]) => Some((h, w, c, to_h, to_w)),
         _ => None,
     };
-    match projection {
-        ProjectionDesc::Dense(_) => sources.checked_mul(units_of(shape_of(&ends.to.value)?)?),
-        ProjectionDesc::Sparse(sparse) => {
-            let in_files = sparse.arrays.as_ref().map_or(0, |arrays| network.array(&arrays.target.value).len());
-            Some((sparse.synapses.len() + in_files) as u64)
-        }
-        ProjectionDesc::Random(random) => sources.checked_mul(random.fan_out.value),
-        ProjectionDesc::Conv2d(conv) => {
+    match &projection.kind {
+        ProjectionKind::Dense(_) => sources.checked_mul(units_of(shape_of(&projection.to)?)?),
+        ProjectionKind::Sparse(synapses) => Some(synapses.len() as u64),
+        ProjectionKind::Arrays(arrays) => Some(network.array(&arrays.target).len() as u64),
+        ProjectionKind::Random { fan_out, .. } => sources.checked_mul(*fan_out),
+        ProjectionKind::Conv2d { weights, stride, padding, dilation, .. } => {
             let (h, w, c, to_h, to_w) = volumes()?;
-            let kernel = match &conv.weights.source {
-                Source::InPlace(tensor, _) => tensor.shape(),
-                Source::File(reference) => network.array(reference).shape(),
-                Source::Uniform { .. } => return None,
-            };
-            let &[_, per_group, kh, kw] = kernel else { return None };
-            let of = |pair: &Option<nsim_ir::spanned::Spanned<(u64, u64)>>, or| pair.as_ref().map_or(or, |p| p.value);
-            let (stride, padding, dilation) =
-                (of(&conv.stride, (1, 1)), of(&conv.padding, (0, 0)), of(&conv.dilation, (1, 1)));
+            let &[_, per_group, kh, kw] = network.tensor(weights)?.shape() else { return None };
             let y = taps(h, to_h, kh as u64, stride.0, padding.0, dilation.0)?;
             let x = taps(w, to_w, kw as u64, stride.1, padding.1, dilation.1)?;
             c.checked_mul(per_group as u64)?.checked_mul(y)?.checked_mul(x)
         }
-        ProjectionDesc::SumPool2d(pool) => {
+        ProjectionKind::SumPool2d { kernel, stride, padding, .. } => {
             let (h, w, c, to_h, to_w) = volumes()?;
-            let kernel = pool.kernel.value;
-            let stride = pool.stride.as_ref().map_or(kernel, |stride| stride.value);
-            let padding = pool.padding.as_ref().map_or((0, 0), |padding| padding.value);
             let y = taps(h, to_h, kernel.0, stride.0, padding.0, 1)?;
             let x = taps(w, to_w, kernel.1, stride.1, padding.1, 1)?;
             c.checked_mul(y)?.checked_mul(x)
@@ -76,58 +62,36 @@ pub(super) fn network_findings(network: &Network) -> Findings {
         .populations
         .iter()
         .map(|population| {
-            let desc = &population.value;
-            let (kind, parameters) = match desc {
-                PopulationDesc::Input(_) => ("input".to_string(), String::new()),
-                PopulationDesc::Srm(srm) => (
-                    "srm".to_string(),
-                    format!(
-                        "tau_sr_ms {}, tau_ref_ms {}, scale_ref {}, theta {}",
-                        srm.tau_sr_ms.value, srm.tau_ref_ms.value, srm.scale_ref.value, srm.theta.value
-                    ),
-                ),
-                PopulationDesc::Neurons(neurons) => {
-                    let given = neurons.parameters.iter().map(|(name, parameter)| match &parameter.value {
-                        ParameterValue::Same(x) => format!("{name} {x}"),
-                        ParameterValue::Each(_) => format!("{name} each"),
-                    });
-                    (neurons.kind.name().to_lowercase(), given.collect::<Vec<_>>().join(", "))
-                }
-            };
-            let shape = &desc.shape().value;
-            json!([desc.name().value, kind, shape, units_of(shape), parameters])
+            let real = population.srm.into_iter().flatten().map(|(name, x)| format!("{name} {x}"));
+            let parameters = population.loihi.iter().flatten().map(|(name, parameter)| match parameter {
+                Parameter::Same(x) => format!("{name} {x}"),
+                Parameter::Each(_) | Parameter::From(_) => format!("{name} each"),
+            });
+            let parameters = parameters.chain(real).collect::<Vec<_>>().join(", ");
+            let (kind, shape) = (population.kind_name().to_lowercase(), &population.shape);
+            json!([population.name, kind, shape, units_of(shape), parameters])
         })
         .collect();
-    let descs = file.populations.iter().map(|population| &population.value);
-    let shapes = descs.map(|desc| (desc.name().value.as_str(), desc.shape().value.as_slice())).collect();
+    let shapes = file.populations.iter().map(|one| (one.name.as_str(), one.shape.as_slice())).collect();
     let projections: Vec<Value> = file
         .projections
         .iter()
         .map(|projection| {
-            let desc = &projection.value;
-            let kind = match desc {
-                ProjectionDesc::Dense(_) => "dense",
-                ProjectionDesc::Sparse(_) => "sparse",
-                ProjectionDesc::Conv2d(_) => "conv2d",
-                ProjectionDesc::SumPool2d(_) => "sumpool2d",
-                ProjectionDesc::Random(_) => "random",
-            };
-            let ends = desc.synapse();
-            let from: Vec<&str> = ends.from.iter().map(|name| name.value.as_str()).collect();
-            let delay = ends.delay.map_or(0, |delay| delay.value);
-            json!([from.join(" + "), ends.to.value, kind, synapses(network, &shapes, desc), delay])
+            let synapses = synapses(network, &shapes, projection);
+            let kind = projection.kind_name().to_lowercase();
+            json!([projection.from.join(" + "), projection.to, kind, synapses, projection.delay])
         })
         .collect();
     let together = projections.iter().map(|row| row[3].as_u64()).try_fold(0u64, |sum, n| sum.checked_add(n?));
-    let classes = file.classes.as_ref().map(|classes| &classes.value);
+    let classes = (!file.classes.is_empty()).then_some(&file.classes);
     Findings {
         kind: "model",
         facts: vec![
             ("name", json!(file.name)),
-            ("timestep_ms", json!(file.timestep_ms.value)),
+            ("timestep_ms", json!(file.timestep_ms)),
             ("semantics", json!(file.semantics)),
             ("threshold", json!(file.threshold)),
-            ("output", json!(file.output.value)),
+            ("output", json!(file.output)),
             ("classes", json!(classes)),
             ("synapses", json!(together)),
             ("scene", json!(file.scene)),

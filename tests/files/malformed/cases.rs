@@ -137,7 +137,7 @@ pub fn cases() -> Vec<Case> {
         ("number beyond 64 bits", "shape: [4]", "shape: [99999999999999999999999]", syntax, 5, ""),
         ("fractional delay", "delay: 0", "delay: 1.5", syntax, 9, "expected a whole number and found 1.5"),
         ("weights without a comma", "[4, 4, 4, 4]", "[4, 4 4, 4]", syntax, 9, "comma"),
-        ("weights that do not end", "[4, 4, 4, 4]]", "[4, 4, 4, 4]", syntax, 9, "']' is due"),
+        ("weights that do not end", "[4, 4, 4, 4]]", "[4, 4, 4, 4]", syntax, 9, "closing bracket"),
         (
             "range from high to low",
             "[[2, 2, 2, 2], [4, 4, 4, 4]]",

@@ -22,6 +22,11 @@ pub struct Encoded {
 }
 
 impl Encoded {
+    /// The exponent that a projection gives; none for 0.
+    pub fn exponent(&self) -> Option<i64> {
+        (self.exponent != 0).then_some(self.exponent)
+    }
+
     /// The weights beside the exponent that the file gave.
     #[must_use]
     pub fn in_units(&self, given: i64) -> Vec<f64> {

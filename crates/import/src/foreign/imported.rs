@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use nsim_files::model_builder::{ModelBuilder, Parameter};
+use nsim_files::network::{NetworkFile, Parameter};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::{Delay, ThresholdMantissa};
@@ -88,7 +88,7 @@ pub struct Imported {
     /// What the file is, in words.
     pub kind: &'static str,
     /// The model.
-    pub model: ModelBuilder,
+    pub model: NetworkFile,
     /// By which conventions it was read, and what was changed.
     pub notes: Vec<String>,
     /// What became of the weights of each layer, for files whose weights are rounded.

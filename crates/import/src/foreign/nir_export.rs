@@ -12,8 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::{Group, Item, Numbers};
 use super::imported::{NEVER, every_step};
-use nsim_files::model_builder::{ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind};
-use nsim_files::network::{ArrayRef, Network, NetworkFile};
+use nsim_files::network::{ArrayRef, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::tensor;
@@ -23,6 +22,8 @@ use nsim_ir::tensor::Tensor;
 const VERSION: &str = "1.0.8";
 /// The key of the model's text in the metadata.
 const TEXT: &str = "nsim_model";
+/// The paths of nodes and edges.
+const GRAPH: [&str; 2] = ["node/nodes", "node/edges"];
 /// What the text calls the file of its arrays.
 const ARRAYS: &str = "arrays";
 /// What a decay of zero is written as: a time constant at which `4096 dt / tau` is 0 though
@@ -40,7 +41,7 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 /// # Errors
 /// `export.unsupported` for what has no form in NIR: spike response neurons, lists of synapses
 /// beyond 2^24 places.
-pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
+pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     let dt = model.timestep_ms / 1e3;
     let mut graph =
         Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt, biases: BTreeMap::new() };
@@ -65,7 +66,7 @@ pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
     let name = graph.free("output");
     graph.nodes = graph.nodes.with(&name, node("Output").with("shape", shape(&output.shape)));
     graph.edges.push((model.output.clone(), name));
-    let (text, arrays) = model.ron(ARRAYS);
+    let (text, arrays) = model.ron(ARRAYS)?;
     let mut stored = Group::default();
     for (index, (key, tensor)) in arrays.iter().enumerate() {
         let entry = Group::default().with("key", key.as_str()).with("numbers", array(tensor));
@@ -83,17 +84,18 @@ pub fn export(model: &ModelBuilder) -> Result<(Group, Vec<String>)> {
 /// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not
 /// write it.
 #[must_use]
-pub fn restore(root: &Group) -> Option<Result<ModelBuilder, String>> {
+pub fn restore(root: &Group) -> Option<Result<NetworkFile, String>> {
     let metadata = root.group("node/metadata")?;
     let text = metadata.text(TEXT)?;
     Some(restored(metadata, text).and_then(|model| match export(&model) {
-        Ok((again, _)) if again.group("node") == root.group("node") => Ok(model),
+        // The text may be that of another version, which writes the same model otherwise.
+        Ok((again, _)) if GRAPH.iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
         Ok(_) => Err("its nodes are not those that it was written with".to_string()),
         Err(problem) => Err(problem.to_string()),
     }))
 }
 
-fn restored(metadata: &Group, text: &str) -> Result<ModelBuilder, String> {
+fn restored(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
     let source = SourceText::new("metadata", text);
     let file = NetworkFile::parse(&source).map_err(|problem| problem.to_string())?;
     let mut arrays = BTreeMap::new();
@@ -114,7 +116,7 @@ fn restored(metadata: &Group, text: &str) -> Result<ModelBuilder, String> {
         arrays.insert(ArrayRef::Safetensors(ARRAYS.to_string(), key.to_string()), tensor);
     }
     let network = Network::new(file, source, arrays).map_err(|problem| problem.to_string())?;
-    ModelBuilder::from_network(&network).map_err(|problem| problem.to_string())
+    network.resolved().map_err(|problem| problem.to_string())
 }
 
 /// A node of a type.
@@ -140,13 +142,13 @@ fn array(tensor: &Tensor) -> Numbers {
 /// The populations of a model by name, and the projections that enter and leave each.
 struct Wires<'a> {
     output: &'a str,
-    populations: BTreeMap<&'a str, &'a PopulationBuilder>,
-    entering: BTreeMap<&'a str, Vec<&'a ProjectionBuilder>>,
-    leaving: BTreeMap<&'a str, Vec<&'a ProjectionBuilder>>,
+    populations: BTreeMap<&'a str, &'a PopulationDesc>,
+    entering: BTreeMap<&'a str, Vec<&'a ProjectionDesc>>,
+    leaving: BTreeMap<&'a str, Vec<&'a ProjectionDesc>>,
 }
 
 impl<'a> Wires<'a> {
-    fn new(model: &'a ModelBuilder) -> Self {
+    fn new(model: &'a NetworkFile) -> Self {
         let populations = model.populations.iter().map(|population| (population.name.as_str(), population)).collect();
         let mut wires =
             Wires { output: &model.output, populations, entering: BTreeMap::new(), leaving: BTreeMap::new() };
@@ -159,15 +161,15 @@ impl<'a> Wires<'a> {
         wires
     }
 
-    fn population(&self, name: &str) -> Option<&'a PopulationBuilder> {
+    fn population(&self, name: &str) -> Option<&'a PopulationDesc> {
         self.populations.get(name).copied()
     }
 
-    fn entering(&self, name: &str) -> &[&'a ProjectionBuilder] {
+    fn entering(&self, name: &str) -> &[&'a ProjectionDesc] {
         self.entering.get(name).map_or(&[], |all| all)
     }
 
-    fn leaving(&self, name: &str) -> &[&'a ProjectionBuilder] {
+    fn leaving(&self, name: &str) -> &[&'a ProjectionDesc] {
         self.leaving.get(name).map_or(&[], |all| all)
     }
 }
@@ -185,7 +187,7 @@ struct Graph {
 impl Graph {
     /// Whether a population is what an import makes of biases of a current: a compartment that
     /// spikes in every step. Then these are kept, and its projections become biases of nodes again.
-    fn takes_biases_of(&mut self, wires: &Wires<'_>, population: &PopulationBuilder) -> bool {
+    fn takes_biases_of(&mut self, wires: &Wires<'_>, population: &PopulationDesc) -> bool {
         let is_made = population.units() == 1
             && population.loihi == Some(every_step())
             && population.name != wires.output
@@ -195,7 +197,7 @@ impl Graph {
         }
         let mut sums: BTreeMap<String, Vec<f64>> = BTreeMap::new();
         for projection in wires.leaving(&population.name) {
-            let undelayed = |other: &ProjectionBuilder| {
+            let undelayed = |other: &ProjectionDesc| {
                 let target = wires.population(&other.to);
                 let mut sources = other.from.iter().filter_map(|from| wires.population(from));
                 target.is_some_and(|target| sources.all(|source| written_delay(other, source, target) == 0))
@@ -208,7 +210,7 @@ impl Graph {
                 return false;
             };
             let unit = counts(wires, projection);
-            let weights: Vec<f64> = weights.reals().map(|w| w * unit).collect();
+            let weights: Vec<f64> = weights.tensor().reals().map(|w| w * unit).collect();
             let by_channel = matches!(other.kind, ProjectionKind::Conv2d { .. })
                 && by_channel(&weights, wires.population(&projection.to).map_or(&[][..], |p| &p.shape)).is_some();
             let holds = by_channel || matches!(other.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
@@ -234,7 +236,7 @@ impl Graph {
         free
     }
 
-    fn population(&mut self, population: &PopulationBuilder) -> Result<()> {
+    fn population(&mut self, population: &PopulationDesc) -> Result<()> {
         let axes: Vec<usize> = population.shape.iter().map(|&axis| axis as usize).collect();
         let units = population.units() as usize;
         let name = &population.name;
@@ -313,7 +315,7 @@ impl Graph {
         Ok(())
     }
 
-    fn projection(&mut self, wires: &Wires<'_>, projection: &ProjectionBuilder, index: usize) -> Result<()> {
+    fn projection(&mut self, wires: &Wires<'_>, projection: &ProjectionDesc, index: usize) -> Result<()> {
         let find = |name: &str| {
             wires.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
         };
@@ -352,12 +354,12 @@ impl Graph {
 
     /// The bias that is still to be brought to a target, where the node of this projection holds
     /// it.
-    fn bias_for(&mut self, projection: &ProjectionBuilder, target: &PopulationBuilder) -> Option<Vec<f64>> {
+    fn bias_for(&mut self, projection: &ProjectionDesc, target: &PopulationDesc) -> Option<Vec<f64>> {
         let bias = self.biases.get(&target.name)?;
         let held = match projection.kind {
             ProjectionKind::Dense(_) | ProjectionKind::Sparse(_) => Some(bias.clone()),
             ProjectionKind::Conv2d { .. } => by_channel(bias, &target.shape),
-            ProjectionKind::SumPool2d { .. } => None,
+            _ => None,
         }?;
         self.biases.remove(&target.name);
         Some(held)
@@ -366,8 +368,8 @@ impl Graph {
     /// The nodes from a source to a target, in order.
     fn weights(
         &mut self,
-        projection: &ProjectionBuilder,
-        (source, target): (&PopulationBuilder, &PopulationBuilder),
+        projection: &ProjectionDesc,
+        (source, target): (&PopulationDesc, &PopulationDesc),
         (first, together): (u64, u64),
         unit: f64,
         bias: Option<Vec<f64>>,
@@ -396,7 +398,7 @@ impl Graph {
                     chain.push(flatten());
                 }
                 let slice = (0..rows).flat_map(|row| (0..columns).map(move |c| (row * together + first + c) as usize));
-                chain.push(matrix(slice.map(|at| weights.real(at)).collect()));
+                chain.push(matrix(slice.map(|at| weights.tensor().real(at)).collect()));
             }
             ProjectionKind::Sparse(synapses) => {
                 if rows.checked_mul(columns).is_none_or(|all| all > MOST_MATRIX) {
@@ -418,6 +420,7 @@ impl Graph {
                 chain.push(matrix(weights));
             }
             ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
+                let weights = weights.tensor();
                 let scaled: Vec<f64> = weights.reals().map(|weight| weight * unit).collect();
                 let kernel = (weights.shape(), scaled.as_slice());
                 chain.push(self.convolution(
@@ -449,6 +452,9 @@ impl Graph {
                 let scale = vec![weight * unit; rows as usize];
                 chain.push(node("Scale").with("scale", Numbers::f64(&axes, &scale)));
             }
+            ProjectionKind::Arrays(_) | ProjectionKind::Random { .. } => {
+                return Err(unsupported(format!("synapses to '{}' that are not in place", target.name)));
+            }
         }
         let delay = written_delay(projection, source, target);
         // The target's own shape, where weights make a line of it.
@@ -469,7 +475,7 @@ impl Graph {
     /// of `before + F d` on both sides acts like `before + d (F - B)` behind.
     fn convolution(
         &mut self,
-        (source, target): (&PopulationBuilder, &PopulationBuilder),
+        (source, target): (&PopulationDesc, &PopulationDesc),
         (axes, weights): (&[usize], &[f64]),
         (stride, before, dilation): Step,
         groups: u64,
@@ -586,16 +592,16 @@ impl Axis {
 
 /// What a weight of 1 of a projection counts, in units of the register divided by 64, as the
 /// threshold mantissa is, or in those of a real threshold.
-fn counts(wires: &Wires<'_>, projection: &ProjectionBuilder) -> f64 {
+fn counts(wires: &Wires<'_>, projection: &ProjectionDesc) -> f64 {
     let real = wires.population(&projection.to).is_some_and(|target| target.parameter("vth").is_some());
     match (real, projection.weight_scale) {
         (true, _) => 1.0,
-        (false, scale) => scale.unwrap_or(1.0) * (projection.weight_exp as f64).exp2(),
+        (false, scale) => scale.unwrap_or(1.0) * (projection.weight_exp.unwrap_or(0) as f64).exp2(),
     }
 }
 
 /// The delay of a projection without the wait for a layer that starts later, which import adds.
-fn written_delay(projection: &ProjectionBuilder, source: &PopulationBuilder, target: &PopulationBuilder) -> u32 {
+fn written_delay(projection: &ProjectionDesc, source: &PopulationDesc, target: &PopulationDesc) -> u32 {
     let wait = match &source.loihi {
         None => target.start_step,
         Some(_) => target.start_step.saturating_sub(source.start_step).saturating_sub(1),

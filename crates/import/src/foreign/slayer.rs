@@ -15,9 +15,7 @@ use serde::de::IgnoredAny;
 
 use super::encode;
 use super::imported::{Imported, LayerWeights, Options};
-use nsim_files::model_builder::{
-    ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor,
-};
+use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_files::text::{decode, read_bytes, unreadable};
 use nsim_files::{disk, npy};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
@@ -362,7 +360,7 @@ pub(super) fn build(
     if matrices.is_empty() {
         return Err(slayer("there is no '.weight' of a dense layer"));
     }
-    let mut model = ModelBuilder::new(name, options.dt_ms.or(neuron.dt_ms).unwrap_or(1.0));
+    let mut model = NetworkFile::new(name, options.dt_ms.or(neuron.dt_ms).unwrap_or(1.0));
     model.threshold = options.threshold.unwrap_or_default();
     notes.push(match neuron.kind {
         NeuronKind::SrmAlpha { .. } => {
@@ -375,13 +373,13 @@ pub(super) fn build(
              delay between layers"
         ),
     });
-    let neurons = |matrix: &Matrix| -> Result<PopulationBuilder> {
+    let neurons = |matrix: &Matrix| -> Result<PopulationDesc> {
         let (name, shape) = (&matrix.name, vec![matrix.targets as u64]);
         match neuron.kind {
             NeuronKind::SrmAlpha { theta, tau_sr_ms, tau_ref_ms, scale_ref } => {
                 let parameters =
                     [("tau_sr_ms", tau_sr_ms), ("tau_ref_ms", tau_ref_ms), ("scale_ref", scale_ref), ("theta", theta)];
-                Ok(PopulationBuilder { srm: Some(parameters), ..PopulationBuilder::input(name, shape) })
+                Ok(PopulationDesc { srm: Some(parameters), ..PopulationDesc::input(name, shape) })
             }
             NeuronKind::Loihi { vth_mant, dv, du, refractory, .. } => {
                 let (du, dv) = match (&matrix.decays, du, dv) {
@@ -398,12 +396,12 @@ pub(super) fn build(
                     ("vth_mant", Parameter::Same(vth_mant)),
                     ("refractory", Parameter::Same(refractory)),
                 ];
-                Ok(PopulationBuilder::loihi(name, shape, parameters))
+                Ok(PopulationDesc::loihi(name, shape, parameters))
             }
             NeuronKind::Leaky { .. } | NeuronKind::Lif { .. } => Err(slayer("a neuron of real numbers")),
         }
     };
-    let input = |name: &str, units: usize| PopulationBuilder::input(name, vec![units as u64]);
+    let input = |name: &str, units: usize| PopulationDesc::input(name, vec![units as u64]);
     // The sources of each layer.
     let joined = matrices.len() == 3 && matrices[2].sources == matrices[0].targets + matrices[1].targets;
     let chained = |k: usize| k == 0 || matrices[k].sources == matrices[k - 1].targets;
@@ -417,7 +415,7 @@ pub(super) fn build(
         vec![vec!["tactile".into()], vec!["vision".into()], vec![matrices[0].name.clone(), matrices[1].name.clone()]]
     } else if (0..matrices.len()).all(chained) {
         let shape = input_shape(options, matrices[0].sources)?;
-        model.populations.push(PopulationBuilder::input("input", shape));
+        model.populations.push(PopulationDesc::input("input", shape));
         (0..matrices.len()).map(|k| vec![if k == 0 { "input".into() } else { matrices[k - 1].name.clone() }]).collect()
     } else {
         let shapes: Vec<String> =
@@ -430,10 +428,8 @@ pub(super) fn build(
         let own = matrix.recurrent.map(|weights| (vec![matrix.name.clone()], weights, matrix.targets));
         for (from, given, sources) in [Some((from, matrix.weights, matrix.sources)), own].into_iter().flatten() {
             let shape = vec![matrix.targets, sources];
-            let mut projection = ProjectionBuilder {
-                from,
-                ..ProjectionBuilder::new("", &matrix.name, ProjectionKind::Sparse(Vec::new()))
-            };
+            let mut projection =
+                ProjectionDesc { from, ..ProjectionDesc::new("", &matrix.name, ProjectionKind::Sparse(Vec::new())) };
             let line = if matches!(neuron.kind, NeuronKind::SrmAlpha { .. }) {
                 let line = LayerWeights::new(&matrix.name, &shape, 1.0, &given, &given);
                 projection.kind = ProjectionKind::Dense(tensor(shape, given));
@@ -452,7 +448,7 @@ pub(super) fn build(
                     ));
                 }
                 let line = LayerWeights::new(&matrix.name, &shape, scale, &given, &encoded.in_units(weight_exp as i64));
-                projection = ProjectionBuilder { weight_exp: encoded.exponent, sign: encoded.sign, ..projection };
+                projection = ProjectionDesc { weight_exp: encoded.exponent(), sign: encoded.sign, ..projection };
                 projection.kind = ProjectionKind::Dense(tensor(shape, encoded.weights));
                 line
             };

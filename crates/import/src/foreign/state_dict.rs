@@ -19,7 +19,7 @@ use super::hdf5::{Group, Item, Numbers};
 use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, population_name};
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
-use nsim_files::model_builder::Parameter;
+use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// What a tensor is to its module.

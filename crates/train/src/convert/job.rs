@@ -15,8 +15,8 @@ use crate::convert::{model_file, resets};
 use crate::fit::Example;
 use crate::plan::plan;
 use nsim_compile::Form;
-use nsim_files::model_builder::ModelBuilder;
 use nsim_files::network::Network;
+use nsim_files::network::NetworkFile;
 use nsim_files::text::sha256;
 use nsim_files::training::TrainingFile;
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
@@ -158,7 +158,7 @@ impl Job {
     ///
     /// # Errors
     /// `convert.*` for integers that a model file does not hold.
-    pub fn model(&self, done: &Done, tuned: Option<&Tuned>, provenance: &str) -> Result<ModelBuilder> {
+    pub fn model(&self, done: &Done, tuned: Option<&Tuned>, provenance: &str) -> Result<NetworkFile> {
         Ok(match tuned {
             Some(tuned) => {
                 let provenance = format!("{provenance}; {}", tuned.sentence());

@@ -5,10 +5,9 @@
 //! which a written model does not hold.
 
 use nsim_dynamics::synapses::Enumerate;
-use nsim_files::model_builder::{
-    ModelBuilder, Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor,
+use nsim_files::network::{
+    NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, padding_after, tensor,
 };
-use nsim_files::network::padding_after;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::graph::{Graph, Shape, Window};
 use nsim_ir::quantised::connectivity::Connectivity;
@@ -34,16 +33,16 @@ fn unsupported(what: &str) -> Diagnostic {
 ///
 /// # Errors
 /// `convert.unsupported`.
-pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<ModelBuilder> {
+pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<NetworkFile> {
     let (parts, facts) = (network.parts(), graph.facts());
-    let mut model = ModelBuilder::new(&parts.name, parts.timestep_ms);
+    let mut model = NetworkFile::new(&parts.name, parts.timestep_ms);
     for population in &parts.populations {
         if population.payload.is_some() {
             return Err(unsupported(&format!("'{}', whose spikes have a payload,", population.name)));
         }
         let shape = shape(population.shape);
         let built = match &population.units {
-            Units::Input(_) => PopulationBuilder::input(&population.name, shape),
+            Units::Input(_) => PopulationDesc::input(&population.name, shape),
             Units::Compartments { neurons, start_step, .. } => {
                 let each: Vec<Neuron> = (0..population.shape.len()).map(|index| neurons.get(index)).collect();
                 if each.iter().any(|neuron| neuron.shift > 0) {
@@ -68,8 +67,8 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<M
                     let default = parameter.default.map(|default| Parameter::Same(default as f64));
                     (default.as_ref() != Some(&values)).then_some((parameter.name, values))
                 });
-                let loihi = PopulationBuilder::loihi(&population.name, shape, given.collect());
-                PopulationBuilder { kind, start_step: *start_step, ..loihi }
+                let loihi = PopulationDesc::loihi(&population.name, shape, given.collect());
+                PopulationDesc { kind, start_step: *start_step, ..loihi }
             }
         };
         model.populations.push(built);
@@ -125,12 +124,12 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<M
             }
             Connectivity::Random { .. } => return Err(unsupported("a Random projection")),
         };
-        model.projections.push(ProjectionBuilder {
+        model.projections.push(ProjectionDesc {
             delay: projection.delay.get().into(),
-            weight_exp: projection.format.exponent.get().into(),
+            weight_exp: Some(projection.format.exponent.get().into()).filter(|&exponent: &i64| exponent != 0),
             sign: projection.format.sign,
             weight_bits: projection.format.bits.get().into(),
-            ..ProjectionBuilder::new(&source.name, &target.name, kind)
+            ..ProjectionDesc::new(&source.name, &target.name, kind)
         });
     }
     model.output = parts.populations[parts.output].name.clone();

@@ -10,7 +10,7 @@ use crate::convert::calibration;
 use crate::convert::calibration::RunInput;
 use crate::convert::search::search;
 use nsim_compile::Front;
-use nsim_files::network::{Network, PopulationDesc};
+use nsim_files::network::Network;
 use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
@@ -21,7 +21,7 @@ const CALIBRATION_SAMPLES: usize = 60;
 /// Whether a network has spike response neurons, which are real numbers.
 #[must_use]
 pub fn has_srm(network: &Network) -> bool {
-    network.file().populations.iter().any(|population| matches!(population.value, PopulationDesc::Srm(_)))
+    network.file().populations.iter().any(|population| population.srm.is_some())
 }
 
 /// A network in integers, with at most so many delayed copies of what a spike response population

@@ -8,8 +8,7 @@ use super::layer::{Geometry, Layer, geometry, input_of_window, volume};
 use super::neuron::integrator;
 use super::reader::{Last, Reader, units};
 use crate::foreign::window::MOST_LISTED;
-use nsim_files::model_builder::{ProjectionKind, tensor};
-use nsim_files::network::padding_after;
+use nsim_files::network::{ProjectionKind, padding_after, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::SignMode;
 
@@ -223,6 +222,6 @@ impl Reader<'_> {
         self.push(&name, vec![outputs], Some(integrator(4096.0, 0.0)));
         let size = source.units() / outputs;
         let synapses = (0..source.units()).map(|unit| (unit, unit / size, 2.0)).collect();
-        self.connect(layer, &source, &name, ProjectionKind::Sparse(synapses), 0, SignMode::Mixed)
+        self.connect(layer, &source, &name, ProjectionKind::Sparse(synapses), None, SignMode::Mixed)
     }
 }

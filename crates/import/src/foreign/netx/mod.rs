@@ -22,7 +22,7 @@ use super::hdf5::Group;
 use super::imported::{Imported, Options, listed};
 use layer::Layer;
 use neuron::set_bias;
-use nsim_files::model_builder::ModelBuilder;
+use nsim_files::network::NetworkFile;
 use nsim_files::npy;
 use nsim_ir::arithmetic::{ResetDesc, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -38,7 +38,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
     let mut reader = Reader {
         options,
-        model: ModelBuilder::new(name, dt_ms),
+        model: NetworkFile::new(name, dt_ms),
         notes: Vec::new(),
         layers: Vec::new(),
         last: None,

@@ -6,7 +6,7 @@
 use super::layer::Layer;
 use super::reader::{BIAS_EXP, MOST_EXPANDED, Reader, units};
 use crate::foreign::imported::NEVER;
-use nsim_files::model_builder::Parameter;
+use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
 
 /// The fields of a neuron; tauRho and scaleRho shape the gradient of a training.
@@ -45,10 +45,8 @@ impl Reader<'_> {
                 self.notes.push(format!("layer {}: {cut} biases are not whole and lose their fraction", layer.number));
             }
             let biases = self.each(layer, "bias", whole, shape)?;
-            match biases {
-                Parameter::Same(0.0) => {}
-                Parameter::Same(bias) => set_bias(&mut parameters, vec![bias]),
-                Parameter::Each(biases) => set_bias(&mut parameters, biases),
+            if biases != Parameter::Same(0.0) {
+                set_bias(&mut parameters, biases.values().to_vec());
             }
         }
         Ok(parameters)

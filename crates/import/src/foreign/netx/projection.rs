@@ -10,7 +10,7 @@ use super::reader::{Last, Reader};
 use crate::foreign::encode;
 use crate::foreign::imported::{LONGEST_DELAY, LayerWeights};
 use crate::foreign::window::{MOST_LISTED, Sliding};
-use nsim_files::model_builder::{ModelBuilder, Parameter, ProjectionBuilder, ProjectionKind, tensor};
+use nsim_files::network::{NetworkFile, ProjectionDesc, ProjectionKind, tensor};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::tensor::Tensor;
@@ -59,8 +59,9 @@ impl Reader<'_> {
             ));
         }
         self.layers.push(line);
+        let exponent = encoded.exponent();
         let kind = kind(encoded.weights)?;
-        self.connect(layer, source, to, kind, encoded.exponent, encoded.sign)
+        self.connect(layer, source, to, kind, exponent, encoded.sign)
     }
 
     /// Adds a projection, or one for each delay that its sources or synapses have.
@@ -70,12 +71,11 @@ impl Reader<'_> {
         source: &Last,
         to: &str,
         kind: ProjectionKind,
-        weight_exp: i64,
+        weight_exp: Option<i64>,
         sign: SignMode,
     ) -> Result<()> {
-        let add = |model: &mut ModelBuilder, kind, delay| {
-            let projection =
-                ProjectionBuilder { delay, weight_exp, sign, ..ProjectionBuilder::new(&source.name, to, kind) };
+        let add = |model: &mut NetworkFile, kind, delay| {
+            let projection = ProjectionDesc { delay, weight_exp, sign, ..ProjectionDesc::new(&source.name, to, kind) };
             model.projections.push(projection);
         };
         let first = source.delays.first().copied().unwrap_or(0);
@@ -155,13 +155,10 @@ impl Reader<'_> {
         if count != 1 && !self.is_axonal(count) {
             return Ok(());
         }
-        let expanded =
-            match self.each(layer, "delay", delays.iter().map(|&d| f64::from(d)).collect(), &self.last_shape())? {
-                Parameter::Same(delay) => vec![delay as u32],
-                Parameter::Each(delays) => delays.into_iter().map(|delay| delay as u32).collect(),
-            };
+        let delays = delays.iter().map(|&delay| f64::from(delay)).collect();
+        let expanded = self.each(layer, "delay", delays, &self.last_shape())?;
         if let Some(last) = &mut self.last {
-            last.delays = expanded;
+            last.delays = expanded.values().iter().map(|&delay| delay as u32).collect();
         }
         Ok(())
     }
@@ -178,13 +175,13 @@ fn list(kind: &ProjectionKind, source: &Last, target: &[u64]) -> Option<Vec<(u64
         ProjectionKind::Sparse(synapses) => Some(synapses.clone()),
         ProjectionKind::Dense(weights) => {
             let sources = source.units();
-            let all = weights.len() as u64;
+            let (weights, all) = (weights.tensor(), weights.tensor().len() as u64);
             within(Some(all))
                 .then(|| (0..all).map(|at| (at % sources, at / sources, weights.real(at as usize))).collect())
         }
         ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
             let geometry = Geometry { stride: *stride, padding: *padding, dilation: *dilation };
-            windowed(weights, geometry, *groups, &source.shape, target)
+            windowed(weights.tensor(), geometry, *groups, &source.shape, target)
         }
         ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
             let geometry = Geometry { stride: *stride, padding: *padding, dilation: (1, 1) };
@@ -195,8 +192,9 @@ fn list(kind: &ProjectionKind, source: &Last, target: &[u64]) -> Option<Vec<(u64
             }
             let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize).to_vec();
             let weights = tensor(axes, vec![*weight; places as usize]);
-            windowed(&weights, geometry, channels, &source.shape, target)
+            windowed(weights.tensor(), geometry, channels, &source.shape, target)
         }
+        ProjectionKind::Arrays(_) | ProjectionKind::Random { .. } => None,
     }
 }
 

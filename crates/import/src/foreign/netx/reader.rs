@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use crate::foreign::imported::{LayerWeights, Options};
-use nsim_files::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
+use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// Parameters that are given for each channel are expanded to at most so many numbers, all layers
@@ -38,7 +38,7 @@ pub(super) fn units(shape: &[u64]) -> Option<u64> {
 
 pub(super) struct Reader<'a> {
     pub(super) options: &'a Options,
-    pub(super) model: ModelBuilder,
+    pub(super) model: NetworkFile,
     pub(super) notes: Vec<String>,
     pub(super) layers: Vec<LayerWeights>,
     pub(super) last: Option<Last>,
@@ -58,7 +58,7 @@ impl Reader<'_> {
             }
             None => 0,
         };
-        let population = PopulationBuilder { loihi, start_step, ..PopulationBuilder::input(name, shape.clone()) };
+        let population = PopulationDesc { loihi, start_step, ..PopulationDesc::input(name, shape.clone()) };
         self.model.populations.push(population);
         self.last = Some(Last { name: name.to_string(), shape, delays: Vec::new() });
     }

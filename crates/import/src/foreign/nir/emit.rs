@@ -10,7 +10,7 @@ use super::neuron::{Discrete, all};
 use super::reader::{Reader, product, resets, unsupported, wrong};
 use crate::foreign::imported::{LONGEST_DELAY, NEVER, ResetMode, every_step};
 use crate::foreign::window::MOST_LISTED;
-use nsim_files::model_builder::{Parameter, PopulationBuilder, ProjectionBuilder, ProjectionKind, tensor};
+use nsim_files::network::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_ir::base::diagnostic::Result;
 
 impl Reader<'_> {
@@ -70,7 +70,7 @@ impl Reader<'_> {
             let weights: Vec<f64> = current.iter().enumerate().map(|(i, b)| b * neuron.gain.get(i)).collect();
             let source = self.always();
             let kind = ProjectionKind::Dense(tensor(vec![units, 1], weights));
-            projections.push(ProjectionBuilder::new(&source, &self.names[name], kind));
+            projections.push(ProjectionDesc::new(&source, &self.names[name], kind));
             self.notes.push(format!(
                 "'{name}': its current keeps a bias, which '{source}', a compartment that spikes in every step, brings"
             ));
@@ -116,7 +116,7 @@ impl Reader<'_> {
 
     /// The synapses of each neuron to itself that move a subtraction of the threshold to the step
     /// after the spike.
-    fn later_subtraction(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionBuilder>> {
+    fn later_subtraction(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionDesc>> {
         let Some(threshold) = &neuron.threshold else { return Ok(Vec::new()) };
         let weight = |unit: usize| -(neuron.dv.get(unit) / 4096.0) * threshold.get(unit);
         let kept = |unit: usize| 1.0 - neuron.du.get(unit) / 4096.0;
@@ -128,7 +128,7 @@ impl Reader<'_> {
                 self.count(units)?;
                 let own = weights.iter().enumerate().map(|(i, &weight)| (i as u64, i as u64, weight)).collect();
                 let kind = ProjectionKind::Sparse(own);
-                synapses.push(ProjectionBuilder { delay, ..ProjectionBuilder::new(name, name, kind) });
+                synapses.push(ProjectionDesc { delay, ..ProjectionDesc::new(name, name, kind) });
             }
         }
         Ok(synapses)
@@ -148,7 +148,7 @@ impl Reader<'_> {
     pub(super) fn always(&mut self) -> String {
         let name = self.free_name("always");
         if self.model.population(&name).is_none() {
-            self.model.populations.push(PopulationBuilder::loihi(&name, vec![1], every_step()));
+            self.model.populations.push(PopulationDesc::loihi(&name, vec![1], every_step()));
         }
         name
     }
@@ -160,15 +160,11 @@ impl Reader<'_> {
         to: &str,
         connection: Connection,
         gain: &Parameter,
-    ) -> Result<Vec<ProjectionBuilder>> {
+    ) -> Result<Vec<ProjectionDesc>> {
         let target = self.shapes[to].clone();
         let source_units = product(&self.shapes[from]).unwrap_or(0);
         let units = product(&target).unwrap_or(0);
-        let gains = match gain {
-            Parameter::Same(gain) => vec![*gain],
-            Parameter::Each(gains) => gains.clone(),
-        };
-        let linear = scaled(connection.linear, &gains, &connection.shape).ok_or_else(|| self.too_many(to))?;
+        let linear = scaled(connection.linear, gain.values(), &connection.shape).ok_or_else(|| self.too_many(to))?;
         let (from_name, to_name) = (self.names[from].clone(), self.names[to].clone());
         let source_volume = self.shapes[from].len() == 3;
         let (before, behind) = (connection.source_delay, connection.delay);
@@ -235,19 +231,20 @@ impl Reader<'_> {
             ));
         }
         let mut projection =
-            ProjectionBuilder { delay: delay_of(0, 0), ..ProjectionBuilder::new(&from_name, &to_name, kind) };
+            ProjectionDesc { delay: delay_of(0, 0), ..ProjectionDesc::new(&from_name, &to_name, kind) };
         if !own_delays {
             return Ok(vec![projection]);
         }
         let synapses: Vec<(u64, u64, f64)> = match projection.kind {
             ProjectionKind::Sparse(synapses) => synapses,
             ProjectionKind::Dense(weights) => {
+                let weights = weights.tensor();
                 self.count(weights.len())?;
                 let sources = source_units as u64;
                 (0..weights.len() as u64).map(|i| (i % sources, i / sources, weights.real(i as usize))).collect()
             }
             // Windows with delays of their own were listed above.
-            ProjectionKind::Conv2d { .. } | ProjectionKind::SumPool2d { .. } => Vec::new(),
+            _ => Vec::new(),
         };
         let mut by_delay: BTreeMap<u32, Vec<(u64, u64, f64)>> = BTreeMap::new();
         for synapse in synapses {
@@ -256,7 +253,7 @@ impl Reader<'_> {
         projection.kind = ProjectionKind::Sparse(Vec::new());
         Ok(by_delay
             .into_iter()
-            .map(|(delay, synapses)| ProjectionBuilder {
+            .map(|(delay, synapses)| ProjectionDesc {
                 delay,
                 kind: ProjectionKind::Sparse(synapses),
                 ..projection.clone()
@@ -315,8 +312,8 @@ impl Reader<'_> {
             vec![("du", memoryless.clone()), ("dv", memoryless.clone()), ("vth_mant", Parameter::Same(NEVER))];
         let start_step = if neurons(&path[0]) { self.depths[&path[0]] + 1 } else { 0 };
         self.depths.insert(output.clone(), start_step);
-        let population = PopulationBuilder::loihi(&name, shape, parameters);
-        self.model.populations.push(PopulationBuilder { start_step, ..population });
+        let population = PopulationDesc::loihi(&name, shape, parameters);
+        self.model.populations.push(PopulationDesc { start_step, ..population });
         let neuron = Discrete {
             du: memoryless.clone(),
             dv: memoryless,
@@ -350,8 +347,9 @@ impl Reader<'_> {
 /// The weights of a projection.
 fn weights(kind: &ProjectionKind) -> Vec<f64> {
     match kind {
-        ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => weights.reals().collect(),
+        ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => weights.tensor().reals().collect(),
         ProjectionKind::Sparse(synapses) => synapses.iter().map(|synapse| synapse.2).collect(),
         ProjectionKind::SumPool2d { weight, .. } => vec![*weight],
+        ProjectionKind::Arrays(_) | ProjectionKind::Random { .. } => Vec::new(),
     }
 }

@@ -39,7 +39,7 @@ use super::hdf5::Group;
 use super::imported::{Imported, NEVER, Options, ResetMode};
 use super::nir_export;
 use graph::unfold;
-use nsim_files::model_builder::{ModelBuilder, Parameter, PopulationBuilder};
+use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::neurons::NeuronKind;
 use reader::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
@@ -66,7 +66,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     }
     let mut flat = Flat::default();
     unfold(graph, "", 0, &mut flat)?;
-    let mut model = ModelBuilder::new(name, 1.0);
+    let mut model = NetworkFile::new(name, 1.0);
     model.threshold = options.threshold.unwrap_or_default();
     let mut reader = Reader {
         flat,
@@ -88,7 +88,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
 }
 
 /// Refuses options that contradict a model of nsim's own.
-fn check_restored(model: &ModelBuilder, options: &Options) -> Result<()> {
+fn check_restored(model: &NetworkFile, options: &Options) -> Result<()> {
     let ours = |kind| model.populations.iter().any(|population| population.loihi.is_some() && population.kind == kind);
     let contradicted = match options.reset {
         None => None,
@@ -172,8 +172,8 @@ impl Reader<'_> {
                 None => NeuronKind::Loihi,
             };
             let (start_step, name) = (self.depths[name], self.names[name].clone());
-            let input = PopulationBuilder::input(&name, shape);
-            self.model.populations.push(PopulationBuilder { loihi, kind, start_step, ..input });
+            let input = PopulationDesc::input(&name, shape);
+            self.model.populations.push(PopulationDesc { loihi, kind, start_step, ..input });
         }
         for name in &order {
             if let Some(neuron) = discrete.remove(name).flatten() {

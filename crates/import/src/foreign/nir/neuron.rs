@@ -8,7 +8,7 @@ use std::cmp::Ordering;
 use super::reader::{Reader, product, resets, unsupported, wrong};
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::{DecayRule, decimal};
-use nsim_files::model_builder::Parameter;
+use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// What a neuron is once it is discretised.
@@ -59,17 +59,12 @@ pub(super) fn zip(a: &Parameter, b: &Parameter, f: impl Fn(f64, f64) -> f64) -> 
     match (a, b) {
         (Parameter::Same(a), b) => b.map(|b| f(*a, b)),
         (a, Parameter::Same(b)) => a.map(|a| f(a, *b)),
-        (Parameter::Each(a), Parameter::Each(b)) => {
-            Parameter::from_values(a.iter().zip(b).map(|(&a, &b)| f(a, b)).collect())
-        }
+        (a, b) => Parameter::from_values(a.values().iter().zip(b.values()).map(|(&a, &b)| f(a, b)).collect()),
     }
 }
 
 pub(super) fn all(value: &Parameter, f: impl Fn(f64) -> bool) -> bool {
-    match value {
-        Parameter::Same(x) => f(*x),
-        Parameter::Each(values) => values.iter().all(|&x| f(x)),
-    }
+    value.values().iter().all(|&x| f(x))
 }
 
 impl Reader<'_> {
@@ -83,12 +78,8 @@ impl Reader<'_> {
         let mut implied_by = "tau / r";
         for (name, node) in &self.flat.nodes {
             let ratio = |tau: &str, by: &str| -> Result<Vec<f64>> {
-                let ratio =
-                    zip(&parameter(node.group, name, tau)?, &optional(node.group, name, by, 1.0)?, |a, b| a / b);
-                Ok(match ratio {
-                    Parameter::Same(x) => vec![x],
-                    Parameter::Each(values) => values,
-                })
+                let (tau, by) = (parameter(node.group, name, tau)?, optional(node.group, name, by, 1.0)?);
+                Ok(zip(&tau, &by, |a, b| a / b).values().to_vec())
             };
             match node.kind.as_str() {
                 "CubaLIF" | "CubaLI" => {
@@ -259,7 +250,7 @@ impl Reader<'_> {
         };
         let shown = |value: &Parameter| match value {
             Parameter::Same(x) => format!("{}", (x * 1e6).round() / 1e6),
-            Parameter::Each(_) => "each its own".to_string(),
+            _ => "each its own".to_string(),
         };
         self.notes.push(format!(
             "'{name}' ({}): du {}, dv {}, a weight counts {}",

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::Options;
-use nsim_files::model_builder::ModelBuilder;
+use nsim_files::network::NetworkFile;
 use nsim_ir::base::diagnostic::Diagnostic;
 
 /// Graphs within graphs.
@@ -45,7 +45,7 @@ pub(super) fn product(shape: &[usize]) -> Option<usize> {
 pub(super) struct Reader<'a> {
     pub(super) flat: Flat<'a>,
     pub(super) options: &'a Options,
-    pub(super) model: ModelBuilder,
+    pub(super) model: NetworkFile,
     pub(super) notes: Vec<String>,
     /// Populations' names by node.
     pub(super) names: BTreeMap<String, String>,

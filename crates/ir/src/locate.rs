@@ -1,11 +1,14 @@
-//! A value in a text of RON, found by its path and replaced.
+//! A value in a text of RON, found by its path: for the place in a message, or to be replaced.
 //!
-//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the text with that
-//! value. A part of a path is a field of a struct, the index of a list's item, or the `name` that
-//! an item of a list has. A field that a struct does not say is added to it: whether there may be
-//! such a field is for whoever reads the text. Comments and everything else stay as they are.
+//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the place of the
+//! path, or the text with that value. A part of a path is a field of a struct, the `name` that an
+//! item of a list has, or the item's index, `7` or `[7]`; the latter is no name. A field that is absent is added: the
+//! reader of the text decides whether there may be such a field. Comments and everything else stay
+//! as they are.
 
 use std::ops::Range;
+
+use crate::base::diagnostic::Span;
 
 /// A text that is read from a place on.
 struct Cursor<'a> {
@@ -52,45 +55,54 @@ impl<'a> Cursor<'a> {
         stands
     }
 
-    /// Goes on behind a value, to the comma or bracket that ends it; returns where the value is.
+    /// Goes on after the next token; returns its first character.
+    fn token(&mut self) -> Option<char> {
+        self.skip_blanks();
+        let rest = self.rest();
+        let first = rest.chars().next()?;
+        let part = |byte: &u8| byte.is_ascii_alphanumeric() || b"_.+-".contains(byte);
+        self.at += match first {
+            '"' => string(rest),
+            'r' if rest[1..].trim_start_matches('#').starts_with('"') => raw_string(rest),
+            '\'' => character(rest),
+            _ => rest.bytes().take_while(part).count().max(first.len_utf8()),
+        };
+        Some(first)
+    }
+
+    /// Goes on after a value, to the comma or bracket that ends it; returns where the value is.
     fn value(&mut self) -> Range<usize> {
         self.skip_blanks();
         let start = self.at;
         let (mut depth, mut end) = (0u32, start);
-        while let Some(next) = self.rest().chars().next() {
-            let length = match next {
-                '"' => string(self.rest()),
-                'r' if self.rest()[1..].trim_start_matches('#').starts_with('"') => raw_string(self.rest()),
-                '\'' => character(self.rest()),
-                '/' if self.rest().starts_with("//") || self.rest().starts_with("/*") => {
-                    self.skip_blanks();
-                    continue;
-                }
-                ',' | ')' | ']' | '}' if depth == 0 => break,
-                '(' | '[' | '{' => {
-                    depth += 1;
-                    1
-                }
-                ')' | ']' | '}' => {
-                    depth -= 1;
-                    1
-                }
-                'a'..='z' | 'A'..='Z' | '_' => {
-                    let before = self.at;
-                    let length = self.identifier().len();
+        loop {
+            self.skip_blanks();
+            let before = self.at;
+            match self.token() {
+                Some(',' | ')' | ']' | '}') | None if depth == 0 => {
                     self.at = before;
-                    length
+                    return start..end;
                 }
-                other => other.len_utf8(),
-            };
-            if next.is_whitespace() {
-                self.at += length;
-                continue;
+                Some('(' | '[' | '{') => depth += 1,
+                Some(')' | ']' | '}') => depth -= 1,
+                Some(_) => {}
+                None => return start..end,
             }
-            self.at += length;
             end = self.at;
         }
-        start..end
+    }
+}
+
+/// The first bracket within `deepest` others.
+pub(crate) fn too_deep(text: &str, deepest: u32) -> Option<usize> {
+    let (mut cursor, mut depth) = (Cursor { text, at: 0 }, 0u32);
+    loop {
+        match cursor.token()? {
+            '(' | '[' | '{' if depth == deepest => return Some(cursor.at - 1),
+            '(' | '[' | '{' => depth += 1,
+            ')' | ']' | '}' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
     }
 }
 
@@ -157,17 +169,53 @@ pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
     Ok(format!("{}{value}{}", &text[..place.start], &text[place.end..]))
 }
 
-/// The value at a path, if it is there.
+/// The place of a path that begins at a value of the text; nothing when it leads nowhere.
 #[must_use]
-pub fn value<'t>(text: &'t str, path: &str) -> Option<&'t str> {
-    let mut place = Cursor { text, at: 0 }.value();
+pub fn locate(text: &str, value: Span, path: &str) -> Option<Span> {
+    let mut cursor = Cursor { text: text.get(..value.end)?, at: value.start };
+    cursor.skip_blanks();
+    let mut place = cursor.at..value.end;
     for part in path.split('.') {
         match part_of(text, place, part) {
             Part::At(found) => place = found,
             Part::NotYet(_) | Part::Nothing => return None,
         }
     }
-    Some(&text[place])
+    Some(Span { start: place.start, end: place.end })
+}
+
+/// The places of the items of a list at a path.
+#[must_use]
+pub fn items(text: &str, path: &str) -> Vec<Span> {
+    let whole = Span { start: 0, end: text.len() };
+    let Some(list) = locate(text, whole, path) else { return Vec::new() };
+    let mut cursor = Cursor { text: &text[..list.end], at: list.start };
+    let mut items = Vec::new();
+    if cursor.take('[') {
+        loop {
+            let item = cursor.value();
+            if item.is_empty() {
+                break;
+            }
+            items.push(Span { start: item.start, end: item.end });
+            cursor.take(',');
+        }
+    }
+    items
+}
+
+/// The value at a path, if it is there.
+#[must_use]
+pub fn value<'t>(text: &'t str, path: &str) -> Option<&'t str> {
+    locate(text, Span { start: 0, end: text.len() }, path).map(|place| &text[place.start..place.end])
+}
+
+/// The name before the first bracket of a text, after comments and attributes.
+#[must_use]
+pub fn root_name(text: &str) -> &str {
+    let mut cursor = Cursor { text, at: 0 };
+    cursor.skip_blanks();
+    cursor.identifier()
 }
 
 /// Whether a text is one value and nothing else: no comma or bracket ends it before its end, and
@@ -221,6 +269,7 @@ fn part_of(text: &str, place: Range<usize>, part: &str) -> Part {
     if !cursor.take('[') {
         return Part::Nothing;
     }
+    let number = part.strip_prefix('[').and_then(|part| part.strip_suffix(']')).unwrap_or(part);
     for index in 0.. {
         cursor.skip_blanks();
         if cursor.at >= place.end || cursor.rest().starts_with(']') {
@@ -228,11 +277,12 @@ fn part_of(text: &str, place: Range<usize>, part: &str) -> Part {
         }
         let before = cursor.at;
         let item = cursor.value();
-        let is_named = match part_of(text, item.clone(), "name") {
-            Part::At(name) => text[name] == format!("{part:?}"),
-            Part::NotYet(_) | Part::Nothing => false,
-        };
-        if is_named || part.parse() == Ok(index) {
+        let is_named = number == part
+            && match part_of(text, item.clone(), "name") {
+                Part::At(name) => text[name] == format!("{part:?}"),
+                Part::NotYet(_) | Part::Nothing => false,
+            };
+        if is_named || number.parse() == Ok(index) {
             return Part::At(item);
         }
         cursor.skip_blanks();

@@ -8,14 +8,13 @@
 //! Errors: `set.path` for a path that leads nowhere, `set.value` for a value that is not what the
 //! path's field holds.
 
-pub mod ron_path;
-
 use std::cell::RefCell;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::hardware::constants::{Constants, Status, classes_of};
+use nsim_ir::locate;
 
 /// One change.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -51,7 +50,7 @@ impl Change {
         if ["target", "constants"].contains(&path.as_str()) || path.split('.').any(|part| part.trim().is_empty()) {
             return Err(nowhere(path, "the path leads nowhere; it has to end with the name of a field"));
         }
-        match ron_path::is_one_value(value) {
+        match locate::is_one_value(value) {
             true => Ok(()),
             false => Err(Diagnostic::new("set.value", format!("--set {path}={value}: this is not one value"))
                 .help("write a number, a text in quotes, or a list or struct with its brackets closed")),
@@ -175,7 +174,7 @@ pub fn model(source: SourceText) -> Result<SourceText> {
     let changes = changes(None);
     for (path, value) in &changes {
         let before = text.as_deref().unwrap_or(source.text());
-        text = Some(ron_path::replaced(before, path, value).map_err(|message| nowhere(path, &message))?);
+        text = Some(locate::replaced(before, path, value).map_err(|message| nowhere(path, &message))?);
     }
     Ok(match text {
         Some(text) => {
@@ -193,7 +192,7 @@ pub fn model(source: SourceText) -> Result<SourceText> {
 fn check_kept(text: &str, changes: &[(String, String)], before: &str) -> Result<()> {
     for (number, (path, value)) in changes.iter().enumerate() {
         let again = changes[number + 1..].iter().any(|(later, _)| later == path);
-        if !again && ron_path::value(text, path) != Some(value) {
+        if !again && locate::value(text, path) != Some(value) {
             return Err(nowhere(&format!("{before}{path}"), "another path that is set changes the same field"));
         }
     }
@@ -219,11 +218,11 @@ pub fn target_fields() -> Result<Option<String>> {
 fn with_parents(mut text: String, path: &str, value: &str) -> Result<String, String> {
     for (at, _) in path.match_indices('.') {
         let parent = &path[..at];
-        if ron_path::value(&text, parent).is_none() {
-            text = ron_path::replaced(&text, parent, "()")?;
+        if locate::value(&text, parent).is_none() {
+            text = locate::replaced(&text, parent, "()")?;
         }
     }
-    ron_path::replaced(&text, path, value)
+    locate::replaced(&text, path, value)
 }
 
 /// Gives constants the numbers that are set.

@@ -4,26 +4,20 @@
 //! the digest of their output spikes; and the model that holds them. Errors: `train.*`. Left out on
 //! purpose: studies of many trainings.
 
-mod text;
-
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use self::text::with_field;
 use crate::checkpoint;
 use crate::export;
-use crate::export::Model;
 use crate::fit::{Example, Plan, TrainingState};
 use crate::network::Weights;
 use crate::plan::plan;
 use crate::raster::Raster;
-use nsim_files::network::Network;
-use nsim_files::shipped::Origin;
+use nsim_files::network::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_files::training::TrainingFile;
-use nsim_files::write::Batch;
-use nsim_import::model;
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim_ir::base::folds::stratified_folds;
+use nsim_ir::locate;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_session::error::{Error, Result};
@@ -36,8 +30,8 @@ use nsim_session::{Outcome, digest, inputs};
 pub fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceText> {
     let mut text = source.text().to_string();
     for (key, value) in fields {
-        let changed = with_field(&text, key, value);
-        text = changed.ok_or_else(|| Error::Usage(format!("--set {key}: the training file is no Training(..)")))?;
+        let changed = locate::replaced(&text, key, value);
+        text = changed.map_err(|_| Error::Usage(format!("--set {key}: the training file is no Training(..)")))?;
     }
     Ok(SourceText::new(source.path(), text))
 }
@@ -116,19 +110,16 @@ impl Job {
     /// # Errors
     /// `model.*` for an input that no network can have.
     pub fn inputs(&self) -> Result<Quantised> {
-        let mut text = String::from("Network(name: \"inputs\", timestep_ms: 1.0, populations: [");
+        let (layers, mut model) = ("stand-in-for-the-layers", NetworkFile::new("inputs", 1.0));
         for input in &self.file.inputs {
-            text += &format!("Input(name: {:?}, shape: {:?}),", input.name, input.shape);
+            model.populations.push(PopulationDesc::input(&input.name, input.shape.clone()));
+            let kind = ProjectionKind::Random { fan_out: 1, low: 0, high: 0, seed: 0 };
+            model.projections.push(ProjectionDesc::new(&input.name, layers, kind));
         }
-        text += "Loihi(name: \"stand-in-for-the-layers\", shape: [1], du: 0, dv: 0, vth_mant: 0)], projections: [";
-        for input in &self.file.inputs {
-            text += &format!(
-                "Random(from: [{:?}], to: \"stand-in-for-the-layers\", fan_out: 1, low: 0, high: 0, seed: 0),",
-                input.name
-            );
-        }
-        text += "], output: \"stand-in-for-the-layers\")";
-        let network = model::network(SourceText::new("inputs of the training file", text), Origin::File)?;
+        let parameters = ["du", "dv", "vth_mant"].map(|name| (name, Parameter::Same(0.0)));
+        model.populations.push(PopulationDesc::loihi(layers, vec![1], parameters.to_vec()));
+        model.output = layers.to_string();
+        let network = model.build(Path::new("inputs of the training file"))?;
         Ok(nsim_session::front::front(&network)?.into_quantised())
     }
 
@@ -222,12 +213,12 @@ impl Job {
         })
     }
 
-    /// The model of trained weights, which are in `weights_file` beside it.
+    /// The model of trained weights.
     ///
     /// # Errors
     /// `train.export` for neurons that a model file cannot describe.
-    pub fn model(&self, weights: &Weights, weights_file: &str, comment: &str, provenance: &str) -> Result<Model> {
-        Ok(export::model(&self.file, &self.plan.topology, weights, weights_file, comment, provenance)?)
+    pub fn model(&self, weights: &Weights, provenance: &str) -> Result<NetworkFile> {
+        Ok(export::model(&self.file, &self.plan.topology, weights, provenance)?)
     }
 
     /// Writes the model of trained weights to a path, with `force` in the place of a file that is
@@ -242,24 +233,17 @@ impl Job {
         comment: &str,
         provenance: &str,
     ) -> Result<[PathBuf; 2]> {
-        let beside = weights_path(path);
-        let name = beside.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let model = self.model(weights, &name, comment, provenance)?;
-        let mut files = Batch::new(force);
-        files.add(&beside, |out| out.write_all(&model.weights))?;
-        files.add(path, |out| out.write_all(model.ron.as_bytes()))?;
-        files.commit()?;
-        Ok([path.to_path_buf(), beside])
+        self.model(weights, provenance)?.write_under(comment, path, force)?;
+        Ok([path.to_path_buf(), weights_path(path)])
     }
 
     /// The network of trained weights, in memory.
     ///
     /// # Errors
     /// As [`Self::model`]; `model.*`.
-    pub fn network(&self, weights: &Weights, comment: &str, provenance: &str) -> Result<Network> {
-        let model = self.model(weights, "weights.safetensors", comment, provenance)?;
+    pub fn network(&self, weights: &Weights, provenance: &str) -> Result<Network> {
         let place = format!("{} (in memory)", self.file.name);
-        Ok(model::with_tensors(SourceText::new(place, model.ron), model.weights)?)
+        Ok(self.model(weights, provenance)?.build(Path::new(&place))?)
     }
 }
 

@@ -1,0 +1,490 @@
+//! A model file (`models/*.ron`; `docs/formats.md` describes each field).
+//!
+//! [`NetworkFile`] is what a model file holds, whether it was read or built by a reader of foreign
+//! files: a plain value, of which serde makes the text. [`Network`] is a file with its text, for
+//! messages, and with every array that it refers to. Values do not know their places;
+//! [`nsim_ir::locate`] finds them where a message needs one. Whether the values make sense is for
+//! [`crate::lower`].
+
+mod read;
+mod resolve;
+mod write;
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::synapses::SynapseArrays;
+use nsim_ir::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use nsim_ir::base::fixed::SignMode;
+use nsim_ir::base::shared::Shared;
+use nsim_ir::locate::locate;
+use nsim_ir::neurons::NeuronKind;
+use nsim_ir::spanned::parse;
+pub use nsim_ir::tensor::ArrayRef;
+use nsim_ir::tensor::{Numbers, Tensor};
+
+/// Numbers that do not stand in the model file.
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, rename(deserialize = "source of numbers"))]
+pub enum Source {
+    /// A NumPy file.
+    Npy(String),
+    /// A tensor of a safetensors file: file, key.
+    Safetensors(String, String),
+    /// Seeded uniform numbers in `low..=high`, for untrained networks and benches: `low`,
+    /// `low + step`, .. with a `step`, any real number without.
+    Uniform {
+        /// The least value.
+        low: f64,
+        /// The greatest value.
+        high: f64,
+        /// Distance of neighbouring numbers.
+        step: Option<f64>,
+        /// The seed.
+        seed: u64,
+    },
+}
+
+impl Source {
+    /// The array of a file.
+    #[must_use]
+    pub fn array(&self) -> Option<ArrayRef> {
+        match self {
+            Source::Npy(file) => Some(ArrayRef::Npy(file.clone())),
+            Source::Safetensors(file, key) => Some(ArrayRef::Safetensors(file.clone(), key.clone())),
+            Source::Uniform { .. } => None,
+        }
+    }
+}
+
+/// Weights of a projection.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Weights {
+    /// Numbers in the model.
+    InPlace(Tensor),
+    /// Numbers elsewhere.
+    From(Source),
+}
+
+impl Weights {
+    /// The numbers of a model whose arrays are in place, as those of [`Network::resolved`] are.
+    ///
+    /// # Panics
+    /// When they are elsewhere, a mistake of the caller.
+    #[must_use]
+    pub fn tensor(&self) -> &Tensor {
+        match self {
+            Weights::InPlace(tensor) => tensor,
+            Weights::From(source) => panic!("{source:?} is not in place"),
+        }
+    }
+}
+
+/// Weights in place: integers when all are.
+///
+/// # Panics
+/// When the numbers do not fill the shape, a mistake of the caller.
+#[must_use]
+pub fn tensor(shape: Vec<usize>, numbers: Vec<f64>) -> Weights {
+    let whole = numbers.iter().all(|&x| f64::from(x as i32).to_bits() == x.to_bits());
+    let numbers = match whole {
+        true => Numbers::Integers(numbers.iter().map(|&x| x as i32).collect()),
+        false => Numbers::Reals(numbers),
+    };
+    Weights::InPlace(Tensor::new(shape, numbers).expect("the numbers fill the shape"))
+}
+
+/// A parameter of a population.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Parameter {
+    /// The same for all compartments.
+    Same(f64),
+    /// One each.
+    Each(Vec<f64>),
+    /// One each, elsewhere.
+    From(Source),
+}
+
+impl Parameter {
+    /// One for all when all are equal.
+    #[must_use]
+    pub fn from_values(values: Vec<f64>) -> Parameter {
+        match values.first() {
+            Some(&first) if values.iter().all(|value| value.to_bits() == first.to_bits()) => Parameter::Same(first),
+            _ => Parameter::Each(values),
+        }
+    }
+
+    /// The value of one compartment, of a model whose arrays are in place.
+    ///
+    /// # Panics
+    /// When there is one for each and `index` is not one of them.
+    #[must_use]
+    pub fn get(&self, index: usize) -> f64 {
+        match self {
+            Parameter::Same(value) => *value,
+            Parameter::Each(values) => values[index],
+            Parameter::From(source) => panic!("{source:?} is not in place"),
+        }
+    }
+
+    /// The values that are in place: one for all, or one each.
+    #[must_use]
+    pub fn values(&self) -> &[f64] {
+        match self {
+            Parameter::Same(value) => std::slice::from_ref(value),
+            Parameter::Each(values) => values,
+            Parameter::From(_) => &[],
+        }
+    }
+
+    /// Changes every value that is in place.
+    #[must_use]
+    pub fn map(&self, f: impl Fn(f64) -> f64) -> Parameter {
+        match self {
+            Parameter::Same(value) => Parameter::Same(f(*value)),
+            Parameter::Each(values) => Parameter::from_values(values.iter().map(|&value| f(value)).collect()),
+            Parameter::From(_) => self.clone(),
+        }
+    }
+}
+
+/// A population.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PopulationDesc {
+    /// Its name.
+    pub name: String,
+    /// `[n]` or `[channels, height, width]`.
+    pub shape: Vec<u64>,
+    /// The kind of its compartments.
+    pub kind: NeuronKind,
+    /// Parameters of compartments that the file gives, in the order of
+    /// [`NeuronKind::parameter_names`].
+    pub loihi: Option<Vec<(&'static str, Parameter)>>,
+    /// Parameters of spike response neurons with alpha kernels, as SLAYER trains them; without
+    /// either, it is an input.
+    pub srm: Option<[(&'static str, f64); 4]>,
+    /// The step before which it is held at zero.
+    pub start_step: u32,
+    /// The integer that each of its spikes carries; none for binary spikes.
+    pub payload: Option<i64>,
+}
+
+impl PopulationDesc {
+    /// Channels that a stimulus drives.
+    #[must_use]
+    pub fn input(name: &str, shape: Vec<u64>) -> Self {
+        PopulationDesc { name: name.to_string(), shape, ..PopulationDesc::default() }
+    }
+
+    /// Compartments with these parameters.
+    #[must_use]
+    pub fn loihi(name: &str, shape: Vec<u64>, parameters: Vec<(&'static str, Parameter)>) -> Self {
+        PopulationDesc { loihi: Some(parameters), ..PopulationDesc::input(name, shape) }
+    }
+
+    /// The name of its kind in model files.
+    #[must_use]
+    pub fn kind_name(&self) -> &'static str {
+        match (self.srm, &self.loihi) {
+            (Some(_), _) => "Srm",
+            (None, Some(_)) => self.kind.name(),
+            (None, None) => "Input",
+        }
+    }
+
+    /// Channels or compartments.
+    #[must_use]
+    pub fn units(&self) -> u64 {
+        self.shape.iter().fold(1, |product: u64, &axis| product.saturating_mul(axis))
+    }
+
+    /// A parameter by name.
+    #[must_use]
+    pub fn parameter(&self, name: &str) -> Option<&Parameter> {
+        self.loihi.as_ref()?.iter().find(|(key, _)| *key == name).map(|(_, value)| value)
+    }
+}
+
+/// How a projection reaches its targets. Pairs are (y, x).
+#[derive(Debug, Clone, PartialEq)]
+pub enum ProjectionKind {
+    /// Every source reaches every target: `[target][source]`.
+    Dense(Weights),
+    /// Listed synapses, (source, target, weight) each.
+    Sparse(Vec<(u64, u64, f64)>),
+    /// Listed synapses as arrays in files.
+    Arrays(SynapseArrays),
+    /// A two-dimensional convolution (cross-correlation with the kernel as stored) from one
+    /// population `[C, H, W]` to one `[C', H', W']`.
+    Conv2d {
+        /// `[C'][C / groups][kh][kw]`.
+        weights: Weights,
+        /// Step.
+        stride: (u64, u64),
+        /// Silent rows above and columns left of the source.
+        padding: (u64, u64),
+        /// Silent rows below and columns right of the source.
+        padding_after: (u64, u64),
+        /// Distance of neighbours.
+        dilation: (u64, u64),
+        /// Channel groups.
+        groups: u64,
+    },
+    /// Sum pooling from one population `[C, H, W]` to one `[C, H', W']`: each position of a window
+    /// reaches its channel's compartment with the same weight.
+    SumPool2d {
+        /// Window.
+        kernel: (u64, u64),
+        /// Step.
+        stride: (u64, u64),
+        /// Silent rows above and columns left of the source.
+        padding: (u64, u64),
+        /// Silent rows below and columns right of the source.
+        padding_after: (u64, u64),
+        /// The weight of each synapse.
+        weight: f64,
+    },
+    /// Random synapses: each source reaches `fan_out` targets, sampled independently (a target may
+    /// be sampled twice), with weights from the multiples of the least step in `low..=high`.
+    Random {
+        /// Synapses of each source.
+        fan_out: u64,
+        /// The least weight.
+        low: i64,
+        /// The greatest weight.
+        high: i64,
+        /// The seed.
+        seed: u64,
+    },
+}
+
+/// A projection.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProjectionDesc {
+    /// Source populations, concatenated.
+    pub from: Vec<String>,
+    /// Target population.
+    pub to: String,
+    /// How it reaches its targets.
+    pub kind: ProjectionKind,
+    /// Weight exponent; none leaves it to nsim, which takes 0 beside an integer threshold.
+    pub weight_exp: Option<i64>,
+    /// Sign mode.
+    pub sign: SignMode,
+    /// Bits of a weight.
+    pub weight_bits: i64,
+    /// Delay field.
+    pub delay: u32,
+    /// What a real weight of 1 counts in units of the weight mantissa.
+    pub weight_scale: Option<f64>,
+}
+
+impl ProjectionDesc {
+    /// A projection with the default format of synapses.
+    #[must_use]
+    pub fn new(from: &str, to: &str, kind: ProjectionKind) -> Self {
+        ProjectionDesc {
+            from: vec![from.to_string()],
+            to: to.to_string(),
+            kind,
+            weight_exp: None,
+            sign: SignMode::Mixed,
+            weight_bits: 8,
+            delay: 0,
+            weight_scale: None,
+        }
+    }
+
+    /// The name of its kind in model files.
+    #[must_use]
+    pub fn kind_name(&self) -> &'static str {
+        match &self.kind {
+            ProjectionKind::Dense(_) => "Dense",
+            ProjectionKind::Sparse(_) | ProjectionKind::Arrays(_) => "Sparse",
+            ProjectionKind::Conv2d { .. } => "Conv2d",
+            ProjectionKind::SumPool2d { .. } => "SumPool2d",
+            ProjectionKind::Random { .. } => "Random",
+        }
+    }
+
+    /// The weights, for the kinds that have an array of them.
+    #[must_use]
+    pub fn weights(&self) -> Option<&Weights> {
+        match &self.kind {
+            ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => Some(weights),
+            _ => None,
+        }
+    }
+}
+
+/// Silent places after an axis of `source` places that a window with this reach, stride and
+/// padding before the axis needs to give `target` outputs: as many as before where that gives them,
+/// else the fewest that do.
+#[must_use]
+pub fn padding_after(source: u64, target: u64, reach: u64, stride: u64, before: u64) -> u64 {
+    let last = target.saturating_sub(1).saturating_mul(stride).saturating_add(reach);
+    let fewest = last.saturating_sub(source.saturating_add(before));
+    if before >= fewest && before - fewest < stride { before } else { fewest }
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+/// What a model file holds.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, rename = "Network")]
+pub struct NetworkFile {
+    /// The network's name.
+    pub name: String,
+    /// Milliseconds that a timestep stands for.
+    pub timestep_ms: f64,
+    /// Populations in order.
+    pub populations: Vec<PopulationDesc>,
+    /// Projections in order.
+    pub projections: Vec<ProjectionDesc>,
+    /// The population that decides.
+    pub output: String,
+    /// What of it decides.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub decision: ReadOut,
+    /// Steps that a sample has after its last input step.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub drain: u32,
+    /// Names of the classes, one for each output compartment.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub classes: Vec<String>,
+    /// Periodic reset.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reset: Option<ResetDesc>,
+    /// When a compartment spikes.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub threshold: ThresholdTest,
+    /// Which arithmetic.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub semantics: Semantics,
+    /// How weights are rounded.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub weight_rounding: WeightRounding,
+    /// The stimulus to use when none is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// Where the network comes from: data, command, accuracy.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub provenance: Option<String>,
+}
+
+impl NetworkFile {
+    /// A network without populations.
+    #[must_use]
+    pub fn new(name: &str, timestep_ms: f64) -> Self {
+        NetworkFile { name: name.to_string(), timestep_ms, ..NetworkFile::default() }
+    }
+
+    /// Parses the text of a model file.
+    ///
+    /// # Errors
+    /// `model.syntax` at the place of what is malformed.
+    pub fn parse(source: &SourceText) -> Result<Self> {
+        parse(source, "model.syntax")
+    }
+
+    /// A population by name.
+    #[must_use]
+    pub fn population(&self, name: &str) -> Option<&PopulationDesc> {
+        self.populations.iter().find(|population| population.name == name)
+    }
+
+    /// Every array that the file refers to, and the path at which it does.
+    #[must_use]
+    pub fn arrays(&self) -> Vec<(ArrayRef, String)> {
+        let mut arrays = Vec::new();
+        for (index, population) in self.populations.iter().enumerate() {
+            for (name, parameter) in population.loihi.iter().flatten() {
+                if let Parameter::From(source) = parameter {
+                    arrays.extend(source.array().map(|array| (array, format!("populations.[{index}].{name}"))));
+                }
+            }
+        }
+        for (index, projection) in self.projections.iter().enumerate() {
+            if let Some(Weights::From(source)) = projection.weights() {
+                arrays.extend(source.array().map(|array| (array, format!("projections.[{index}].weights"))));
+            }
+            if let ProjectionKind::Arrays(synapses) = &projection.kind {
+                let path = |name: &str| format!("projections.[{index}].arrays.{name}");
+                arrays.extend(synapses.references().map(|(name, array)| (array.clone(), path(name))));
+            }
+        }
+        arrays
+    }
+}
+
+/// A model file with every array that it refers to.
+#[derive(Debug, Clone)]
+pub struct Network {
+    file: NetworkFile,
+    source: SourceText,
+    arrays: Shared<BTreeMap<ArrayRef, Tensor>>,
+}
+
+impl Network {
+    /// Pairs a file with its arrays.
+    ///
+    /// # Errors
+    /// A diagnostic when an array that the file refers to is not among them.
+    pub fn new(file: NetworkFile, source: SourceText, arrays: BTreeMap<ArrayRef, Tensor>) -> Result<Self> {
+        for (array, path) in file.arrays() {
+            if !arrays.contains_key(&array) {
+                let missing = Diagnostic::new("model.array-missing", format!("{array:?} was not read"));
+                return Err(missing.at(&source, place(&source, &path)));
+            }
+        }
+        Ok(Network { file, source, arrays: arrays.into() })
+    }
+
+    /// Another file with the same arrays; `None` when it refers to others.
+    #[must_use]
+    pub fn with_file(&self, file: NetworkFile, source: SourceText) -> Option<Self> {
+        let known = file.arrays().iter().all(|(array, _)| self.arrays.contains_key(array));
+        known.then(|| Network { file, source, arrays: self.arrays.clone() })
+    }
+
+    /// The content of the model file.
+    #[must_use]
+    pub fn file(&self) -> &NetworkFile {
+        &self.file
+    }
+
+    /// The text, for messages.
+    #[must_use]
+    pub fn source(&self) -> &SourceText {
+        &self.source
+    }
+
+    /// The array of a reference.
+    #[must_use]
+    pub fn array(&self, reference: &ArrayRef) -> &Tensor {
+        &self.arrays[reference]
+    }
+
+    /// The numbers of weights that no seed stands for.
+    #[must_use]
+    pub fn tensor<'a>(&'a self, weights: &'a Weights) -> Option<&'a Tensor> {
+        match weights {
+            Weights::InPlace(tensor) => Some(tensor),
+            Weights::From(source) => Some(self.array(&source.array()?)),
+        }
+    }
+}
+
+/// The place of a path in the text of a model, or that of the nearest value around it.
+#[must_use]
+pub fn place(source: &SourceText, path: &str) -> Span {
+    let whole = Span { start: 0, end: source.text().len() };
+    let ends = path.rmatch_indices('.').map(|(at, _)| at);
+    let found = std::iter::once(path.len()).chain(ends).find_map(|end| locate(source.text(), whole, &path[..end]));
+    found.unwrap_or_default()
+}

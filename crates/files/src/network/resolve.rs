@@ -1,0 +1,78 @@
+//! A model with every array in place.
+
+use std::collections::BTreeMap;
+
+use super::{Network, NetworkFile, Parameter, ProjectionDesc, ProjectionKind, Weights, place, tensor};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+fn unsupported(what: &str) -> Diagnostic {
+    Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
+}
+
+fn seeded(what: &str) -> Diagnostic {
+    unsupported(what).help("numbers that a seed stands for have no form in other tools: give them as an array")
+}
+
+impl Network {
+    /// The model with every array in place.
+    ///
+    /// # Errors
+    /// `export.unsupported` for arrays that a seed stands for, and for spikes with a payload.
+    pub fn resolved(&self) -> Result<NetworkFile> {
+        let mut model = self.file().clone();
+        for population in &mut model.populations {
+            if population.payload.is_some() {
+                return Err(unsupported(&format!(
+                    "population '{}', which has spikes with a payload,",
+                    population.name
+                )));
+            }
+            for (_, parameter) in population.loihi.iter_mut().flatten() {
+                if let Parameter::From(source) = parameter {
+                    let array = source.array().ok_or_else(|| seeded("a Uniform array"))?;
+                    *parameter = Parameter::Each(self.array(&array).reals().collect());
+                }
+            }
+        }
+        let sizes: BTreeMap<&str, u64> = model.populations.iter().map(|p| (p.name.as_str(), p.units())).collect();
+        let size = |name: &String| sizes.get(name.as_str()).copied().unwrap_or(0);
+        let mut projections = Vec::new();
+        for (index, mut projection) in std::mem::take(&mut model.projections).into_iter().enumerate() {
+            match &mut projection.kind {
+                ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => {
+                    *weights = self.in_place(weights)?;
+                }
+                ProjectionKind::Sparse(_) | ProjectionKind::SumPool2d { .. } => {}
+                ProjectionKind::Random { .. } => return Err(seeded("a Random projection")),
+                ProjectionKind::Arrays(arrays) => {
+                    let sources = projection.from.iter().map(size).sum();
+                    let declared = place(self.source(), &format!("projections.[{index}]"));
+                    let mut by_delay: BTreeMap<Option<u32>, Vec<(u64, u64, f64)>> = BTreeMap::new();
+                    for synapse in arrays.read(
+                        |array| self.array(array),
+                        (self.source(), declared),
+                        (sources, size(&projection.to)),
+                    )? {
+                        let synapse = synapse?;
+                        let listed = by_delay.entry(synapse.delay).or_default();
+                        listed.push((synapse.source.into(), synapse.target.into(), synapse.weight));
+                    }
+                    projections.extend(by_delay.into_iter().map(|(delay, listed)| ProjectionDesc {
+                        kind: ProjectionKind::Sparse(listed),
+                        delay: delay.unwrap_or(projection.delay),
+                        ..projection.clone()
+                    }));
+                    continue;
+                }
+            }
+            projections.push(projection);
+        }
+        model.projections = projections;
+        Ok(model)
+    }
+
+    fn in_place(&self, weights: &Weights) -> Result<Weights> {
+        let found = self.tensor(weights).ok_or_else(|| seeded("a Uniform array"))?;
+        Ok(tensor(found.shape().to_vec(), found.reals().collect()))
+    }
+}

@@ -1,0 +1,275 @@
+//! A model as the text of a model file, with its arrays in a safetensors file.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
+use serde::Serialize;
+use serde::ser::{Error, SerializeStructVariant, Serializer};
+
+use super::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, Source, Weights, tensor};
+use crate::mapping::pretty;
+use crate::{text, write};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::base::fixed::SignMode;
+use nsim_ir::tensor::{ArrayRef, Numbers, Tensor};
+
+/// Lists of at most so many numbers are written into the text, longer ones beside it.
+const IN_PLACE: usize = 16;
+
+/// A number, whole ones without a point; it reads back as the same bits.
+struct Number(f64);
+
+impl Serialize for Number {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Number(x) = *self;
+        match x.fract() == 0.0 && x.abs() < 9e15 && x.to_bits() != (-0.0f64).to_bits() {
+            true => serializer.serialize_i64(x as i64),
+            false => serializer.serialize_f64(x),
+        }
+    }
+}
+
+impl Serialize for Parameter {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Parameter::Same(value) => Number(*value).serialize(serializer),
+            Parameter::Each(values) => serializer.collect_seq(values.iter().map(|&value| Number(value))),
+            Parameter::From(source) => source.serialize(serializer),
+        }
+    }
+}
+
+impl Serialize for Weights {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Weights::From(source) => source.serialize(serializer),
+            // `NetworkFile::beside` puts them there.
+            Weights::InPlace(_) => Err(S::Error::custom("weights are written beside the model")),
+        }
+    }
+}
+
+impl Serialize for PopulationDesc {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut fields = serializer.serialize_struct_variant("Population", 0, self.kind_name(), 0)?;
+        fields.serialize_field("name", &self.name)?;
+        fields.serialize_field("shape", &self.shape)?;
+        for (name, value) in self.srm.into_iter().flatten() {
+            fields.serialize_field(name, &Number(value))?;
+        }
+        for (name, parameter) in self.loihi.iter().flatten() {
+            fields.serialize_field(name, parameter)?;
+        }
+        if self.start_step != 0 {
+            fields.serialize_field("start_step", &self.start_step)?;
+        }
+        if let Some(payload) = self.payload {
+            fields.serialize_field("payload", &payload)?;
+        }
+        fields.end()
+    }
+}
+
+impl Serialize for ProjectionDesc {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut fields = serializer.serialize_struct_variant("Projection", 0, self.kind_name(), 0)?;
+        fields.serialize_field("from", &self.from)?;
+        fields.serialize_field("to", &self.to)?;
+        match &self.kind {
+            ProjectionKind::Dense(weights) => fields.serialize_field("weights", weights)?,
+            ProjectionKind::Sparse(synapses) => {
+                let listed: Vec<_> = synapses.iter().map(|&(from, to, weight)| (from, to, Number(weight))).collect();
+                fields.serialize_field("synapses", &listed)?;
+            }
+            ProjectionKind::Arrays(arrays) => fields.serialize_field("arrays", arrays)?,
+            ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups } => {
+                fields.serialize_field("weights", weights)?;
+                fields.serialize_field("stride", stride)?;
+                fields.serialize_field("padding", padding)?;
+                fields.serialize_field("padding_after", padding_after)?;
+                fields.serialize_field("dilation", dilation)?;
+                fields.serialize_field("groups", groups)?;
+            }
+            ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight } => {
+                fields.serialize_field("kernel", kernel)?;
+                fields.serialize_field("stride", stride)?;
+                fields.serialize_field("padding", padding)?;
+                fields.serialize_field("padding_after", padding_after)?;
+                fields.serialize_field("weight", &Number(*weight))?;
+            }
+            ProjectionKind::Random { fan_out, low, high, seed } => {
+                fields.serialize_field("fan_out", fan_out)?;
+                fields.serialize_field("low", low)?;
+                fields.serialize_field("high", high)?;
+                fields.serialize_field("seed", seed)?;
+            }
+        }
+        if let Some(exponent) = self.weight_exp {
+            fields.serialize_field("weight_exp", &exponent)?;
+        }
+        if self.sign != SignMode::Mixed {
+            fields.serialize_field("sign", &self.sign)?;
+        }
+        if self.weight_bits != 8 {
+            fields.serialize_field("weight_bits", &self.weight_bits)?;
+        }
+        if self.delay != 0 {
+            fields.serialize_field("delay", &self.delay)?;
+        }
+        if let Some(scale) = self.weight_scale {
+            fields.serialize_field("weight_scale", &scale)?;
+        }
+        fields.end()
+    }
+}
+
+impl NetworkFile {
+    /// The model with its long lists as tensors of `file`, and these.
+    #[must_use]
+    pub fn beside(mut self, file: &str) -> (NetworkFile, BTreeMap<String, Tensor>) {
+        let mut tensors = BTreeMap::new();
+        // Under a key that no other has.
+        let mut stored = |key: String, weights: &mut Weights| {
+            let Weights::InPlace(tensor) = weights else { return };
+            let numbered = (2..).map(|count| format!("{key}.{count}"));
+            let free = std::iter::once(key.clone()).chain(numbered).find(|key| !tensors.contains_key(key));
+            let key = free.unwrap_or_default();
+            tensors.insert(key.clone(), tensor.clone());
+            *weights = Weights::From(Source::Safetensors(file.to_string(), key));
+        };
+        for population in &mut self.populations {
+            for (name, parameter) in population.loihi.iter_mut().flatten() {
+                if let Parameter::Each(values) = parameter
+                    && values.len() > IN_PLACE
+                {
+                    let mut values = tensor(vec![values.len()], std::mem::take(values));
+                    stored(format!("{}.{name}", population.name), &mut values);
+                    if let Weights::From(source) = values {
+                        *parameter = Parameter::From(source);
+                    }
+                }
+            }
+        }
+        for projection in &mut self.projections {
+            let key = format!("{}->{}", projection.from.join("+"), projection.to);
+            if let ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } = &mut projection.kind {
+                stored(key, weights);
+            }
+        }
+        (self, tensors)
+    }
+
+    /// The text of the model, and its long lists as tensors of `file`.
+    ///
+    /// # Errors
+    /// `write.ron`, which does not happen for models.
+    pub fn ron(&self, file: &str) -> Result<(String, BTreeMap<String, Tensor>)> {
+        let (model, tensors) = self.clone().beside(file);
+        Ok((pretty(&model, 2)?, tensors))
+    }
+
+    /// The network that the written files would give; `path` is what messages call the model.
+    ///
+    /// # Errors
+    /// `write.ron`.
+    pub fn build(&self, path: &Path) -> Result<Network> {
+        self.build_changed(path, Ok)
+    }
+
+    /// The network of the text that `change` makes of the model's.
+    ///
+    /// # Errors
+    /// As [`Self::build`], those of `change`, and `model.*` for what it makes.
+    pub fn build_changed(&self, path: &Path, change: impl FnOnce(SourceText) -> Result<SourceText>) -> Result<Network> {
+        let name = "arrays";
+        let (model, tensors) = self.clone().beside(name);
+        let text = pretty(&model, 2)?;
+        let source = change(SourceText::new(path, text.as_str()))?;
+        let file = if **source.text() == *text { model } else { NetworkFile::parse(&source)? };
+        let array = |(key, tensor)| (ArrayRef::Safetensors(name.to_string(), key), tensor);
+        Network::new(file, source, tensors.into_iter().map(array).collect())
+    }
+
+    /// Writes the model, and its arrays beside it as `STEM.safetensors`; `-` writes the text alone.
+    ///
+    /// # Errors
+    /// `write.*`; `write.arrays` when stdout would have to take more than text.
+    pub fn write(&self, path: &Path, force: bool) -> Result<Vec<String>> {
+        self.write_under("", path, force)
+    }
+
+    /// Writes the model with the lines of a comment at its head.
+    ///
+    /// # Errors
+    /// As [`Self::write`].
+    pub fn write_under(&self, comment: &str, path: &Path, force: bool) -> Result<Vec<String>> {
+        let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
+        let beside = path.with_file_name(format!("{stem}.safetensors"));
+        let name = beside.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let (text, tensors) = self.ron(&name)?;
+        let head = comment.lines().map(|line| format!("// {line}").trim_end().to_string() + "\n");
+        let text = head.collect::<String>() + &text;
+        let mut files = vec![path.display().to_string()];
+        write::check_free(path, force)?;
+        if tensors.is_empty() {
+            write::text(path, force, &text)?;
+        } else {
+            if text::is_standard_stream(path) {
+                return Err(Diagnostic::new("write.arrays", "the model has arrays, which need a file beside it")
+                    .help("give -o MODEL.ron"));
+            }
+            let bytes = serialise(&tensors).map_err(|error| {
+                Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&beside)
+            })?;
+            let mut batch = write::Batch::new(force);
+            batch.add(&beside, |out| out.write_all(&bytes))?;
+            batch.add(path, |out| out.write_all(text.as_bytes()))?;
+            batch.commit()?;
+            files.push(beside.display().to_string());
+        }
+        Ok(files)
+    }
+}
+
+/// Tensors as the bytes of a safetensors file, each in the least type that holds its numbers
+/// exactly.
+fn serialise(tensors: &BTreeMap<String, Tensor>) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let mut stored: Vec<(&String, Dtype, Vec<u8>)> = Vec::new();
+    for (key, tensor) in tensors {
+        let (dtype, bytes) = match tensor.numbers() {
+            Numbers::Integers(x) if x.iter().all(|&x| i8::try_from(x).is_ok()) => {
+                (Dtype::I8, x.iter().map(|&x| x as i8 as u8).collect())
+            }
+            Numbers::Integers(x) if x.iter().all(|&x| i16::try_from(x).is_ok()) => {
+                (Dtype::I16, x.iter().flat_map(|&x| (x as i16).to_le_bytes()).collect())
+            }
+            Numbers::Integers(x) => (Dtype::I32, x.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Numbers::Reals(x) if x.iter().all(|&x| f64::from(x as f32).to_bits() == x.to_bits()) => {
+                (Dtype::F32, x.iter().flat_map(|&x| (x as f32).to_le_bytes()).collect())
+            }
+            Numbers::Reals(x) => (Dtype::F64, x.iter().flat_map(|x| x.to_le_bytes()).collect()),
+        };
+        stored.push((key, dtype, bytes));
+    }
+    let views = stored
+        .iter()
+        .map(|(key, dtype, bytes)| Ok((*key, TensorView::new(*dtype, tensors[*key].shape().to_vec(), bytes)?)))
+        .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
+    safetensors::serialize(views, None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn numbers_read_back_as_the_same_bits(x in any::<f64>().prop_filter("finite", |x| x.is_finite())) {
+            let ron::Value::Number(back) = ron::from_str(&ron::to_string(&Number(x)).unwrap()).unwrap() else { panic!() };
+            prop_assert_eq!(back.into_f64().to_bits(), x.to_bits());
+        }
+    }
+}
