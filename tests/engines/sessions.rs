@@ -48,7 +48,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
     let chip = chip.with_limits(limits);
     let (mut spikes, mut graded) = (0, 0);
     for seed in 0..60 {
-        let network = graded_if(seed % 4 == 0, random::network(seed));
+        let network = graded_if(seed.is_multiple_of(4), random::network(seed));
         let sample = random::sample(&network, seed);
         let copies = 1 + seed as u32 % 3;
         let Ok(mapped) = compile(network.clone(), &chip, &Options { copies, ..Options::default() }) else { continue };

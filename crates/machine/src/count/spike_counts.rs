@@ -12,14 +12,12 @@
 //! Why: c is the same for every spike, so a step only counts spikes. Each synapse of a source is
 //! looked at once for all its late spikes: with long delays most spikes of a short sample are late.
 
+use crate::count::tally::DELAYS;
 use crate::layout::image::Image;
 use crate::update::state::ShardState;
 use nsim_ir::activity::Activity;
 use nsim_ir::base::id::Id;
 use nsim_ir::source_counts::{LeftField, SourceCounts};
-
-/// Delays that a field of 6 bits has.
-pub(crate) const DELAYS: usize = 64;
 
 /// Spikes since the activity was last taken. Those of compartments are counted in their shard's
 /// state.

@@ -15,7 +15,6 @@ use rayon::prelude::*;
 use self_cell::self_cell;
 
 use crate::count::routing_tables::{RoutingTables, Selected};
-use crate::count::spike_counts::DELAYS;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
@@ -98,6 +97,9 @@ impl Caused {
         sum.add_routes(self.route, times);
     }
 }
+
+/// Delays that a field of 6 bits has.
+pub(crate) const DELAYS: usize = 64;
 
 /// The most messages of all sources together for which what each causes is kept: two megabytes of
 /// memory.
