@@ -32,7 +32,7 @@ fn step(session: &mut Session, sample: &Sample, step: u32) {
 }
 
 /// The same network; every population may send graded spikes.
-fn graded_if(graded: bool, network: Quantised) -> Quantised {
+fn graded_if(graded: bool, network: &Quantised) -> Quantised {
     let mut parts = network.parts().clone();
     parts.populations.iter_mut().filter(|_| graded).for_each(|population| population.payload = Payload::new(3).ok());
     Quantised::new(parts).unwrap()
@@ -47,8 +47,8 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
     limits[Resource::Accumulators] = 1 << 16;
     let chip = chip.with_limits(limits);
     let (mut spikes, mut graded) = (0, 0);
-    for seed in 0..60 {
-        let network = graded_if(seed.is_multiple_of(4), random::network(seed));
+    for seed in 0..60u64 {
+        let network = graded_if(seed.is_multiple_of(4), &random::network(seed));
         let sample = random::sample(&network, seed);
         let copies = 1 + seed as u32 % 3;
         let Ok(mapped) = compile(network.clone(), &chip, &Options { copies, ..Options::default() }) else { continue };
