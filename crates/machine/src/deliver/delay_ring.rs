@@ -519,8 +519,11 @@ mod tests {
                     && fan_out[0].dense.blocks.iter().any(|block| holds(block) && block.narrow().is_some())
             };
             assert!(counts.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
-            // What arrives after the last step is no event.
-            assert_eq!(marking.deliver::<true, _>(fan_out, (&ids, &mut []), 1, 1), 0);
+            assert_eq!(marking.deliver::<true, _>(fan_out, (&ids, &mut []), 1, 2), events);
+            // What arrives after the last step is no event, and nobody sees it.
+            let mut ended = DelayRing::<S>::new(lanes, compact, marked.len(), 2);
+            assert_eq!(ended.deliver::<true, _>(fan_out, (&ids, &mut []), 1, 1), 0);
+            assert!(ended.sums.iter().all(|sums| sums.iter().all(|sum| sum.value() == 0)));
             for ring in &rings {
                 assert!(ring.sums[0][..lanes].iter().map(|sum| sum.value()).eq(sums.iter().copied()));
                 assert!(ring.sums[1].iter().all(|sum| sum.value() == 0));
