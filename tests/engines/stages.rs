@@ -56,7 +56,7 @@ fn the_text_of_each_stage_reads_back_as_the_stage() {
         if seed % 10 > 0 {
             return;
         }
-        // Changed texts: whatever is accepted can be run, where that takes little memory.
+        // Changed texts: what is accepted can be run, where that takes little memory.
         let draw = &mut Draw::new(seed);
         for _ in 0..10 {
             let other = read::<Quantised>(&changed(&written, draw)).ok();

@@ -11,7 +11,7 @@
 //! |---|---|
 //! | kernel, seed | all of it: a few numbers |
 //! | list of synapses | those that end on the compartments |
-//! | all to all | as such, or as the list of those that end on the compartments, whichever is shorter |
+//! | all to all | as such, or as the list of those that end on the compartments, if shorter |
 //!
 //! Invariants: the part that a rank makes is that of the whole program. No rank but the first reads
 //! weights, partitions, places or assigns cores.
@@ -235,7 +235,7 @@ mod tests {
                 assert_eq!(opened.compiled.quantised.compartments(), compiled.quantised.compartments());
                 let (part, _) = read(&sent, &board, share).unwrap();
                 fewer += usize::from(bytes(&part.one).unwrap().len() < everything);
-                // Whatever bytes say, reading them ends and allocates no more than there is.
+                // Reading any bytes ends, and allocates no more than there are.
                 for at in 0..20 {
                     let mut damaged = sent.clone();
                     let byte = rng::below(sent.len() as u64, seed, u64::from(rank), at) as usize;

@@ -206,7 +206,7 @@ pub fn wrapped(text: &str) -> String {
     filled(text.split_whitespace(), 0, 2) + "\n"
 }
 
-/// Lines in at most [`WIDTH`], those after the first indented by so many columns.
+/// Lines of at most [`WIDTH`] columns; those after the first are indented by `indent` of them.
 pub fn wrapped_at(text: &str, indent: usize) -> String {
     let lines: Vec<String> = text.split('\n').map(|line| filled(line.split(' '), indent, indent)).collect();
     lines.join(&format!("\n{:indent$}", ""))

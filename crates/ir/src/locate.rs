@@ -2,9 +2,9 @@
 //!
 //! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the place of the
 //! path, or the text with that value. A part of a path is a field of a struct, the `name` that an
-//! item of a list has, or the item's index, `7` or `[7]`; the latter is no name. A field that is absent is added: the
-//! reader of the text decides whether there may be such a field. Comments and everything else stay
-//! as they are.
+//! item of a list has, or the item's index, `7` or `[7]`; the latter is no name. A field that is
+//! absent is added: the reader of the text decides whether there may be such a field. Comments and
+//! everything else stay as they are.
 
 use std::ops::Range;
 

@@ -178,7 +178,8 @@ pub struct Malformed {
     pub message: String,
 }
 
-/// Brackets that may be open at a place of a text. RON scans a value once for each bracket around it.
+/// Brackets that may be open at a place of a text. RON scans a value once for each bracket around
+/// it.
 const DEEPEST: u32 = 100;
 
 fn attempt<T: DeserializeOwned>(text: &str) -> Result<T, Malformed> {

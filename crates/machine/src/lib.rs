@@ -55,7 +55,7 @@ impl Default for Settings {
 /// about as much as adding it, and visiting a skip block at rest as much as a few dozen additions.
 const VISIT_ALL_FROM: u64 = 8;
 
-/// The state of a run over an image. A copy goes on from the same step, apart from the original.
+/// The state of a run over an image. A copy continues from the same step, independently.
 #[derive(Debug, Clone)]
 pub struct Machine {
     image: Arc<Image>,

@@ -398,9 +398,9 @@ mod tests {
     use nsim_session::front::front as integers;
     use nsim_testing::{limits, slip, target};
 
-    const KEYS: &str = "schema,model,target,copies,objective,strategy,placed,seed,time_budget_s,pruned,relays,fits,cores_used,\
-         chips_used,cores_per_copy,checked,checked_how,checked_share,described,cores,limits,traffic,expected,\
-         seconds,reasons,remedies,pareto";
+    const KEYS: &str = "schema,model,target,copies,objective,strategy,placed,seed,time_budget_s,pruned,relays,fits,\
+         cores_used,chips_used,cores_per_copy,checked,checked_how,checked_share,described,cores,limits,\
+         traffic,expected,seconds,reasons,remedies,pareto";
 
     fn fits_with<'a>(mapping: &'a Mapping, board: &Target) -> Outcome<'a> {
         let traffic = mapping.traffic();

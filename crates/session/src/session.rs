@@ -1,8 +1,8 @@
 //! A mapped network that is stepped from outside: by a robot, an environment, a notebook.
 //!
 //! Input: a laid-out program and, in each step, the channels that spike. Output: who spiked, and
-//! registers. Nobody has to know how long the sample will be. A session is a value: a copy goes on
-//! from the same step, apart from the original, which is all that a snapshot is. Stepping a sample
+//! registers. The length of the sample is not needed. A session is a value: a copy
+//! continues from the same step, independently, and serves as a snapshot. Stepping a sample
 //! does exactly what running it does. What was shown is kept, so that the steps so far can be
 //! priced as a sample.
 //!
@@ -36,7 +36,7 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session before its first step, over so many copies of a network that all see the same.
+    /// A session before its first step, over `copies` of a network with the same input.
     #[must_use]
     pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
         let mut session = Session {
@@ -54,7 +54,7 @@ impl Session {
 
     /// Goes back to before the first step, as a sample's end does.
     pub fn reset(&mut self) {
-        // So many steps never come: no delivery is taken for one after the end.
+        // A sample without end: every delivery is counted.
         self.machine.begin(u32::MAX);
         self.kept.clear();
         self.shown.clear();
@@ -118,7 +118,7 @@ impl Session {
         &self.shown
     }
 
-    /// Which of so many consecutive compartments spiked in the last step, counted from the first,
+    /// Which of `count` compartments from `first` on spiked in the last step, counted from `first`,
     /// and what their spikes carried, ascending.
     pub fn spikes(&self, first: CompartmentId, count: u32) -> Vec<(u32, i32)> {
         let payloads = self.machine.payloads().iter().copied().chain(std::iter::repeat(1));

@@ -287,7 +287,7 @@ impl<'a> Subject<'a> {
         self.row(variant, &self.real_traces(&model), &times)
     }
 
-    /// A network on the machine, which is given samples with so many steps in one.
+    /// A network on the machine, which is given samples with `merged` steps in one.
     fn machine(&self, variant: Variant, network: &Quantised, merged: u32) -> Result<VariantRow, Error> {
         let compiled = compile(network.clone(), self.target, &Options::default())?;
         let image = Image::new(&compiled.program, 1).map_err(wrong)?;

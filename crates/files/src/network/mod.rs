@@ -270,7 +270,7 @@ pub struct ProjectionDesc {
     pub to: String,
     /// How it reaches its targets.
     pub kind: ProjectionKind,
-    /// Weight exponent; none leaves it to nsim, which takes 0 beside an integer threshold.
+    /// Weight exponent; none leaves it to nsim, which takes 0 with an integer threshold.
     pub weight_exp: Option<i64>,
     /// Sign mode.
     pub sign: SignMode,
@@ -340,7 +340,7 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 pub struct NetworkFile {
     /// The network's name.
     pub name: String,
-    /// Milliseconds that a timestep stands for.
+    /// Length of a timestep in ms.
     pub timestep_ms: f64,
     /// Populations in order.
     pub populations: Vec<PopulationDesc>,
@@ -470,7 +470,7 @@ impl Network {
         &self.arrays[reference]
     }
 
-    /// The numbers of weights that no seed stands for.
+    /// The numbers of weights; none for seeded ones.
     #[must_use]
     pub fn tensor<'a>(&'a self, weights: &'a Weights) -> Option<&'a Tensor> {
         match weights {

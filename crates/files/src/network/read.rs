@@ -229,7 +229,9 @@ written!(SumPool2d {
     let (stride, padding) = (stride.unwrap_or(kernel), padding.unwrap_or((0, 0)));
     ProjectionKind::SumPool2d { kernel, stride, padding, padding_after: padding_after.unwrap_or(padding), weight }
 });
-written!(Random { fan_out: u64, low: i64, high: i64, seed: u64 } => ProjectionKind::Random { fan_out, low, high, seed });
+written!(Random { fan_out: u64, low: i64, high: i64, seed: u64 } => {
+    ProjectionKind::Random { fan_out, low, high, seed }
+});
 
 #[derive(Deserialize)]
 #[serde(rename = "Projection")]

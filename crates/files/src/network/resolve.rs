@@ -10,14 +10,14 @@ fn unsupported(what: &str) -> Diagnostic {
 }
 
 fn seeded(what: &str) -> Diagnostic {
-    unsupported(what).help("numbers that a seed stands for have no form in other tools: give them as an array")
+    unsupported(what).help("seeded numbers have no form in other tools: give them as an array")
 }
 
 impl Network {
     /// The model with every array in place.
     ///
     /// # Errors
-    /// `export.unsupported` for arrays that a seed stands for, and for spikes with a payload.
+    /// `export.unsupported` for seeded arrays, and for spikes with a payload.
     pub fn resolved(&self) -> Result<NetworkFile> {
         let mut model = self.file().clone();
         for population in &mut model.populations {

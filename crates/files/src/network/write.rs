@@ -15,7 +15,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::tensor::{ArrayRef, Numbers, Tensor};
 
-/// Lists of at most so many numbers are written into the text, longer ones beside it.
+/// The longest list of numbers that is written into the text; longer ones go to another file.
 const IN_PLACE: usize = 16;
 
 /// A number, whole ones without a point; it reads back as the same bits.
@@ -45,8 +45,8 @@ impl Serialize for Weights {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Weights::From(source) => source.serialize(serializer),
-            // `NetworkFile::beside` puts them there.
-            Weights::InPlace(_) => Err(S::Error::custom("weights are written beside the model")),
+            // `NetworkFile::split` puts them there.
+            Weights::InPlace(_) => Err(S::Error::custom("weights are written to a file of their own")),
         }
     }
 }
@@ -128,7 +128,7 @@ impl Serialize for ProjectionDesc {
 impl NetworkFile {
     /// The model with its long lists as tensors of `file`, and these.
     #[must_use]
-    pub fn beside(mut self, file: &str) -> (NetworkFile, BTreeMap<String, Tensor>) {
+    pub fn split(mut self, file: &str) -> (NetworkFile, BTreeMap<String, Tensor>) {
         let mut tensors = BTreeMap::new();
         // Under a key that no other has.
         let mut stored = |key: String, weights: &mut Weights| {
@@ -166,7 +166,7 @@ impl NetworkFile {
     /// # Errors
     /// `write.ron`, which does not happen for models.
     pub fn ron(&self, file: &str) -> Result<(String, BTreeMap<String, Tensor>)> {
-        let (model, tensors) = self.clone().beside(file);
+        let (model, tensors) = self.clone().split(file);
         Ok((pretty(&model, 2)?, tensors))
     }
 
@@ -184,7 +184,7 @@ impl NetworkFile {
     /// As [`Self::build`], those of `change`, and `model.*` for what it makes.
     pub fn build_changed(&self, path: &Path, change: impl FnOnce(SourceText) -> Result<SourceText>) -> Result<Network> {
         let name = "arrays";
-        let (model, tensors) = self.clone().beside(name);
+        let (model, tensors) = self.clone().split(name);
         let text = pretty(&model, 2)?;
         let source = change(SourceText::new(path, text.as_str()))?;
         let file = if **source.text() == *text { model } else { NetworkFile::parse(&source)? };
@@ -192,7 +192,8 @@ impl NetworkFile {
         Network::new(file, source, tensors.into_iter().map(array).collect())
     }
 
-    /// Writes the model, and its arrays beside it as `STEM.safetensors`; `-` writes the text alone.
+    /// Writes the model, and its arrays as `STEM.safetensors` next to it; `-` writes the text
+    /// alone.
     ///
     /// # Errors
     /// `write.*`; `write.arrays` when stdout would have to take more than text.
@@ -206,8 +207,8 @@ impl NetworkFile {
     /// As [`Self::write`].
     pub fn write_under(&self, comment: &str, path: &Path, force: bool) -> Result<Vec<String>> {
         let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
-        let beside = path.with_file_name(format!("{stem}.safetensors"));
-        let name = beside.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let arrays = path.with_file_name(format!("{stem}.safetensors"));
+        let name = arrays.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         let (text, tensors) = self.ron(&name)?;
         let head = comment.lines().map(|line| format!("// {line}").trim_end().to_string() + "\n");
         let text = head.collect::<String>() + &text;
@@ -217,17 +218,17 @@ impl NetworkFile {
             write::text(path, force, &text)?;
         } else {
             if text::is_standard_stream(path) {
-                return Err(Diagnostic::new("write.arrays", "the model has arrays, which need a file beside it")
+                return Err(Diagnostic::new("write.arrays", "the model has arrays, which need a file next to it")
                     .help("give -o MODEL.ron"));
             }
             let bytes = serialise(&tensors).map_err(|error| {
-                Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&beside)
+                Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&arrays)
             })?;
             let mut batch = write::Batch::new(force);
-            batch.add(&beside, |out| out.write_all(&bytes))?;
+            batch.add(&arrays, |out| out.write_all(&bytes))?;
             batch.add(path, |out| out.write_all(text.as_bytes()))?;
             batch.commit()?;
-            files.push(beside.display().to_string());
+            files.push(arrays.display().to_string());
         }
         Ok(files)
     }
@@ -268,8 +269,9 @@ mod tests {
     proptest! {
         #[test]
         fn numbers_read_back_as_the_same_bits(x in any::<f64>().prop_filter("finite", |x| x.is_finite())) {
-            let ron::Value::Number(back) = ron::from_str(&ron::to_string(&Number(x)).unwrap()).unwrap() else { panic!() };
-            prop_assert_eq!(back.into_f64().to_bits(), x.to_bits());
+            let written = ron::to_string(&Number(x)).unwrap();
+            let back: f64 = ron::from_str(&written).unwrap();
+            prop_assert_eq!(back.to_bits(), x.to_bits());
         }
     }
 }

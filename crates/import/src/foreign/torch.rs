@@ -17,9 +17,6 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// What a zip archive begins with.
 pub const ZIP: &[u8] = b"PK\x03\x04";
-/// What the older container begins with: a pickle of the number 0x1950a86a20f9469cfc6c (torch
-/// `serialization.py`).
-pub const LEGACY: &[u8] = b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19.";
 /// Dictionaries within dictionaries that are searched for tensors.
 const DEEPEST: usize = 4;
 /// Tensors of a checkpoint.

@@ -17,6 +17,7 @@ use self_cell::self_cell;
 use crate::count::routing_tables::{RoutingTables, Selected};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::csr::Csr;
+use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
 use nsim_ir::placement::{Route, Site};
 use nsim_ir::program::{CoreFormat, CoreImage, Program, Synapse};
@@ -98,8 +99,8 @@ impl Caused {
     }
 }
 
-/// Delays that a field of 6 bits has.
-pub(crate) const DELAYS: usize = 64;
+/// Values of a delay field.
+pub(crate) const DELAYS: usize = Delay::MAX.get() as usize + 1;
 
 /// The most messages of all sources together for which what each causes is kept: two megabytes of
 /// memory.

@@ -114,7 +114,7 @@ impl<S: Sum> DelayRing<S> {
         let mut events = 0;
         for fan_out in fan_outs {
             let arrives = u32::from(fan_out.delay) < left;
-            // Nobody sees what would arrive after the end, unless channels are counted on the way.
+            // What would arrive after the end has no effect. Delivery may count channels, though.
             if !arrives && counts.is_empty() {
                 continue;
             }
@@ -520,7 +520,7 @@ mod tests {
             };
             assert!(counts.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
             assert_eq!(marking.deliver::<true, _>(fan_out, (&ids, &mut []), 1, 2), events);
-            // What arrives after the last step is no event, and nobody sees it.
+            // What would arrive after the last step is no event and is not delivered.
             let mut ended = DelayRing::<S>::new(lanes, compact, marked.len(), 2);
             assert_eq!(ended.deliver::<true, _>(fan_out, (&ids, &mut []), 1, 1), 0);
             assert!(ended.sums.iter().all(|sums| sums.iter().all(|sum| sum.value() == 0)));

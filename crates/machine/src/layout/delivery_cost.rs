@@ -1,8 +1,8 @@
 //! What it takes to deliver spikes, by the forms in which synapses are held: the one table by which
 //! the planner chooses forms.
 //!
-//! A delivery has parts ([`DeliveryParts`]), and the table ([`DELIVERY_COST`]) a time for each. A wrong entry makes runs slower and no result different, so
-//! one table serves all processors.
+//! A delivery has parts ([`DeliveryParts`]), and the table ([`DELIVERY_COST`]) a time for each. A
+//! wrong entry makes runs slower and no result different, so one table serves all processors.
 //!
 //! `cargo bench --bench delivery_cost` measures it: it times steps of small networks, each of which
 //! has mostly parts of one kind, fits a time for each part, and prints both beside each other.

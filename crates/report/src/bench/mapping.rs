@@ -33,9 +33,9 @@ fn of_step(value: f64, simulated: bool) -> String {
 }
 
 impl MapReport<'_> {
-    /// The placed mappings of a strategy and an objective against unplaced sequential ones: networks
-    /// whose spikes cross a link at all when placed sequentially, the geometric mean of multicast
-    /// hops over those of sequential, and networks in which hops, or cores, are more.
+    /// The placed mappings of a strategy and an objective against unplaced sequential ones:
+    /// networks whose spikes cross a link at all when placed sequentially, the geometric mean of
+    /// multicast hops over those of sequential, and networks in which hops, or cores, are more.
     fn against_sequential(&self, strategy: Strategy, objective: Objective) -> (usize, f64, usize) {
         let (mut sum, mut networks, mut worse) = (0.0, 0, 0);
         let plain = self.rows.iter().filter(|row| row.strategy == Strategy::Sequential && !row.placed);

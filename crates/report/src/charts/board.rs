@@ -82,7 +82,7 @@ pub fn svg<P>(compiled: &Mapping<P>, target: &Target, links: &Links) -> String {
                 (links.north_south(left + x, top + y), (y + 1 < mesh.height).then(|| middle(x, y + 1))),
             ] {
                 if let Some((to_x, to_y)) = to.filter(|_| load > 0.0) {
-                    sheet.told(&format!("{load:.4} messages a step"), |sheet| {
+                    sheet.titled(&format!("{load:.4} messages a step"), |sheet| {
                         sheet.line([from_x, from_y, to_x, to_y], &link(load / busiest.max(f64::MIN_POSITIVE)));
                     });
                 }
@@ -106,15 +106,15 @@ pub fn svg<P>(compiled: &Mapping<P>, target: &Target, links: &Links) -> String {
         let compartments = usage[Resource::Compartments];
         let resource = resource.name();
         let said = format!("{core}: {compartments} compartments, mostly {name}; {:.0} % of {resource}", 100.0 * most);
-        sheet.told(&said, |sheet| square(sheet, (x, y), most, colour(population)));
+        sheet.titled(&said, |sheet| square(sheet, (x, y), most, colour(population)));
     }
     let x = width - LEGEND;
     let all = compiled.one.populations().enumerate().filter(|(_, one)| one.first_compartment().is_some());
     for (index, (id, population)) in all.take(MOST_NAMES).enumerate() {
         let y = TOP + 18.0 * index as f64;
-        let (full, beside) = if known.contains(&id) { (1.0, "") } else { (0.0, " (beside others)") };
+        let (full, note) = if known.contains(&id) { (1.0, "") } else { (0.0, " (with others)") };
         square(&mut sheet, (x, y), full, colour(id));
-        sheet.text((x + 19.0, y + 11.0), "", &format!("{}{beside}", population.name));
+        sheet.text((x + 19.0, y + 11.0), "", &format!("{}{note}", population.name));
     }
     scales(&mut sheet, (x, TOP + 18.0 * names as f64 + 16.0), busiest);
     if cores <= MOST_BARS {
@@ -167,7 +167,7 @@ fn bars<P>(sheet: &mut Sheet, compiled: &Mapping<P>, target: &Target, top: f64, 
             let tall = BAR_HEIGHT * (need as f64 / f64::from(limit.max(1))).clamp(0.0, 1.0);
             let size = [LEFT + f64::from(core.0) * each, y + BAR_HEIGHT - tall, (each * 0.85).min(24.0), tall];
             let colour = colour(mostly(compiled, core));
-            sheet.told(&format!("{core}: {need} of {limit}"), |sheet| sheet.rect(size, &filled(colour)));
+            sheet.titled(&format!("{core}: {need} of {limit}"), |sheet| sheet.rect(size, &filled(colour)));
         }
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! Input: shapes and words in the units of the sheet. Output: one SVG text, the same for the same
 //! input. Styles are SVG attributes. Colours are those of Okabe and Ito ("Color universal design",
-//! 2008), then five of Tol's muted ones ("Colour schemes", SRON 2021), told apart by people who see
-//! fewer; the page takes them too.
+//! 2008), then five of Tol's muted ones ("Colour schemes", SRON 2021), distinguished by people who
+//! see fewer; the page takes them too.
 
 use std::fmt::Write as _;
 
@@ -127,7 +127,7 @@ impl Sheet {
     }
 
     /// Shapes over which a pointer reads these words.
-    pub fn told(&mut self, words: &str, draw: impl FnOnce(&mut Sheet)) {
+    pub fn titled(&mut self, words: &str, draw: impl FnOnce(&mut Sheet)) {
         _ = write!(self.0, "<g><title>{}</title>", markup(words));
         draw(self);
         self.0 += "</g>\n";

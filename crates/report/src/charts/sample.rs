@@ -26,10 +26,10 @@ const MOST_PANELS: usize = 24;
 /// What a panel shows.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {
-    /// Spikes of so many channels as (step, channel), under the name of their kind; channel 0 is at
+    /// Spikes of `n` channels as (step, channel), under the name of their kind; channel 0 is at
     /// the top.
     Spikes(u32, Vec<(String, Vec<(u32, u32)>)>),
-    /// A potential in thresholds after so many steps.
+    /// A potential in thresholds, by steps.
     Potential(Vec<(usize, f64)>),
 }
 
@@ -175,7 +175,7 @@ pub struct Traced {
     pub threshold: f64,
 }
 
-/// The compartments to draw, at most so many: of each population the unit that is named, or as many
+/// The compartments to draw, at most `most`: of each population the unit that is named, or as many
 /// units as are given, those that spike most.
 pub fn traced(
     network: &Quantised,
