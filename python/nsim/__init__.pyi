@@ -337,7 +337,8 @@ class Session:
     """A mapping after some timestep."""
 
     def step(self, inputs: Union[dict[str, Channels], Channels, None] = None) -> None:
-        """One timestep with the channels of each input population that spike: their numbers, or a truth value each."""
+        """One timestep with the channels of each input population that spike: their numbers, or a truth value each;
+        of an input population that sends integers, one for each channel."""
     @property
     def steps(self) -> int:
         """Timesteps since the session was opened or reset."""
@@ -366,6 +367,8 @@ class Population:
     def v(self) -> NDArray[np.int32]: ...
     @property
     def u(self) -> NDArray[np.int32]: ...
+    def state(self, name: str) -> NDArray[np.int32]:
+        """A word of state of each neuron by its name, such as sigma."""
     def __len__(self) -> int: ...
 
 class Run:

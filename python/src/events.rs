@@ -149,6 +149,7 @@ impl Events {
             steps,
             label: None,
             events: Vec::new(),
+            values: Vec::new(),
             name: "events".to_string(),
         };
         let mut recordings = vec![silent; samples as usize];
@@ -209,7 +210,7 @@ impl Records {
 
     /// The sample for a population; warns of events that it has no channel or step for.
     pub fn recording(&self, py: Python<'_>, population: &Population, dt_ms: f64) -> PyResult<PopulationSpikes> {
-        let expected = Expected { units: population.shape.len().into(), volume: population.shape.volume(), dt_ms };
+        let expected = Expected { units: population.shape.len().into(), volume: population.shape.volume(), dt_ms, values: false };
         let read = read_input(&mut self.text.as_bytes(), "events", EventFormat::Text, &expected, &self.options);
         let (spikes, counts) = read.map_err(|mut problem| {
             // The first row is the header.

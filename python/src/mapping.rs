@@ -31,11 +31,11 @@ use crate::spikes::Shown;
 use crate::work::detached;
 
 /// The target when none is named.
-pub const TARGET: &str = "nahuku-32";
+pub use nsim::files::network::USUAL_TARGET as TARGET;
 
 /// What a mapping is asked for.
 pub struct MappingRequest {
-    target: String,
+    target: Option<String>,
     file: Option<PathBuf>,
     /// Copies of the network.
     pub copies: u32,
@@ -54,12 +54,12 @@ impl MappingRequest {
         let seed = keywords.take("seed")?.unwrap_or(usual.seed);
         let placement = keywords.one_of("deployment", &CopyPlacement::ALL, CopyPlacement::name)?;
         let placement = placement.unwrap_or(usual.placement);
-        let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
+        let target = target.map(|target| target.to_string_lossy().into_owned());
         Ok(MappingRequest { target, file, copies, options: Options { placement, strategy, objective, seed, ..usual } })
     }
 
     fn compiled(&self, network: &Network) -> Result<(Compiled, Target), Problem> {
-        let target = nsim::load_target(&self.target)?;
+        let target = nsim::load_target(network.file().target_or_usual(self.target.as_deref()))?;
         let file = self.file.as_deref().map(|path| load_mapping(path).map(|file| (path, file))).transpose()?;
         let copies = file.as_ref().map_or(self.copies, |(_, file)| file.copies);
         let options = Options { copies, ..self.options };

@@ -25,7 +25,7 @@ fn dictionary<'py>(py: Python<'py>, network: &Quantised, projection: &Projection
     found.set_item("target", &target.name)?;
     found.set_item("exponent", projection.format.exponent.get())?;
     found.set_item("delay", projection.delay.get())?;
-    found.set_item("factor", source.spike_factor())?;
+    found.set_item("factor", source.message.factor())?;
     let weights = |weights: Vec<i16>, shape: Vec<usize>| PyArray1::from_vec(py, weights).reshape(shape);
     let set_window = |window: &Window, groups: u32| {
         let window_of = PyDict::new(py);

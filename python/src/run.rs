@@ -14,7 +14,7 @@ use nsim::session::populations::ByPopulation;
 use nsim::session::samples;
 use nsim::session::samples::{Division, Running, fast, fast_on};
 use nsim::session::warnings::{Finished, Ran, warnings};
-use nsim::session::{Keep, Outcome, Probe, Quantity, digest};
+use nsim::session::{Keep, Outcome, Probe, digest};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
@@ -47,15 +47,13 @@ pub struct Run {
 fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
     let probe = |name: &String| {
         let (population, what) = name.rsplit_once('.').unwrap_or((name, "spikes"));
-        let quantity = Quantity::ALL.iter().find(|(_, known)| *known == what);
         let found = network.population_named(population).map(|id| &network.populations()[id]);
-        match (quantity, found.and_then(|found| Some((found.first_compartment()?, found.shape.len())))) {
-            (Some(&(quantity, _)), Some((first, count))) => Ok(Probe { first, count, quantity }),
-            (None, _) => {
-                let message = format!("probe '{name}': nothing is called '{what}'");
-                Err(usage(message, "a probe ends in .spikes, .u, .v or .v_register"))
-            }
-            (_, None) => {
+        match found.filter(|found| found.first_compartment().is_some()) {
+            Some(found) => Probe::named(found, what).ok_or_else(|| {
+                let message = format!("probe '{name}': '{population}' has nothing that is called '{what}'");
+                usage(message, "a probe ends in .spikes, .message, .u, .v, .v_register or a word of its neurons' state")
+            }),
+            None => {
                 let message = format!("probe '{name}': there is no population of compartments '{population}'");
                 let known = network.populations().iter().filter(|known| known.first_compartment().is_some());
                 let known: Vec<&str> = known.map(|known| known.name.as_str()).collect();

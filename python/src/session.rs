@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Quantised, Units};
-use nsim::ir::spikes::Engine;
+use nsim::ir::spikes::{Engine, Message};
 use nsim::session::samples::{Division, laid_out};
 use nsim::session::session::Session as Stepped;
 use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods};
@@ -13,6 +14,7 @@ use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
+use crate::arrays::Array;
 use crate::energy::{self, Energy};
 use crate::error::raised;
 use crate::keywords::{Keywords, usage};
@@ -72,6 +74,21 @@ fn closed() -> PyErr {
     usage("the session is closed".into(), "open another: with mapping.session() as session")
 }
 
+/// What the channels of a population send in a step, from a number each.
+fn values(given: &Bound<'_, PyAny>, first: ChannelId, (name, units): (&str, u32)) -> PyResult<Vec<(ChannelId, i32)>> {
+    let help = "give an integer of 32 bits for each channel, 0 for none";
+    let numbers = Array::new(given, name)?.numbers(units as usize, help)?;
+    if numbers.len() != units as usize {
+        return Err(usage(format!("'{name}' has {units} channels, and {} numbers", numbers.len()), help));
+    }
+    let channels = (first.0..).map(ChannelId);
+    let value = |(channel, number): (ChannelId, f64)| match number as i32 {
+        value if f64::from(value) == number => Ok((channel, value)),
+        _ => Err(usage(format!("channel {} of '{name}' is to send {number}", channel.0 - first.0), help)),
+    };
+    channels.zip(numbers).map(value).collect()
+}
+
 /// Channels of a population that spike in a step, from their numbers or from a truth value each.
 fn channels(given: &Bound<'_, PyAny>, first: ChannelId, (name, units): (&str, u32)) -> PyResult<Vec<ChannelId>> {
     fn listed<T: Element + Copy + TryInto<u32>>(array: &Bound<'_, PyArray1<T>>) -> Option<Vec<u32>> {
@@ -113,7 +130,8 @@ impl Session {
     ///
     /// `inputs` is a dictionary from input populations to the numbers of the channels that spike,
     /// or to an array with a truth value for each channel; of a network with one input population
-    /// it may be the channels alone. Populations that are left out are silent.
+    /// it may be the channels alone. An input population that sends integers takes an array with one
+    /// for each channel. Populations that are left out are silent.
     #[pyo3(signature = (inputs=None))]
     fn step(&mut self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mut spiking = Vec::new();
@@ -121,12 +139,16 @@ impl Session {
             let network = self.network();
             let mut add = |name: &str, given: &Bound<'_, PyAny>| {
                 let found = network.inputs().find(|(_, population)| population.name == name);
-                let Some((first, units)) = found.and_then(|(_, p)| Some((p.first_channel()?, p.shape.len()))) else {
+                let known = found.and_then(|(_, p)| Some((p.first_channel()?, p.shape.len(), p.message)));
+                let Some((first, units, message)) = known else {
                     let known: Vec<&str> = network.inputs().map(|(_, population)| population.name.as_str()).collect();
                     let message = format!("'{name}' is no input population");
                     return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
                 };
-                spiking.extend(channels(given, first, (name, units))?);
+                match message {
+                    Message::Value(_) => spiking.extend(values(given, first, (name, units))?),
+                    _ => spiking.extend(channels(given, first, (name, units))?.into_iter().map(|channel| (channel, 1))),
+                }
                 Ok(())
             };
             match inputs.cast::<PyDict>() {
@@ -226,8 +248,11 @@ impl Population {
         let units = population.shape.len();
         Ok(match &population.units {
             Units::Input(first) => {
-                let own = stepped.shown().iter().filter_map(|channel| channel.0.checked_sub(first.0));
-                own.filter(|&number| number < units).map(|number| (number, population.spike_factor())).collect()
+                let carried = |value| population.message.factor().unwrap_or(value);
+                let own = stepped.shown().iter().filter_map(|&(channel, value)| {
+                    Some((channel.0.checked_sub(first.0).filter(|&number| number < units)?, carried(value)))
+                });
+                own.collect()
             }
             Units::Compartments { first, .. } => {
                 let spikes = stepped.spikes(*first, units);
@@ -236,24 +261,27 @@ impl Population {
         })
     }
 
-    fn registers<'py>(
-        &self,
-        py: Python<'py>,
-        name: &str,
-        read: impl Fn(&dyn Engine, CompartmentId) -> i32,
-    ) -> PyResult<Bound<'py, PyArray1<i32>>> {
+    /// A word of state of each compartment, by its name.
+    fn words<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyArray1<i32>>> {
         let session = self.session.borrow(py);
         let (stepped, network) = (session.stepped()?, session.network());
         let population = &network.populations()[self.id];
-        let Some(first) = population.first_compartment() else {
+        let Units::Compartments { first, neurons, .. } = &population.units else {
             let message = format!("input population '{}' has no {name}", population.name);
-            return Err(usage(message, "populations of compartments have registers"));
+            return Err(usage(message, "populations of compartments have state"));
+        };
+        let kind = if population.shape.is_empty() { NeuronKind::Loihi } else { neurons.get(0).kind };
+        let columns = kind.table().state;
+        let Some(column) = columns.iter().position(|column| column.name == name) else {
+            let known: Vec<&str> = columns.iter().map(|column| column.name).collect();
+            let message = format!("the {} neurons of '{}' have no {name}", kind.name(), population.name);
+            return Err(usage(message, &format!("their state is: {}", known.join(", "))));
         };
         let engine = stepped.engine();
         // Compartments that pruning took away rest at 0.
         let mut values = vec![0; network.units_shown(self.id) as usize];
         for i in 0..population.shape.len() {
-            values[network.index_shown(self.id, i) as usize] = read(engine, CompartmentId(first.0 + i));
+            values[network.index_shown(self.id, i) as usize] = engine.state(CompartmentId(first.0 + i), column);
         }
         Ok(PyArray1::from_vec(py, values))
     }
@@ -278,13 +306,18 @@ impl Population {
     /// The membrane of each compartment after the last timestep, int32.
     #[getter]
     fn v<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i32>>> {
-        self.registers(py, "v", |engine, compartment| engine.v(compartment))
+        self.words(py, "v")
     }
 
     /// The current of each compartment after the last timestep, int32.
     #[getter]
     fn u<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i32>>> {
-        self.registers(py, "u", |engine, compartment| engine.u(compartment))
+        self.words(py, "u")
+    }
+
+    /// A word of state of each compartment after the last timestep, by its name, int32.
+    fn state<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyArray1<i32>>> {
+        self.words(py, name)
     }
 
     fn __len__(&self, py: Python<'_>) -> usize {

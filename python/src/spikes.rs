@@ -11,7 +11,7 @@ use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::PopulationSpikes;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::{Population, Quantised};
-use nsim::ir::spikes::{Sample, Stimulus};
+use nsim::ir::spikes::{Message, Sample, Stimulus};
 use nsim::session::inputs::{MOST_REPEATS, drained, joined, repeated, stimulus};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
@@ -235,13 +235,14 @@ fn read(
         steps: steps as u32,
         label: None,
         events: Vec::new(),
+        values: Vec::new(),
         name: "array".to_string(),
     };
     let mut recordings = vec![silent; samples];
     // Rows of an array: the steps of a channel, or the channels of a step.
     let (width, rows) = if time_first { (units, steps) } else { (steps, units) };
     let (mut spikes, mut sample, mut row, mut begin) = (0, 0, 0, 0);
-    array.each_non_zero(|index| {
+    let mut add = |index: usize, value: Option<i32>| {
         while index - begin >= width {
             begin += width;
             row += 1;
@@ -257,7 +258,23 @@ fn read(
         let column = index - begin;
         let (step, channel) = if time_first { (row, column) } else { (column, row) };
         recordings[sample].events.push((step as u32, channel as u32));
+        recordings[sample].values.extend(value);
         Ok(())
-    })?;
+    };
+    if matches!(population.message, Message::Value(_)) {
+        array.each(|index, number| {
+            if number == 0.0 {
+                return Ok(());
+            }
+            let value = number as i32;
+            if f64::from(value) != number {
+                let wrong = array.wrong(index, number, "and a message carries an integer of 32 bits");
+                return Err(wrong.help("scale or round the array first: numpy.rint(64 * array)").into());
+            }
+            add(index, Some(value))
+        })?;
+    } else {
+        array.each_non_zero(|index| add(index, None))?;
+    }
     Ok(recordings)
 }

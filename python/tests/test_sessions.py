@@ -1,6 +1,7 @@
 """Stepping gives what running gives; a snapshot is gone back to; the page's loop runs."""
 
 import re
+import tempfile
 import unittest
 from pathlib import Path
 
@@ -55,6 +56,36 @@ class Sessions(unittest.TestCase):
                     for result in (ours, theirs):
                         del result["input"], result["checksum"]
                     self.assertEqual(ours, theirs)
+
+    def test_integers_go_in_and_come_out(self):
+        # A neuron that sends changes of at least 2, and the sum of what it sent.
+        text = """Network(name: "change", timestep_ms: 1.0, target: "oheo-gulch", populations: [
+            Input(name: "x", shape: [3], message_bits: 8), Delta(name: "d", shape: [3], vth_mant: 2),
+            Sigma(name: "s", shape: [3])], projections: [
+            SumPool2d(from: ["x"], to: "d", kernel: (1, 1), weight: 1, sign: Excitatory),
+            SumPool2d(from: ["d"], to: "s", kernel: (1, 1), weight: 1, sign: Excitatory)], output: "s")"""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "change.ron"
+            path.write_text(text.replace("[3]", "[3, 1, 1]"))
+            mapping = nsim.load(path).map()
+        shown = np.array([[5, 6, 9, 9, 0], [0, -1, -2, -3, 7], [0, 0, 0, 0, 0]])
+        # Where a change is sent, and what has been sent so far, by hand.
+        sent = [[5, 0, 4, 0, -9], [0, 0, -2, 0, 9], [0] * 5]
+        run = mapping.run(shown.astype(np.int8).reshape(1, 3, 5), probe=["d.message", "s.sigma"])
+        self.assertEqual(run.probe("d.message")[0].tolist(), sent)
+        self.assertEqual(run.probe("s.sigma")[0][:, 1:].tolist(), np.cumsum(sent, axis=1)[:, :-1].tolist())
+        with mapping.session() as session:
+            for t in range(5):
+                session.step(shown[:, t])
+                values = np.zeros(3, int)
+                values[session["d"].spikes] = session["d"].values
+                self.assertEqual(values.tolist(), [row[t] for row in sent])
+                self.assertEqual(session["x"].values.tolist(), [x for x in shown[:, t] if x])
+                self.assertEqual(session["d"].state("act").tolist(), shown[:, t].tolist())
+            with self.assertRaisesRegex(nsim.Error, "no v"):
+                session["d"].v
+            with self.assertRaisesRegex(nsim.Error, "3 channels"):
+                session.step([1, 2])
 
     def test_a_snapshot_is_gone_back_to(self):
         mapping = nsim.load("vtsnn-slip").map()

@@ -111,7 +111,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
     let network = args.job.timestep.load(&args.job.model)?;
-    let target = io::target::load_target(&args.job.target)?;
+    let target = io::target::load_target(network.file().target_or_usual(args.job.target.as_deref()))?;
     let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let options = options(args, mapping.as_ref());
     let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn what_is_typed_becomes_options() {
         let args = typed(&[]).unwrap();
-        assert_eq!((args.job.model.as_str(), args.job.target.as_str()), ("vtsnn-slip", "nahuku-32"));
+        assert_eq!((args.job.model.as_str(), args.job.target.as_deref()), ("vtsnn-slip", None));
         assert_eq!(options(&args, None), Options::default());
         let args = typed(&["m.ron", "--copies", "7", "--objective", "latency", "--seed", "5"]).unwrap();
         let expected = Options { copies: 7, objective: Objective::Latency, seed: 5, ..Options::default() };

@@ -10,8 +10,9 @@ use nsim_import::probes::Trace;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::names::fits_pattern;
-use nsim_ir::quantised::{Population, Quantised};
-use nsim_ir::spikes::Sample;
+use nsim_ir::neurons::NeuronKind;
+use nsim_ir::quantised::{Population, Quantised, Units};
+use nsim_ir::spikes::{Message, Sample, Spikes};
 use nsim_session::error::{Error, Result};
 use nsim_session::samples::Traces;
 use nsim_session::{Outcome, Probe, Quantity};
@@ -30,8 +31,8 @@ pub enum ProbeFormat {
 /// What is recorded, and where it goes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ProbeArgs {
-    /// Record POPULATION.spikes, .u, .v or .v_register into -o; spikes when it says no more than a
-    /// name, which may have * and ?
+    /// Record POPULATION.spikes, .message, .u, .v, .v_register or a word of the kind's state into -o;
+    /// spikes when it says no more than a name, which may have * and ?
     #[arg(long, value_name = "POP[.WHAT]", requires = "output")]
     pub probe: Vec<String>,
     /// How probes are written
@@ -55,8 +56,9 @@ pub struct NamedProbe {
 enum Source {
     /// A register of compartments.
     Engine(Probe),
-    /// Spikes of so many channels from this one on, which are the samples' own.
-    Input(ChannelId, u32),
+    /// So many channels from this one on, which are the samples' own: their spikes, or what their
+    /// messages carry.
+    Input(ChannelId, u32, Option<Message>),
 }
 
 impl NamedProbe {
@@ -72,23 +74,34 @@ impl NamedProbe {
     fn count(&self) -> u32 {
         match self.source {
             Source::Engine(probe) => probe.count,
-            Source::Input(_, count) => count,
+            Source::Input(_, count, _) => count,
         }
     }
 
-    fn quantity(&self) -> Quantity {
-        self.engine().map_or(Quantity::Spikes, |probe| probe.quantity)
+    fn is_spikes(&self) -> bool {
+        match self.source {
+            Source::Engine(probe) => probe.quantity == Quantity::Spikes,
+            Source::Input(.., message) => message.is_none(),
+        }
     }
 }
 
-/// The spikes of channels in all samples, `[channels][steps]` each.
-fn input_numbers<'s>(samples: &'s [&Sample], first: ChannelId, count: u32) -> impl Iterator<Item = f64> + 's {
+/// The spikes of channels in all samples, or what their messages carry, `[channels][steps]` each.
+fn input_numbers<'s>(
+    samples: &'s [&Sample],
+    (first, count, message): (ChannelId, u32, Option<Message>),
+) -> impl Iterator<Item = f64> + 's {
     samples.iter().flat_map(move |sample| {
         let steps = sample.steps() as usize;
         let mut numbers = vec![0.0; count as usize * steps];
         for step in 0..sample.steps() {
-            let own = sample.at(step).iter().filter_map(|channel| channel.0.checked_sub(first.0));
-            own.filter(|&index| index < count).for_each(|index| numbers[index as usize * steps + step as usize] = 1.0);
+            let Spikes { ids, values } = sample.input(step);
+            for (place, channel) in ids.iter().enumerate() {
+                let Some(index) = channel.0.checked_sub(first.0).filter(|&index| index < count) else { continue };
+                let given = values.get(place).copied().unwrap_or(1);
+                let carried = message.map_or(1, |message| message.factor().unwrap_or(given));
+                numbers[index as usize * steps + step as usize] = carried.into();
+            }
         }
         numbers
     })
@@ -183,9 +196,9 @@ impl ProbeArgs {
                     of_engine += 1;
                     (samples, length, recorded.numbers(of_engine - 1))
                 }
-                Source::Input(first, channels) => {
+                Source::Input(first, channels, message) => {
                     let length = given.first().map_or(0, |sample| sample.steps() as usize * count);
-                    (given.len(), length, Box::new(input_numbers(given, first, channels)))
+                    (given.len(), length, Box::new(input_numbers(given, (first, channels, message))))
                 }
             };
             let steps = length / count.max(1);
@@ -198,8 +211,8 @@ impl ProbeArgs {
             match self.probe_format {
                 ProbeFormat::Npy => batch.add(&path, |out| {
                     let shape = shape.map(|axis| axis as u64);
-                    match (named.quantity(), recorded) {
-                        (Quantity::Spikes, _) => io::npy::write(out, &shape, numbers.map(|number| number as u8)),
+                    match (named.is_spikes(), recorded) {
+                        (true, _) => io::npy::write(out, &shape, numbers.map(|number| number as u8)),
                         (_, Recorded::Integers(_)) => io::npy::write(out, &shape, numbers.map(|number| number as i32)),
                         (_, Recorded::Reals(_)) => io::npy::write(out, &shape, numbers),
                     }
@@ -214,12 +227,26 @@ impl ProbeArgs {
 }
 
 /// The pattern and the quantity of a probe; all of the text is a pattern unless it ends in a
-/// quantity.
-fn parts(text: &str) -> (&str, Option<Quantity>) {
-    let quantity = |what: &str| Quantity::ALL.iter().find(|(_, name)| *name == what).map(|(quantity, _)| *quantity);
+/// quantity of some kind.
+fn parts(text: &str) -> (&str, Option<&str>) {
     match text.rsplit_once('.') {
-        Some((pattern, what)) if quantity(what).is_some() => (pattern, quantity(what)),
+        Some((pattern, what)) if NeuronKind::ALL.iter().any(|kind| Quantity::of_kind(*kind, what).is_some()) => {
+            (pattern, Some(what))
+        }
         _ => (text, None),
+    }
+}
+
+/// What of a population is recorded under a name; `None` where it has no such thing.
+fn source(population: &Population, what: &str) -> Option<Source> {
+    let count = population.shape.len();
+    match &population.units {
+        Units::Compartments { .. } => Probe::named(population, what).map(Source::Engine),
+        Units::Input(first) => match what {
+            "spikes" => Some(Source::Input(*first, count, None)),
+            "message" => Some(Source::Input(*first, count, Some(population.message))),
+            _ => None,
+        },
     }
 }
 
@@ -227,19 +254,13 @@ fn parts(text: &str) -> (&str, Option<Quantity>) {
 /// a register.
 fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
     let (pattern, asked) = parts(text);
-    let quantity = asked.unwrap_or(Quantity::Spikes);
-    let what = Quantity::ALL.iter().find(|(known, _)| *known == quantity).map_or("", |(_, name)| name);
+    let what = asked.unwrap_or("spikes");
     let mut probes = Vec::new();
     for (id, population) in network.populations().enumerate() {
         if !fits_pattern(pattern, &population.name) {
             continue;
         }
-        let count = population.shape.len();
-        let source = match (population.first_compartment(), population.first_channel()) {
-            (Some(first), _) => Source::Engine(Probe { first, count, quantity }),
-            (None, Some(first)) if quantity == Quantity::Spikes => Source::Input(first, count),
-            _ => continue,
-        };
+        let Some(source) = source(population, what) else { continue };
         if let Some(lost) = network.kept(id).map(|kept| network.units_shown(id) - kept.len() as u32) {
             let name = &population.name;
             let message = format!("--probe {text}: {lost} compartments of '{name}' were pruned and have no registers");
@@ -249,9 +270,9 @@ fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
         probes.push(NamedProbe { name: format!("{}.{what}", population.name), source });
     }
     if probes.is_empty() {
-        let has_it = |p: &&Population| quantity == Quantity::Spikes || p.first_compartment().is_some();
+        let has_it = |p: &&Population| source(p, what).is_some();
         let names: Vec<&str> = network.populations().iter().filter(has_it).map(|p| p.name.as_str()).collect();
-        let hint = "write POPULATION, or POPULATION.spikes, .u, .v or .v_register";
+        let hint = "write POPULATION, or POPULATION.spikes, .message, .u, .v, .v_register or a word of its state";
         return Err(Error::Usage(format!("--probe {text}: populations with {what} are: {}; {hint}", names.join(", "))));
     }
     Ok(probes)

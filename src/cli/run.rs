@@ -210,11 +210,10 @@ fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &job
     let seconds: f64 = stages.iter().filter(|(stage, _)| ["partition", "place"].contains(stage)).map(|(_, s)| s).sum();
     if seconds > wall_s.max(SHORT_S) {
         tracing::warn!(
-            "mapping took {seconds:.1} s and running {wall_s:.1} s: nsim map {} --target {} -o FILE keeps the \
-             mapping, --mapping FILE \
-             takes it",
+            "mapping took {seconds:.1} s and running {wall_s:.1} s: nsim map {}{} -o FILE keeps the mapping, --mapping \
+             FILE takes it",
             job.model,
-            job.target
+            job.target.as_ref().map_or(String::new(), |target| format!(" --target {target}"))
         );
     }
 }
@@ -291,11 +290,12 @@ fn ran(
             Done { engine: "golden", outcomes, counts, wall_s, ..Done::default() }
         }
         Job::Real(graph, quantised, _) => {
-            if keep.probes.iter().any(|probe| probe.quantity == Quantity::VRegister) {
-                let message = "--probe .v_register: the reference engine has no registers; probe .v";
+            let registers = [Quantity::VRegister, Quantity::Message];
+            if keep.probes.iter().any(|probe| registers.contains(&probe.quantity)) {
+                let message = "--probe .v_register and .message: the reference engine has none; probe .v or .spikes";
                 return Err(Error::Usage(message.to_string()));
             }
-            let model = Model::<f64>::new(graph, reference::Options { kernel: args.kernel });
+            let model = Model::<f64>::new(graph, reference::Options { kernel: args.kernel })?;
             let units = (quantised.channels(), quantised.compartments());
             let (Interpreted { outcomes, counts, wall_s }, traces) =
                 samples::reference(&model, units, samples, keep, progress);

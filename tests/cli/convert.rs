@@ -173,7 +173,7 @@ fn right(network: &Quantised, samples: &[Sample]) -> usize {
         let mut counts = vec![0; output.shape.len() as usize];
         engine.begin(sample.steps());
         for step in 0..sample.steps() {
-            engine.step(sample.at(step));
+            engine.step(sample.input(step));
             engine.spikes().iter().filter_map(|c| c.0.checked_sub(first)).for_each(|c| counts[c as usize] += 1);
         }
         let most = *counts.iter().max().unwrap();

@@ -51,7 +51,7 @@ fn counted(network: &Quantised, samples: &[&Sample]) -> Sums {
         engine.begin(sample.steps());
         let mut before: Vec<i32> = Vec::new();
         for step in 0..sample.steps() {
-            engine.step(sample.at(step));
+            engine.step(sample.input(step));
             let fired = engine.ascending_spikes();
             sums.timesteps += 1;
             sums.spikes += fired.len() as u64;
@@ -70,7 +70,7 @@ fn counted(network: &Quantised, samples: &[&Sample]) -> Sums {
                     };
                     if spikes {
                         let met = row.values().filter(|&&weight| weight != 0).count() as u64;
-                        *(if source.spike_factor().abs() == 1 { &mut sums.plain } else { &mut sums.graded }) += met;
+                        *(if source.message.factor() == Some(1) { &mut sums.plain } else { &mut sums.graded }) += met;
                     }
                 }
             }

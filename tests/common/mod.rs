@@ -22,6 +22,7 @@ use nsim::ir::base::fixed::{
 };
 use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::ir::graph::{PerCompartment, Shape};
+use nsim::ir::neurons::Port;
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Reset, Units};
 use nsim::ir::resource::Resource;
@@ -32,7 +33,7 @@ use nsim::machine::{Image, Machine, Settings};
 /// on as few cores as possible, with every core limit but the number of compartments out of the
 /// way.
 pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
-    let chip = load_target("loihi1-chip").unwrap();
+    let chip = load_target("oheo-gulch").unwrap();
     let mut limits = chip.limits().clone();
     (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
         (1024, 1024, 64);
@@ -98,6 +99,7 @@ impl Array {
         }
         let values = match npy.dtype().descr().trim_matches(['\'', '"']) {
             "|u1" => widen(npy.into_vec::<u8>().unwrap()),
+            "|i1" => widen(npy.into_vec::<i8>().unwrap()),
             "<i2" => widen(npy.into_vec::<i16>().unwrap()),
             "<i4" => widen(npy.into_vec::<i32>().unwrap()),
             other => panic!("{}: type {other}", path.display()),
@@ -135,7 +137,8 @@ pub fn biased(neuron: Neuron, mantissa: i64, exponent: i64) -> Neuron {
 
 /// Eight bits of this sign mode with this exponent.
 pub fn format(sign: SignMode, exponent: i64) -> SynapseFormat {
-    SynapseFormat { exponent: WeightExponent::new(exponent).unwrap(), sign, bits: WeightBits::new(8).unwrap() }
+    let (exponent, bits) = (WeightExponent::new(exponent).unwrap(), WeightBits::new(8).unwrap());
+    SynapseFormat { exponent, sign, bits, port: Port::First }
 }
 
 /// A network in the making; the population added last is the output.
@@ -178,7 +181,7 @@ impl Net {
 
     fn add(&mut self, shape: Shape, units: Units) -> PopulationId {
         let name = format!("p{}", self.parts.populations.len());
-        self.parts.populations.push(Population { name, shape, units, payload: None })
+        self.parts.populations.push(Population { name, shape, units, message: nsim::ir::spikes::Message::Spike })
     }
 
     /// Connects two populations.

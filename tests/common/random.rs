@@ -2,16 +2,18 @@
 //! field and semantics.
 
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
-use nsim::ir::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits, WeightExponent};
-use nsim::ir::base::id::{ChannelId, PopulationId};
+use nsim::ir::base::fixed::{
+    MessageBits, Payload, SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits, WeightExponent,
+};
+use nsim::ir::base::id::{ChannelId, IdVec, PopulationId};
 use nsim::ir::base::rng;
-use nsim::ir::graph::{Shape, Window};
+use nsim::ir::graph::{PerCompartment, Shape, Window};
 use nsim::ir::mapping::{MappedCore, MappingFile, Run};
-use nsim::ir::neurons::NeuronKind;
+use nsim::ir::neurons::{Emits, Kept, NeuronKind, ParameterField, Port};
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
-use nsim::ir::quantised::{Neuron, Quantised};
-use nsim::ir::spikes::Sample;
+use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::spikes::{Message, Sample};
 
 use super::{Net, biased, neuron};
 
@@ -82,7 +84,7 @@ fn random_format(draw: &mut Draw) -> SynapseFormat {
     let sign = draw.one_of(&[SignMode::Mixed, SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory]);
     let exponent = if draw.chance(60) { 0 } else { draw.from(-8, 7) };
     let bits = if draw.chance(70) { 8 } else { draw.one_of(&[2, 3, 4, 5, 6]) };
-    SynapseFormat { exponent: WeightExponent::new(exponent).unwrap(), sign, bits: WeightBits::new(bits).unwrap() }
+    SynapseFormat { bits: WeightBits::new(bits).unwrap(), ..super::format(sign, exponent) }
 }
 
 fn weight(draw: &mut Draw, format: SynapseFormat) -> i16 {
@@ -206,6 +208,61 @@ pub fn network(seed: u64) -> Quantised {
         }
     }
     net.build()
+}
+
+/// A neuron of a kind with random parameters; thresholds are low enough to be reached.
+fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
+    let value = |parameter: &ParameterField| {
+        let most = if parameter.kept == Kept::Threshold { 500 } else { 1 << 16 };
+        draw.from(parameter.field.low.max(-most), parameter.field.high.min(most))
+    };
+    let values: Vec<i64> = kind.parameters().iter().map(value).collect();
+    nsim::dynamics::neuron(kind, &values).unwrap()
+}
+
+/// A random network in which populations are of any kind, inputs carry any messages, and what leads
+/// to resonators any port.
+pub fn mixed(seed: u64) -> Quantised {
+    let draw = &mut Draw::new(seed ^ 0x10_412);
+    let mut parts = network(seed).parts().clone();
+    parts.semantics = Semantics::Hardware;
+    let ids: Vec<PopulationId> = parts.populations.ids().collect();
+    let mut kinds: IdVec<PopulationId, NeuronKind> = ids.iter().map(|_| NeuronKind::Loihi).collect();
+    for id in ids {
+        let population = &mut parts.populations[id];
+        let units = population.shape.len();
+        let payload = Message::Payload(Payload::new(draw.from(-300, 300)).unwrap());
+        population.message = draw.one_of(&[Message::Spike, payload]);
+        match &mut population.units {
+            Units::Input(_) if draw.chance(50) => {
+                let bits = MessageBits::new(draw.from(2, 24)).unwrap();
+                population.message = Message::Value(bits);
+            }
+            Units::Compartments { neurons, .. } if draw.chance(70) => {
+                let kind = draw.one_of(&NeuronKind::ALL[3..]);
+                kinds[id] = kind;
+                let same = of_kind(draw, kind);
+                *neurons = match draw.chance(50) {
+                    true => PerCompartment::Same(same),
+                    false => PerCompartment::Each((0..units).map(|_| of_kind(draw, kind)).collect()),
+                };
+                if kind.table().emits == Emits::Values {
+                    population.message = Message::Value(MessageBits::new(draw.from(4, 32)).unwrap());
+                }
+            }
+            _ => {}
+        }
+    }
+    for projection in parts.projections.iter_mut() {
+        let table = kinds[projection.target].table();
+        if !table.registers && projection.format.exponent < WeightExponent::ZERO {
+            projection.format.exponent = WeightExponent::ZERO;
+        }
+        if table.ports == 2 && draw.chance(50) {
+            projection.format.port = Port::Second;
+        }
+    }
+    Quantised::new(parts).unwrap()
 }
 
 /// A sample for a network: bursts and silences.

@@ -33,13 +33,13 @@ pub fn spikes(model: &NetworkFile, population: &str, channels: usize) -> Vec<Vec
         }
     }
     assert!(!units.is_empty(), "there is no '{population}'");
-    let model = Model::<f64>::new(&graph, RealOptions::default());
+    let model = Model::<f64>::new(&graph, RealOptions::default()).unwrap();
     let mut engine = Reference::new(&model);
     engine.begin(STEPS as u32);
     (0..STEPS)
         .map(|step| {
             let spiking = (0..channels).filter(|&c| input(step, c)).map(|c| ChannelId(c as u32));
-            engine.step(&spiking.collect::<Vec<_>>());
+            engine.step((&spiking.collect::<Vec<_>>()).into());
             units.clone().map(|unit| engine.spikes().contains(&CompartmentId(unit))).collect()
         })
         .collect()

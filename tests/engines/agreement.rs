@@ -108,7 +108,7 @@ fn without_a_cause_it_is_the_trained_network() {
         for (kernel, rung) in
             [(Kernel::Truncated, Rung::TRAINED), (Kernel::Exact, Rung::TRAINED.with(Cause::Untruncated))]
         {
-            let model = Model::<f64>::new(&graph, reference::Options { kernel });
+            let model = Model::<f64>::new(&graph, reference::Options { kernel }).unwrap();
             for sample in &samples(0..6) {
                 let engine =
                     Trace::record(&mut Reference::new(&model), sample, (16, ladder.deployed().output()), |e, c| {
@@ -167,7 +167,7 @@ fn it_begins_where_the_reference_engine_ends() {
         let graph = graph(&text);
         let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
         let network = ladder.deployed();
-        let model = Model::<f64>::new(&graph, reference::Options::default());
+        let model = Model::<f64>::new(&graph, reference::Options::default()).unwrap();
         let thresholds = nsim::dynamics::model_thresholds(&graph);
         let begin = ladder.trained().with(Cause::Pipeline);
         assert_ne!(begin, Rung::MACHINE);
@@ -541,8 +541,8 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
         golden.begin(150);
         machine.begin(150);
         for step in 0..150u32 {
-            golden.step(sample.at(step));
-            machine.step(sample.at(step));
+            golden.step(sample.input(step));
+            machine.step(sample.input(step));
             let mut spikes = [0i64; 5];
             for unit in 0..5 {
                 let sum: i64 = sample.at(step).iter().map(|channel| first[unit][channel.0 as usize]).sum();

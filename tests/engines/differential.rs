@@ -49,7 +49,7 @@ fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Trace {
             step = next;
             continue;
         }
-        engine.step(sample.at(step));
+        engine.step(sample.input(step));
         steps.push((engine.ascending_spikes(), registers(engine, compartments)));
         step += 1;
     }
@@ -244,8 +244,8 @@ fn events_of_uneven_rows_are_right_after_every_step() {
             machine.begin(sample.steps());
             let mut events = 0;
             for step in 0..sample.steps() {
-                golden.step(sample.at(step));
-                machine.step(sample.at(step));
+                golden.step(sample.input(step));
+                machine.step(sample.input(step));
                 if step % 40 == 7 {
                     events += machine.take_activity().totals().synaptic_events;
                 }
@@ -306,8 +306,8 @@ fn regions_of_a_network_too_large_to_write_out_spike_as_they_do_alone() {
         alone.begin(12);
         machine.begin(12);
         for t in 0..12 {
-            alone.step(own.at(t));
-            machine.step(sample.at(t));
+            alone.step(own.input(t));
+            machine.step(sample.input(t));
             let mut expected: Vec<u32> =
                 alone.spikes().iter().map(|spike| place(spike.0, PART - 2, SIDE - 2)).collect();
             expected.sort_unstable();

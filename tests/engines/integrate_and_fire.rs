@@ -42,7 +42,7 @@ fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> String 
     engine.begin(sample.steps());
     let mut trace = String::new();
     for step in 0..sample.steps() {
-        engine.step(sample.at(step));
+        engine.step(sample.input(step));
         let registers = |c| [engine.u(c), engine.v(c), engine.v_register(c)];
         let all: Vec<[i32; 3]> = (0..compartments).map(CompartmentId).map(registers).collect();
         trace += &format!("{:?} {all:?}\n", engine.ascending_spikes());
@@ -123,8 +123,10 @@ fn a_model_file_names_it_and_every_stage_follows() {
     let sample = random::sample(&a, 3);
     assert_eq!(trace(&mut Golden::new(&a), 5, &sample), trace(&mut Golden::new(&b), 5, &sample));
     // In real numbers, with bounds for pruning and for early exit.
-    let [x, y] =
-        [Model::<f64>::new(&loihi, RealOptions::default()), Model::<f64>::new(&simple, RealOptions::default())];
+    let [x, y] = [
+        Model::<f64>::new(&loihi, RealOptions::default()).unwrap(),
+        Model::<f64>::new(&simple, RealOptions::default()).unwrap(),
+    ];
     assert_eq!(trace(&mut Reference::new(&x), 5, &sample), trace(&mut Reference::new(&y), 5, &sample));
     let [p, q] = [prune(&a, &Plan::fixed()).unwrap(), prune(&b, &Plan::fixed()).unwrap()];
     assert_eq!(p.compartments(), 4, "the third hidden compartment has no positive weight and no bias");

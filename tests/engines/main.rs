@@ -11,6 +11,7 @@ mod common;
 mod differential;
 mod early_exit;
 mod integrate_and_fire;
+mod loihi2;
 mod mutations;
 mod neuron_vectors;
 mod overflow;

@@ -49,7 +49,7 @@ fn matches_recording(folder: &Path, semantics: Semantics, prefix: &str) {
     for (name, mut engine) in engines(&net.build()) {
         engine.begin(steps as u32);
         for step in 0..steps {
-            engine.step(&drive.spikes(|n| acc.at([n, step])));
+            engine.step((&drive.spikes(|n| acc.at([n, step]))).into());
             for n in 0..compartments {
                 let id = CompartmentId(n as u32);
                 // SLAYER's trace shows dv at a spike: it is a read-out, as the chip's

@@ -25,7 +25,7 @@ fn ends_in(semantics: Semantics, neurons: &[Neuron], acc: &[i64], (u, v): (i32, 
     for (name, mut engine) in engines(&net.build()) {
         engine.begin(acc.len() as u32);
         for &acc in acc {
-            engine.step(&drive.spikes(|_| acc));
+            engine.step((&drive.spikes(|_| acc)).into());
         }
         for n in 0..neurons.len() {
             let id = CompartmentId(n as u32);

@@ -18,7 +18,7 @@ use nsim::ir::program::{Graded, Program};
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Parts, Quantised};
 use nsim::ir::resource::Resource;
-use nsim::ir::spikes::{Engine, Sample};
+use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use rayon::prelude::*;
 
@@ -36,7 +36,7 @@ fn shown(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Shown {
     engine.begin(sample.steps());
     let (mut steps, mut carried) = (Vec::new(), Vec::new());
     for step in 0..sample.steps() {
-        engine.step(sample.at(step));
+        engine.step(sample.input(step));
         let all = (0..compartments).map(CompartmentId);
         let registers = all.map(|c| [engine.u(c), engine.v(c), engine.v_register(c)]).collect();
         steps.push((engine.ascending_spikes(), registers));
@@ -51,7 +51,7 @@ fn shown(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Shown {
 /// What the machine shows in all numbers of shards, with skipping on and off, held to `expected`;
 /// returns the activity.
 fn assert_machine(network: &Quantised, sample: &Sample, expected: &Shown, what: &str) -> Activity {
-    let chip = load_target("loihi1-chip").unwrap();
+    let chip = load_target("oheo-gulch").unwrap();
     let mut limits = chip.limits().clone();
     (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
         (1024, 1024, 64);
@@ -131,10 +131,10 @@ fn spikes_that_carry_3_are_binary_spikes_over_weights_times_3() {
             // All populations, or some: then a binary spike stands beside those that carry 3.
             let all = draw.chance(50);
             for population in graded.populations.iter_mut().filter(|_| all || draw.chance(50)) {
-                population.payload = Some(Payload::new(3).unwrap());
+                population.message = Message::Payload(Payload::new(3).unwrap());
             }
             for projection in binary.projections.iter_mut() {
-                if graded.populations[projection.source].payload.is_some() {
+                if graded.populations[projection.source].message != Message::Spike {
                     projection.connectivity = map_weights(&projection.connectivity, |weight| 3 * weight);
                 }
             }
@@ -171,7 +171,7 @@ fn the_engines_agree_on_payloads_of_any_size() {
                     2 => draw.from(-9, 9),
                     _ => continue,
                 };
-                population.payload = Some(Payload::new(payload).unwrap());
+                population.message = Message::Payload(Payload::new(payload).unwrap());
             }
             let network = Quantised::new(parts).unwrap();
             let sample = random::sample(&network, seed);
@@ -205,7 +205,7 @@ fn every_form_of_synapses_carries_payloads() {
                 first_source: sources * seed as u32,
             };
             net.project(source, layer, format(SignMode::Mixed, exponent), seed as i64 - 1, connectivity);
-            net.parts.populations[source].payload = Some(Payload::new(401).unwrap());
+            net.parts.populations[source].message = Message::Payload(Payload::new(401).unwrap());
         }
         let network = net.build();
         let events: Vec<_> = (0..6).flat_map(|t| (0..300).step_by(3).map(move |c| (t, ChannelId(c)))).collect();
@@ -231,7 +231,8 @@ fn a_payload_multiplies_the_weight_in_every_semantics() {
                 0,
                 &vec![-6, 20].into_iter().flat_map(|w| vec![w; channels as usize]).collect::<Vec<_>>(),
             );
-            net.parts.populations[input].payload = payload.map(|payload| Payload::new(payload).unwrap());
+            let message = payload.map(|payload| Message::Payload(Payload::new(payload).unwrap()));
+            net.parts.populations[input].message = message.unwrap_or_default();
             net.build()
         };
         let (graded, binary) = (network(Some(7), 1), network(None, 7));
@@ -261,9 +262,9 @@ fn a_payload_that_is_lost_moved_or_changed_in_a_program_is_found() {
     net.dense(a, b, 0, &[40; 12]);
     net.dense(b, c, 0, &[20; 8]);
     let mut parts = net.build().parts().clone();
-    parts.populations[b].payload = Payload::new(3).ok();
+    parts.populations[b].message = Message::Payload(Payload::new(3).unwrap());
     let network = Quantised::new(parts).unwrap();
-    let target = load_target("loihi1-chip").unwrap();
+    let target = load_target("oheo-gulch").unwrap();
     let mapped = compile(network, &target, &Options::default()).unwrap();
     assert_eq!(check(&mapped.quantised, &mapped.program).map(drop), Ok(()));
     let changed = |change: Change<'_>| {
@@ -274,7 +275,9 @@ fn a_payload_that_is_lost_moved_or_changed_in_a_program_is_found() {
     };
     let differs = |program: Program| check(&mapped.quantised, &program).unwrap_err().to_string();
     let wrong: [Change<'_>; 3] =
-        [&Vec::clear, &|graded| graded[0].payload = Payload::new(4).unwrap(), &|graded| graded[0].sources.end -= 1];
+        [&Vec::clear, &|graded| graded[0].message = Message::Payload(Payload::new(4).unwrap()), &|graded| {
+            graded[0].sources.end -= 1;
+        }];
     for change in wrong {
         assert!(differs(changed(change).unwrap()).contains("payload"));
     }

@@ -111,11 +111,11 @@ fn assert_same(
     whole.begin(sample.steps());
     engines.iter_mut().for_each(|(_, small)| small.begin(sample.steps()));
     for step in 0..sample.steps() {
-        whole.step(sample.at(step));
+        whole.step(sample.input(step));
         let expected: Vec<CompartmentId> =
             whole.ascending_spikes().into_iter().filter(|id| left[id.0 as usize]).collect();
         for (name, small) in engines.iter_mut() {
-            small.step(sample.at(step));
+            small.step(sample.input(step));
             let spikes: Vec<CompartmentId> = small.ascending_spikes().iter().map(|id| numbers[id.0 as usize]).collect();
             assert_eq!(expected, spikes, "{what}, {name}: spikes of step {step}");
             for (index, &id) in numbers.iter().enumerate() {
@@ -363,7 +363,7 @@ fn no_input_makes_a_compartment_spike_that_is_said_to_be_silent() {
         let (mut spikes, mut wrapped) = (0, false);
         for sample in worst(&network, seed) {
             golden.begin(sample.steps());
-            (0..sample.steps()).for_each(|step| golden.step(sample.at(step)));
+            (0..sample.steps()).for_each(|step| golden.step(sample.input(step)));
             spikes += golden.totals().spikes;
             wrapped |= golden.overflow().q_wrapped + golden.overflow().u_wrapped > 0;
         }
@@ -397,7 +397,7 @@ fn the_bound_is_the_highest_that_v_can_be_driven() {
         assert_eq!(!may_fire(&network, &vec![false; 2].into())[CompartmentId(0)], silent);
         let mut golden = Golden::new(&network);
         golden.begin(1000);
-        (0..1000).for_each(|_| golden.step(&[ChannelId(0), ChannelId(1)]));
+        (0..1000).for_each(|_| golden.step((&[ChannelId(0), ChannelId(1)]).into()));
         assert_eq!(golden.totals().spikes == 0, silent, "threshold {vth}");
     }
 }
@@ -421,7 +421,7 @@ fn what_may_wrap_is_claimed_by_nobody() {
         assert!(may_fire(&network, &vec![false; 2].into())[CompartmentId(0)], "{semantics:?} {weight}");
         let mut golden = Golden::new(&network);
         golden.begin(40);
-        (0..40).for_each(|_| golden.step(&[ChannelId(0), ChannelId(1)]));
+        (0..40).for_each(|_| golden.step((&[ChannelId(0), ChannelId(1)]).into()));
         assert!(golden.totals().spikes > 0, "{semantics:?} {weight}: this test is about compartments that spike");
     }
 }

@@ -62,7 +62,7 @@ fn layer(
 #[test]
 fn a_network_of_spike_response_neurons_is_what_slayer_computes() {
     let graph = lower(&network(SRM)).unwrap();
-    let model = Model::<f64>::new(&graph, Options::default());
+    let model = Model::<f64>::new(&graph, Options::default()).unwrap();
     let mut engine = Reference::new(&model);
     let mut spikes = 0;
     for seed in 0..5 {
@@ -75,7 +75,7 @@ fn a_network_of_spike_response_neurons_is_what_slayer_computes() {
         let output = layer(&hidden, |t, s| uniform(-1.0, 2.5, 2, t * 5 + s), 2, [4.0, 2.0, 1.0, 3.0], 3);
         engine.begin(150);
         for t in 0..150 {
-            engine.step(sample.at(t));
+            engine.step(sample.input(t));
             let expected: Vec<CompartmentId> = (hidden.iter().chain(&output).enumerate())
                 .filter(|(_, train)| train[t as usize] > 0.0)
                 .map(|(i, _)| CompartmentId(i as u32))
@@ -127,7 +127,7 @@ fn in_the_arithmetic_of_other_tools_too_it_is_the_golden_interpreter() {
 fn agrees_with_golden(text: &str) -> usize {
     let network = network(text);
     let (graph, quantised): (Graph, _) = real_and_integers(&network).unwrap();
-    let model = Model::<f64>::new(&graph, Options::default());
+    let model = Model::<f64>::new(&graph, Options::default()).unwrap();
     let (mut engine, mut golden) = (Reference::new(&model), Golden::new(&quantised));
     let mut spikes = 0;
     for seed in 0..4 {
@@ -135,8 +135,8 @@ fn agrees_with_golden(text: &str) -> usize {
         engine.begin(200);
         golden.begin(200);
         for t in 0..200 {
-            engine.step(sample.at(t));
-            golden.step(sample.at(t));
+            engine.step(sample.input(t));
+            golden.step(sample.input(t));
             assert_eq!(engine.ascending_spikes(), golden.ascending_spikes(), "sample {seed}, step {t}");
             for c in (0..quantised.compartments()).map(CompartmentId) {
                 assert_eq!(engine.current(c), f64::from(golden.u(c)), "u of {c} in step {t}");
@@ -158,14 +158,14 @@ fn single_precision_and_the_truncated_kernel_run_the_same_networks() {
         run.begin(150);
         (0..150)
             .map(|t| {
-                run.step(sample.at(t));
+                run.step(sample.input(t));
                 run.spikes().len()
             })
             .sum::<usize>()
     };
-    let exact = Model::<f64>::new(&graph, Options::default());
-    let single = Model::<f32>::new(&graph, Options::default());
-    let truncated = Model::<f64>::new(&graph, Options { kernel: Kernel::Truncated });
+    let exact = Model::<f64>::new(&graph, Options::default()).unwrap();
+    let single = Model::<f32>::new(&graph, Options::default()).unwrap();
+    let truncated = Model::<f64>::new(&graph, Options { kernel: Kernel::Truncated }).unwrap();
     let counts = [
         counts(&mut Reference::new(&exact)),
         counts(&mut Reference::new(&single)),

@@ -15,7 +15,7 @@ use nsim::ir::graph::PerCompartment;
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Parts, Quantised, Units};
 use nsim::ir::resource::Resource;
-use nsim::ir::spikes::{Engine, Sample};
+use nsim::ir::spikes::{Engine, Message, Sample, Spikes};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::relays::{Relayed, relayed};
 
@@ -33,7 +33,7 @@ fn spikes(
     engine.begin(sample.steps() + late);
     let mut spikes = BTreeSet::new();
     for step in 0..sample.steps() + late {
-        engine.step(if step < sample.steps() { sample.at(step) } else { &[] });
+        engine.step(if step < sample.steps() { sample.input(step) } else { Spikes::default() });
         for id in engine.ascending_spikes().into_iter().filter(|id| id.0 < network.compartments()) {
             let (population, _) = network.population_of(id);
             let step = step.checked_sub(later(population)).expect("a spike before its population may spike");
@@ -139,7 +139,7 @@ const MUTATIONS: [Mutation; 9] = [
         true
     }),
     ("a relay that multiplies", |parts, _, own| {
-        parts.populations[PopulationId::new(own)].payload = Some(Payload::new(2).unwrap());
+        parts.populations[PopulationId::new(own)].message = Message::Payload(Payload::new(2).unwrap());
         true
     }),
 ];

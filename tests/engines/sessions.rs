@@ -7,7 +7,7 @@ use nsim::ir::base::fixed::Payload;
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::quantised::Quantised;
 use nsim::ir::resource::Resource;
-use nsim::ir::spikes::{Copies, Engine, Sample};
+use nsim::ir::spikes::{Copies, Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::session::Session;
 use nsim::session::{Keep, Probe, Quantity, run_copies};
@@ -28,19 +28,23 @@ fn step(session: &mut Session, sample: &Sample, step: u32) {
     }
     // Any order, and a channel twice, are one spike.
     let channels = sample.at(step).iter().rev().chain(sample.at(step).first());
-    session.step(channels.copied()).unwrap();
+    session.step(channels.map(|&channel| (channel, 1))).unwrap();
 }
 
 /// The same network; every population may send graded spikes.
 fn graded_if(graded: bool, network: &Quantised) -> Quantised {
     let mut parts = network.parts().clone();
-    parts.populations.iter_mut().filter(|_| graded).for_each(|population| population.payload = Payload::new(3).ok());
+    parts
+        .populations
+        .iter_mut()
+        .filter(|_| graded)
+        .for_each(|population| population.message = Message::Payload(Payload::new(3).unwrap()));
     Quantised::new(parts).unwrap()
 }
 
 #[test]
 fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
-    let chip = load_target("loihi1-chip").unwrap();
+    let chip = load_target("oheo-gulch").unwrap();
     let mut limits = chip.limits().clone();
     (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
         (1024, 1024, 64);
@@ -105,6 +109,6 @@ fn a_channel_that_is_not_there_changes_nothing() {
     let network = random::network(1);
     let mapped = compile(network.clone(), &load_target("nahuku-32").unwrap(), &Options::default()).unwrap();
     let mut session = Session::open(&Image::new(&mapped.program, 1).unwrap(), &mapped.one, 1);
-    let refused = session.step([ChannelId(network.channels())]).unwrap_err();
+    let refused = session.step([(ChannelId(network.channels()), 1)]).unwrap_err();
     assert_eq!((refused.code, session.steps()), ("session.channel", 0));
 }

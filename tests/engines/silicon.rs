@@ -18,7 +18,7 @@ fn register_trace(vth_mant: i64, refractory: i64, expected: &[i32]) {
         engine.begin(expected.len() as u32);
         for (step, &register) in expected.iter().enumerate() {
             let spikes = [ChannelId(0)];
-            engine.step(if step == 1 { &spikes } else { &[] });
+            engine.step((&spikes[..usize::from(step == 1)]).into());
             assert_eq!(engine.v_register(CompartmentId(0)), register, "{name}, step {step}");
             let membrane = if (640..645).contains(&register) { 0 } else { register };
             assert_eq!(engine.v(CompartmentId(0)), membrane, "{name}, step {step}");
@@ -76,7 +76,7 @@ fn the_recorded_network_equals_the_chip() {
         for step in 0..steps {
             let channels: Vec<_> =
                 (0..250).filter(|&c| input.at([c, step]) != 0).map(|c| ChannelId(c as u32)).collect();
-            engine.step(&channels);
+            engine.step((&channels).into());
             mark(&mut spikes, engine.as_ref(), step);
             assert_eq!(i64::from(engine.v_register(CompartmentId(24))), voltage.at([step]), "{name}, step {step}");
         }
@@ -104,7 +104,7 @@ fn a_number_that_is_driven_is_the_number_that_arrives() {
     for (name, mut engine) in engines(&net.build()) {
         engine.begin(numbers.len() as u32);
         for number in numbers {
-            engine.step(&drive.spikes(|_| number));
+            engine.step((&drive.spikes(|_| number)).into());
             assert_eq!(i64::from(engine.u(CompartmentId(0))), 64 * number, "{name}");
         }
     }

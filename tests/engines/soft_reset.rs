@@ -52,7 +52,7 @@ fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> String 
     engine.begin(sample.steps());
     let mut trace = String::new();
     for step in 0..sample.steps() {
-        engine.step(sample.at(step));
+        engine.step(sample.input(step));
         let registers = |c| [engine.u(c), engine.v(c), engine.v_register(c)];
         let all: Vec<[i32; 3]> = (0..compartments).map(CompartmentId).map(registers).collect();
         trace += &format!("{:?} {all:?}\n", engine.ascending_spikes());
@@ -107,8 +107,8 @@ fn what_is_pruned_never_reached_the_output() {
         whole.begin(sample.steps());
         rest.begin(sample.steps());
         for step in 0..sample.steps() {
-            whole.step(sample.at(step));
-            rest.step(sample.at(step));
+            whole.step(sample.input(step));
+            rest.step(sample.input(step));
             // Elsewhere what leads nowhere is removed too.
             assert_eq!(of_output(&soft, &whole), of_output(&pruned, &rest), "network {seed}, step {step}");
         }
@@ -137,15 +137,15 @@ fn integrators_lose_nothing_and_equal_the_real_ones() {
     let graph = integrators("SoftReset");
     let network = quantise(&graph).unwrap();
     let sample = random::sample(&network, 3);
-    let (mut golden, model) = (Golden::new(&network), Model::<f64>::new(&graph, RealOptions::default()));
+    let (mut golden, model) = (Golden::new(&network), Model::<f64>::new(&graph, RealOptions::default()).unwrap());
     let mut real = Reference::new(&model);
     golden.begin(sample.steps());
     real.begin(sample.steps());
     let weights = [[20, 30, 2], [6, 8, 4], [4, 40, 6], [0, 2, 8]];
     let (mut arrived, mut spiked) = ([0i64; 3], [0i64; 3]);
     for step in 0..sample.steps() {
-        golden.step(sample.at(step));
-        real.step(sample.at(step));
+        golden.step(sample.input(step));
+        real.step(sample.input(step));
         assert_eq!(golden.ascending_spikes(), real.ascending_spikes(), "step {step}");
         for channel in sample.at(step) {
             (0..3).for_each(|i| arrived[i] += 64 * weights[channel.0 as usize][i]);

@@ -65,7 +65,7 @@ fn the_text_of_each_stage_reads_back_as_the_stage() {
             {
                 let mut golden = Golden::new(&other);
                 golden.begin(1);
-                golden.step(&[]);
+                golden.step((&[]).into());
             }
             let _ = read::<nsim::ir::program::Program>(&changed(&program, draw));
             let _ = read::<nsim::ir::partition::Partition>(&changed(&pretty(&compiled.partition, 2).unwrap(), draw));

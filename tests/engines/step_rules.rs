@@ -29,7 +29,7 @@ fn watch<T: PartialEq + std::fmt::Debug>(
             let mut trace = Vec::new();
             for step in 0..steps {
                 let channels: Vec<_> = input.iter().filter(|e| e.0 == step).map(|e| ChannelId(e.1)).collect();
-                engine.step(&channels);
+                engine.step((&channels).into());
                 trace.push(f(engine.as_ref()));
             }
             let here = (trace, engine.totals());

@@ -40,7 +40,7 @@ fn every_spike_equals_that_of_three_other_emulators() {
                 let touches = (0..156).filter(|&c| tactile.at([sample, c, step]) != 0);
                 let sights = (0..3150).filter(|&c| vision.at([sample, c, step]) != 0).map(|c| 156 + c);
                 let channels: Vec<_> = touches.chain(sights).map(|c| ChannelId(c as u32)).collect();
-                engine.step(&channels);
+                engine.step((&channels).into());
                 let spikes: Vec<_> = engine.ascending_spikes().iter().map(|id| id.0 as usize).collect();
                 let recorded: Vec<_> = (0..62)
                     .filter(|&n| match n {

@@ -437,7 +437,7 @@ fn every_field_of_a_recording_is_used_checked_or_listed_as_without_meaning() {
         std::fs::write(&path, bytes).unwrap();
         let options = EventOptions::parse(&nsim::ir::stimulus::pairs(options).unwrap()).unwrap();
         let units = if extension == "tact" { 156 } else { 512 };
-        read_spikes(&path, "in", &Expected { units, volume: None, dt_ms: 1.0 }, &options)
+        read_spikes(&path, "in", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &options)
     };
     let documented = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
     let section = documented.split("### Fields of recordings").nth(1).unwrap().split("\n## ").next().unwrap();
@@ -484,7 +484,7 @@ fn read_bytes(
 ) -> nsim::ir::base::diagnostic::Result<(Vec<(u32, u32)>, Counts)> {
     let FileKind::Events(format) = FileKind::from_bytes(bytes, Path::new(name)) else { panic!("{name}") };
     let options = EventOptions::parse(&nsim::ir::stimulus::pairs(options).unwrap()).unwrap();
-    let expected = Expected { units: 512, volume: Some((2, 16, 16)), dt_ms: 1.0 };
+    let expected = Expected { units: 512, volume: Some((2, 16, 16)), dt_ms: 1.0, values: false };
     let (spikes, counts) = read_input(&mut &bytes[..], name, format, &expected, &options)?;
     Ok((spikes.events, counts))
 }
@@ -530,7 +530,7 @@ fn a_recording_that_is_cut_off_is_read_to_the_last_whole_record() {
     let (events, counts) = read_bytes("a.csv", b"t_us,x,y\n10,1,1\n2000,2", "").unwrap();
     assert_eq!((events.len(), counts.cut_bytes), (1, Some(6)));
     let tact = |text: &str| {
-        let expected = Expected { units: 156, volume: None, dt_ms: 1.0 };
+        let expected = Expected { units: 156, volume: None, dt_ms: 1.0, values: false };
         read_input(&mut text.as_bytes(), "a.tact", EventFormat::Tact, &expected, &EventOptions::default())
     };
     let (_, counts) = tact("1 2 0.001\n0 3 0.003\n1 2").unwrap();

@@ -64,7 +64,7 @@ fn times(target: &Target, options: &Options, spikes: u32, work: HostWork) -> (Ve
     machine.begin(STEPS);
     let timing = deployment.timing(Transport::Analytic, copies);
     let of_step = |step| {
-        machine.step(shown.at(step));
+        machine.step(shown.input(step));
         routes.step_times(machine.last_step(), std::slice::from_ref(&table), timing, &mut memory).remove(0)
     };
     let steps = (0..STEPS).map(of_step).collect();

@@ -140,14 +140,17 @@ fn recorded_trace(
 
 /// What a network in real numbers, whose integers are these, does in a sample, potentials in
 /// thresholds.
-pub fn real_trace(graph: &Graph, integers: &Quantised) -> impl Fn(&Sample) -> Trace + Sync + use<> {
+///
+/// # Errors
+/// `model.no-real-form`.
+pub fn real_trace(graph: &Graph, integers: &Quantised) -> Result<impl Fn(&Sample) -> Trace + Sync + use<>> {
     let recorded = (integers.compartments(), integers.output());
     let (model, thresholds) =
-        (Model::<f64>::new(graph, reference::Options::default()), neuron::model_thresholds(graph));
-    move |sample| {
+        (Model::<f64>::new(graph, reference::Options::default())?, neuron::model_thresholds(graph));
+    Ok(move |sample: &Sample| {
         let potential = |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
         Trace::record(&mut Reference::new(&model), sample, recorded, potential)
-    }
+    })
 }
 
 /// What a mapped network does in a sample.
@@ -297,7 +300,13 @@ pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Prog
     };
     let model = real
         .as_ref()
-        .map(|real| (Model::<f64>::new(real, reference::Options::default()), neuron::model_thresholds(real)));
+        .map(|real| {
+            Ok::<_, Diagnostic>((
+                Model::<f64>::new(real, reference::Options::default())?,
+                neuron::model_thresholds(real),
+            ))
+        })
+        .transpose()?;
     let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
     let compared: Vec<Layer> = match counterpart {
         Counterpart::Recorded(recorded) => recorded.iter().map(|(layer, _)| layer.clone()).collect(),

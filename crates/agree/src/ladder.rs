@@ -211,7 +211,7 @@ impl Ladder {
                 scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
             });
             let (sources, targets) = (self.populations[source.index()].count, self.populations[target.index()].count);
-            let factor = factor * graph.population(source).spike_factor();
+            let factor = factor * f64::from(graph.population(source).message.factor().unwrap_or(1));
             Link {
                 source: source.index(),
                 target: target.index(),
@@ -233,7 +233,7 @@ impl Ladder {
                 (Some(here), Some(there)) => here / there / finer,
                 _ => 1.0 / finer,
             };
-            let payload = f64::from(network.populations()[projection.source].spike_factor());
+            let payload = f64::from(network.populations()[projection.source].message.factor().unwrap_or(1));
             Link {
                 source,
                 target,

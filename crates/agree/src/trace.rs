@@ -53,7 +53,7 @@ impl Trace {
         };
         engine.begin(steps);
         for step in 0..steps {
-            engine.step(sample.at(step));
+            engine.step(sample.input(step));
             engine.spikes().iter().for_each(|spike| trace.trains[spike.0 as usize].push(step));
             for c in 0..compartments {
                 trace.potentials[c as usize * steps as usize + step as usize] =

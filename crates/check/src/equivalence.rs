@@ -47,6 +47,7 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, Id, PopulationId};
 use nsim_ir::program::{AxonTarget, Compartment, Compartments, Program};
 use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Population, Projection, Quantised, Units};
+use nsim_ir::spikes::Message;
 
 /// Sources that are decoded together at most: their numbers within a piece have 16 bits.
 const MOST_SOURCES: u64 = 1 << 16;
@@ -79,8 +80,8 @@ pub enum Difference {
     },
 }
 
-/// One synapse as both sides encode it, in one number, so that sorting is quick: target (27 bits),
-/// exponent (5), sign mode (2), bits (4), delay (6), weight (10).
+/// One synapse as both sides encode it, in one number, so that sorting is quick: port (1 bit), target
+/// (27), exponent (5), sign mode (2), bits (4), delay (6), weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct SynapseCode(u64);
 
@@ -97,7 +98,8 @@ impl SynapseCode {
             SignMode::Inhibitory => 2,
         };
         let code = u64::from((format.exponent.get() + 16) as u8) << 2 | sign;
-        SynapseCode((code << 4 | u64::from(format.bits.get())) << 16)
+        let port = format.port.index() as u64;
+        SynapseCode(port << 54 | (code << 4 | u64::from(format.bits.get())) << 16)
     }
 
     /// A synapse of this format.
@@ -199,7 +201,7 @@ fn carries_the_same(network: &Quantised, population: &Population, program: &Prog
     };
     (first..first + population.shape.len()).all(|source| {
         let graded = program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
-        graded.map(|graded| graded.payload) == population.payload
+        graded.map_or(Message::Spike, |graded| graded.message) == population.message
     })
 }
 

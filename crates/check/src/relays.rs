@@ -32,6 +32,7 @@ use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId};
 use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Neuron, Population, Quantised, Units};
+use nsim_ir::spikes::Message;
 
 /// Sources that one task looks at.
 const PIECE: u32 = 1 << 10;
@@ -122,7 +123,7 @@ fn same_population(meant: &Population, found: &Population, later: u32) -> bool {
         }
         _ => false,
     };
-    meant.name == found.name && meant.shape == found.shape && meant.payload == found.payload && same_units
+    meant.name == found.name && meant.shape == found.shape && meant.message == found.message && same_units
 }
 
 /// What follows spikes through relays.
@@ -213,8 +214,8 @@ impl Walk<'_> {
         neuron == (Neuron { vth: neuron.vth, ..Neuron::PLAIN })
             && fires
             && weight < WRAPS_AT
-            && from.payload.is_none()
-            && relays.payload.is_none()
+            && from.message == Message::Spike
+            && relays.message == Message::Spike
             && *start_step <= starts
     }
 }

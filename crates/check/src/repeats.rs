@@ -122,7 +122,7 @@ fn same_population(one: &Population, other: &Population, later: u32, sizes: Size
         }
         _ => false,
     };
-    units && one.shape == other.shape && one.payload == other.payload
+    units && one.shape == other.shape && one.message == other.message
 }
 
 fn same_projection(one: &Projection, other: &Projection, later: u32) -> bool {

@@ -452,7 +452,7 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
 
 fn usage_of(image: &CoreImage, longest: Delay, (words, widest): (u64, u32)) -> CoreUsage {
     let compartments = image.compartments.len() as u32;
-    let profiles = |neuron: &Neuron| ((neuron.du, neuron.dv, neuron.refractory), neuron.vth);
+    let profiles = |neuron: &Neuron| (neuron.profile(), neuron.threshold());
     let distinct = image.compartments.iter().map(|c| profiles(&c.neuron));
     let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
     let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u64;

@@ -13,8 +13,10 @@ use std::hash::Hash;
 use crate::emit::route::compartments;
 use crate::mapping::Compiled;
 use nsim_check::{equivalence, verify};
+use nsim_ir::base::fixed::{Decay, Refractory, ThresholdMantissa};
 use nsim_ir::base::shared::Shared;
 use nsim_ir::hardware::Target;
+use nsim_ir::neurons::Row;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Parts, Population, Quantised, Units};
 use nsim_partition::error::{CompileError, Result};
@@ -33,8 +35,8 @@ impl<T: Hash + Eq> Classes<T> {
 
 /// What the compiler sees of neurons, one after the other.
 struct Seen {
-    profiles: Classes<[i64; 3]>,
-    thresholds: Classes<i64>,
+    profiles: Classes<(Decay, Decay, Refractory, Row)>,
+    thresholds: Classes<(ThresholdMantissa, Row)>,
 }
 
 impl Seen {
@@ -43,8 +45,7 @@ impl Seen {
     }
 
     fn see(&mut self, neuron: &Neuron) -> (usize, usize) {
-        let profile = [neuron.du.get().into(), neuron.dv.get().into(), neuron.refractory.get().into()];
-        (self.profiles.number(profile), self.thresholds.number(neuron.vth.get().into()))
+        (self.profiles.number(neuron.profile()), self.thresholds.number(neuron.threshold()))
     }
 }
 
@@ -57,7 +58,7 @@ pub fn is_mapped_alike(a: &Quantised, b: &Quantised) -> bool {
     if a.pruned().is_some() || b.pruned().is_some() || one.name != other.name || frame(one) != frame(other) {
         return false;
     }
-    let described = |a: &Population, b: &Population| (&a.name, a.shape, a.payload) == (&b.name, b.shape, b.payload);
+    let described = |a: &Population, b: &Population| (&a.name, a.shape, a.message) == (&b.name, b.shape, b.message);
     let (mut in_one, mut in_other) = (Seen::new(), Seen::new());
     let mut alike = |a: &Population, b: &Population| match (&a.units, &b.units) {
         (Units::Input(a), Units::Input(b)) => a == b,

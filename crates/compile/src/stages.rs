@@ -256,7 +256,7 @@ impl Front {
         form: Form,
     ) -> Result<(Self, Quantised)> {
         let (one, clock) = (&self.one, &mut self.clock);
-        has_kinds(one, target)?;
+        has_kinds_and_messages(one, target)?;
         clock.stage("bounds", || within_bounds(one, target, options.copies, form, search))?;
         let all = clock.stage("copies", || copies(one, options.copies));
         let all = all.map_err(|error| Diagnostic::new("map.copies", error.to_string()))?;
@@ -281,10 +281,20 @@ impl Front {
     }
 }
 
-/// Refuses neurons that no compartment of the target can be.
-fn has_kinds(network: &Quantised, target: &Target) -> Result<()> {
-    let kinds = &target.chip().neuron_kinds;
+/// Refuses neurons that no compartment of the target can be, and messages that it cannot send.
+fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
+    let (kinds, widest) = (&target.chip().neuron_kinds, target.chip().message_bits);
     for population in network.populations() {
+        let bits = population.message.bits();
+        if bits > widest {
+            let carry = if widest == 0 { "carry no integers".to_string() } else { format!("carry {widest} bits") };
+            let (name, target) = (&population.name, target.name());
+            let message =
+                format!("messages of population '{name}' carry integers of {bits} bits, those of {target} {carry}");
+            return Err(Diagnostic::new("map.message", message)
+                .help("choose a target with wider messages (its message_bits): docs/loihi2.md names one")
+                .into());
+        }
         let Units::Compartments { neurons, .. } = &population.units else { continue };
         let mut lacking = NeuronKind::ALL.into_iter().filter(|kind| !kinds.contains(kind));
         if let Some(kind) = lacking.find(|kind| neurons.any(|neuron| neuron.kind == *kind)) {
@@ -300,7 +310,7 @@ fn has_kinds(network: &Quantised, target: &Target) -> Result<()> {
                         "nsim convert makes it reset to zero and measures the loss; or choose a target with these \
                          neuron_kinds"
                     }
-                    _ => "choose a target with these neuron_kinds",
+                    _ => "choose a target with these neuron_kinds: docs/loihi2.md names one",
                 })
                 .into());
         }

@@ -21,7 +21,6 @@ use nsim_ir::quantised::Neuron;
 
 /// The description.
 pub(super) const KIND: Kind = Kind {
-    summary: "integrate-and-fire: no memory in the current, no leak of the voltage",
     semantics: &[Semantics::Hardware],
     neuron: |values| {
         let decays = [Decay::MAX.get().into(), Decay::MIN.get().into()];

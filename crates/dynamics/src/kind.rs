@@ -1,37 +1,20 @@
-//! The terms in which a neuron kind is described.
+//! The terms in which a neuron kind with the registers of Loihi 1 is described.
 //!
 //! A [`Kind`] is data and functions over a compartment's parameters. What an update reads and
-//! writes has one form for all kinds ([`Fields`], [`Registers`], [`Effect`]), because the machine
-//! stores the registers of all compartments side by side: two words and a counter. A kind that
-//! needs more state has to widen [`Registers`] first.
+//! writes has one form for all of them ([`Fields`], [`Registers`], [`Effect`]): two words and a
+//! counter, which the machine updates as vectors.
 
 use std::num::NonZeroU32;
 
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
-use nsim_ir::base::fixed::{DECAY_ONE, Field, OutOfRange, THRESHOLD_SHIFT, UV_BITS};
+use nsim_ir::base::fixed::{DECAY_ONE, OutOfRange, THRESHOLD_SHIFT, UV_BITS};
 use nsim_ir::graph::NeuronParameters;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::Neuron;
 
-/// A register of a compartment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StateField {
-    /// Its name in `docs/semantics.md` and in probes.
-    pub name: &'static str,
-    /// Bits, the sign included.
-    pub bits: u32,
-}
-
-/// A neuron kind.
+/// A neuron kind with the registers of Loihi 1.
 #[derive(Debug)]
 pub struct Kind {
-    /// What it is, in a sentence.
-    pub summary: &'static str,
-    /// Its state between two steps.
-    pub state: &'static [StateField],
-    /// The integer that its spikes carry if its population gives one; `None` where they are always
-    /// binary.
-    pub emits: Option<Field>,
     /// The arithmetics that it is defined in.
     pub semantics: &'static [Semantics],
     /// A compartment from the integers of `NeuronKind::parameters`, in that order, each within its

@@ -1,38 +1,58 @@
-//! One description of each neuron kind, which everything but the golden interpreter takes it from.
+//! What a network means: the update of each neuron kind, the scaling of weights, the enumeration of
+//! synapses. Everything but the golden interpreter takes them from here.
 //!
-//! A kind's file states its state fields and their widths, its scalar update, when it is at rest,
-//! the bounds on its state that pruning and early exit need, what it emits, and the same dynamics
-//! in real numbers. The names and ranges of its parameters are in [`nsim_ir::neurons`], where the
-//! reader of model files finds them. `golden` computes each kind again from `docs/semantics.md`,
-//! and the machine's vector form is held against the scalar update here.
-//!
-//! To add a kind: its file, [`kind`] and [`update`] here, its table in `desc::neurons`, its
-//! arithmetic in `golden`.
+//! The names and ranges of a kind's parameters and its words of state are in
+//! [`nsim_ir::neurons`]. Kinds with the registers of Loihi 1 share one form ([`Kind`], [`Fields`]),
+//! which the machine has as vectors too; a file states the scalar update, when it is at rest, the
+//! bounds on its state that pruning and early exit need, and the same dynamics in real numbers. All
+//! other kinds are in [`kinds`]. `golden` computes each again from `docs/semantics.md`.
 
 pub mod arithmetic;
 mod integrate_fire;
 mod kind;
+pub mod kinds;
 mod loihi;
 mod soft_reset;
 pub mod synapses;
 
-pub use kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers, StateField};
+pub use kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers};
 
 use std::num::NonZeroU32;
 
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
+use nsim_ir::base::fixed::OutOfRange;
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
-use nsim_ir::neurons::NeuronKind;
+use nsim_ir::neurons::{NeuronKind, Row};
 use nsim_ir::quantised::{Neuron, Quantised, Units};
 
-/// The description of a kind.
-#[must_use]
-pub fn kind(kind: NeuronKind) -> &'static Kind {
+/// The description of a kind with the registers of Loihi 1.
+fn kind(kind: NeuronKind) -> &'static Kind {
     match kind {
-        NeuronKind::Loihi => &loihi::KIND,
         NeuronKind::If => &integrate_fire::KIND,
         NeuronKind::SoftReset => &soft_reset::KIND,
+        _ => &loihi::KIND,
     }
+}
+
+/// The arithmetics that a kind is defined in.
+#[must_use]
+pub fn semantics(of: NeuronKind) -> &'static [Semantics] {
+    if of.table().registers { kind(of).semantics } else { &[Semantics::Hardware] }
+}
+
+/// A compartment from the integers of its parameters, in the order of the table.
+///
+/// # Errors
+/// [`OutOfRange`] for a parameter outside its range.
+pub fn neuron(of: NeuronKind, values: &[i64]) -> Result<Neuron, OutOfRange> {
+    if of.table().registers {
+        return (kind(of).neuron)(values);
+    }
+    let mut row = Row::EMPTY;
+    for ((place, parameter), &value) in row.0.iter_mut().zip(of.parameters()).zip(values) {
+        *place = parameter.field.check(value)? as i32;
+    }
+    Ok(Neuron { kind: of, row, ..Neuron::PLAIN })
 }
 
 /// One update with `arrived` units of 64.
@@ -40,15 +60,17 @@ pub fn kind(kind: NeuronKind) -> &'static Kind {
 #[must_use]
 pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     match f.neuron.kind {
-        NeuronKind::Loihi | NeuronKind::If => loihi::update(r, arrived, f),
         NeuronKind::SoftReset => soft_reset::update(r, arrived, f),
+        _ => loihi::update(r, arrived, f),
     }
 }
 
-/// What the updates of a compartment read.
+/// What the updates of a compartment with registers read; of another kind, its start step alone has
+/// a meaning.
 #[must_use]
 pub fn fields(neuron: &Neuron, start_step: u32, semantics: Semantics, test: ThresholdTest) -> Fields {
-    (kind(neuron.kind).fields)(neuron, start_step, semantics, test)
+    let fields = (kind(neuron.kind).fields)(neuron, start_step, semantics, test);
+    Fields { vectors: fields.vectors && neuron.kind.table().registers, ..fields }
 }
 
 /// Equation (8): what the chip's voltage register reads after an update.
@@ -60,6 +82,9 @@ pub fn voltage_register(neuron: &Neuron, semantics: Semantics, r: &Registers, sp
 /// Whether a compartment may ever spike; false only with a proof.
 #[must_use]
 pub fn may_spike(neuron: &Neuron, semantics: Semantics, test: ThresholdTest, arrivals: Arrivals) -> bool {
+    if !neuron.kind.table().registers {
+        return true;
+    }
     let fires_from = i64::from(fields(neuron, 0, semantics, test).fires_from);
     (kind(neuron.kind).greatest_voltage)(neuron, semantics, arrivals).is_none_or(|v| v >= fires_from)
 }
@@ -68,10 +93,14 @@ pub fn may_spike(neuron: &Neuron, semantics: Semantics, test: ThresholdTest, arr
 /// there is no next.
 #[must_use]
 pub fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZeroU32> {
-    (kind(neuron.kind).shortest_interval)(neuron, semantics)
+    match neuron.kind.table().registers {
+        true => (kind(neuron.kind).shortest_interval)(neuron, semantics),
+        false => Some(NonZeroU32::MIN),
+    }
 }
 
-/// A compartment of a model in real numbers, at so many ms a timestep.
+/// A compartment of a model in real numbers, at so many ms a timestep; [`Graph::has_real_form`] says
+/// whether all have such a form.
 #[must_use]
 pub fn model(parameters: &NeuronParameters, index: u32, timestep_ms: f64, semantics: Semantics) -> RealForm {
     let endless = parameters.value("refractory", index) < 1.0;

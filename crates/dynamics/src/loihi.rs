@@ -34,28 +34,21 @@
 
 use std::num::NonZeroU32;
 
-use super::kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers, StateField};
+use super::kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers};
 use crate::arithmetic::clip;
 use crate::arithmetic::decay;
 use crate::arithmetic::wrap;
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::{
-    BiasExponent, BiasMantissa, DECAY_ONE, Decay, OutOfRange, Payload, Q_BITS, Refractory, ThresholdMantissa, UV_BITS,
+    BiasExponent, BiasMantissa, DECAY_ONE, Decay, OutOfRange, Q_BITS, Refractory, ThresholdMantissa, UV_BITS,
     VmaxExponent, VminExponent, WEIGHT_SHIFT,
 };
 use nsim_ir::graph::NeuronParameters;
-use nsim_ir::neurons::NeuronKind;
+use nsim_ir::neurons::{NeuronKind, Row};
 use nsim_ir::quantised::Neuron;
 
 /// The description.
 pub(super) const KIND: Kind = Kind {
-    summary: "current-based leaky integrate-and-fire compartment of Loihi 1",
-    state: &[
-        StateField { name: "u", bits: UV_BITS + 1 },
-        StateField { name: "v", bits: UV_BITS + 1 },
-        StateField { name: "refractory counter", bits: 6 },
-    ],
-    emits: Some(Payload::FIELD),
     semantics: &[Semantics::Hardware, Semantics::Lava, Semantics::Slayer],
     neuron,
     fields,
@@ -80,6 +73,7 @@ fn neuron(values: &[i64]) -> Result<Neuron, OutOfRange> {
         vmin: VminExponent::new(vmin)?,
         vmax: VmaxExponent::new(vmax)?,
         shift: 0,
+        row: Row::EMPTY,
     })
 }
 

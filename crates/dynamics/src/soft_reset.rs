@@ -20,8 +20,6 @@ use nsim_ir::quantised::Neuron;
 
 /// The description.
 pub(super) const KIND: Kind = Kind {
-    summary: "current-based leaky integrate-and-fire compartment from which a spike subtracts the threshold",
-    state: loihi::KIND.state.split_at(2).0,
     semantics: &[Semantics::Hardware],
     neuron: |values| {
         // All but the refractory period, which is one step.

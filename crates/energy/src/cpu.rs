@@ -139,6 +139,9 @@ impl Dense {
         for target in order {
             let population = &network.populations()[target];
             let Units::Compartments { neurons, start_step, .. } = &population.units else { continue };
+            if neurons.any(|neuron| !neuron.kind.table().registers) {
+                return Err(format!("'{}' has no form in real numbers", population.name));
+            }
             let units: Vec<RealForm> = (0..population.shape.len())
                 .map(|i| RealForm::of_neuron(&neurons.get(i), network.parts().semantics))
                 .collect();
@@ -149,7 +152,7 @@ impl Dense {
             let mut incoming = Vec::new();
             for (_, projection) in network.incoming(target) {
                 let mut weights = Array2::zeros((size(projection.source) as usize, size(target) as usize));
-                let factor = network.populations()[projection.source].spike_factor() as f32;
+                let factor = network.populations()[projection.source].message.factor().unwrap_or(1) as f32;
                 for from in 0..size(projection.source) {
                     projection.connectivity.for_each_from(from, |to, weight| {
                         weights[[from as usize, to as usize]] += scaled(projection.format, weight) as f32 * factor;

@@ -64,7 +64,7 @@ pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) 
     let length = period.steps().max(1);
     let mut at = (from % u64::from(length)) as u32;
     for _ in 0..count {
-        engine.step(period.at(at));
+        engine.step(period.input(at));
         black_box(engine.spikes());
         at += 1;
         if at == length {

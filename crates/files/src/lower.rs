@@ -5,6 +5,7 @@
 //! with its place in the model file. What a number means to the hardware is left to `quantise`.
 
 use std::collections::{BTreeMap, HashMap};
+use std::fmt::Display;
 use std::sync::Arc;
 
 use petgraph::graph::{DiGraph, NodeIndex};
@@ -12,7 +13,7 @@ use petgraph::graph::{DiGraph, NodeIndex};
 use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind as Kind, Source, Weights};
 use crate::synapses::{Synapse, SynapseArrays};
 use nsim_ir::base::diagnostic::{Diagnostic, Span, gathered};
-use nsim_ir::base::fixed::{Delay, Payload};
+use nsim_ir::base::fixed::{Delay, MessageBits, Payload};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{
@@ -20,8 +21,9 @@ use nsim_ir::graph::{
     PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
 };
 use nsim_ir::locate::{items, locate};
-use nsim_ir::neurons::ParameterField;
+use nsim_ir::neurons::{Emits, ParameterField};
 use nsim_ir::spanned::Spanned;
+use nsim_ir::spikes::Message;
 use nsim_ir::tensor::{Numbers, Tensor};
 
 /// The most numbers that a `Uniform` source may stand for: 2^28, half a gigabyte once quantised.
@@ -183,11 +185,30 @@ impl Lowering<'_> {
             (None, Some(srm)) => PopulationKind::Srm(self.srm(name, srm, span)?),
             (None, None) => PopulationKind::Input,
         };
-        let payload = desc.payload.map(|payload| {
-            let wrong = |e| self.error("model.payload", format!("population '{name}': {e}"), self.at(span, "payload"));
-            Payload::new(payload).map_err(wrong)
-        });
-        Ok(Population { name: name.clone(), span, shape, kind, payload: payload.transpose()? })
+        let message = self.message(desc, &kind, span)?;
+        Ok(Population { name: name.clone(), span, shape, kind, message })
+    }
+
+    /// What the messages of a population carry.
+    fn message(&self, desc: &PopulationDesc, kind: &PopulationKind, span: Span) -> Result<Message, Diagnostic> {
+        let wrong = |path: &str, what: &dyn Display| {
+            self.error("model.payload", format!("population '{}': {what}", desc.name), self.at(span, path))
+        };
+        let computes = matches!(kind, PopulationKind::Neurons(p) if p.kind.table().emits == Emits::Values);
+        match (desc.payload, desc.message_bits) {
+            (Some(_), _) if computes => Err(wrong("payload", &"its neurons compute what their messages carry")
+                .help("remove payload; message_bits says how wide their integers are")),
+            (Some(_), Some(_)) => Err(wrong("message_bits", &"a payload says what every message carries")
+                .help("give payload or message_bits, not both")),
+            (Some(payload), None) => Payload::new(payload).map(Message::Payload).map_err(|e| wrong("payload", &e)),
+            (None, Some(_)) if !computes && !matches!(kind, PopulationKind::Input) => {
+                Err(wrong("message_bits", &"its neurons send spikes, which carry no integer of their own")
+                    .help("remove message_bits, or give a payload"))
+            }
+            (None, Some(bits)) => MessageBits::new(bits).map(Message::Value).map_err(|e| wrong("message_bits", &e)),
+            (None, None) if computes => Ok(Message::Value(MessageBits::MAX)),
+            (None, None) => Ok(Message::Spike),
+        }
     }
 
     fn shape(&self, shape: &[u64], span: Span) -> Result<Shape, Diagnostic> {
@@ -417,6 +438,7 @@ impl Lowering<'_> {
                 weight_exp: weight_exp.clone(),
                 sign: desc.sign,
                 weight_bits: weight_bits.clone(),
+                port: desc.port,
                 delay,
                 weight_scale: weight_scale.clone(),
                 weights_span,

@@ -91,12 +91,11 @@ pub const CELLS: &[Shipped] = shipped!(
 );
 /// Shipped targets.
 pub const TARGETS: &[Shipped] =
-    shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs");
+    shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs", "oheo-gulch");
 /// Shipped chips.
-pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "tiny");
+pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "loihi2", "tiny");
 /// Shipped presets of constants.
-pub const CONSTANTS: &[Shipped] =
-    shipped!("mapping/constants": "davies2018", "loihi1-evidence", "sanafe-calibrated", "vtsnn-calibrated");
+pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "loihi1-evidence", "loihi2-modelled", "sanafe-calibrated", "vtsnn-calibrated");
 /// Shipped tables of measurements.
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
 /// Shipped workloads that others measured.

@@ -11,19 +11,24 @@
 //!
 //! There are no cores, threads or skipped work. A step visits every synapse.
 
+mod outcome;
+mod resonator;
+mod sigma_delta;
+
 use std::collections::VecDeque;
 
+use crate::outcome::{Outcome, wrap};
 use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::Decay;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec};
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
-use nsim_ir::neurons::NeuronKind;
+use nsim_ir::neurons::{NeuronKind, Port};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Neuron, Projection, Quantised, Reset, SpikeSource, Units};
 use nsim_ir::source_counts::LeftField;
-use nsim_ir::spikes::Engine;
+use nsim_ir::spikes::{Engine, Message, Spikes};
 
 /// The greatest number of steps from a spike to the update that it enters: delay field 62, and one
 /// step between compartments.
@@ -38,6 +43,8 @@ struct Synapse {
     way: u32,
     /// What a binary spike adds: equation (1).
     adds: i64,
+    /// The sum that it adds to.
+    port: Port,
 }
 
 /// What a compartment carries from one step to the next.
@@ -47,23 +54,18 @@ struct State {
     v: i64,
     /// The step of its last spike.
     spiked_at: Option<u32>,
-}
-
-/// What an update did besides changing the state.
-#[derive(Debug, Clone, Copy, Default)]
-struct Outcome {
-    spiked: bool,
-    q_wrapped: bool,
-    u_wrapped: bool,
-    v_clipped: bool,
+    /// The words of a kind without u and v.
+    words: [i64; 4],
 }
 
 #[derive(Debug, Clone)]
 struct Compartment {
     neuron: Neuron,
     start_step: u32,
-    /// What its spikes multiply weights by.
-    payload: i64,
+    /// What its messages carry.
+    message: Message,
+    /// What the last one carried.
+    sent: i64,
     incoming: Vec<Synapse>,
     state: State,
 }
@@ -79,8 +81,8 @@ pub struct Golden {
     done: u32,
     /// Steps of the sample.
     steps: u32,
-    /// What a spike of each channel multiplies its weights by.
-    channel_payloads: Vec<i64>,
+    /// What the messages of each channel carry.
+    channel_messages: Vec<Message>,
     /// What the spike of each channel carried, if it spiked; the latest step first.
     channel_history: VecDeque<Vec<Option<i64>>>,
     /// What the spike of each compartment carried, if it spiked; the latest step first.
@@ -99,22 +101,22 @@ impl Golden {
     /// An interpreter of this network, with nothing in flight.
     #[must_use]
     pub fn new(network: &Quantised) -> Golden {
-        let (mut compartments, mut channel_payloads) = (IdVec::new(), Vec::new());
+        let (mut compartments, mut channel_messages) = (IdVec::new(), Vec::new());
         for population in network.populations() {
-            // A binary spike adds each weight once.
-            let payload = population.payload.map_or(1, |payload| i64::from(payload.get()));
+            let message = population.message;
             if let Units::Compartments { neurons, start_step, .. } = &population.units {
                 for index in 0..population.shape.len() {
                     compartments.push(Compartment {
                         neuron: neurons.get(index),
                         start_step: *start_step,
-                        payload,
+                        message,
+                        sent: 0,
                         incoming: Vec::new(),
                         state: State::default(),
                     });
                 }
             } else {
-                channel_payloads.extend((0..population.shape.len()).map(|_| payload));
+                channel_messages.extend((0..population.shape.len()).map(|_| message));
             }
         }
         for (target, synapse) in synapses(network) {
@@ -129,12 +131,12 @@ impl Golden {
             compartments,
             done: 0,
             steps: 0,
-            channel_payloads,
+            channel_messages,
             channel_history: VecDeque::new(),
             compartment_history: VecDeque::new(),
             spikes: Vec::new(),
             payloads: Vec::new(),
-            graded: network.populations().iter().any(|population| population.payload.is_some()),
+            graded: network.populations().iter().any(|population| population.message != Message::Spike),
             totals: Totals::default(),
             overflow: Overflow::default(),
             left_fields,
@@ -177,28 +179,29 @@ impl Golden {
         events
     }
 
-    /// The sum of all that arrives at a compartment in this step, and the number of synapses that
-    /// it arrives over.
-    fn arrivals(&self, compartment: CompartmentId) -> (i64, u64) {
-        let (mut sum, mut events) = (0, 0);
+    /// The sums of all that arrives at a compartment in this step, by port, and the number of
+    /// synapses that it arrives over.
+    fn arrivals(&self, compartment: CompartmentId) -> ([i64; 2], u64) {
+        let (mut sums, mut events) = ([0; 2], 0);
         for synapse in &self.compartments[compartment].incoming {
             if let Some(payload) = self.carried(synapse.source, synapse.way) {
-                sum += synapse.adds * payload;
+                sums[synapse.port.index()] += synapse.adds * payload;
                 events += 1;
             }
         }
-        (sum, events)
+        (sums, events)
     }
 
     /// One step of one compartment, counted; whether it spikes.
     fn update(&mut self, id: CompartmentId, step: u32) -> bool {
-        let (sum, events) = self.arrivals(id);
+        let (sums, events) = self.arrivals(id);
+        let sum = sums[0];
         // Rule (12): what would arrive after the sample's end is never looked for.
         self.totals.synaptic_events += events;
         self.totals.compartment_updates += 1;
 
         let (semantics, threshold) = (self.semantics, self.threshold);
-        let Compartment { neuron, start_step, state, .. } = &mut self.compartments[id];
+        let Compartment { neuron, start_step, state, message, sent, .. } = &mut self.compartments[id];
         // Rule (9), and in SLAYER rule (11): what arrives at a population that is held is lost.
         let start = if semantics == Semantics::Slayer { (*start_step).max(1) } else { *start_step };
         if step < start {
@@ -210,19 +213,34 @@ impl Golden {
             *state = State::default();
         }
         // Rule (13).
-        let at_rest = state.u == 0
-            && state.v == 0
-            && !is_refractory(semantics, neuron, state, step)
-            && bias(semantics, neuron) == 0
-            && sum == 0;
+        let at_rest = match neuron.kind.table().registers {
+            true => {
+                state.u == 0
+                    && state.v == 0
+                    && !is_refractory(semantics, neuron, state, step)
+                    && bias(semantics, neuron) == 0
+                    && sum == 0
+            }
+            false => sums == [0; 2] && is_idle(neuron, &state.words),
+        };
         self.totals.active_updates += u64::from(!at_rest);
 
-        let outcome = match (neuron.kind, semantics) {
+        let mut outcome = match (neuron.kind, semantics) {
             (NeuronKind::SoftReset, _) => soft_reset(neuron, threshold, state, sum),
             (NeuronKind::If, _) => integrate_and_fire(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Lava) => lava(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Slayer) => slayer(neuron, threshold, state, sum, step),
+            _ => in_words(neuron, &mut state.words, sums),
+        };
+        // A message that its population does not have room for is sent, and reported.
+        if let Some(value) = outcome.value {
+            outcome.u_wrapped |= wrap(value, message.bits() - 1) != value;
+        }
+        *sent = match *message {
+            Message::Spike => 1,
+            Message::Payload(payload) => payload.get().into(),
+            Message::Value(_) => outcome.value.unwrap_or(0),
         };
         // Rule (14).
         self.overflow.q_wrapped += u64::from(outcome.q_wrapped);
@@ -254,12 +272,16 @@ impl Engine for Golden {
         self.overflow = Overflow::default();
     }
 
-    fn step(&mut self, channels: &[ChannelId]) {
+    fn step(&mut self, input: Spikes<'_>) {
         let step = self.done;
-        self.totals.spikes_in += channels.len() as u64;
-        let mut inputs = vec![None; self.channel_payloads.len()];
-        for &channel in channels {
-            inputs[channel.index()] = Some(self.channel_payloads[channel.index()]);
+        self.totals.spikes_in += input.ids.len() as u64;
+        let mut inputs = vec![None; self.channel_messages.len()];
+        for (place, &channel) in input.ids.iter().enumerate() {
+            inputs[channel.index()] = Some(match self.channel_messages[channel.index()] {
+                Message::Spike => 1,
+                Message::Payload(payload) => payload.get().into(),
+                Message::Value(_) => input.values.get(place).map_or(1, |&value| value.into()),
+            });
         }
         self.channel_history.push_front(inputs);
         // Nothing of this step's own row is read: a compartment's spike is on its way for a step at
@@ -270,10 +292,10 @@ impl Engine for Golden {
 
         let spikes: Vec<CompartmentId> = self.compartments.ids().filter(|&id| self.update(id, step)).collect();
         for &id in &spikes {
-            self.compartment_history[0][id.index()] = Some(self.compartments[id].payload);
+            self.compartment_history[0][id.index()] = Some(self.compartments[id].sent);
         }
         self.totals.spikes += spikes.len() as u64;
-        let carried = spikes.iter().filter(|_| self.graded).map(|&id| narrow(self.compartments[id].payload));
+        let carried = spikes.iter().filter(|_| self.graded).map(|&id| narrow(self.compartments[id].sent));
         self.payloads = carried.collect();
         self.spikes = spikes;
         self.done += 1;
@@ -285,6 +307,15 @@ impl Engine for Golden {
 
     fn payloads(&self) -> &[i32] {
         &self.payloads
+    }
+
+    fn state(&self, compartment: CompartmentId, column: usize) -> i32 {
+        let Compartment { neuron, state, .. } = &self.compartments[compartment];
+        narrow(match (neuron.kind.table().registers, column) {
+            (true, 0) => state.u,
+            (true, _) => state.v,
+            (false, _) => state.words[column],
+        })
     }
 
     fn u(&self, compartment: CompartmentId) -> i32 {
@@ -337,12 +368,6 @@ fn scaled(weight: i64, exponent: i8) -> i64 {
         // Division rounds toward zero: first the scaling, then the loss of the low six bits.
         64 * weight / power / 64 * 64
     }
-}
-
-/// Two's complement of `bits` bits and a sign.
-fn wrap(x: i64, bits: u32) -> i64 {
-    let half = 1i64 << bits;
-    (x + half).rem_euclid(2 * half) - half
 }
 
 /// Equation (3). Division rounds toward zero.
@@ -423,6 +448,7 @@ fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i
     let clipped = voltage.clamp(vmin, vmax);
     let v_clipped = clipped != voltage && !is_refractory(Semantics::Hardware, neuron, state, step);
     Outcome {
+        value: None,
         spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
         q_wrapped: q != sum,
         u_wrapped: state.u != current || wrap(biased, 23) != biased,
@@ -438,6 +464,7 @@ fn integrate_and_fire(neuron: &Neuron, threshold: ThresholdTest, state: &mut Sta
     let clipped = voltage.clamp(1 - (1i64 << neuron.vmin.get()), (1i64 << (9 + 2 * neuron.vmax.get())) - 1);
     let v_clipped = clipped != voltage && !is_refractory(Semantics::Hardware, neuron, state, step);
     Outcome {
+        value: None,
         spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
         q_wrapped: state.u != sum,
         u_wrapped: wrap(biased, 23) != biased,
@@ -457,6 +484,7 @@ fn soft_reset(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum:
     let spiked = above(threshold, clipped, neuron);
     state.v = if spiked { clipped - 64 * i64::from(neuron.vth.get()) } else { clipped };
     Outcome {
+        value: None,
         spiked,
         q_wrapped: arrived != sum,
         u_wrapped: state.u != current || wrap(biased, 23) != biased,
@@ -481,6 +509,7 @@ fn lava(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, 
     let voltage = wrap(decay(state.v, neuron.dv) + state.u + bias(Semantics::Lava, neuron), 31);
     let clipped = voltage.clamp(1 - HALF, HALF - 1);
     Outcome {
+        value: None,
         spiked: fire(Semantics::Lava, neuron, threshold, state, clipped, step),
         q_wrapped: false,
         u_wrapped: state.u != current,
@@ -500,6 +529,29 @@ fn slayer(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64
     Outcome { spiked: fire(Semantics::Slayer, neuron, threshold, state, voltage, step), ..Outcome::default() }
 }
 
+/// A step of a kind without u and v.
+fn in_words(neuron: &Neuron, words: &mut [i64; 4], sums: [i64; 2]) -> Outcome {
+    // Rule (19): sums count weights times messages, in 32 bits.
+    let arrived = sums.map(|sum| wrap(sum / 64, 31));
+    let outcome = match neuron.kind {
+        NeuronKind::SigmaDelta => sigma_delta::sigma_delta(&neuron.row, words, arrived[0]),
+        NeuronKind::Delta => sigma_delta::delta(&neuron.row, words, arrived[0]),
+        NeuronKind::Sigma => sigma_delta::sigma(words, arrived[0]),
+        NeuronKind::Rf => resonator::step(&neuron.row, words, arrived, false),
+        NeuronKind::RfIz => resonator::step(&neuron.row, words, arrived, true),
+        NeuronKind::Loihi | NeuronKind::If | NeuronKind::SoftReset => unreachable!("they have u and v"),
+    };
+    Outcome { q_wrapped: (0..2).any(|port| 64 * arrived[port] != sums[port]), ..outcome }
+}
+
+/// Rule (13) for such a kind: whether a step without arrivals would change nothing, send nothing and
+/// report nothing.
+fn is_idle(neuron: &Neuron, words: &[i64; 4]) -> bool {
+    let mut after = *words;
+    let Outcome { spiked, u_wrapped, v_clipped, .. } = in_words(neuron, &mut after, [0; 2]);
+    !spiked && after == *words && !u_wrapped && !v_clipped
+}
+
 /// Every synapse of the network with its target.
 fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
     let mut all = Vec::new();
@@ -516,7 +568,8 @@ fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
                 }
             };
             let adds = scaled(weight, projection.format.exponent.get());
-            all.push((CompartmentId(first_target + to), Synapse { source, way, adds }));
+            let port = projection.format.port;
+            all.push((CompartmentId(first_target + to), Synapse { source, way, adds, port }));
         }
     }
     all
@@ -621,6 +674,7 @@ mod tests {
             exponent: WeightExponent::new(0).unwrap(),
             sign: SignMode::Mixed,
             bits: WeightBits::new(8).unwrap(),
+            port: Port::First,
         };
         Projection {
             name: String::new(),

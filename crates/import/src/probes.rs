@@ -117,7 +117,7 @@ mod tests {
         assert_eq!((back.len(), back[0].steps), (2, 4));
         let nir = folder.path().join("s.nir");
         whole(|batch| trace.nir(&nir, batch, numbers.iter().copied()));
-        let expected = Expected { units: 3, volume: None, dt_ms: 2.0 };
+        let expected = Expected { units: 3, volume: None, dt_ms: 2.0, values: false };
         let again = read_spikes(&nir, "out", &expected, &EventOptions::default()).unwrap();
         for (sample, events) in events.iter().enumerate() {
             let mut from_csv = back[sample].events.clone();

@@ -11,11 +11,12 @@ use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
 use serde::{Deserialize, Serialize};
 
 use crate::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
-use crate::base::diagnostic::{SourceText, Span};
-use crate::base::fixed::{Delay, Payload, SignMode};
+use crate::base::diagnostic::{Diagnostic, SourceText, Span};
+use crate::base::fixed::{Delay, SignMode};
 use crate::locate::locate;
-use crate::neurons::NeuronKind;
+use crate::neurons::{NeuronKind, Port};
 use crate::spanned::Spanned;
+use crate::spikes::Message;
 use crate::tensor::{Numbers, Tensor};
 
 /// The most channels or compartments that a network may have: above it, no target could hold them
@@ -228,17 +229,8 @@ pub struct Population {
     pub shape: Shape,
     /// What it is made of.
     pub kind: PopulationKind,
-    /// The integer that each of its spikes carries; `None` for binary spikes.
-    pub payload: Option<Payload>,
-}
-
-impl Population {
-    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary
-    /// spikes.
-    #[must_use]
-    pub fn spike_factor(&self) -> f64 {
-        self.payload.map_or(1.0, |payload| payload.get().into())
-    }
+    /// What its messages carry.
+    pub message: Message,
 }
 
 /// A window sliding over a `[C, H, W]` population; pairs are (y, x).
@@ -349,6 +341,8 @@ pub struct Projection {
     pub sign: SignMode,
     /// Bits of a weight.
     pub weight_bits: Spanned<i64>,
+    /// The sum of its target that it adds to.
+    pub port: Port,
     /// Delay field.
     pub delay: Delay,
     /// What a real weight of 1 counts.
@@ -415,6 +409,22 @@ impl Graph {
     pub fn new(facts: NetworkFacts, graph: DiGraph<Population, Projection>, output: NodeIndex) -> Self {
         assert!(graph.node_weight(output).is_some(), "the output population is a node");
         Graph { facts, graph, output }
+    }
+
+    /// Refuses neurons that no real numbers describe.
+    ///
+    /// # Errors
+    /// `model.no-real-form`.
+    pub fn has_real_form(&self) -> Result<(), Diagnostic> {
+        let lacking = self.populations().find_map(|(_, population)| match &population.kind {
+            PopulationKind::Neurons(p) if !p.kind.table().registers => Some((population, p.kind.name())),
+            _ => None,
+        });
+        let Some((Population { name, span, .. }, kind)) = lacking else { return Ok(()) };
+        let message = format!("population '{name}' has {kind} neurons, which have no form in real numbers");
+        Err(Diagnostic::new("model.no-real-form", message)
+            .at(&self.facts.source, *span)
+            .help("nsim run and nsim energy take the network; --engine golden checks the fast engine"))
     }
 
     /// Facts about the network as a whole.

@@ -202,7 +202,7 @@ fn graded_of(whole: &Parts, one: OneCopy, copies: &[u32]) -> Vec<Graded> {
         let later = whole.graded.partition_point(|part| part.sources.end <= from.start);
         for part in whole.graded[later..].iter().take_while(|part| part.sources.start < from.end) {
             let (start, end) = (part.sources.start.max(from.start), part.sources.end.min(from.end));
-            graded.push(Graded { sources: to + start - from.start..to + end - from.start, payload: part.payload });
+            graded.push(Graded { sources: to + start - from.start..to + end - from.start, message: part.message });
         }
     };
     for (number, &copy) in (0u32..).zip(copies) {

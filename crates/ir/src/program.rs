@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::csr::Csr;
-use crate::base::fixed::{Delay, Payload};
+use crate::base::fixed::Delay;
 use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::base::shared::Shared;
 use crate::dealt::Dealt;
@@ -25,6 +25,7 @@ use crate::partition::Seat;
 use crate::placement::{Mesh, Site};
 use crate::quantised::connectivity::SynapseFormat;
 use crate::quantised::{Neuron, Output, Population, Reset};
+use crate::spikes::Message;
 
 /// An input axon of a core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
@@ -288,15 +289,30 @@ pub struct CoreImage {
     pub axons_out: Csr<AxonTarget>,
 }
 
-/// Consecutive sources whose spikes all carry the same integer. Sources are numbered channels
-/// first, then compartments.
+impl CoreImage {
+    /// Of a core whose synapses lead to compartments.
+    fn ports_not_closed(&self) -> Option<&'static str> {
+        if self.formats.iter().all(|format| format.synapse.port.is_first()) {
+            return None;
+        }
+        let has_port = |synapse: Synapse| {
+            let kind = self.compartments[usize::from(synapse.slot)].neuron.kind;
+            self.formats[usize::from(synapse.format)].synapse.port.index() < usize::from(kind.table().ports)
+        };
+        let closed = (0..self.inputs.len()).all(|axon| self.inputs.get(axon).synapses().all(has_port));
+        (!closed).then_some("a synapse leads to a port that its compartment does not have")
+    }
+}
+
+/// Consecutive sources whose messages carry an integer. Sources are numbered channels first, then
+/// compartments.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Graded {
     /// The sources.
     pub sources: Range<u32>,
-    /// What each of their spikes carries.
-    pub payload: Payload,
+    /// What their messages carry, which is not nothing.
+    pub message: Message,
 }
 
 /// The compartments of a population.
@@ -391,7 +407,7 @@ impl Parts {
             return Some("a compartment does not sit where its core says");
         }
         if seen {
-            return self.messages_not_closed(image, marks);
+            return self.messages_not_closed(image, marks).or_else(|| image.ports_not_closed());
         }
         if !image.inputs.lists.items().iter().all(has_format) {
             return Some("a synapse has no format");
@@ -399,7 +415,7 @@ impl Parts {
         if !image.inputs.is_closed(slots) {
             return Some("a synapse leads to no compartment, or an input axon and a list do not find each other");
         }
-        self.messages_not_closed(image, marks)
+        self.messages_not_closed(image, marks).or_else(|| image.ports_not_closed())
     }
 
     fn messages_not_closed(&self, image: &CoreImage, marks: &Marks) -> Option<&'static str> {

@@ -1,7 +1,73 @@
 //! Input spikes of a sample, spikes with what they carry, and the interface of an engine.
 
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
 use crate::activity::{Overflow, Totals};
+use crate::base::fixed::{MessageBits, Payload};
 use crate::base::id::{ChannelId, CompartmentId, Id};
+
+/// What the messages of a population carry besides their source.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+pub enum Message {
+    /// Nothing: a binary spike.
+    #[default]
+    Spike,
+    /// The same integer each.
+    Payload(Payload),
+    /// An integer that the neuron computes or the input gives, of at most so many bits. A greater
+    /// one is sent whole and reported.
+    Value(MessageBits),
+}
+
+impl Message {
+    /// What every message multiplies the weights of its synapses by, 1 for a spike; `None` where
+    /// that differs from message to message.
+    #[must_use]
+    pub fn factor(self) -> Option<i32> {
+        match self {
+            Message::Spike => Some(1),
+            Message::Payload(payload) => Some(payload.get()),
+            Message::Value(_) => None,
+        }
+    }
+
+    /// The bits of an integer that a message carries, its sign included.
+    #[must_use]
+    pub fn bits(self) -> u32 {
+        match self {
+            Message::Spike => 0,
+            Message::Payload(payload) => 33 - (payload.get() ^ payload.get() >> 31).leading_zeros(),
+            Message::Value(bits) => bits.get().into(),
+        }
+    }
+
+    /// The greatest magnitude that a message multiplies weights by.
+    #[must_use]
+    pub fn greatest(self) -> u64 {
+        match self {
+            Message::Value(bits) => 1 << (bits.get() - 1),
+            message => message.factor().map_or(1, |factor| factor.unsigned_abs().into()),
+        }
+    }
+}
+
+/// Messages of one step: their sources, ascending, each once, and what they carry.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Spikes<'a> {
+    /// The channels.
+    pub ids: &'a [ChannelId],
+    /// The values of the channels of populations whose messages have values, 1 for others; empty
+    /// where every one is 1.
+    pub values: &'a [i32],
+}
+
+impl<'a, T: AsRef<[ChannelId]> + ?Sized> From<&'a T> for Spikes<'a> {
+    fn from(ids: &'a T) -> Self {
+        Spikes { ids: ids.as_ref(), values: &[] }
+    }
+}
 
 /// Spikes of one sample on the channels of a network, grouped by step.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -10,6 +76,8 @@ pub struct Sample {
     /// One more than steps; spikes of step t are `first[t]..first[t + 1]`.
     first: Vec<u32>,
     channels: Vec<ChannelId>,
+    /// What each carries; empty where every one is 1.
+    values: Vec<i32>,
 }
 
 /// Copies of a network that all see the same sample, each on channels of its own.
@@ -46,7 +114,7 @@ impl Sample {
     /// A sample without spikes.
     #[must_use]
     pub fn silent(steps: u32) -> Self {
-        Sample { label: None, first: vec![0; steps as usize + 1], channels: Vec::new() }
+        Sample { label: None, first: vec![0; steps as usize + 1], channels: Vec::new(), values: Vec::new() }
     }
 
     /// A sample of `steps` timesteps from (step, channel) events in any order; an event given twice
@@ -95,7 +163,20 @@ impl Sample {
             first.push(kept as u32);
         }
         channels.truncate(kept);
-        Ok(Sample { label, first, channels })
+        Ok(Sample { label, first, channels, values: Vec::new() })
+    }
+
+    /// A sample from (step, channel, value) events in any order; of events given twice the last
+    /// counts, and a value of 0 is none.
+    ///
+    /// # Errors
+    /// [`SampleError`] for an event outside the sample.
+    pub fn with_values(steps: u32, events: &[(u32, ChannelId, i32)], label: Option<u32>) -> Result<Self, SampleError> {
+        let by_place: BTreeMap<(u32, ChannelId), i32> = events.iter().map(|&(t, id, value)| ((t, id), value)).collect();
+        let sent = by_place.into_iter().filter(|(_, value)| *value != 0);
+        let (places, values): (Vec<_>, Vec<_>) = sent.unzip();
+        let values = if values.iter().all(|&value| value == 1) { Vec::new() } else { values };
+        Ok(Sample { values, ..Sample::new(steps, &places, label)? })
     }
 
     /// The same spikes with another class.
@@ -107,16 +188,24 @@ impl Sample {
     /// The channels that spike in a step when each of so many copies of a network, one after the
     /// other, sees the sample: ascending, each once. They are written to `shown` where there are
     /// several copies.
-    pub fn at_copies<'s>(&'s self, step: u32, copies: Copies, shown: &'s mut Vec<ChannelId>) -> &'s [ChannelId] {
+    pub fn at_copies<'s>(
+        &'s self,
+        step: u32,
+        copies: Copies,
+        (shown, values): &'s mut (Vec<ChannelId>, Vec<i32>),
+    ) -> Spikes<'s> {
         let Copies { copies, channels } = copies;
+        let one = self.input(step);
         if copies == 1 {
-            return self.at(step);
+            return one;
         }
         shown.clear();
+        values.clear();
         for first in (0..copies).map(|copy| copy * channels) {
-            shown.extend(self.at(step).iter().map(|channel| ChannelId(channel.0 + first)));
+            shown.extend(one.ids.iter().map(|channel| ChannelId(channel.0 + first)));
+            values.extend(one.values);
         }
-        shown
+        Spikes { ids: shown, values }
     }
 
     /// The same spikes on the channels of so many copies of a network, one after the other.
@@ -128,6 +217,7 @@ impl Sample {
             label: self.label,
             first: self.first.iter().map(|&first| first * copies).collect(),
             channels: (0..self.steps()).flat_map(spikes).collect(),
+            values: (0..self.steps()).flat_map(|step| self.input(step).values.repeat(copies as usize)).collect(),
         }
     }
 
@@ -144,7 +234,8 @@ impl Sample {
     pub fn beginning(&self, steps: u32) -> Sample {
         let first = self.first[..=steps.min(self.steps()) as usize].to_vec();
         let spikes = first.last().map_or(0, |&end| end as usize);
-        Sample { label: self.label, first, channels: self.channels[..spikes].to_vec() }
+        let values = self.values.iter().copied().take(spikes).collect();
+        Sample { label: self.label, first, channels: self.channels[..spikes].to_vec(), values }
     }
 
     /// Number of timesteps.
@@ -164,6 +255,14 @@ impl Sample {
     #[must_use]
     pub fn at(&self, step: u32) -> &[ChannelId] {
         &self.channels[self.first[step as usize] as usize..self.first[step as usize + 1] as usize]
+    }
+
+    /// The same with what they carry.
+    #[inline]
+    #[must_use]
+    pub fn input(&self, step: u32) -> Spikes<'_> {
+        let range = self.first[step as usize] as usize..self.first[step as usize + 1] as usize;
+        Spikes { values: self.values.get(range.clone()).unwrap_or(&[]), ids: &self.channels[range] }
     }
 
     /// The first step from this one on that has a spike, or the end.
@@ -247,11 +346,11 @@ pub trait Engine {
     /// Clears state, spikes in flight and everything counted; the coming sample has this many
     /// steps.
     fn begin(&mut self, steps: u32);
-    /// One timestep with these input channels spiking (ascending, each once). Their spikes carry
-    /// what the network says of their population.
-    fn step(&mut self, channels: &[ChannelId]);
+    /// One timestep with these input channels spiking (ascending, each once). The spikes of a
+    /// population with a payload carry that.
+    fn step(&mut self, input: Spikes<'_>);
     /// Passes over this many steps without input, if nothing at all would happen in them: then
-    /// every register is and stays zero, and counts are as if they had been computed. Otherwise
+    /// every register stays as it is, and counts are as if they had been computed. Otherwise
     /// does nothing and returns false. With 0 it only says whether that is so.
     fn rest(&mut self, steps: u32) -> bool {
         let _ = steps;
@@ -261,7 +360,7 @@ pub trait Engine {
     /// costs time that most who ask need not spend.
     fn spikes(&self) -> &[CompartmentId];
     /// What each of [`Engine::spikes`] carries, in that order, 1 for a binary spike. Empty if all
-    /// spikes of the network are binary, and in engines of real numbers.
+    /// messages of the network are binary spikes, and in engines of real numbers.
     fn payloads(&self) -> &[i32] {
         &[]
     }
@@ -271,7 +370,11 @@ pub trait Engine {
         spikes.sort_unstable();
         spikes
     }
-    /// The current register after the last step.
+    /// A word of state after the last step, by its place in the table of the compartment's kind.
+    fn state(&self, compartment: CompartmentId, column: usize) -> i32 {
+        if column == 0 { self.u(compartment) } else { self.v(compartment) }
+    }
+    /// The current register after the last step; 0 of a kind that has none.
     fn u(&self, compartment: CompartmentId) -> i32;
     /// The membrane after the last step: 0 at a spike and while refractory.
     fn v(&self, compartment: CompartmentId) -> i32;

@@ -34,7 +34,7 @@ use nsim_dynamics as neuron;
 use nsim_ir::activity::{Activity, Overflow, StepActivity, Totals};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
 use nsim_ir::source_counts::SourceCounts;
-use nsim_ir::spikes::Engine;
+use nsim_ir::spikes::{Engine, Spikes};
 
 /// How to run. No setting changes a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -171,24 +171,24 @@ impl Machine {
     }
 
     /// Deliver and Update of every shard.
-    fn deliver_and_update(&mut self, channels: &[ChannelId], left: u32) {
+    fn deliver_and_update(&mut self, input: Spikes<'_>, left: u32) {
         std::mem::swap(&mut self.spikes, &mut self.carried);
         std::mem::swap(&mut self.payloads, &mut self.carried_payloads);
         match self.others {
-            None => self.each_shard(Phase::Whole, channels, left),
-            Some(_) => self.deliver_and_update_with_others(channels, left),
+            None => self.each_shard(Phase::Whole, input, left),
+            Some(_) => self.deliver_and_update_with_others(input, left),
         }
     }
 
     /// The same among other ranks, apart: a step of one process is to have nothing of it.
     #[cold]
-    fn deliver_and_update_with_others(&mut self, channels: &[ChannelId], left: u32) {
+    fn deliver_and_update_with_others(&mut self, input: Spikes<'_>, left: u32) {
         // What is known is delivered while the rest is under way.
-        self.each_shard(Phase::Deliver, channels, left);
+        self.each_shard(Phase::Deliver, input, left);
         self.take_remote();
         std::mem::swap(&mut self.remote, &mut self.carried);
         std::mem::swap(&mut self.remote_payloads, &mut self.carried_payloads);
-        self.each_shard(Phase::Update, &[], left);
+        self.each_shard(Phase::Update, Spikes::default(), left);
         self.remote.clear();
     }
 
@@ -204,7 +204,8 @@ impl Machine {
         }
         self.remote_payloads.clear();
         if !image.payloads.is_empty() {
-            let carried = |spike: &CompartmentId| image.payloads[image.channels as usize + spike.index()];
+            // Ranks do not run networks whose messages have values of their own.
+            let carried = |spike: &CompartmentId| image.payloads[image.channels as usize + spike.index()].unwrap_or(1);
             self.remote_payloads.extend(self.remote.iter().map(carried));
         }
         self.remote.iter().for_each(|spike| self.counts.remote[spike.index()] += 1);
@@ -217,13 +218,15 @@ impl Machine {
 
     /// A phase of every shard's step.
     #[inline(always)]
-    fn each_shard(&mut self, phase: Phase, channels: &[ChannelId], left: u32) {
+    fn each_shard(&mut self, phase: Phase, messages: Spikes<'_>, left: u32) {
         let image = &*self.image;
         let input = &StepInput {
             phase,
             step: self.step,
             left,
-            channels,
+            arch: self.arch,
+            channels: messages.ids,
+            channel_values: messages.values,
             carried: &self.carried,
             carried_payloads: &self.carried_payloads,
             visit_all: self.last_events >= VISIT_ALL_FROM * image.skip_blocks as u64,
@@ -321,7 +324,7 @@ impl Machine {
 
 impl Engine for Machine {
     fn begin(&mut self, steps: u32) {
-        self.shards.iter_mut().for_each(ShardState::clear);
+        self.shards.iter_mut().zip(&self.image.shards).for_each(|(state, shard)| state.clear(shard));
         (self.step, self.steps) = (0, steps);
         self.spikes.clear();
         self.payloads.clear();
@@ -343,11 +346,11 @@ impl Engine for Machine {
     // Deliver(t) precedes Update(t) on the same shard; Update(t) on every shard precedes
     // Exchange(t): that is the barrier; Exchange(t) precedes Deliver(t + 1). Sums are exact and
     // narrowed once, so neither order nor number of shards and threads can change a result.
-    fn step(&mut self, channels: &[ChannelId]) {
+    fn step(&mut self, input: Spikes<'_>) {
         let left = self.steps.saturating_sub(self.step);
-        self.deliver_and_update(channels, left);
+        self.deliver_and_update(input, left);
         self.exchange();
-        self.count(channels, left);
+        self.count(input.ids, left);
         self.step += 1;
         self.finish_step(left);
     }
@@ -387,7 +390,19 @@ impl Engine for Machine {
     }
 
     fn payloads(&self) -> &[i32] {
-        &self.payloads
+        if self.image.graded { &self.payloads } else { &[] }
+    }
+
+    fn state(&self, compartment: CompartmentId, column: usize) -> i32 {
+        if !self.image.holds(compartment) {
+            return 0;
+        }
+        let (shard, lane) = self.image.lane(compartment);
+        match (self.image.neuron(compartment).kind.table().registers, column) {
+            (true, 0) => self.u(compartment),
+            (true, _) => self.v(compartment),
+            (false, _) => self.shards[shard].word(&self.image.shards[shard], lane, column),
+        }
     }
 
     fn u(&self, compartment: CompartmentId) -> i32 {

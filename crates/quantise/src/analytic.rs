@@ -18,7 +18,7 @@
 
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, Delay, Refractory, SignMode};
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind, Projection, ProjectionKind, SrmParameters, Values};
-use nsim_ir::neurons::NeuronKind;
+use nsim_ir::neurons::{NeuronKind, Port};
 use nsim_ir::spanned::Spanned;
 
 /// The counterpart of a population of spike response neurons.
@@ -252,6 +252,7 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
                 weight_exp: 0.into(),
                 sign: SignMode::Mixed,
                 weight_bits: 8.into(),
+                port: Port::First,
                 delay: Delay::new(delay as i64).unwrap_or(Delay::MAX),
                 weight_scale: None,
                 weights_span: population.span,

@@ -129,7 +129,7 @@ fn greatest_sum(graph: &Graph, node: NodeIndex) -> f64 {
             continue;
         }
         let population = graph.population(source);
-        let factor = population.spike_factor().abs();
+        let factor = f64::from(population.message.factor().unwrap_or(1).abs());
         let per_channel = |channels: u32| (units / (channels as usize).max(1)).max(1);
         // A window reaches every compartment of a channel with at most its whole kernel.
         let (shared, times) = match &projection.kind {

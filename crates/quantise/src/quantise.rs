@@ -77,8 +77,8 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
             }
             PopulationKind::Srm(_) => return Err(stage.real_neurons(population)),
         };
-        let (name, payload) = (population.name.clone(), population.payload);
-        populations.push(Population { name, shape: population.shape, units, payload });
+        let (name, message) = (population.name.clone(), population.message);
+        populations.push(Population { name, shape: population.shape, units, message });
     }
     let projections = graph
         .projections()
@@ -173,7 +173,7 @@ impl Stage<'_> {
                 .error("model.synapse-format", message, bits.span)
                 .help("1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
         }
-        Ok(SynapseFormat { exponent, sign: projection.sign, bits: width })
+        Ok(SynapseFormat { exponent, sign: projection.sign, bits: width, port: projection.port })
     }
 
     /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
@@ -336,8 +336,7 @@ impl Stage<'_> {
 
     fn neurons(&mut self, population: &graph::Population, p: &NeuronParameters, scale: Option<f64>) -> Result<Neurons> {
         let (name, semantics) = (&population.name, self.graph.facts().semantics);
-        let kind = neuron::kind(p.kind);
-        if !kind.semantics.contains(&semantics) {
+        if !neuron::semantics(p.kind).contains(&semantics) {
             let message = format!("population '{name}': {} has no form in semantics {semantics:?}", p.kind.name());
             return Err(self.error("model.semantics", message, population.span));
         }
@@ -345,7 +344,7 @@ impl Stage<'_> {
         let integers = gathered(integers)?;
         let neuron = |index: u32| {
             let values: Vec<i64> = integers.iter().map(|values| values.get(index)).collect();
-            (kind.neuron)(&values)
+            neuron::neuron(p.kind, &values)
                 .map_err(|e| self.error("model.range", format!("population '{name}': {e}"), population.span))
         };
         let same = integers.iter().all(|values| matches!(values, PerCompartment::Same(_)));
@@ -393,6 +392,22 @@ impl Stage<'_> {
         scale: Option<f64>,
     ) -> Result<Projection> {
         let format = self.format(projection)?;
+        if let PopulationKind::Neurons(p) = &self.graph.population(target).kind {
+            let (name, table) = (&projection.name, p.kind.table());
+            if format.port.index() >= usize::from(table.ports) {
+                let message = format!("projection {name}: {} neurons have one sum of arrivals", p.kind.name());
+                return Err(self.error("model.port", message, projection.span).help("remove port: Second"));
+            }
+            if !table.registers && format.exponent < WeightExponent::ZERO {
+                let message = format!(
+                    "projection {name}: weight_exp {} leads to {} neurons, which sum weights as they are",
+                    format.exponent,
+                    p.kind.name()
+                );
+                let span = projection.weight_exp.span;
+                return Err(self.error("model.synapse-format", message, span).help("give a weight_exp of 0 to 7"));
+            }
+        }
         if let Some(scale) = &projection.weight_scale
             && !(scale.value.is_finite() && scale.value > 0.0)
         {

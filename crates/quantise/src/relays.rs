@@ -36,8 +36,10 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::fixed::{Delay, OutOfRange, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph::{PerCompartment, Shape};
+use nsim_ir::neurons::Port;
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Note, Parts, Population, Projection, Quantised, Units};
+use nsim_ir::spikes::Message;
 
 /// Weight of the synapse of a relay: twice its threshold of 1 mantissa unit.
 const WEIGHT: i16 = 2;
@@ -120,7 +122,7 @@ fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
             }
         }
         if relays.iter().any(|&relays| relays > 0) {
-            if population.payload.is_some() {
+            if population.message != Message::Spike {
                 let name = &population.name;
                 return Err(refused(format!("population {name} sends graded spikes, which a relay does not carry")));
             }
@@ -322,13 +324,13 @@ pub fn with_input_relays(network: &Quantised) -> Result<Quantised, Diagnostic> {
 fn relay_population(name: &str, first: u32, size: u32, start_step: u32) -> Result<Population, Diagnostic> {
     let neurons = PerCompartment::Same(relay().map_err(|error| refused(error.to_string()))?);
     let units = Units::Compartments { first: CompartmentId(first), neurons, start_step };
-    Ok(Population { name: name.to_string(), shape: Shape::Line(size), units, payload: None })
+    Ok(Population { name: name.to_string(), shape: Shape::Line(size), units, message: Message::Spike })
 }
 
 fn relay_format() -> Result<SynapseFormat, Diagnostic> {
     let format = || {
         let (exponent, bits) = (WeightExponent::new(0)?, WeightBits::new(8)?);
-        Ok(SynapseFormat { exponent, sign: SignMode::Mixed, bits })
+        Ok(SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First })
     };
     format().map_err(|error: OutOfRange| refused(error.to_string()))
 }

@@ -19,10 +19,11 @@ use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::falls_on;
 use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
-use nsim_ir::base::id::{ChannelId, CompartmentId};
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::id::CompartmentId;
 use nsim_ir::graph::{Graph, PopulationKind, SrmParameters};
 use nsim_ir::quantised::Reset;
-use nsim_ir::spikes::Engine;
+use nsim_ir::spikes::{Engine, Spikes};
 
 /// How to run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -85,8 +86,11 @@ pub struct Model<F> {
 
 impl<F: Real> Model<F> {
     /// Makes a network ready.
-    #[must_use]
-    pub fn new(graph: &Graph, options: Options) -> Self {
+    ///
+    /// # Errors
+    /// `model.no-real-form` for neurons that no real numbers describe.
+    pub fn new(graph: &Graph, options: Options) -> Result<Self, Diagnostic> {
+        graph.has_real_form()?;
         let facts = graph.facts();
         let (mut channels, mut compartments) = (0, 0);
         let mut populations = Vec::new();
@@ -123,12 +127,13 @@ impl<F: Real> Model<F> {
                     projection,
                     populations[source.index()].count,
                     populations[target.index()].count,
-                    weight_unit(graph, target, projection) * graph.population(source).spike_factor(),
+                    weight_unit(graph, target, projection)
+                        * f64::from(graph.population(source).message.factor().unwrap_or(1)),
                 ),
             });
         }
         let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
-        Model { populations, projections, channels, compartments, options, test: facts.threshold, reset, slots }
+        Ok(Model { populations, projections, channels, compartments, options, test: facts.threshold, reset, slots })
     }
 
     /// Input channels.
@@ -266,11 +271,11 @@ impl<F: Real> Engine for Reference<'_, F> {
         self.totals = Totals::default();
     }
 
-    fn step(&mut self, channels: &[ChannelId]) {
+    fn step(&mut self, input: Spikes<'_>) {
         let model = self.model;
         let inputs = model.populations.iter().enumerate().filter(|(_, p)| matches!(p.kind, Kind::Input));
         for (population, of) in inputs {
-            let mine = channels.iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
+            let mine = input.ids.iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
             mine.for_each(|index| self.send(population, index));
         }
         self.spikes.clear();
@@ -306,7 +311,7 @@ impl<F: Real> Engine for Reference<'_, F> {
             self.send(population, index as u32);
         }
         self.spikes = spikes;
-        self.totals.spikes_in += channels.len() as u64;
+        self.totals.spikes_in += input.ids.len() as u64;
         self.totals.spikes += self.spikes.len() as u64;
         self.totals.compartment_updates += u64::from(model.compartments);
         // Real numbers decay for ever: no update can be left out.

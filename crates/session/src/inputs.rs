@@ -15,7 +15,7 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::quantised::{Population, Quantised};
-use nsim_ir::spikes::{Sample, Stimulus};
+use nsim_ir::spikes::{Message, Sample, Spikes, Stimulus};
 use nsim_ir::stimulus::{InputArg, InputSource, SceneArg};
 use nsim_scene as scene;
 use nsim_scene::clock;
@@ -147,7 +147,9 @@ fn given(
         for index in wanted {
             let population = inputs[index];
             let dt_ms = network.parts().timestep_ms;
-            let expected = Expected { units: population.shape.len().into(), volume: population.shape.volume(), dt_ms };
+            let values = matches!(population.message, Message::Value(_));
+            let (units, volume) = (population.shape.len().into(), population.shape.volume());
+            let expected = Expected { units, volume, dt_ms, values };
             let mut spikes = match &manifest {
                 Some(part) => part.read(&population.name, &expected)?,
                 None => read_spikes(path, &population.name, &expected, &options)?,
@@ -189,6 +191,7 @@ fn beside(sample: &PopulationSpikes, clock: Clock, population: &Population) -> P
         steps: sample.steps,
         label: None,
         events: clock.spikes(sample.steps, units),
+        values: Vec::new(),
         name: format!("the clock of '{}'", population.name),
     }
 }
@@ -286,15 +289,16 @@ pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Optio
     }
     let mut events = Vec::new();
     for step in 0..sample.steps() {
-        for channel in sample.at(step) {
+        let Spikes { ids, values } = sample.input(step);
+        for (place, channel) in ids.iter().enumerate() {
             let unit = |&(from, to, units): &(u32, u32, u32)| {
                 let unit = channel.0.checked_sub(from).filter(|&unit| unit < units)?;
-                Some((step, ChannelId(to + unit)))
+                Some((step, ChannelId(to + unit), values.get(place).copied().unwrap_or(1)))
             };
             events.extend(moved.iter().find_map(unit));
         }
     }
-    Sample::new(sample.steps(), &events, sample.label()).ok()
+    Sample::with_values(sample.steps(), &events, sample.label()).ok()
 }
 
 /// One sample of all input populations, in their order, from one of each.
@@ -318,7 +322,7 @@ pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Re
     for index in 0..count {
         let parts: Vec<PopulationSpikes> = sources.iter_mut().filter_map(Iterator::next).collect();
         let (steps, label) = (parts[0].steps, parts.iter().find_map(|part| part.label));
-        let mut events = Vec::new();
+        let (mut events, mut values) = (Vec::new(), Vec::new());
         for (part, population) in parts.into_iter().zip(inputs) {
             let disagree = |what: &str, other: &str| {
                 Error::from(Diagnostic::new(
@@ -334,8 +338,19 @@ pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Re
             }
             let first = population.first_channel().map_or(0, |channel| channel.0);
             events.extend(part.events.iter().map(|&(step, channel)| (step, ChannelId(first + channel))));
+            if !part.values.is_empty() {
+                values.resize(events.len() - part.values.len(), 1);
+                values.extend(part.values);
+            }
         }
-        samples.push(Sample::new(steps, &events, label).map_err(|e| Diagnostic::new("input.spikes", e.to_string()))?);
+        let sample = if values.is_empty() {
+            Sample::new(steps, &events, label)
+        } else {
+            values.resize(events.len(), 1);
+            let valued: Vec<_> = events.iter().zip(values).map(|(&(step, channel), v)| (step, channel, v)).collect();
+            Sample::with_values(steps, &valued, label)
+        };
+        samples.push(sample.map_err(|e| Diagnostic::new("input.spikes", e.to_string()))?);
     }
     Ok(samples)
 }

@@ -28,8 +28,9 @@ use sha2::{Digest, Sha256};
 
 use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::base::id::CompartmentId;
+use nsim_ir::neurons::NeuronKind;
 use nsim_ir::potentials::Potentials;
-use nsim_ir::quantised::Output;
+use nsim_ir::quantised::{Output, Population, Units};
 use nsim_ir::spikes::{Copies, Engine, Sample};
 
 /// What a probe records.
@@ -43,12 +44,31 @@ pub enum Quantity {
     V,
     /// What the chip's voltage register reads.
     VRegister,
+    /// What the message carries, 0 where none is sent.
+    Message,
+    /// A word of state, by its place in the table of the kind.
+    State(usize),
 }
 
 impl Quantity {
-    /// Every quantity with the name that arguments and files use.
-    pub const ALL: [(Quantity, &'static str); 4] =
-        [(Quantity::Spikes, "spikes"), (Quantity::U, "u"), (Quantity::V, "v"), (Quantity::VRegister, "v_register")];
+    /// Every quantity of compartments with registers, with the name that arguments and files use.
+    pub const ALL: [(Quantity, &'static str); 5] = [
+        (Quantity::Spikes, "spikes"),
+        (Quantity::U, "u"),
+        (Quantity::V, "v"),
+        (Quantity::VRegister, "v_register"),
+        (Quantity::Message, "message"),
+    ];
+
+    /// The quantity of this name that compartments of a kind have.
+    #[must_use]
+    pub fn of_kind(kind: NeuronKind, name: &str) -> Option<Quantity> {
+        let table = kind.table();
+        if table.registers || matches!(name, "spikes" | "message") {
+            return Quantity::ALL.into_iter().find(|(_, known)| *known == name).map(|(quantity, _)| quantity);
+        }
+        table.state.iter().position(|column| column.name == name).map(Quantity::State)
+    }
 }
 
 /// A quantity of consecutive compartments.
@@ -60,6 +80,18 @@ pub struct Probe {
     pub count: u32,
     /// What to record.
     pub quantity: Quantity,
+}
+
+impl Probe {
+    /// What is called so of a population's compartments: a quantity, or a word of their state; `None`
+    /// where they have no such thing.
+    #[must_use]
+    pub fn named(population: &Population, what: &str) -> Option<Probe> {
+        let Units::Compartments { first, neurons, .. } = &population.units else { return None };
+        let count = population.shape.len();
+        let kind = if count > 0 { neurons.get(0).kind } else { NeuronKind::Loihi };
+        Some(Probe { first: *first, count, quantity: Quantity::of_kind(kind, what)? })
+    }
 }
 
 /// What to keep of each sample, and when it ends.
@@ -141,7 +173,7 @@ pub fn run_copies<E: Engine + ?Sized>(
     keep: &Keep,
     mut after_step: impl FnMut(&E, Passed),
 ) -> Outcome {
-    let mut shown = Vec::new();
+    let mut shown = (Vec::new(), Vec::new());
     let Output { first, count: size, decision: read_out, start_step } = keep.output;
     let potentials = Potentials::new(read_out, size);
     let mut outcome = Outcome { counts: vec![0; size as usize], potentials, ..Outcome::default() };
@@ -227,6 +259,20 @@ fn record<E: Engine + ?Sized>(engine: &E, probe: &Probe, step: usize, steps: usi
                 if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
                     kept[i as usize * steps + step] = 1;
                 }
+            }
+            return;
+        }
+        Quantity::Message => {
+            for (place, spike) in engine.spikes().iter().enumerate() {
+                if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
+                    kept[i as usize * steps + step] = engine.payloads().get(place).copied().unwrap_or(1);
+                }
+            }
+            return;
+        }
+        Quantity::State(column) => {
+            for i in 0..probe.count {
+                kept[i as usize * steps + step] = engine.state(compartment(i), column);
             }
             return;
         }

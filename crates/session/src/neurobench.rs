@@ -106,7 +106,8 @@ fn operations(network: &Quantised, counts: &SourceCounts) -> (u64, u64) {
                 &counts.compartments.as_slice()[range(first.index(), source.shape.len())]
             }
         };
-        let sum = if source.spike_factor().abs() == 1 { &mut plain } else { &mut graded };
+        let sum =
+            if source.message.factor().is_some_and(|factor| factor.abs() == 1) { &mut plain } else { &mut graded };
         for (index, spikes) in (0..).zip(spikes).filter(|(_, spikes)| **spikes > 0) {
             *sum += spikes * nonzero_of(&projection.connectivity, index, &mut row);
         }

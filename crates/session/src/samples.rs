@@ -20,7 +20,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::source_counts::{LeftField, SourceCounts};
-use nsim_ir::spikes::{Copies, Engine, Sample};
+use nsim_ir::spikes::{Copies, Engine, Message, Sample};
 use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_reference::{Model, Real, Reference};
@@ -149,6 +149,10 @@ fn on_ranks<M: Meter>(
     if margin && keep.output.decision != ReadOut::Spikes {
         let message = "potentials decide this model, and no one of several processes has them all";
         return Err(Diagnostic::new("run.early-exit", message).help("run it in one process, or without an early exit"));
+    }
+    if program.parts().graded.iter().any(|graded| matches!(graded.message, Message::Value(_))) {
+        let message = "messages of this model carry integers that its neurons compute, which ranks do not exchange";
+        return Err(Diagnostic::new("run.part", message).help("run it in one process"));
     }
     let begin = Instant::now();
     let part = part_of(program, ranks)?;
@@ -391,7 +395,7 @@ pub fn firing_rates<'s>(network: &Quantised, samples: impl IntoIterator<Item = &
     for sample in samples {
         engine.begin(sample.steps());
         for step in 0..sample.steps() {
-            engine.step(sample.at(step));
+            engine.step(sample.input(step));
             sample.at(step).iter().for_each(|channel| channels[channel.index()] += 1);
             engine.spikes().iter().for_each(|id| compartments[id.index()] += 1);
         }

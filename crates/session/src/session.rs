@@ -14,10 +14,10 @@ use std::sync::Arc;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CompartmentId};
 use nsim_ir::quantised::Quantised;
-use nsim_ir::spikes::{Copies, Engine, Sample};
+use nsim_ir::spikes::{Copies, Engine, Sample, Spikes};
 use nsim_machine::{Image, Machine, Settings};
 
-/// Input spikes that are kept, 8 bytes each; later ones are counted only.
+/// Input spikes that are kept, 12 bytes each; later ones are counted only.
 const MOST_KEPT: usize = 1 << 26;
 
 /// An engine after some step.
@@ -25,14 +25,15 @@ const MOST_KEPT: usize = 1 << 26;
 pub struct Session {
     machine: Machine,
     copies: Copies,
-    /// Input spikes of one copy: (step, channel).
-    kept: Vec<(u32, ChannelId)>,
+    /// Input spikes of one copy: (step, channel, value).
+    kept: Vec<(u32, ChannelId, i32)>,
     steps: u32,
     /// Whether an input spike was not kept.
     is_cut: bool,
-    /// The last step's input: of one copy, and of all.
-    shown: Vec<ChannelId>,
-    all: Vec<ChannelId>,
+    /// The last step's input, of one copy.
+    shown: Vec<(ChannelId, i32)>,
+    /// Scratch memory: the input of all copies.
+    all: (Vec<ChannelId>, Vec<i32>),
 }
 
 impl Session {
@@ -46,7 +47,7 @@ impl Session {
             steps: 0,
             is_cut: false,
             shown: Vec::new(),
-            all: Vec::new(),
+            all: (Vec::new(), Vec::new()),
         };
         session.reset();
         session
@@ -67,36 +68,36 @@ impl Session {
         self.steps
     }
 
-    /// One timestep in which these channels of each copy spike, in any order; one that is given
-    /// twice spikes once.
+    /// One timestep in which these channels of each copy spike, in any order, each with what its
+    /// message carries, 1 for a spike; of one that is given twice the first counts, and a value of 0
+    /// is no message.
     ///
     /// # Errors
     /// `session.channel`; the session stays as it was.
-    pub fn step(&mut self, channels: impl IntoIterator<Item = ChannelId>) -> Result<()> {
-        self.all.clear();
-        self.all.extend(channels);
-        if !self.all.is_sorted_by(|a, b| a < b) {
-            self.all.sort_unstable();
-            self.all.dedup();
+    pub fn step(&mut self, input: impl IntoIterator<Item = (ChannelId, i32)>) -> Result<()> {
+        let mut given: Vec<(ChannelId, i32)> = input.into_iter().filter(|(_, value)| *value != 0).collect();
+        if !given.is_sorted_by(|a, b| a.0 < b.0) {
+            given.sort_by_key(|(channel, _)| *channel);
+            given.dedup_by_key(|(channel, _)| *channel);
         }
         let Copies { copies, channels } = self.copies;
-        if let Some(last) = self.all.last().filter(|last| last.0 >= channels) {
+        if let Some((last, _)) = given.last().filter(|(last, _)| last.0 >= channels) {
             let message = format!("channel {} is not one of the network's {channels}", last.0);
             return Err(Diagnostic::new("session.channel", message).help("channels are counted from 0"));
         }
-        std::mem::swap(&mut self.shown, &mut self.all);
+        self.shown = given;
         self.is_cut |= self.kept.len() + self.shown.len() > MOST_KEPT || self.steps == u32::MAX - 1;
         if !self.is_cut {
-            self.kept.extend(self.shown.iter().map(|&channel| (self.steps, channel)));
+            self.kept.extend(self.shown.iter().map(|&(channel, value)| (self.steps, channel, value)));
         }
-        if copies == 1 {
-            self.machine.step(&self.shown);
-        } else {
-            self.all.clear();
-            let firsts = (0..copies).map(|copy| copy * channels);
-            self.all.extend(firsts.flat_map(|first| self.shown.iter().map(move |c| ChannelId(c.0 + first))));
-            self.machine.step(&self.all);
+        let (ids, values) = &mut self.all;
+        ids.clear();
+        values.clear();
+        for first in (0..copies).map(|copy| copy * channels) {
+            ids.extend(self.shown.iter().map(|(channel, _)| ChannelId(channel.0 + first)));
+            values.extend(self.shown.iter().map(|(_, value)| value));
         }
+        self.machine.step(Spikes { ids, values });
         self.steps = self.steps.saturating_add(1);
         Ok(())
     }
@@ -112,9 +113,9 @@ impl Session {
         rests
     }
 
-    /// The channels of one copy that spiked in the last step, ascending.
+    /// The channels of one copy that spiked in the last step, ascending, with what they carried.
     #[must_use]
-    pub fn shown(&self) -> &[ChannelId] {
+    pub fn shown(&self) -> &[(ChannelId, i32)] {
         &self.shown
     }
 
@@ -148,6 +149,6 @@ impl Session {
         if self.is_cut {
             return Err(too_long());
         }
-        Sample::new(self.steps, &self.kept, None).map_err(|_| too_long())
+        Sample::with_values(self.steps, &self.kept, None).map_err(|_| too_long())
     }
 }

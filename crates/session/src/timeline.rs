@@ -191,7 +191,7 @@ mod tests {
             let width = found.layout.columns().len();
             let mut meant: Vec<Vec<(u32, u32)>> = vec![Vec::new(); network.populations().len()];
             for step in 0..60 {
-                golden.step(sample.at(step));
+                golden.step(sample.input(step));
                 for (&id, trace) in watched.iter().zip(&found.potentials) {
                     assert_eq!(trace[step as usize], golden.v(id), "seed {seed}, step {step}, {id}");
                 }

@@ -18,6 +18,7 @@ use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::{ThresholdMantissa, VmaxExponent};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
+use nsim_ir::neurons::{Kept, NeuronKind};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
 use nsim_ir::spikes::{Copies, Engine, Sample};
@@ -194,6 +195,19 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
     if let Some(why) = unreached(run, spiking, id) {
         return why;
     }
+    let population = &network.populations()[id];
+    let kind = match &population.units {
+        Units::Compartments { neurons, .. } if !population.shape.is_empty() => neurons.get(0).kind,
+        _ => NeuronKind::Loihi,
+    };
+    let table = kind.table();
+    if !table.registers {
+        let threshold = table.parameters.iter().find(|parameter| parameter.kept == Kept::Threshold);
+        return match threshold {
+            Some(threshold) => format!("lower its {}, or scale up the weights that lead to it", threshold.name),
+            None => "all that reaches it sums to zero".to_string(),
+        };
+    }
     let integrates = |units: &Units| match units {
         Units::Compartments { neurons, .. } => !neurons.any(|neuron| neuron.vth != ThresholdMantissa::MAX),
         Units::Input(_) => false,
@@ -279,7 +293,7 @@ fn watched(
         if step == 0 {
             engine.begin(sample.steps());
         }
-        engine.step(sample.at(step));
+        engine.step(sample.input(step));
         for (id, best) in silent.iter().zip(&mut best) {
             let population = &parts.populations[*id];
             let Units::Compartments { first, neurons, start_step } = &population.units else { continue };

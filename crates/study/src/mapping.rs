@@ -84,7 +84,7 @@ fn golden(network: &Quantised, sample: &Sample) -> Vec<Vec<u32>> {
     let mut engine = Golden::new(network);
     engine.begin(STEPS);
     let step = |t| {
-        engine.step(sample.at(t));
+        engine.step(sample.input(t));
         engine.ascending_spikes().iter().map(|id| id.0).collect()
     };
     (0..STEPS).map(step).collect()
@@ -248,7 +248,7 @@ fn simulated(
     machine.begin(STEPS);
     let of_copy = compiled.one.compartments();
     for step in 0..STEPS {
-        machine.step(sample.at(step));
+        machine.step(sample.input(step));
         let copies = (0..case.copies).flat_map(|k| meant[step as usize].iter().map(move |id| id + k * of_copy));
         // Those of relays are not the network's.
         let spikes = machine.ascending_spikes();

@@ -193,7 +193,7 @@ impl<'a> Subject<'a> {
             budget,
             deployed,
         };
-        let model = Model::<f64>::new(graph, reference::Options { kernel: Kernel::Exact });
+        let model = Model::<f64>::new(graph, reference::Options { kernel: Kernel::Exact })?;
         subject.trained = subject.real_traces(&model);
         subject.golden = subject.traces(&mut Golden::new(&subject.deployed), &subject.deployed, 1);
         Ok(subject)
@@ -280,11 +280,11 @@ impl<'a> Subject<'a> {
         times
     }
 
-    fn real<F: Real>(&self, variant: Variant, kernel: Kernel) -> VariantRow {
-        let model = Model::<F>::new(self.graph, reference::Options { kernel });
+    fn real<F: Real>(&self, variant: Variant, kernel: Kernel) -> Result<VariantRow, Error> {
+        let model = Model::<F>::new(self.graph, reference::Options { kernel })?;
         let mut engine = Reference::new(&model);
         let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
-        self.row(variant, &self.real_traces(&model), &times)
+        Ok(self.row(variant, &self.real_traces(&model), &times))
     }
 
     /// A network on the machine, which is given samples with `merged` steps in one.
@@ -349,8 +349,8 @@ impl<'a> Subject<'a> {
     pub fn measure(&self, variant: Variant) -> Result<VariantRow, Error> {
         let kernel = |convolution| if convolution { Kernel::Truncated } else { Kernel::Exact };
         match variant {
-            Variant::Reference { single: true, convolution } => Ok(self.real::<f32>(variant, kernel(convolution))),
-            Variant::Reference { single: false, convolution } => Ok(self.real::<f64>(variant, kernel(convolution))),
+            Variant::Reference { single: true, convolution } => self.real::<f32>(variant, kernel(convolution)),
+            Variant::Reference { single: false, convolution } => self.real::<f64>(variant, kernel(convolution)),
             Variant::Golden => {
                 let mut engine = Golden::new(&self.deployed);
                 let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
@@ -385,7 +385,7 @@ pub fn mark_front(rows: &mut [VariantRow]) {
 fn drive<E: Engine>(engine: &mut E, sample: &Sample) {
     engine.begin(sample.steps());
     for step in 0..sample.steps() {
-        engine.step(sample.at(step));
+        engine.step(sample.input(step));
         black_box(engine.spikes());
     }
 }

@@ -324,7 +324,7 @@ mod tests {
             let network = &bench.network;
             let mut engine = Golden::new(network);
             engine.begin(STEPS);
-            (0..STEPS).for_each(|t| engine.step(bench.period.at(t)));
+            (0..STEPS).for_each(|t| engine.step(bench.period.input(t)));
             let spikes = engine.totals().spikes;
             println!(
                 "{}: {} compartments, {} synapses, {spikes} spikes",

@@ -14,9 +14,11 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{Graph, PerCompartment, Shape, Window};
 use nsim_ir::hardware::{Chip, Target, TargetFile};
+use nsim_ir::neurons::Port;
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Parts, Population, Projection, Quantised, Units};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Resource};
+use nsim_ir::spikes::Message;
 
 /// A model from its text.
 pub fn model(text: impl AsRef<str>) -> Network {
@@ -74,7 +76,8 @@ pub fn plain_format() -> SynapseFormat {
 
 /// A format.
 pub fn format(exponent: i64, sign: SignMode, bits: i64) -> SynapseFormat {
-    SynapseFormat { exponent: WeightExponent::new(exponent).unwrap(), sign, bits: WeightBits::new(bits).unwrap() }
+    let (exponent, bits) = (WeightExponent::new(exponent).unwrap(), WeightBits::new(bits).unwrap());
+    SynapseFormat { exponent, sign, bits, port: Port::First }
 }
 
 /// Parameters of the silicon network's compartments.
@@ -112,7 +115,7 @@ impl Builder {
     pub fn input_shape(&mut self, name: &str, shape: Shape) -> PopulationId {
         let units = Units::Input(ChannelId(self.channels));
         self.channels += shape.len();
-        self.parts.populations.push(Population { name: name.to_string(), shape, units, payload: None })
+        self.parts.populations.push(Population { name: name.to_string(), shape, units, message: Message::Spike })
     }
 
     /// An input of so many channels.
@@ -125,7 +128,7 @@ impl Builder {
         let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
         self.compartments += shape.len();
         self.parts.output =
-            self.parts.populations.push(Population { name: name.to_string(), shape, units, payload: None });
+            self.parts.populations.push(Population { name: name.to_string(), shape, units, message: Message::Spike });
         self.parts.output
     }
 

@@ -98,7 +98,7 @@ fn compared(
         true => None,
         false => Some(deployed(&args.model, integers, &target)?),
     };
-    let trained = real_trace(graph, integers);
+    let trained = real_trace(graph, integers)?;
     let machine = mapped.as_ref().map(|mapped| machine_trace(integers, &mapped.program)).transpose()?;
     let here = layers(integers);
     let output = output_layer(integers);

@@ -18,6 +18,7 @@ use nsim_compile::{
 };
 use nsim_files as io;
 use nsim_files::network::Network;
+use nsim_files::network::USUAL_TARGET;
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::base::names::fits_pattern;
 use nsim_ir::firing_rates::Rates;
@@ -44,9 +45,9 @@ pub struct JobArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub timestep: TimestepArgs,
-    /// A target file or the name of a shipped target
-    #[arg(long, default_value = "nahuku-32")]
-    pub target: String,
+    /// A target file or the name of a shipped target [default: the model's own, or nahuku-32]
+    #[arg(long)]
+    pub target: Option<String>,
     /// A mapping saved by `nsim map -o`
     #[arg(help_heading = "Mapping", long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
@@ -72,14 +73,13 @@ impl JobArgs {
     /// A model on the default target, unpruned.
     #[must_use]
     pub fn for_model(model: &str) -> Self {
-        let target = "nahuku-32".to_string();
         let prune = PruneArgs { prune: Vec::new() };
         let copies = CopiesArgs { delayed_copies: copies::USUAL as u32 };
         let placement = CopyPlacement::default();
         JobArgs {
             model: model.to_string(),
             timestep: TimestepArgs::default(),
-            target,
+            target: None,
             mapping: None,
             relays: false,
             prune,
@@ -234,6 +234,12 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
         return received(args, ranks);
     }
     let prepared = prepare_here(args, wanted, copies, probed)?;
+    if let (None, Prepared::Ready(Job::Mapped(_, target, _))) = (&args.target, &prepared)
+        && target.name() != USUAL_TARGET
+    {
+        handed::refuse(ranks)?;
+        return Err(Error::Usage(format!("a job of several processes names its target: --target {}", target.name())));
+    }
     if matches!(prepared, Prepared::DoesNotFit(_)) {
         handed::refuse(ranks)?;
     }
@@ -242,7 +248,8 @@ pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probe
 
 /// The part of a job that rank 0 has mapped, which alone reads the model.
 fn received(args: &JobArgs, ranks: &Ranks) -> Result<Prepared, Error> {
-    let target = Box::new(io::target::load_target(&args.target)?);
+    // Rank 0 refuses a model with a target of its own unless it is named.
+    let target = Box::new(io::target::load_target(args.target.as_deref().unwrap_or(USUAL_TARGET))?);
     let options = Options { share: ranks::share(), ..Options::default() };
     match handed::receive(&target, &options, ranks) {
         Ok(Opened { compiled, note: scene }) => Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), target, scene))),
@@ -280,7 +287,7 @@ fn prepare_here(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&
         say_notes(&quantised);
         return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
     }
-    let target = io::target::load_target(&args.target)?;
+    let target = io::target::load_target(network.file().target_or_usual(args.target.as_deref()))?;
     let mut mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
     let copies = copies.or(mapping.as_ref().map(|file| file.copies)).unwrap_or(1);
     let (placement, share) = (args.placement, ranks::share());

@@ -160,7 +160,7 @@ fn trial(
     let samples: Vec<&Sample> = samples.iter().collect();
     let keep = Keep { output: quantised.output(), probes: Vec::new(), early_exit: None };
     let (model, units) =
-        (Model::<f64>::new(graph, Options::default()), (quantised.channels(), quantised.compartments()));
+        (Model::<f64>::new(graph, Options::default())?, (quantised.channels(), quantised.compartments()));
     let outcomes = output::with_progress(context, samples.len(), "samples", |progress| {
         reference(&model, units, &samples, &keep, progress).0.outcomes
     });

@@ -66,6 +66,8 @@ fn sanafe_files(folder: &std::path::Path) -> [PathBuf; 2] {
 mod tests {
     use clap::Parser;
 
+    use nsim_files::network::USUAL_TARGET;
+
     use super::*;
     use crate::cli::args::values::SampleRange;
     use nsim_cost::job::{Accounting, Convention, Mode};
@@ -85,10 +87,10 @@ mod tests {
     fn defaults_are_those_of_the_contract() {
         let args = args(&[]).unwrap().cost;
         let scenario = shipped_for(&args.job.model).unwrap().unwrap();
-        assert_eq!((scenario.copies.value, scenario.target), (32, args.job.target.clone()));
+        assert_eq!((scenario.copies.value, scenario.target), (32, USUAL_TARGET.to_string()));
         assert_eq!(
-            (args.job.model.as_str(), args.job.target.as_str(), args.copies, args.input.repeat),
-            ("vtsnn-slip", "nahuku-32", None, 1)
+            (args.job.model.as_str(), args.job.target.clone(), args.copies, args.input.repeat),
+            ("vtsnn-slip", None, None, 1)
         );
         assert_eq!(
             (args.deployment, args.mode, args.convention, args.accounting),

@@ -56,9 +56,10 @@ pub struct Args {
     /// places of the cores, or their tables
     #[arg(long = "as", value_name = "STAGE", value_parser = one_of(&Stage::ALL, Stage::name), requires = "name")]
     pub stage: Option<Stage>,
-    /// The target of the compiler: a file or the name of a shipped target
-    #[arg(long, default_value = "nahuku-32", requires = "stage")]
-    pub target: String,
+    /// The target of the compiler: a file or the name of a shipped target [default: the model's own, or
+    /// nahuku-32]
+    #[arg(long, requires = "stage")]
+    pub target: Option<String>,
     /// Where to save the text
     #[arg(short, long)]
     pub output: Option<PathBuf>,

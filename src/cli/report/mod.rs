@@ -105,7 +105,8 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Co
             origins.push(origin_of_file("input", &path)?);
         }
     }
-    for path in [Some(Path::new(&args.cost.job.target)), args.cost.job.mapping.as_deref()].into_iter().flatten() {
+    for path in [args.cost.job.target.as_deref().map(Path::new), args.cost.job.mapping.as_deref()].into_iter().flatten()
+    {
         if path.is_file() {
             origins.push(origin_of_file(
                 if args.cost.job.mapping.as_deref() == Some(path) { "mapping" } else { "target" },

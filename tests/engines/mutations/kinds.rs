@@ -5,12 +5,14 @@ use nsim::check::verify::Violation;
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
 use nsim::ir::base::csr::Csr;
 use nsim::ir::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent,
-    WeightBits, WeightExponent,
+    BiasExponent, BiasMantissa, Decay, Delay, MessageBits, Payload, Refractory, SignMode, ThresholdMantissa,
+    VmaxExponent, VminExponent, WeightBits, WeightExponent,
 };
 use nsim::ir::base::id::{CompartmentId, CoreId, Id, PopulationId};
+use nsim::ir::neurons::{NeuronKind, Port};
 use nsim::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Synapse};
 use nsim::ir::quantised::{Neuron, Reset};
+use nsim::ir::spikes::Message;
 
 use crate::common::random::Draw;
 
@@ -44,6 +46,47 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("refractory period", |p, d| field(p, d, |n, d| n.refractory = Refractory::new(d.from(0, 63)).unwrap())),
     ("lower clip", |p, d| field(p, d, |n, d| n.vmin = VminExponent::new(d.from(0, 23)).unwrap())),
     ("upper clip", |p, d| field(p, d, |n, d| n.vmax = VmaxExponent::new(d.from(0, 7)).unwrap())),
+    ("parameter of a row", |p, d| {
+        let (core, slot) = compartment(p, d);
+        let neuron = &mut p.cores[core].compartments[slot].neuron;
+        let parameters = neuron.kind.parameters();
+        let place = d.from(0, neuron.row.0.len() as i64 - 1) as usize;
+        let field = parameters.get(place).filter(|_| !neuron.kind.table().registers)?.field;
+        neuron.row.0[place] = d.from(field.low, field.high) as i32;
+        Some(Closed)
+    }),
+    ("kind of a neuron", |p, d| {
+        let (core, slot) = compartment(p, d);
+        p.cores[core].compartments[slot].neuron.kind = d.one_of(&NeuronKind::ALL);
+        // A synapse may then lead to a port that is not there.
+        Some(Anything)
+    }),
+    ("what messages carry", |p, d| {
+        let bits = MessageBits::new(d.from(1, 32)).unwrap();
+        let payload = Payload::new(d.from(-9, 9)).unwrap();
+        let message = d.one_of(&[Message::Payload(payload), Message::Value(bits)]);
+        let place = (d.from(0, 9) as usize).checked_rem(p.graded.len())?;
+        p.graded[place].message = message;
+        Some(Verified)
+    }),
+    ("messages that carry nothing", |p, d| {
+        let place = (d.from(0, 9) as usize).checked_rem(p.graded.len())?;
+        p.graded.remove(place);
+        Some(Verified)
+    }),
+    ("sources of what messages carry", |p, d| {
+        let place = (d.from(0, 9) as usize).checked_rem(p.graded.len())?;
+        let sources = &mut p.graded[place].sources;
+        sources.end = d.from(sources.start.into(), i64::from(sources.end) + 2) as u32;
+        Some(Anything)
+    }),
+    ("port of a format", |p, d| {
+        let (core, at) = format_at(p, d)?;
+        let format = &mut p.cores[core].formats[at].synapse;
+        format.port = if format.port.is_first() { Port::Second } else { Port::First };
+        // Formats may then be the same twice, or lead to a port that is not there.
+        Some(Anything)
+    }),
     ("start step", |p, d| {
         let (core, slot) = compartment(p, d);
         p.cores[core].compartments[slot].start_step += d.from(1, 9) as u32;

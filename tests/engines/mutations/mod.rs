@@ -79,6 +79,7 @@ fn difference(good: &Parts, meant: &Meaning, mutated: &Parts) -> Result<(), Diff
         (good.channels.len() == mutated.channels.len(), "number of input channels"),
         (good.seats.len() == mutated.seats.len(), "number of compartments"),
         (good.populations == mutated.populations, "list of populations"),
+        (good.graded == mutated.graded, "payload of a population"),
         (good.output == mutated.output, "output population"),
         (good.semantics == mutated.semantics, "semantics"),
         (good.threshold == mutated.threshold, "threshold test"),
@@ -103,7 +104,7 @@ fn difference(good: &Parts, meant: &Meaning, mutated: &Parts) -> Result<(), Diff
 /// The shipped chip with room for what is not tested here, so that a mutation breaks the rule that
 /// it is meant to break.
 fn roomy(compartments: u32, packing: Packing) -> Target {
-    let chip = load_target("loihi1-chip").unwrap();
+    let chip = load_target("oheo-gulch").unwrap();
     let mut limits = chip.limits().clone();
     (limits[Resource::Compartments], limits.packing) = (compartments, packing);
     (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
@@ -139,7 +140,9 @@ fn mutate(network: &Quantised, target: &Target, program: Program, seed: u64, tal
         let mut wrong = |what: String| tally.wrong.push(format!("{name}, seed {seed}: {what}"));
         let judge = match Program::new(parts) {
             Err(reason) => {
-                if !matches!(expected, Expected::NotClosed | Expected::Anything) {
+                // What moves a synapse or a neuron may part a resonator from its second sum.
+                let by_port = reason.0.contains("a port that its compartment does not have");
+                if !by_port && !matches!(expected, Expected::NotClosed | Expected::Anything) {
                     wrong(format!("rejected as not closed: {reason}"));
                 }
                 "Program::new"
@@ -176,7 +179,7 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
     let tallies = (0..NETWORKS)
         .into_par_iter()
         .map(|seed| {
-            let network = random::network(seed);
+            let network = if seed % 2 == 0 { random::network(seed) } else { random::mixed(seed) };
             let mut tallies = vec![Tally::default(); KINDS.len()];
             for target in &targets {
                 let Compiled { program, .. } = compile(network.clone(), target, &options).unwrap();

@@ -17,12 +17,12 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{PerCompartment, Shape};
 use nsim_ir::hardware::Target;
-use nsim_ir::neurons::NeuronKind;
+use nsim_ir::neurons::{NeuronKind, Port, Row};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Inconsistent, Neuron, Parts, Population, Projection, Quantised, Units};
 use nsim_ir::resource::Resource;
-use nsim_ir::spikes::Engine;
+use nsim_ir::spikes::{Engine, Message};
 use nsim_machine::{Image, Machine, Settings};
 
 /// Synapses of the one population of a case, all to all.
@@ -86,6 +86,7 @@ impl Plan {
                 vmin: VminExponent::new(p.vmin.into())?,
                 vmax: VmaxExponent::new(p.vmax.into())?,
                 shift: 0,
+                row: Row::EMPTY,
             })
         };
         let neurons = PerCompartment::Each(self.neurons.iter().map(neuron).collect::<Result<_, _>>()?);
@@ -94,7 +95,7 @@ impl Plan {
             name: name.to_string(),
             shape: Shape::Line(count),
             units,
-            payload: None,
+            message: Message::Spike,
         };
         let units = Units::Compartments { first: CompartmentId(0), neurons, start_step: 0 };
         let projection = |link: &Link| {
@@ -106,6 +107,7 @@ impl Plan {
                     exponent: WeightExponent::new(link.exponent.into())?,
                     sign: SignMode::Mixed,
                     bits: WeightBits::new(8)?,
+                    port: Port::First,
                 },
                 delay: Delay::new(link.delay.into())?,
                 connectivity: Connectivity::Dense { targets: count, weights: link.weights.concat().into() },
@@ -197,7 +199,7 @@ impl Plan {
             }
             let ids: Vec<ChannelId> = channels.into_iter().map(ChannelId).collect();
             for (name, engine) in &mut engines {
-                engine.step(&ids);
+                engine.step(ids.as_slice().into());
                 let wrong = |what: String| (u64::from(now) + 1, format!("{name}, step {now}: {what}"));
                 let spiked = engine.ascending_spikes();
                 if spiked != spikes {
@@ -414,7 +416,7 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
     for now in 0..STEPS {
         let channels = if u64::from(now).is_multiple_of(DRIVE) { channel.as_slice() } else { &[] };
         let mut check = |name: &str, engine: &mut dyn Engine| {
-            engine.step(channels);
+            engine.step(channels.into());
             let id = CompartmentId(0);
             let is = (engine.u(id), engine.v(id), !engine.spikes().is_empty());
             spikes += u64::from(is.2);

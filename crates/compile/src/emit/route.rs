@@ -27,6 +27,7 @@ use nsim_ir::program::{
 };
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::resource::Limits;
+use nsim_ir::spikes::Message;
 use nsim_partition::resources::axon_sharing::{EqualPlace, Places};
 use nsim_partition::resources::by_core;
 use nsim_partition::resources::by_core::{Key, by_core_from};
@@ -147,7 +148,8 @@ pub(super) fn assemble(
 fn graded(network: &Quantised) -> Vec<Graded> {
     let of = |population: &Population| {
         let first = first_source(network, population);
-        Some(Graded { sources: first..first + population.shape.len(), payload: population.payload? })
+        let message = Some(population.message).filter(|message| *message != Message::Spike)?;
+        Some(Graded { sources: first..first + population.shape.len(), message })
     };
     let mut graded: Vec<Graded> = network.populations().iter().filter_map(of).collect();
     graded.sort_unstable_by_key(|graded| graded.sources.start);

@@ -20,7 +20,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::shared::Shared;
 use nsim_ir::locate::locate;
-use nsim_ir::neurons::NeuronKind;
+use nsim_ir::neurons::{NeuronKind, Port};
 use nsim_ir::spanned::parse;
 pub use nsim_ir::tensor::ArrayRef;
 use nsim_ir::tensor::{Numbers, Tensor};
@@ -170,6 +170,9 @@ pub struct PopulationDesc {
     pub start_step: u32,
     /// The integer that each of its spikes carries; none for binary spikes.
     pub payload: Option<i64>,
+    /// The bits of the integers that its messages carry; none for spikes, and where its kind sends
+    /// integers of 32 bits.
+    pub message_bits: Option<i64>,
 }
 
 impl PopulationDesc {
@@ -280,6 +283,8 @@ pub struct ProjectionDesc {
     pub delay: u32,
     /// What a real weight of 1 counts in units of the weight mantissa.
     pub weight_scale: Option<f64>,
+    /// The sum of its target that it adds to.
+    pub port: Port,
 }
 
 impl ProjectionDesc {
@@ -295,6 +300,7 @@ impl ProjectionDesc {
             weight_bits: 8,
             delay: 0,
             weight_scale: None,
+            port: Port::First,
         }
     }
 
@@ -334,6 +340,9 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
+/// The target of models that name none.
+pub const USUAL_TARGET: &str = "nahuku-32";
+
 /// What a model file holds.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, rename = "Network")]
@@ -372,6 +381,9 @@ pub struct NetworkFile {
     /// The stimulus to use when none is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
+    /// The target to map it onto when none is named.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target: Option<String>,
     /// Where the network comes from: data, command, accuracy.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub provenance: Option<String>,
@@ -382,6 +394,12 @@ impl NetworkFile {
     #[must_use]
     pub fn new(name: &str, timestep_ms: f64) -> Self {
         NetworkFile { name: name.to_string(), timestep_ms, ..NetworkFile::default() }
+    }
+
+    /// The target that was named, or else its own, or else the usual one.
+    #[must_use]
+    pub fn target_or_usual<'n>(&'n self, named: Option<&'n str>) -> &'n str {
+        named.or(self.target.as_deref()).unwrap_or(USUAL_TARGET)
     }
 
     /// Parses the text of a model file.

@@ -10,7 +10,7 @@ use super::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, Source, W
 use crate::numbers;
 use crate::synapses::SynapseArrays;
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::neurons::NeuronKind;
+use nsim_ir::neurons::{Emits, NeuronKind, Port};
 use nsim_ir::spanned::{parse_at, raw, refuse};
 
 impl<'de> Deserialize<'de> for Weights {
@@ -44,11 +44,12 @@ const SRM: [&str; 4] = ["tau_sr_ms", "tau_ref_ms", "scale_ref", "theta"];
 /// The names of populations, each with those of its fields.
 static FIELDS: LazyLock<Vec<(&'static str, Vec<&'static str>)>> = LazyLock::new(|| {
     let neurons = NeuronKind::ALL.map(|kind| {
-        let own = ["name", "shape", "start_step", "payload"].into_iter();
+        let message = if kind.table().emits == Emits::Values { "message_bits" } else { "payload" };
+        let own = ["name", "shape", "start_step", message].into_iter();
         (kind.name(), own.chain(kind.parameter_names()).collect())
     });
     let srm = ("Srm", ["name", "shape"].into_iter().chain(SRM).collect());
-    [("Input", vec!["name", "shape", "payload"]), srm].into_iter().chain(neurons).collect()
+    [("Input", vec!["name", "shape", "payload", "message_bits"]), srm].into_iter().chain(neurons).collect()
 });
 static POPULATIONS: LazyLock<Vec<&'static str>> = LazyLock::new(|| FIELDS.iter().map(|(name, _)| *name).collect());
 
@@ -128,6 +129,7 @@ impl<'de> Visitor<'de> for Fields {
                 ("shape", _) => shape = Some(map.next_value()?),
                 ("start_step", _) => built.start_step = map.next_value::<Option<u32>>()?.unwrap_or(0),
                 ("payload", _) => built.payload = map.next_value()?,
+                ("message_bits", _) => built.message_bits = map.next_value()?,
                 (_, Some(index)) => numbers[index] = Some(map.next_value()?),
                 _ => values[place] = map.next_value()?,
             }
@@ -168,12 +170,13 @@ macro_rules! written {
             weight_bits: Option<i64>,
             delay: Option<u32>,
             weight_scale: Option<f64>,
+            port: Option<Port>,
             $($(#[$attribute])* $field: $type,)*
         }
         impl TryFrom<$name> for ProjectionDesc {
             type Error = &'static str;
             fn try_from(written: $name) -> Result<Self, Self::Error> {
-                let $name { from, to, weight_exp, sign, weight_bits, delay, weight_scale, $($field),* } = written;
+                let $name { from, to, weight_exp, sign, weight_bits, delay, weight_scale, port, $($field),* } = written;
                 let usual = ProjectionDesc::new("", &to, $kind);
                 Ok(ProjectionDesc {
                     from,
@@ -182,6 +185,7 @@ macro_rules! written {
                     weight_bits: weight_bits.unwrap_or(usual.weight_bits),
                     delay: delay.unwrap_or(usual.delay),
                     weight_scale,
+                    port: port.unwrap_or_default(),
                     ..usual
                 })
             }

@@ -21,11 +21,8 @@ impl Network {
     pub fn resolved(&self) -> Result<NetworkFile> {
         let mut model = self.file().clone();
         for population in &mut model.populations {
-            if population.payload.is_some() {
-                return Err(unsupported(&format!(
-                    "population '{}', which has spikes with a payload,",
-                    population.name
-                )));
+            if population.payload.is_some() || population.message_bits.is_some() {
+                return Err(unsupported(&format!("population '{}', whose messages carry integers,", population.name)));
             }
             for (_, parameter) in population.loihi.iter_mut().flatten() {
                 if let Parameter::From(source) = parameter {

@@ -68,6 +68,9 @@ impl Serialize for PopulationDesc {
         if let Some(payload) = self.payload {
             fields.serialize_field("payload", &payload)?;
         }
+        if let Some(bits) = self.message_bits {
+            fields.serialize_field("message_bits", &bits)?;
+        }
         fields.end()
     }
 }
@@ -120,6 +123,9 @@ impl Serialize for ProjectionDesc {
         }
         if let Some(scale) = self.weight_scale {
             fields.serialize_field("weight_scale", &scale)?;
+        }
+        if !self.port.is_first() {
+            fields.serialize_field("port", &self.port)?;
         }
         fields.end()
     }

@@ -264,6 +264,10 @@ impl Graph {
         let (synapse, membrane) = match population.kind {
             NeuronKind::Loihi | NeuronKind::SoftReset => (fraction("du", "tau_u_ms"), fraction("dv", "tau_v_ms")),
             NeuronKind::If => (Parameter::Same(1.0), Parameter::Same(0.0)),
+            kind => {
+                let kind = kind.name();
+                return Err(unsupported(format!("'{name}' has {kind} neurons, which no node of NIR describes")));
+            }
         };
         let threshold = match (get("vth_mant"), get("vth")) {
             (Some(mantissa), _) => mantissa.clone(),

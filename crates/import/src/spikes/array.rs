@@ -119,11 +119,14 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
         let (sample, Some(channel)) = (row / rows, merging.channel(row % rows)) else {
             return Ok(());
         };
-        let events = &mut recordings[sample].events;
+        let PopulationSpikes { events, values, .. } = &mut recordings[sample];
         if events.len() == MOST_EVENTS {
             return Err(too_many().in_file(path));
         }
         events.push((step as u32, channel as u32));
+        if options.values {
+            values.push(options.value(number, path)?);
+        }
         Ok(())
     })?;
     if polarity == Polarity::Merge {

@@ -138,7 +138,14 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
     let name = source.path().display().to_string();
     Ok(samples
         .into_iter()
-        .map(|events| PopulationSpikes { units: None, steps, label: comments.label, events, name: name.clone() })
+        .map(|events| PopulationSpikes {
+            units: None,
+            steps,
+            label: comments.label,
+            events,
+            values: Vec::new(),
+            name: name.clone(),
+        })
         .collect())
 }
 

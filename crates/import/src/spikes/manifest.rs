@@ -383,7 +383,7 @@ mod tests {
 )"#;
 
     fn expected(units: u64) -> Expected {
-        Expected { units, volume: None, dt_ms: 1.0 }
+        Expected { units, volume: None, dt_ms: 1.0, values: false }
     }
 
     fn load(text: &str) -> Result<Manifest> {

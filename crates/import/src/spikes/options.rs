@@ -108,12 +108,27 @@ pub struct ArrayOptions {
     pub polarity: Polarity,
     /// The least number that is a spike.
     pub least: Option<f64>,
+    /// Whether the numbers are what messages carry.
+    pub values: bool,
 }
 
 /// What the number of a spike is.
 pub const WHOLE: &str = "a spike is a whole number";
 
 impl ArrayOptions {
+    /// A number as what a message carries.
+    ///
+    /// # Errors
+    /// `input.value` for one that 32 bits do not hold.
+    pub(super) fn value(self, number: f64, path: &Path) -> Result<i32> {
+        let value = number as i32;
+        if f64::from(value) != number || self.polarity == Polarity::Merge {
+            let message = format!("the array holds {number}: a message carries an integer of 32 bits, of one channel");
+            return Err(Diagnostic::new("input.value", message).in_file(path).help("scale or round the array first"));
+        }
+        Ok(value)
+    }
+
     /// Whether a number is a spike.
     ///
     /// # Errors
@@ -134,8 +149,11 @@ impl EventOptions {
     #[must_use]
     pub fn of_array(&self) -> Option<ArrayOptions> {
         let &EventOptions { polarity, least, .. } = self;
-        (*self == EventOptions { polarity, least, ..EventOptions::default() })
-            .then_some(ArrayOptions { polarity, least })
+        (*self == EventOptions { polarity, least, ..EventOptions::default() }).then_some(ArrayOptions {
+            polarity,
+            least,
+            values: false,
+        })
     }
 
     /// Options as `key=value` pairs of an argument.

@@ -16,6 +16,8 @@ pub struct PopulationSpikes {
     pub label: Option<u32>,
     /// (step, channel) of each spike, in the order of the source.
     pub events: Vec<(u32, u32)>,
+    /// What each carries; empty where the source says nothing but that they spike.
+    pub values: Vec<i32>,
     /// The file, for messages.
     pub name: String,
 }
@@ -24,7 +26,9 @@ impl PopulationSpikes {
     /// So many samples of `units` channels without a spike.
     pub(super) fn silent(samples: usize, units: u64, steps: u32, path: &Path) -> Vec<Self> {
         let name = path.display().to_string();
-        vec![PopulationSpikes { units: Some(units), steps, label: None, events: Vec::new(), name }; samples]
+        let silent =
+            PopulationSpikes { units: Some(units), steps, label: None, events: Vec::new(), values: Vec::new(), name };
+        vec![silent; samples]
     }
 }
 
@@ -37,6 +41,8 @@ pub struct Expected {
     pub volume: Option<(u32, u32, u32)>,
     /// Milliseconds of a timestep.
     pub dt_ms: f64,
+    /// Whether the numbers of an array are what messages carry.
+    pub values: bool,
 }
 
 /// The problem of a sample with more than [`MOST_EVENTS`] spikes.

@@ -43,8 +43,8 @@ pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSp
             Ok(vec![spikes])
         }
         FileKind::Hdf5 => read_nir_data(path, request),
-        FileKind::Npz => npz::read(path, request.population, units, array_options(path, options)?),
-        FileKind::Npy => array::from_array(&npy::open(path)?, units, array_options(path, options)?),
+        FileKind::Npz => npz::read(path, request.population, units, array_options(path, request)?),
+        FileKind::Npy => array::from_array(&npy::open(path)?, units, array_options(path, request)?),
         FileKind::SpikeList => {
             takes_no_options(path, options)?;
             csv::read(path, units)
@@ -62,7 +62,7 @@ fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<
     let Request { expected, options, .. } = request;
     match FileKind::from_bytes(&bytes, path) {
         FileKind::Npy => {
-            let options = array_options(path, options)?;
+            let options = array_options(path, request)?;
             array::from_array(&npy::Array::from_bytes(path, bytes)?, expected.units, options)
         }
         FileKind::Events(format) => {
@@ -102,9 +102,10 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
 }
 
 /// The options that an array takes.
-fn array_options(path: &Path, options: &EventOptions) -> Result<ArrayOptions> {
+fn array_options(path: &Path, Request { options, expected, .. }: Request<'_>) -> Result<ArrayOptions> {
     let message = "an array has timesteps already: polarity and least are the options that it takes";
-    options.of_array().ok_or_else(|| Diagnostic::new("input.option", message).in_file(path))
+    let of_array = options.of_array().map(|options| ArrayOptions { values: expected.values, ..options });
+    of_array.ok_or_else(|| Diagnostic::new("input.option", message).in_file(path))
 }
 
 fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {

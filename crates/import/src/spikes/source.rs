@@ -20,7 +20,7 @@ use nsim_ir::base::diagnostic::Result;
 /// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for what is wrong with a
 /// known one.
 pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
-    read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &EventOptions::default())
+    read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &EventOptions::default())
 }
 
 /// Reads a source for a population, with the options that stand after its `?`. Options other than
@@ -96,7 +96,7 @@ mod tests {
 
     fn read_as(path: &Path, units: u64, options: &str) -> Result<Vec<PopulationSpikes>> {
         let options = EventOptions::parse(&nsim_ir::stimulus::pairs(options)?)?;
-        read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0 }, &options)
+        read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &options)
     }
 
     /// [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN leaves them behind, against loops

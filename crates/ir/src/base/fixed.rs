@@ -151,6 +151,11 @@ ranged!(
     Payload(i32) in -8_388_608..=8_388_607, "payload"
 );
 
+ranged!(
+    /// Bits of the integer in a message, its sign included.
+    MessageBits(u8) in 1..=32, "message width in bits"
+);
+
 /// Bits of the dendritic accumulator without its sign (nengo-loihi: `Q_BITS`).
 pub const Q_BITS: u32 = 21;
 /// Bits of the current and voltage registers without their sign.
@@ -172,6 +177,11 @@ pub enum SignMode {
     Excitatory,
     /// Weights of 0 and below.
     Inhibitory,
+}
+
+impl WeightExponent {
+    /// Weights count as they are.
+    pub const ZERO: WeightExponent = WeightExponent(0);
 }
 
 impl BiasMantissa {

@@ -45,6 +45,9 @@ pub struct Chip {
     /// The neurons that a compartment can be.
     #[serde(default = "neurons_of_loihi")]
     pub neuron_kinds: Vec<NeuronKind>,
+    /// The widest integer that a message carries, in bits; 0 where messages carry none.
+    #[serde(default)]
+    pub message_bits: u32,
     /// The limits of a core.
     pub limits: Limits,
     /// Where each limit comes from.
@@ -167,6 +170,8 @@ pub struct TargetChanges {
     pub x86_cores_in_use: Option<u32>,
     /// The neurons that a compartment can be.
     pub neuron_kinds: Option<Vec<NeuronKind>>,
+    /// The widest integer that a message carries, in bits; 0 where messages carry none.
+    pub message_bits: Option<u32>,
     /// Limits of a core.
     #[serde(default)]
     pub limits: LimitChanges,
@@ -181,7 +186,8 @@ impl TargetChanges {
     pub fn chip(&self, mut chip: Chip, name: Option<&str>) -> Chip {
         let sizes = [self.width, self.height, self.cores_per_tile, self.cores_per_chip];
         let x86 = [self.x86_cores, self.x86_cores_in_use];
-        let other = self.neuron_kinds.is_some() || self.limits != LimitChanges::default();
+        let programmed = self.neuron_kinds.is_some() || self.message_bits.is_some();
+        let other = programmed || self.limits != LimitChanges::default();
         if let Some(name) = name.filter(|_| other || sizes.iter().chain(&x86).any(Option::is_some)) {
             (chip.name, chip.hardware) = (name.to_string(), None);
         }
@@ -196,6 +202,7 @@ impl TargetChanges {
         let cores = if resized { tiles.saturating_mul(chip.cores_per_tile) } else { chip.cores };
         chip.cores = self.cores_per_chip.unwrap_or(cores);
         chip.neuron_kinds = self.neuron_kinds.clone().unwrap_or(chip.neuron_kinds);
+        chip.message_bits = self.message_bits.unwrap_or(chip.message_bits);
         chip.limits = self.limits.applied(chip.limits);
         chip.limit_sources.retain(|entry| !self.limits.changes(&entry.limit));
         chip.alternatives.retain(|entry| !self.limits.changes(&entry.limit));

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::fixed::{SignMode, WeightBits, WeightExponent};
 use crate::graph::{Shape, Window};
+use crate::neurons::Port;
 
 /// The format that the synapses of a projection are stored in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
@@ -21,6 +22,9 @@ pub struct SynapseFormat {
     pub sign: SignMode,
     /// Bits of a weight.
     pub bits: WeightBits,
+    /// The sum of its target that it adds to, below the ports of the target's kind.
+    #[serde(default)]
+    pub port: Port,
 }
 
 /// How the sources of a projection reach its targets, with integer weights.

@@ -15,12 +15,13 @@ use serde::{Deserialize, Serialize};
 use self::connectivity::{Connectivity, SynapseFormat};
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, Delay, Payload, Refractory, ThresholdMantissa, VmaxExponent, VminExponent,
+    BiasExponent, BiasMantissa, Decay, Delay, Refractory, ThresholdMantissa, VmaxExponent, VminExponent, WeightExponent,
 };
 use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
 use crate::graph::{PerCompartment, Shape};
-use crate::neurons::NeuronKind;
+use crate::neurons::{Emits, Kept, NeuronKind, Row};
 use crate::pruned;
+use crate::spikes::Message;
 
 /// One compartment: its kind, and what its registers are set to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize)]
@@ -46,6 +47,8 @@ pub struct Neuron {
     pub vmax: VmaxExponent,
     /// Bits by which lava shifts what arrives in a step; 0 but under its semantics.
     pub shift: u8,
+    /// The parameters of a kind that has none of these registers.
+    pub row: Row,
 }
 
 impl Neuron {
@@ -62,7 +65,20 @@ impl Neuron {
         vmin: VminExponent::MAX,
         vmax: VmaxExponent::MAX,
         shift: 0,
+        row: Row::EMPTY,
     };
+
+    /// What compartments of the same profile share, on a core that has so many profiles.
+    #[must_use]
+    pub fn profile(&self) -> (Decay, Decay, Refractory, Row) {
+        (self.du, self.dv, self.refractory, self.row.kept(self.kind, Kept::Profile))
+    }
+
+    /// What compartments of the same threshold share, on a core that has so many thresholds.
+    #[must_use]
+    pub fn threshold(&self) -> (ThresholdMantissa, Row) {
+        (self.vth, self.row.kept(self.kind, Kept::Threshold))
+    }
 }
 
 /// What a text form leaves out is that of [`Neuron::PLAIN`].
@@ -102,8 +118,9 @@ pub struct Population {
     pub shape: Shape,
     /// What it is made of.
     pub units: Units,
-    /// The integer that each of its spikes carries; `None` for binary spikes.
-    pub payload: Option<Payload>,
+    /// What its messages carry.
+    #[serde(default)]
+    pub message: Message,
 }
 
 impl Population {
@@ -114,13 +131,6 @@ impl Population {
             Units::Input(_) => None,
             Units::Compartments { first, .. } => Some(first),
         }
-    }
-
-    /// What each of its spikes multiplies the weights of its synapses by: its payload, 1 for binary
-    /// spikes.
-    #[must_use]
-    pub fn spike_factor(&self) -> i32 {
-        self.payload.map_or(1, Payload::get)
     }
 
     /// The first channel, when it is an input.
@@ -358,6 +368,13 @@ impl Quantised {
             {
                 return wrong("has not the parameters of one neuron for each compartment");
             }
+            let computes = match &population.units {
+                Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.kind.table().emits == Emits::Values),
+                Units::Input(_) => matches!(population.message, Message::Value(_)),
+            };
+            if computes != matches!(population.message, Message::Value(_)) {
+                return wrong("does not say the width of the messages that it computes");
+            }
             *counter = end;
         }
         if parts.reset.is_some_and(|reset| reset.interval == 0) {
@@ -577,8 +594,14 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
     else {
         return Err(wrong("an endpoint does not exist"));
     };
-    if matches!(target.units, Units::Input(_)) {
+    let Units::Compartments { neurons, .. } = &target.units else {
         return Err(wrong("the target is an input"));
+    };
+    if neurons.any(|neuron| projection.format.port.index() >= usize::from(neuron.kind.table().ports)) {
+        return Err(wrong("its targets have no such port"));
+    }
+    if neurons.any(|neuron| !neuron.kind.table().registers) && projection.format.exponent < WeightExponent::ZERO {
+        return Err(wrong("a negative exponent leads to neurons without an accumulator"));
     }
     projection.connectivity.check(projection.format, source.shape, target.shape).map_err(wrong)
 }

@@ -47,6 +47,11 @@ impl Sum for i64 {
         let low = self & ((1 << SEEN_BITS) - 1);
         i32::try_from(self).unwrap_or((low | 1 << 30) as i32)
     }
+
+    #[inline(always)]
+    fn whole(self) -> i64 {
+        self
+    }
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::count::routing_tables::RoutingTables;
+use crate::layout::lane_order::SECOND_PORT;
 use crate::layout::lists::{LaneWeight, ListBuilder};
 use crate::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
 use nsim_dynamics::arithmetic::units;
@@ -132,7 +133,8 @@ impl<'a> Flattener<'a> {
                 let (first, last) = lanes(row);
                 last - first + 1 == u32::from(row.span) && self.shard(first) == self.shard(last)
             };
-            if !rows.is_empty() && rows.iter().all(adjacent) {
+            let one_port = selected.formats.iter().all(|format| format.synapse.port.is_first());
+            if !rows.is_empty() && one_port && rows.iter().all(adjacent) {
                 for row in rows {
                     let (lane, _) = lanes(row);
                     let shard = self.shard(lane);
@@ -145,7 +147,8 @@ impl<'a> Flattener<'a> {
             }
             let slots = first_slot + usize::from(selected.base);
             for synapse in selected.stored {
-                let lane = self.lanes[slots + usize::from(synapse.slot)];
+                let port = selected.formats[usize::from(synapse.format)].synapse.port;
+                let lane = self.lanes[slots + usize::from(synapse.slot)] + port.index() as u32 * SECOND_PORT;
                 let shard = self.shard(lane);
                 let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
                 piece.counts[source] += 1;
@@ -171,6 +174,7 @@ mod tests {
     use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
     use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
     use nsim_ir::base::rng;
+    use nsim_ir::neurons::Port;
     use nsim_ir::partition::Seat;
     use nsim_ir::placement::{Mesh, Site};
     use nsim_ir::program::{
@@ -185,7 +189,8 @@ mod tests {
 
     fn format(exponent: i64, index_bits: Option<u8>) -> CoreFormat {
         let exponent = WeightExponent::new(exponent).unwrap();
-        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits: WeightBits::new(8).unwrap() };
+        let synapse =
+            SynapseFormat { exponent, sign: SignMode::Mixed, bits: WeightBits::new(8).unwrap(), port: Port::First };
         CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
     }
 

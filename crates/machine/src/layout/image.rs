@@ -15,16 +15,17 @@ use crate::count::tally::{ProgramTally, Tally};
 use crate::layout::delivery_cost::DeliveryParts;
 use crate::layout::fan_out::FanOut;
 use crate::layout::flatten::Flattener;
-use crate::layout::lane_order::LaneOrder;
-use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun};
+use crate::layout::lane_order::{LaneOrder, SECOND_PORT};
+use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::layout::weight_rows::{ProgramRows, WeightRows};
 use crate::update::kernel::{LANES, Shared};
 use nsim_dynamics as neuron;
 use nsim_dynamics::Fields;
-use nsim_dynamics::arithmetic;
+use nsim_dynamics::{arithmetic, kinds};
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
-use nsim_ir::program::Program;
+use nsim_ir::neurons::Row;
+use nsim_ir::program::{CoreImage, Program};
 use nsim_ir::quantised::{Neuron, Reset};
 
 /// The lane of a compartment that another process holds.
@@ -86,9 +87,11 @@ pub struct Image {
     pub(crate) bases: Vec<u32>,
     pub(crate) shards: Vec<Shard>,
     pub(crate) sum_width: SumWidth,
-    /// What a spike of each source carries, channels first, 1 for binary spikes; empty if all
-    /// spikes are binary.
-    pub(crate) payloads: Vec<i32>,
+    /// What a message of each source carries, channels first, 1 for binary spikes, and `None` where
+    /// that differs from message to message; empty if sums of 32 bits do.
+    pub(crate) payloads: Vec<Option<i32>>,
+    /// Whether a message carries anything.
+    pub(crate) graded: bool,
     pub(crate) channels: u32,
     /// Whether each channel is in one narrow dense block and in nothing else: then delivery counts
     /// its spikes.
@@ -127,6 +130,7 @@ impl Image {
             shards: Vec::new(),
             sum_width: SumWidth::Bits16,
             payloads: payloads(program),
+            graded: !parts.graded.is_empty(),
             channels: program.channels(),
             delivery_counts_channels: false,
             residual: Residual::default(),
@@ -193,6 +197,13 @@ impl Image {
         parts
     }
 
+    /// What the messages of a shard's lanes carry where that is always the same, 1 where it is not;
+    /// empty if sums of 32 bits do.
+    pub(crate) fn sent_by(&self, shard: &Shard) -> Vec<i32> {
+        let payloads = |name: &CompartmentId| self.payloads.get(self.channels as usize + name.index());
+        shard.names.iter().filter_map(payloads).map(|payload| payload.unwrap_or(1)).collect()
+    }
+
     /// The parameters of a compartment.
     pub(crate) fn neuron(&self, compartment: CompartmentId) -> Neuron {
         let seat = self.program.seats()[compartment];
@@ -213,7 +224,8 @@ impl Image {
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
         shards
             + fields
-            + 4 * (self.lanes.len() + self.payloads.len())
+            + 4 * self.lanes.len()
+            + size_of_val(self.payloads.as_slice())
             + self.residual.bytes()
             + self.tally().bytes()
             + self.rows.bytes()
@@ -253,8 +265,30 @@ impl Image {
                 if last != Some(kind_of[slot]) {
                     lane = lane.next_multiple_of(LANES as u32);
                 }
+                let of = |slot: usize| &self.fields[field_of[slot] as usize];
+                let has_words = |slot: usize| !of(slot).neuron.kind.table().registers;
+                if has_words(slot) {
+                    let (kind, ports) = (of(slot).neuron.kind, of(slot).neuron.kind.table().ports);
+                    lane = lane.next_multiple_of(if ports > 1 { SKIP_BLOCK } else { LANES } as u32);
+                    let room = if ports > 1 { SKIP_BLOCK / 2 } else { SKIP_BLOCK - lane as usize % SKIP_BLOCK };
+                    let same = |&at: &usize| {
+                        (of(at).neuron.kind, of(at).start_step, kind_of[at].1)
+                            == (kind, of(slot).start_step, kind_of[slot].1)
+                    };
+                    let length = (slot..field_of.len()).take(room).take_while(same).count();
+                    let starts = of(slot).start_step;
+                    let fields = BlockFields::Each(self.field_of.len() as u32);
+                    self.field_of.extend(&field_of[slot..slot + length]);
+                    blocks.push(CoreBlock { start: lane, length: length as u32, core, fields, starts });
+                    for (lane, id) in (lane..).zip(&ids[slot..slot + length]) {
+                        self.lanes[id.index()] = lane;
+                    }
+                    lane += if ports > 1 { SKIP_BLOCK as u32 } else { length as u32 };
+                    (last, slot) = (None, slot + length);
+                    continue;
+                }
                 let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
-                let left = (field_of.len() - slot).min(room);
+                let left = (slot..field_of.len()).take(room).take_while(|&slot| !has_words(slot)).count();
                 let kinds = &kind_of[slot..slot + left];
                 let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
                 let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;
@@ -303,7 +337,9 @@ impl Image {
     /// Chooses the type of sums: each synapse adds at most once a step, so no sum exceeds that of
     /// all absolute weights, times the largest payload.
     fn check_fan_in(&mut self) -> Result<(), ImageError> {
-        let factor = self.payloads.iter().map(|payload| u64::from(payload.unsigned_abs())).max().unwrap_or(1).max(1);
+        // A value that is wider than its population says is sent whole.
+        let greatest = |payload: &Option<i32>| payload.map_or(1 << 31, |payload| u64::from(payload.unsigned_abs()));
+        let factor = self.payloads.iter().map(greatest).max().unwrap_or(1).max(1);
         let bits = if self.payloads.is_empty() { 31 } else { 63 };
         let mut most = 0;
         for image in self.program.cores_with_own_tables() {
@@ -342,7 +378,15 @@ impl Image {
             block.start -= self.bases[self.bases.len() - 1];
             let vector = self.vector(block.fields);
             let mask = u64::MAX >> (SKIP_BLOCK as u32 - block.length);
-            let end = (block.start + block.length).next_multiple_of(LANES as u32);
+            let mut end = (block.start + block.length).next_multiple_of(LANES as u32);
+            let words = self.words(&block, &shard.words);
+            if words.as_ref().is_some_and(|words| words.two_ports) {
+                end += SECOND_PORT;
+            }
+            let words = words.map(|words| {
+                shard.words.push(words);
+                shard.words.len() as u32 - 1
+            });
             let begins = shard.skip_blocks.len() <= block.start as usize / SKIP_BLOCK;
             while shard.skip_blocks.len() <= block.start as usize / SKIP_BLOCK {
                 shard.skip_blocks.push(shard.vector_runs.len() as u32);
@@ -364,6 +408,7 @@ impl Image {
                         lanes,
                         starts,
                         vector,
+                        words,
                         mask,
                     });
                 }
@@ -377,6 +422,13 @@ impl Image {
             let skip_blocks = shard.skip_blocks.len() - 1;
             shard.lanes = skip_blocks * SKIP_BLOCK;
             shard.driven = vec![0; skip_blocks.div_ceil(64)];
+            shard.wakes = vec![0; skip_blocks.div_ceil(64)];
+            for block in &shard.words {
+                let skip_block = block.start as usize / SKIP_BLOCK;
+                // A reset may change what rests.
+                let marks = if self.reset.is_some() { &mut shard.driven } else { &mut shard.wakes };
+                marks[skip_block / 64] |= u64::from(block.updater.wakes() || self.reset.is_some()) << (skip_block % 64);
+            }
             shard.names = vec![CompartmentId(0); shard.lanes];
             for block in &shard.blocks {
                 let lanes = 0..block.length;
@@ -394,6 +446,19 @@ impl Image {
         }
     }
 
+    /// A block whose state is words, behind those before it in its shard.
+    fn words(&self, block: &CoreBlock, before: &[WordBlock]) -> Option<WordBlock> {
+        let BlockFields::Each(first) = block.fields else { return None };
+        let fields = &self.field_of[first as usize..(first + block.length) as usize];
+        let field = |index: u32| &self.fields[index as usize];
+        let kind = field(fields[0]).neuron.kind;
+        let rows: Vec<Row> = fields.iter().map(|&index| field(index).neuron.row).collect();
+        let updater = kinds::updater(kind, &rows)?;
+        let first = before.last().map_or(0, |last| last.first + last.chunks() * last.updater.words());
+        let (resets_from, two_ports) = (field(fields[0]).resets_from, kind.table().ports > 1);
+        Some(WordBlock { start: block.start, first, updater, bits: 32, resets_from, two_ports })
+    }
+
     /// Notes which compartment each lane holds.
     fn name(&mut self) {
         for compartment in (0..self.compartments()).map(CompartmentId::new) {
@@ -402,6 +467,13 @@ impl Image {
             }
             let (shard, lane) = self.lane(compartment);
             self.shards[shard].names[lane] = compartment;
+        }
+        for shard in &mut self.shards {
+            for block in &mut shard.words {
+                let source = self.channels + shard.names[block.start as usize].0;
+                let graded = self.program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
+                block.bits = graded.map_or(32, |graded| graded.message.bits());
+            }
         }
     }
 
@@ -457,13 +529,16 @@ impl Image {
     }
 }
 
-/// What a spike of each source carries, channels first; empty if all spikes are binary.
-fn payloads(program: &Program) -> Vec<i32> {
+/// What a message of each source carries, channels first; empty if all are binary spikes to
+/// registers.
+fn payloads(program: &Program) -> Vec<Option<i32>> {
     let graded = &program.parts().graded;
-    let sources = if graded.is_empty() { 0 } else { program.channels() + program.compartments() };
-    let mut payloads = vec![1; sources as usize];
+    let has_words = |image: &CoreImage| image.compartments.iter().any(|c| !c.neuron.kind.table().registers);
+    let plain = graded.is_empty() && !program.cores_with_own_tables().any(has_words);
+    let sources = if plain { 0 } else { program.channels() + program.compartments() };
+    let mut payloads = vec![Some(1); sources as usize];
     for graded in graded {
-        payloads[graded.sources.start as usize..graded.sources.end as usize].fill(graded.payload.get());
+        payloads[graded.sources.start as usize..graded.sources.end as usize].fill(graded.message.factor());
     }
     payloads
 }

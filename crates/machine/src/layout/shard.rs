@@ -8,10 +8,37 @@
 //! neighbour changes nothing.
 
 use crate::layout::fan_out::FanOut;
+use crate::layout::lane_order::SECOND_PORT;
+use nsim_dynamics::kinds::{CHUNK, Updater};
 use nsim_ir::base::id::{CompartmentId, CoreId};
 
 /// Lanes of a skip block.
 pub const SKIP_BLOCK: usize = 64;
+const _: () = assert!(2 * SECOND_PORT as usize == SKIP_BLOCK, "two sums fill a skip block");
+
+/// Compartments of a kind whose state is words.
+#[derive(Debug)]
+pub(crate) struct WordBlock {
+    /// Its first lane.
+    pub start: u32,
+    /// Where its words begin among those of the shard, in chunks.
+    pub first: usize,
+    /// Its update.
+    pub updater: Box<dyn Updater>,
+    /// The bits of what each of its messages carries.
+    pub bits: u32,
+    /// The step that periodic resets are counted from.
+    pub resets_from: u32,
+    /// Whether each compartment has two sums.
+    pub two_ports: bool,
+}
+
+impl WordBlock {
+    /// Chunks of its compartments.
+    pub fn chunks(&self) -> usize {
+        self.updater.lanes().div_ceil(CHUNK)
+    }
+}
 
 /// The parameters of a core block.
 #[derive(Debug, Clone, Copy)]
@@ -54,6 +81,8 @@ pub(crate) struct VectorRun {
     /// The parameters that all share, if they can be updated as vectors; otherwise the run is one
     /// block.
     pub vector: Option<u32>,
+    /// Its place among the blocks of words, if its state is words.
+    pub words: Option<u32>,
     /// Its lanes that are no padding, a bit each.
     pub mask: u64,
 }
@@ -74,6 +103,10 @@ pub(crate) struct Shard {
     pub skip_blocks: Vec<u32>,
     /// Skip blocks that never rest, a bit each.
     pub driven: Vec<u64>,
+    /// Skip blocks that are not at rest before the first step.
+    pub wakes: Vec<u64>,
+    /// Compartments whose state is words, by lane.
+    pub words: Vec<WordBlock>,
     /// Synapses of channels, by ascending delay.
     pub from_channels: Vec<FanOut>,
     /// Synapses of compartments, by ascending delay.
@@ -90,6 +123,8 @@ impl Shard {
             vector_runs: Vec::new(),
             skip_blocks: Vec::new(),
             driven: Vec::new(),
+            wakes: Vec::new(),
+            words: Vec::new(),
             from_channels: Vec::new(),
             from_compartments: Vec::new(),
         }
@@ -105,7 +140,8 @@ impl Shard {
         size_of::<CoreBlock>() * self.blocks.len()
             + size_of_val(self.vector_runs.as_slice())
             + 4 * (self.skip_blocks.len() + self.names.len())
-            + 8 * self.driven.len()
+            + 16 * self.driven.len()
+            + size_of_val(self.words.as_slice())
             + self.fan_outs().map(FanOut::bytes).sum::<usize>()
     }
 }

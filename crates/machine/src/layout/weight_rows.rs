@@ -453,7 +453,12 @@ mod tests {
 
     fn format(exponent: i64) -> CoreFormat {
         let exponent = WeightExponent::new(exponent).unwrap();
-        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits: WeightBits::new(8).unwrap() };
+        let synapse = SynapseFormat {
+            exponent,
+            sign: SignMode::Mixed,
+            bits: WeightBits::new(8).unwrap(),
+            port: Default::default(),
+        };
         CoreFormat { synapse, delay_bits: 6, index_bits: Some(4), skip_bits: None }
     }
 

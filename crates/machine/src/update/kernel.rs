@@ -112,8 +112,13 @@ pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'sta
     /// Adds a weight.
     #[must_use]
     fn plus(self, weight: i16) -> Self;
-    /// The sum.
+    /// The sum, as the update of registers sees it.
     fn value(self) -> i32;
+    /// The sum itself.
+    #[inline(always)]
+    fn whole(self) -> i64 {
+        self.value().into()
+    }
 }
 
 impl Sum for i32 {
@@ -347,7 +352,7 @@ mod tests {
             refractory: Refractory::new([1, of(10, 0, 63)][of(11, 0, 1) as usize]).unwrap(),
             vmin: VminExponent::new([23, of(12, 0, 23)][of(13, 0, 1) as usize]).unwrap(),
             vmax: VmaxExponent::new([7, of(14, 0, 7)][of(15, 0, 1) as usize]).unwrap(),
-            shift: 0,
+            ..Neuron::PLAIN
         };
         let test = [ThresholdTest::Strict, ThresholdTest::Inclusive][of(16, 0, 1) as usize];
         neuron::fields(&neuron, 0, Semantics::Hardware, test)

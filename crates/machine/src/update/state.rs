@@ -11,11 +11,13 @@ use crate::bits::{UNCHECKED, ones, write_ones};
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::DelayRing;
 use crate::layout::image::{Image, SumWidth};
-use crate::layout::shard::{BlockFields, CoreBlock, Shard, VectorRun};
+use crate::layout::lane_order::SECOND_PORT;
+use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::layout::store::Aligned;
 use crate::update::kernel;
 use crate::update::kernel::{LANES, Portable, Sum, Vectors};
 use nsim_dynamics::arithmetic::falls_on;
+use nsim_dynamics::kinds::{Block, CHUNK};
 use nsim_dynamics::{Effect, Registers, update};
 use nsim_ir::activity::Overflow;
 use nsim_ir::arithmetic::Semantics;
@@ -45,10 +47,14 @@ pub(crate) struct StepInput<'a> {
     pub left: u32,
     /// Input channels that spike in it.
     pub channels: &'a [ChannelId],
+    /// What their messages carry where the network does not say it; empty if that is always 1.
+    pub channel_values: &'a [i32],
     /// Compartments that spiked in the step before.
     pub carried: &'a [CompartmentId],
     /// What their spikes carry; empty if all spikes are binary.
     pub carried_payloads: &'a [i32],
+    /// The vectors of the processor.
+    pub arch: pulp::Arch,
     /// Update every skip block that any spike could reach, instead of marking arrivals.
     pub visit_all: bool,
     /// Leave out skip blocks at rest.
@@ -98,12 +104,16 @@ impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
             Rings::Bits16(ring) => state.step(ring, image, shard, *input, spikes, vectors),
             Rings::Bits32(ring) => state.step(ring, image, shard, *input, spikes, vectors),
             Rings::Bits64(ring) => {
-                let graded = |&id: &ChannelId| GradedSpike { id, payload: image.payloads[id.index()] };
+                let mut given = input.channel_values.iter().copied();
+                let graded = |&id: &ChannelId| {
+                    let given = given.next().unwrap_or(1);
+                    GradedSpike { id, payload: image.payloads[id.index()].unwrap_or(given) }
+                };
                 let channels: Vec<_> = input.channels.iter().map(graded).collect();
                 let carried = input.carried.iter().zip(input.carried_payloads);
                 let carried: Vec<_> = carried.map(|(&id, &payload)| GradedSpike { id, payload }).collect();
                 state.step(ring, image, shard, *input, (&channels, spikes.1, &carried), vectors);
-                let emitted = state.spikes.iter().map(|id| image.payloads[image.channels as usize + id.index()]);
+                let emitted = state.spiked[..state.spiking].iter().map(|&lane| state.sent[lane as usize]);
                 state.payloads.clear();
                 state.payloads.extend(emitted);
             }
@@ -135,6 +145,10 @@ pub(crate) struct CompartmentState {
     /// Steps until v is free again, in SLAYER's semantics, where a voltage may need its whole
     /// register.
     hold: Vec<u8>,
+    /// The state of compartments of words, block after block.
+    words: Vec<[i32; CHUNK]>,
+    /// What the last message of each lane carries; empty if sums of 32 bits do.
+    sent: Vec<i32>,
     /// Skip blocks that are not at rest, a bit each.
     busy: Vec<u64>,
     /// The lanes that spiked in the last step, ascending, and room for more.
@@ -189,7 +203,9 @@ impl ShardState {
             u: Aligned::new(shard.lanes),
             v: Aligned::new(shard.lanes),
             hold: vec![0; holds],
-            busy: vec![0; words],
+            words: vec![[0; CHUNK]; shard.words.iter().map(|block| block.chunks() * block.updater.words()).sum()],
+            sent: image.sent_by(shard),
+            busy: shard.wakes.clone(),
             spiked: vec![0; shard.lanes + UNCHECKED],
             spiking: 0,
             spikes: Vec::new(),
@@ -221,6 +237,8 @@ impl ShardState {
             + state.v.len()
             + state.fired.len()
             + state.spiked.len()
+            + CHUNK * state.words.len()
+            + state.sent.len()
             + 2 * (state.busy.len() + state.active_by_block.len() + state.whole.len());
         let ring = match &self.rings {
             Rings::Bits16(ring) => ring.bytes(),
@@ -231,7 +249,7 @@ impl ShardState {
     }
 
     /// Resets to the state before the first step; what is counted over samples stays.
-    pub fn clear(&mut self) {
+    pub fn clear(&mut self, shard: &Shard) {
         match &mut self.rings {
             Rings::Bits16(ring) => ring.clear(),
             Rings::Bits32(ring) => ring.clear(),
@@ -241,7 +259,8 @@ impl ShardState {
         state.u.fill(0);
         state.v.fill(0);
         state.hold.fill(0);
-        state.busy.fill(0);
+        state.words.fill([0; CHUNK]);
+        state.busy.copy_from_slice(&shard.wakes);
         state.spikes.clear();
         state.payloads.clear();
         state.spiking = 0;
@@ -285,6 +304,16 @@ impl CompartmentState {
                 Registers { u: self.u[lane], v, hold }
             }
         }
+    }
+
+    /// A word of state of a lane.
+    pub fn word(&self, shard: &Shard, lane: usize, column: usize) -> i32 {
+        let place = shard.words.partition_point(|block| block.start as usize <= lane);
+        let of_block = |block: &WordBlock| {
+            let lane = lane - block.start as usize;
+            self.words[block.first + lane / CHUNK * block.updater.words() + column][lane % CHUNK]
+        };
+        place.checked_sub(1).map_or(0, |place| of_block(&shard.words[place]))
     }
 
     /// Whether a lane spiked in the last step.
@@ -382,6 +411,9 @@ impl CompartmentState {
         vectors: impl Vectors,
     ) -> bool {
         let run = &shard.vector_runs[index];
+        if run.words.is_some() {
+            return self.update_words_run(sums, image, shard, index, &input);
+        }
         let lanes = run.start as usize..(run.start + run.lanes) as usize;
         if input.step < run.starts {
             self.visited += u64::from(run.mask.count_ones());
@@ -410,6 +442,80 @@ impl CompartmentState {
         // With a bias padding is never at rest, without one always.
         let moved = if shared.plain { effects.moved } else { run.mask };
         self.count(shard, index, RunEffects { spiked: effects.spiked & run.mask, moved, ..effects }, input)
+    }
+
+    /// As [`CompartmentState::update_run`], of a run whose state is words. Apart, so that a step of
+    /// registers has nothing of it.
+    #[cold]
+    #[inline(never)]
+    fn update_words_run<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        shard: &Shard,
+        index: usize,
+        input: &StepInput,
+    ) -> bool {
+        let run = &shard.vector_runs[index];
+        let sums = &mut sums[run.start as usize..(run.start + run.lanes) as usize];
+        let Some(words) = run.words.map(|words| &shard.words[words as usize]) else { return false };
+        if input.step < run.starts {
+            self.visited += u64::from(run.mask.count_ones());
+            sums.fill(S::default());
+            return words.updater.wakes();
+        }
+        let effects = self.update_words(sums, image, shard, words, input);
+        self.count(shard, index, effects, *input)
+    }
+
+    /// Updates compartments whose state is words.
+    fn update_words<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        shard: &Shard,
+        words: &WordBlock,
+        input: &StepInput,
+    ) -> RunEffects {
+        let WordBlock { start, first, updater, bits, resets_from, two_ports } = words;
+        let (start, lanes) = (*start as usize, updater.lanes());
+        let chunks = lanes.div_ceil(CHUNK);
+        let columns = &mut self.words[*first..*first + chunks * updater.words()];
+        if image.reset.is_some_and(|reset| falls_on(reset, input.step, *resets_from)) {
+            columns.fill([0; CHUNK]);
+        }
+        let (mut arrived, mut narrowed) = ([[0; SKIP_BLOCK]; 2], 0u64);
+        for (port, arrived) in arrived.iter_mut().enumerate().take(1 + usize::from(*two_ports)) {
+            let sums = sums.iter_mut().skip(port * SECOND_PORT as usize).take(lanes);
+            for (lane, (sum, arrived)) in sums.zip(arrived).enumerate() {
+                let whole = std::mem::take(sum).whole();
+                *arrived = whole as i32;
+                narrowed |= u64::from(i64::from(*arrived) != whole) << lane;
+            }
+        }
+        let sent = &mut self.sent[start..start + chunks * CHUNK].as_chunks_mut().0[..chunks];
+        let arrived = [arrived[0].as_chunks().0, arrived[1].as_chunks().0];
+        let effects = updater.update(&mut Block { columns, arrived, sent, vectors: input.arch });
+        let mut too_wide = 0;
+        if *bits > 0 && *bits < 32 {
+            for (lane, &value) in self.sent[start..start + lanes].iter().enumerate() {
+                let leaves = value << (32 - bits) >> (32 - bits) != value;
+                too_wide |= u64::from(leaves) << lane;
+            }
+            too_wide &= effects.emitted;
+        }
+        let clips = if updater.clips() { effects.left } else { 0 };
+        let wraps = effects.left & !clips | too_wide;
+        let mut reported = narrowed | wraps | clips;
+        while reported != 0 {
+            let lane = reported.trailing_zeros() as usize;
+            reported &= reported - 1;
+            let is_in = |set: u64| set >> lane & 1 == 1;
+            let effect =
+                Effect { spiked: false, q_wrapped: is_in(narrowed), u_wrapped: is_in(wraps), v_clipped: is_in(clips) };
+            self.note_overflow(effect, 0, input.step, start + lane, shard);
+        }
+        RunEffects { spiked: effects.emitted, moved: effects.active | narrowed, busy: effects.busy != 0 }
     }
 
     /// Updates lane by lane the chunks of a vector run in which a value leaves its field.

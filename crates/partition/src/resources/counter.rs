@@ -35,7 +35,8 @@ use crate::resources::axon_sharing::Class;
 use crate::resources::formats::Formats;
 use crate::resources::packing;
 use crate::resources::packing::{Compression, Group, Widths};
-use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::fixed::{Decay, Delay, Refractory, ThresholdMantissa};
+use nsim_ir::neurons::Row;
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Limits, PerResource, Resource};
@@ -276,17 +277,15 @@ impl CoreTotals {
 /// The distinct profiles of a core's compartments.
 #[derive(Debug, Clone, Default)]
 pub struct Profiles {
-    /// (du, dv, refractory period).
-    compartments: BTreeSet<(u16, u16, u8)>,
-    /// Mantissas.
-    thresholds: BTreeSet<u32>,
+    compartments: BTreeSet<(Decay, Decay, Refractory, Row)>,
+    thresholds: BTreeSet<(ThresholdMantissa, Row)>,
 }
 
 impl Profiles {
     /// Notes those of a compartment.
     pub fn insert(&mut self, neuron: &Neuron) {
-        self.compartments.insert((neuron.du.get(), neuron.dv.get(), neuron.refractory.get()));
-        self.thresholds.insert(neuron.vth.get());
+        self.compartments.insert(neuron.profile());
+        self.thresholds.insert(neuron.threshold());
     }
 
     /// Distinct compartment profiles and threshold profiles.

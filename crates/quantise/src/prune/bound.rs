@@ -39,12 +39,17 @@ pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<Com
     let mut fires: IdVec<CompartmentId, bool> = vec![false; count].into();
     // Lists what a new source reaches, because its bound has changed.
     let connect = |population: PopulationId, index: u32, arrivals: &mut [Arrivals], reached: &mut Vec<usize>| {
-        let factor = i64::from(parts.populations[population].spike_factor());
+        let factor = parts.populations[population].message.factor();
         for (_, projection, first) in network.targets_of(population) {
             projection.connectivity.for_each_from(index, |target, weight| {
-                let added = i64::from(scaled(projection.format, weight)) * factor;
-                if added != 0 {
-                    arrivals[first.index() + target as usize].add(added);
+                let scaled = i64::from(scaled(projection.format, weight));
+                if scaled != 0 && factor != Some(0) {
+                    let arrivals = &mut arrivals[first.index() + target as usize];
+                    match factor {
+                        Some(factor) => arrivals.add(scaled * i64::from(factor)),
+                        // A value has either sign, and 32 bits.
+                        None => [scaled << 31, -scaled << 31].into_iter().for_each(|added| arrivals.add(added)),
+                    }
                     reached.push(first.index() + target as usize);
                 }
             });

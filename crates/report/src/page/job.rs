@@ -87,7 +87,7 @@ pub fn agreement(workload: &Workload<'_>, trained: &Graph, progress: Progress<'_
     let samples = workload.samples();
     let some = &samples[..compared(workload)];
     let one = compile(network.clone(), workload.target, &Options::default())?;
-    let (real, machine) = (real_trace(trained, network), machine_trace(network, &one.program)?);
+    let (real, machine) = (real_trace(trained, network)?, machine_trace(network, &one.program)?);
     let of_both = layers(network);
     let sides = (Side { layers: &of_both, trace: &real }, Side { layers: &of_both, trace: &machine });
     let agreement = compare_networks(sides, &output_layer(network), some, None, progress)?;

@@ -3,6 +3,8 @@
 //! Input: sizes, parameters and synapses in order. Output: a [`Quantised`] network. Errors: a value
 //! that does not fit its field.
 
+use nsim_ir::neurons::Port;
+
 use nsim_ir::base::fixed::{
     Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
 };
@@ -11,6 +13,7 @@ use nsim_ir::base::rng;
 use nsim_ir::graph::{PerCompartment, Shape};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Inconsistent, Neuron, Parts, Population, Projection, Quantised, Units};
+use nsim_ir::spikes::Message;
 
 /// Threshold of a random network, in units of the weight. A driving spike gives 254 * 2^3 = 2,032
 /// at once and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.
@@ -52,7 +55,7 @@ impl Builder {
             name: name.to_string(),
             shape: Shape::Line(channels),
             units,
-            payload: None,
+            message: Message::Spike,
         })
     }
 
@@ -82,7 +85,8 @@ impl Builder {
         });
         let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
         self.compartments += compartments;
-        let population = Population { name: name.to_string(), shape: Shape::Line(compartments), units, payload: None };
+        let population =
+            Population { name: name.to_string(), shape: Shape::Line(compartments), units, message: Message::Spike };
         self.parts.output = self.parts.populations.push(population);
         Ok(self.parts.output)
     }
@@ -105,7 +109,12 @@ impl Builder {
     ) -> Result<(), OutOfRange> {
         let name = |id| &self.parts.populations[id].name;
         let name = format!("{} -> {}", name(source), name(target));
-        let format = SynapseFormat { exponent: WeightExponent::new(exponent)?, sign, bits: WeightBits::new(8)? };
+        let format = SynapseFormat {
+            exponent: WeightExponent::new(exponent)?,
+            sign,
+            bits: WeightBits::new(8)?,
+            port: Port::First,
+        };
         let delay = Delay::new(0)?;
         self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
         Ok(())

@@ -367,7 +367,7 @@ mod tests {
         let mut engine = Golden::new(&bench.network);
         engine.begin(u32::MAX);
         let mut run = |from: u32, to: u32| -> Totals {
-            (from..to).for_each(|t| engine.step(bench.period.at(t % bench.period.steps())));
+            (from..to).for_each(|t| engine.step(bench.period.input(t % bench.period.steps())));
             engine.totals()
         };
         let (before, after) = (run(0, 40), run(40, 40 + steps));

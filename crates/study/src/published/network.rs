@@ -6,6 +6,8 @@
 //! together; weights of +2 and -2 are too small to change when. Synapses, axons and messages are
 //! those of the workload, so that counts are too.
 
+use nsim_ir::neurons::Port;
+
 use crate::networks::BuildError;
 use nsim_energy::published::workload::{Between, WorkloadFile, WorkloadPopulation, WorkloadProjection};
 use nsim_ir::base::fixed::{
@@ -16,6 +18,7 @@ use nsim_ir::base::rng;
 use nsim_ir::graph::{PerCompartment, Shape, Window};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Units};
+use nsim_ir::spikes::Message;
 use nsim_ir::spikes::Sample;
 use nsim_quantise::relays::{one_to_one, relay};
 
@@ -134,13 +137,15 @@ pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), Bui
                 Units::Compartments { first, neurons, start_step: 0 }
             }
         };
-        parts.output = parts.populations.push(Population { name: name.to_string(), shape, units: own, payload: None });
+        parts.output =
+            parts.populations.push(Population { name: name.to_string(), shape, units: own, message: Message::Spike });
     }
     let place = |name: &str| {
         let found = file.populations.iter().position(|population| population.parts().0 == name);
         PopulationId(found.unwrap_or_default() as u32)
     };
-    let format = SynapseFormat { exponent: WeightExponent::new(0)?, sign: SignMode::Mixed, bits: WeightBits::new(8)? };
+    let (exponent, bits) = (WeightExponent::new(0)?, WeightBits::new(8)?);
+    let format = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First };
     for (index, projection) in file.projections.iter().enumerate() {
         let [source, target] = projection.ends().map(place);
         let size = |id| parts.populations[id].shape.len();
@@ -205,7 +210,7 @@ mod tests {
             let before_steps = warm_up(file, Rates::Value);
             engine.begin(before_steps + COUNTED);
             let mut run = |from: u32, to: u32| {
-                (from..to).for_each(|step| engine.step(sample.at(step)));
+                (from..to).for_each(|step| engine.step(sample.input(step)));
                 engine.totals().spikes
             };
             let before = run(0, before_steps);

@@ -161,7 +161,7 @@ pub fn predict(
     let before = warm_up(file, rates);
     machine.begin(before + COUNTED);
     for step in 0..before + COUNTED {
-        machine.step(sample.at(step));
+        machine.step(sample.input(step));
         if step >= before {
             meter.add(machine.last_step(), 1, false);
             activity.add_steps(machine.last_step(), 1);

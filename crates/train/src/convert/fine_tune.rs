@@ -39,6 +39,7 @@ use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind};
+use nsim_ir::spikes::Message;
 use nsim_ir::spikes::Sample;
 use nsim_ir::tensor::{Numbers, Tensor};
 use nsim_quantise::analytic::Fit;
@@ -199,7 +200,7 @@ pub fn trainable(graph: &Graph) -> Result<()> {
     }
     for (_, source, target, projection) in graph.projections() {
         let plain = matches!(projection.kind, ProjectionKind::Dense { .. }) && projection.delay.get() == 0;
-        if !plain || source >= target || graph.population(source).payload.is_some() {
+        if !plain || source >= target || graph.population(source).message != Message::Spike {
             let message = format!("projection {} is no dense layer without a delay", projection.name);
             return Err(unlike(graph, &message));
         }

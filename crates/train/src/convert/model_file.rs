@@ -12,6 +12,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::graph::{Graph, Shape, Window};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Neuron, Quantised, Units};
+use nsim_ir::spikes::Message;
 
 fn shape(shape: Shape) -> Vec<u64> {
     match shape {
@@ -37,7 +38,7 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<N
     let (parts, facts) = (network.parts(), graph.facts());
     let mut model = NetworkFile::new(&parts.name, parts.timestep_ms);
     for population in &parts.populations {
-        if population.payload.is_some() {
+        if population.message != Message::Spike {
             return Err(unsupported(&format!("'{}', whose spikes have a payload,", population.name)));
         }
         let shape = shape(population.shape);

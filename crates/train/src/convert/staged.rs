@@ -293,7 +293,7 @@ fn clipped(network: &Quantised, samples: &[&Sample]) -> Vec<u64> {
     for sample in samples.iter().take(COUNTED) {
         engine.begin(sample.steps());
         for step in 0..sample.steps() {
-            engine.step(sample.at(step));
+            engine.step(sample.input(step));
         }
     }
     let left = engine.left_fields();

@@ -11,6 +11,7 @@ use crate::foreign::window::MOST_LISTED;
 use nsim_files::network::{ProjectionKind, padding_after, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::SignMode;
+use nsim_ir::neurons::Port;
 
 impl Reader<'_> {
     /// Adds the population of a layer; returns its name.
@@ -23,16 +24,17 @@ impl Reader<'_> {
 
     pub(super) fn dense(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = vec![units(&layer.shape()?).ok_or_else(|| layer.wrong("a shape beyond all memory"))?];
-        let axes = layer.axes("weight", 2)?;
+        let key = if layer.is_complex() { "weight/real" } else { "weight" };
+        let axes = layer.axes(key, 2)?;
         let given = layer.group.number("inFeatures").filter(|x| x.fract() == 0.0 && (1.0..1e9).contains(x));
-        let count = layer.numbers("weight")?.len() as u64;
+        let count = layer.numbers(key)?.len() as u64;
         let inputs = given.map_or(count / shape[0].max(1), |x| x as u64);
         let source = self.source(|| Ok(vec![inputs]))?;
         let fills = shape[0].checked_mul(source.units()) == Some(count);
         if !fills || !(axes.len() <= 1 || axes == [shape[0], source.units()]) {
             return Err(layer.wrong(format!(
                 "weights {:?} do not lead from the {} units of '{}' to {}",
-                layer.numbers("weight")?.shape(),
+                layer.numbers(key)?.shape(),
                 source.units(),
                 source.name,
                 shape[0]
@@ -40,7 +42,17 @@ impl Reader<'_> {
         }
         let name = self.neurons(layer, &shape)?;
         let matrix = vec![shape[0] as usize, source.units() as usize];
-        self.project(layer, &source, &name, "weight", |weights| Ok(ProjectionKind::Dense(tensor(matrix, weights))))?;
+        let imaginary = layer.is_complex().then_some(("weight/imag", Port::Second));
+        for (key, port) in [(key, Port::First)].into_iter().chain(imaginary) {
+            if layer.numbers(key)?.len() as u64 != count {
+                return Err(layer.wrong(format!("'{key}' has other than {count} numbers")));
+            }
+            let dense = |weights| Ok(ProjectionKind::Dense(tensor(matrix.clone(), weights)));
+            self.project(layer, &source, &name, key, dense)?;
+            if let Some(projection) = self.model.projections.last_mut() {
+                projection.port = port;
+            }
+        }
         if layer.kind == "dense_rec" {
             let recurrent = self.last.clone().ok_or_else(|| layer.wrong("no layer"))?;
             let square = vec![shape[0] as usize; 2];
@@ -219,7 +231,7 @@ impl Reader<'_> {
             layer.number,
             source.units() / outputs
         ));
-        self.push(&name, vec![outputs], Some(integrator(4096.0, 0.0)));
+        self.push(&name, vec![outputs], Some(integrator(4096.0, 0.0).into()));
         let size = source.units() / outputs;
         let synapses = (0..source.units()).map(|unit| (unit, unit / size, 2.0)).collect();
         self.connect(layer, &source, &name, ProjectionKind::Sparse(synapses), None, SignMode::Mixed)

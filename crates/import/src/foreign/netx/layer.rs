@@ -23,6 +23,11 @@ impl Layer<'_> {
         Diagnostic::new("import.unsupported", format!("layer {} ({}): {message}", self.number, self.kind)).help(help)
     }
 
+    /// Whether its weights are complex numbers.
+    pub(super) fn is_complex(&self) -> bool {
+        self.group.group("weight").is_some()
+    }
+
     pub(super) fn numbers(&self, key: &str) -> Result<&Numbers> {
         self.group.numbers(key).ok_or_else(|| self.wrong(format!("it has no array '{key}'")))
     }

@@ -7,8 +7,8 @@
 //! in the order C, H, W. A network of chip time has one step between layers; one with the older
 //! neuron type `LOIHI` has SLAYER's time, in which layer k starts at step k + 1.
 //!
-//! Left out on purpose: neurons with another dynamics (ALIF, RF, SDNN, complex weights), graded
-//! spikes, concatenation.
+//! Left out on purpose: neurons with another dynamics (ALIF, ADRF), graded spikes of compartments,
+//! concatenation.
 
 mod kinds;
 mod layer;
@@ -22,11 +22,13 @@ use super::hdf5::Group;
 use super::imported::{Imported, Options, listed};
 use layer::Layer;
 use neuron::set_bias;
-use nsim_files::network::NetworkFile;
+use nsim_files::network::{NetworkFile, ProjectionDesc, ProjectionKind};
 use nsim_files::npy;
 use nsim_ir::arithmetic::{ResetDesc, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use reader::{Reader, units, wrong};
+use nsim_ir::base::fixed::SignMode;
+use nsim_ir::neurons::NeuronKind;
+use reader::{Neurons, Reader, units, wrong};
 
 /// Reads the tree of a file.
 ///
@@ -80,10 +82,19 @@ fn layers(root: &Group) -> Result<Vec<(u32, &Group)>> {
 fn fields(kind: &str) -> &'static [&'static str] {
     match kind {
         "flatten" | "average" => &["type", "shape"],
-        "input" => &["type", "shape", "neuron", "weight", "bias"],
-        "dense" | "dense_rec" => {
-            &["type", "shape", "neuron", "weight", "weight_rec", "bias", "delay", "inFeatures", "outFeatures"]
-        }
+        "input" => &["type", "shape", "neuron", "weight", "bias", "messageBits"],
+        "dense" | "dense_rec" => &[
+            "type",
+            "shape",
+            "neuron",
+            "weight",
+            "weight_rec",
+            "bias",
+            "delay",
+            "inFeatures",
+            "outFeatures",
+            "messageBits",
+        ],
         "pool" | "unpool" => {
             &["type", "shape", "neuron", "weight", "bias", "delay", "kernelSize", "stride", "padding", "dilation"]
         }
@@ -101,6 +112,7 @@ fn fields(kind: &str) -> &'static [&'static str] {
             "groups",
             "inChannels",
             "outChannels",
+            "messageBits",
         ],
         _ => &[],
     }
@@ -113,10 +125,12 @@ impl Reader<'_> {
             return Err(wrong(format!("layer {number} does not say its type; it holds {}", listed(&members))));
         };
         let layer = Layer { number, kind: kind.to_string(), group };
-        if layer.group.group("weight").is_some() {
+        if layer.is_complex() != layer.group.text("neuron/type").is_some_and(|kind| kind.starts_with("RF"))
+            || layer.is_complex() && kind != "dense"
+        {
             return Err(layer.unsupported(
-                "its weights are complex",
-                "resonate-and-fire layers have no counterpart on a Loihi 1 core",
+                "complex weights go with resonate-and-fire neurons, and those with complex weights",
+                "imported are dense layers with weight/real and weight/imag and neurons RF_PHASE or RF_IZHIKEVICH",
             ));
         }
         let known = fields(kind);
@@ -156,7 +170,16 @@ impl Reader<'_> {
             Some(_) => layer.group.number(key).ok_or_else(|| layer.wrong(format!("'{key}' is not one number"))),
         };
         match (parameters, &self.options.image) {
-            (Some(mut parameters), Some(path)) => {
+            (Some(neurons), image) if neurons.kind != NeuronKind::Loihi => {
+                if image.is_some() {
+                    return Err(Diagnostic::new(
+                        "import.option",
+                        "the input layer takes its image as --input of a run",
+                    ));
+                }
+                self.encoder(shape, neurons);
+            }
+            (Some(Neurons { mut parameters, .. }), Some(path)) => {
                 let (weight, bias) = (scalar("weight", 64.0)?.trunc(), scalar("bias", 0.0)?.trunc());
                 let drive = image(path, &shape)?;
                 // netx, `create_input`: an image of 0 to 1 becomes -weight to weight, rounded
@@ -168,7 +191,7 @@ impl Reader<'_> {
                     layer.number,
                     path.display()
                 ));
-                self.push("input", shape, Some(parameters));
+                self.push("input", shape, Some(parameters.into()));
             }
             (None, Some(_)) => {
                 return Err(Diagnostic::new(
@@ -191,6 +214,27 @@ impl Reader<'_> {
             }
         }
         Ok(())
+    }
+
+    /// An input whose channels carry numbers, and the neurons that send their changes.
+    fn encoder(&mut self, shape: Vec<u64>, neurons: Neurons) {
+        self.push("input", shape.clone(), None);
+        if let Some(input) = self.model.populations.last_mut() {
+            input.message_bits = neurons.message_bits;
+        }
+        let kind = match shape.len() {
+            1 => ProjectionKind::Sparse((0..shape[0]).map(|unit| (unit, unit, 1.0)).collect()),
+            _ => ProjectionKind::SumPool2d {
+                kernel: (1, 1),
+                stride: (1, 1),
+                padding: (0, 0),
+                padding_after: (0, 0),
+                weight: 1.0,
+            },
+        };
+        self.push("layer0", shape, Some(neurons));
+        let own = ProjectionDesc { sign: SignMode::Excitatory, ..ProjectionDesc::new("input", "layer0", kind) };
+        self.model.projections.push(own);
     }
 
     /// Holds the sizes that a file repeats to those that its arrays have.
@@ -272,6 +316,9 @@ impl Reader<'_> {
         }
         if let Some(interval) = self.options.reset_interval {
             self.model.reset = Some(ResetDesc { interval: interval.into(), offset: self.options.reset_offset.into() });
+        }
+        if self.model.populations.iter().any(|population| !population.kind.table().registers) {
+            self.model.target = Some("oheo-gulch".to_string());
         }
         let mut imported =
             Imported { kind: "lava-dl netx", model: self.model, notes: self.notes, layers: self.layers }.read_out();

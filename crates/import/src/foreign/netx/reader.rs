@@ -5,12 +5,16 @@ use std::cell::Cell;
 use crate::foreign::imported::{LayerWeights, Options};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::neurons::NeuronKind;
 
 /// Parameters that are given for each channel are expanded to at most so many numbers, all layers
 /// together.
 pub(super) const MOST_EXPANDED: u64 = 1 << 22;
 /// The exponent of a bias (netx, `bias_exp`).
 pub(super) const BIAS_EXP: f64 = 6.0;
+/// Bits of the fraction of a message, and of the state behind it (netx, `spike_exp` and `state_exp` of
+/// its sigma-delta blocks).
+pub(super) const SDNN_EXP: f64 = 6.0;
 
 pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.netx", message)
@@ -36,6 +40,21 @@ pub(super) fn units(shape: &[u64]) -> Option<u64> {
     shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
 }
 
+/// The neurons of a population.
+#[derive(Debug, Default)]
+pub(super) struct Neurons {
+    pub(super) kind: NeuronKind,
+    pub(super) parameters: Vec<(&'static str, Parameter)>,
+    pub(super) message_bits: Option<i64>,
+}
+
+impl From<Vec<(&'static str, Parameter)>> for Neurons {
+    /// Compartments of Loihi 1.
+    fn from(parameters: Vec<(&'static str, Parameter)>) -> Self {
+        Neurons { parameters, ..Neurons::default() }
+    }
+}
+
 pub(super) struct Reader<'a> {
     pub(super) options: &'a Options,
     pub(super) model: NetworkFile,
@@ -50,15 +69,18 @@ pub(super) struct Reader<'a> {
 
 impl Reader<'_> {
     /// Adds a population and makes it the last.
-    pub(super) fn push(&mut self, name: &str, shape: Vec<u64>, loihi: Option<Vec<(&'static str, Parameter)>>) {
-        let start_step = match &loihi {
+    pub(super) fn push(&mut self, name: &str, shape: Vec<u64>, neurons: Option<Neurons>) {
+        let start_step = match &neurons {
             Some(_) => {
                 self.depth += 1;
                 self.depth - 1
             }
             None => 0,
         };
-        let population = PopulationDesc { loihi, start_step, ..PopulationDesc::input(name, shape.clone()) };
+        let mut population = PopulationDesc { start_step, ..PopulationDesc::input(name, shape.clone()) };
+        if let Some(Neurons { kind, parameters, message_bits }) = neurons {
+            (population.kind, population.loihi, population.message_bits) = (kind, Some(parameters), message_bits);
+        }
         self.model.populations.push(population);
         self.last = Some(Last { name: name.to_string(), shape, delays: Vec::new() });
     }

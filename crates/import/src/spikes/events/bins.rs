@@ -224,7 +224,10 @@ impl Bins {
         self.counts.faint = (self.settled.len() - events.len()) as u64;
         self.counts.merged = self.counts.events - self.counts.dropped - self.settled.len() as u64;
         let units = Some(self.window.expected.units);
-        Ok((PopulationSpikes { units, steps, label: None, events, name: name.to_string() }, self.counts))
+        Ok((
+            PopulationSpikes { units, steps, label: None, events, values: Vec::new(), name: name.to_string() },
+            self.counts,
+        ))
     }
 }
 

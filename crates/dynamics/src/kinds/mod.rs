@@ -1,0 +1,176 @@
+//! The kinds of neurons whose state is columns of 32-bit words: one update of one compartment each,
+//! which [`Chunked`] applies to the compartments of a block.
+//!
+//! Input: the sums of a step's arrivals, in units of 64 of the accumulator (a weight times a
+//! message), and the state. Output: the next state, and what each compartment sends. Sums and words
+//! that leave 32 bits wrap, as lava's processes compute them, and are reported.
+//!
+//! To add a kind: its row in [`nsim_ir::neurons`], a file here with its line in [`updater`], and
+//! its arithmetic again in `nsim_golden`.
+
+mod neuron;
+mod resonator;
+mod sigma_delta;
+
+pub use neuron::{Arrived, CHUNK, Columns, Emission, Left, Neuron};
+
+use std::fmt::Debug;
+use std::marker::PhantomData;
+
+use neuron::choice;
+use nsim_ir::neurons::{NeuronKind, Row};
+
+/// Compartments that are updated together.
+pub const MOST_LANES: usize = 64;
+/// Compartments of one kind, at most [`MOST_LANES`], in chunks; lanes behind the last compartment are
+/// padding.
+#[derive(Debug)]
+pub struct Block<'a> {
+    /// Words of state: of each chunk, column after column.
+    pub columns: &'a mut [[i32; CHUNK]],
+    /// The sums of each port, by chunk.
+    pub arrived: [&'a [[i32; CHUNK]]; 2],
+    /// What is sent, by chunk.
+    pub sent: &'a mut [[i32; CHUNK]],
+    /// The vectors of the processor.
+    pub vectors: pulp::Arch,
+}
+
+/// What the update of a block did, a bit a lane.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Effects {
+    /// It sent a message.
+    pub emitted: u64,
+    /// It was not idle, or something arrived.
+    pub active: u64,
+    /// A word left its bits.
+    pub left: u64,
+    /// It is not idle afterwards.
+    pub busy: u64,
+}
+
+/// The update of a block.
+pub trait Updater: Debug + Send + Sync {
+    /// One step of all compartments.
+    fn update(&self, block: &mut Block<'_>) -> Effects;
+    /// Whether some compartment is not idle in its first state.
+    fn wakes(&self) -> bool;
+    /// Compartments.
+    fn lanes(&self) -> usize;
+    /// Words of state of a compartment.
+    fn words(&self) -> usize;
+    /// Whether a word that would leave its bits is clipped, rather than wrapped.
+    fn clips(&self) -> bool;
+}
+
+/// The update of a block, compartment by compartment, in chunks that compilers turn into vectors.
+#[derive(Debug)]
+struct Chunked<N> {
+    lanes: usize,
+    /// Of each chunk, column after column.
+    parameters: Vec<[i32; CHUNK]>,
+    kind: PhantomData<fn() -> N>,
+}
+
+/// An update, in the form in which `pulp` runs it with the processor's vectors.
+struct Run<'r, 'b, N>(&'r Chunked<N>, &'r mut Block<'b>);
+
+/// The most columns that a kind has.
+const MOST_COLUMNS: usize = 4;
+
+impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
+    type Output = Effects;
+
+    #[inline(always)]
+    fn call(self) -> Effects {
+        let Run(Chunked { lanes, parameters, .. }, block) = self;
+        let (words, of_parameters) = (N::State::COUNT, N::Parameters::COUNT);
+        let mut effects = Effects::default();
+        for (chunk, sent) in block.sent.iter_mut().enumerate() {
+            let parameters = &parameters[chunk * of_parameters..(chunk + 1) * of_parameters];
+            let columns = &mut block.columns[chunk * words..(chunk + 1) * words];
+            let arrived = block.arrived.map(|sums| sums[chunk]);
+            // On the stack, so that nothing can lie behind two names.
+            let mut state = [[0; CHUNK]; MOST_COLUMNS];
+            state[..words].copy_from_slice(columns);
+            let (mut values, mut flags) = (*sent, [0u32; CHUNK]);
+            for lane in 0..CHUNK {
+                let p = N::Parameters::load(parameters, lane);
+                let (mut s, mut left) = (N::State::load(&state, lane), Left::default());
+                let arrived = [arrived[0][lane], arrived[1][lane]];
+                let active = (arrived[0] | arrived[1] != 0) | !N::idle(&p, &s);
+                let Emission { sends, value } = N::update(&p, &mut s, arrived, &mut left);
+                let busy = !N::idle(&p, &s);
+                s.store(&mut state, lane);
+                if N::VALUES {
+                    values[lane] = choice(sends, value, values[lane]);
+                }
+                flags[lane] =
+                    (sends & 1) as u32 | u32::from(active) << 1 | u32::from(left.any()) << 2 | u32::from(busy) << 3;
+            }
+            columns.copy_from_slice(&state[..words]);
+            *sent = values;
+            let bits = |flag: u32| {
+                let bit = |(lane, flags): (usize, &u32)| u64::from(flags >> flag & 1) << lane;
+                flags.iter().enumerate().map(bit).sum::<u64>() << (chunk * CHUNK)
+            };
+            effects.emitted |= bits(0);
+            effects.active |= bits(1);
+            effects.left |= bits(2);
+            effects.busy |= bits(3);
+        }
+        let own = u64::MAX >> (MOST_LANES - lanes);
+        let Effects { emitted, active, left, busy } = effects;
+        Effects { emitted: emitted & own, active: active & own, left: left & own, busy: busy & own }
+    }
+}
+
+impl<N: Neuron> Updater for Chunked<N> {
+    fn update(&self, block: &mut Block<'_>) -> Effects {
+        let vectors = block.vectors;
+        vectors.dispatch(Run(self, block))
+    }
+
+    fn wakes(&self) -> bool {
+        let idle = |lane: usize| {
+            let of = &self.parameters[lane / CHUNK * N::Parameters::COUNT..];
+            N::idle(&N::Parameters::load(of, lane % CHUNK), &N::State::default())
+        };
+        !(0..self.lanes).all(idle)
+    }
+
+    fn lanes(&self) -> usize {
+        self.lanes
+    }
+
+    fn words(&self) -> usize {
+        N::State::COUNT
+    }
+
+    fn clips(&self) -> bool {
+        N::CLIPS
+    }
+}
+
+fn chunked<N: Neuron>(rows: &[Row]) -> Option<Box<dyn Updater>> {
+    let (count, chunks) = (N::Parameters::COUNT, rows.len().div_ceil(CHUNK));
+    let mut parameters = vec![[0; CHUNK]; count * chunks];
+    for (lane, row) in rows.iter().enumerate() {
+        N::prepare(row).store(&mut parameters[lane / CHUNK * count..], lane % CHUNK);
+    }
+    Some(Box::new(Chunked::<N> { lanes: rows.len(), parameters, kind: PhantomData }))
+}
+
+/// The update of compartments with these parameters, at most [`MOST_LANES`]; `None` for a kind with
+/// the registers of Loihi 1.
+#[must_use]
+pub fn updater(kind: NeuronKind, rows: &[Row]) -> Option<Box<dyn Updater>> {
+    match kind {
+        NeuronKind::Loihi | NeuronKind::If | NeuronKind::SoftReset => None,
+        NeuronKind::SigmaDelta => chunked::<sigma_delta::SigmaDelta>(rows),
+        NeuronKind::Delta => chunked::<sigma_delta::Delta>(rows),
+        NeuronKind::Sigma => chunked::<sigma_delta::Sigma>(rows),
+        NeuronKind::Rf => chunked::<resonator::Resonator<false>>(rows),
+        NeuronKind::RfIz => chunked::<resonator::Resonator<true>>(rows),
+    }
+}

@@ -1,0 +1,18 @@
+//! What a step of a compartment does besides changing its state, and how the chip narrows integers.
+
+/// What an update did besides changing the state.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Outcome {
+    pub spiked: bool,
+    /// What it sends, of a kind that computes that.
+    pub value: Option<i64>,
+    pub q_wrapped: bool,
+    pub u_wrapped: bool,
+    pub v_clipped: bool,
+}
+
+/// Two's complement of `bits` bits and a sign.
+pub(crate) fn wrap(x: i64, bits: u32) -> i64 {
+    let half = 1i64 << bits;
+    (x + half).rem_euclid(2 * half) - half
+}

@@ -1,0 +1,329 @@
+//! The kinds of neurons of Loihi 2 against what lava and lava-dl recorded, and both engines against
+//! each other on networks of mixed kinds, messages and ports.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::common::random::{self, Draw};
+use crate::common::{Array, Net, data, engines, format};
+use nsim::compile::{Options, compile};
+use nsim::dynamics;
+use nsim::files::network::Network;
+use nsim::files::target::load_target;
+use nsim::golden::Golden;
+use nsim::import::foreign;
+use nsim::ir::activity::{Overflow, Totals};
+use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::base::fixed::{MessageBits, SignMode};
+use nsim::ir::base::id::{ChannelId, CompartmentId};
+use nsim::ir::graph::Shape;
+use nsim::ir::neurons::{Emits, NeuronKind, Port};
+use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::resource::Resource;
+use nsim::ir::spikes::{Engine, Message, Sample};
+use nsim::machine::{Image, Machine, Settings};
+use nsim::session::front::front;
+use rayon::prelude::*;
+use serde_json::Value;
+
+/// Neurons of a kind, each with the inputs of its own as they are.
+fn alone(kind: NeuronKind, rows: &[Vec<i64>]) -> Quantised {
+    let mut net = Net::new();
+    let count = rows.len() as u32;
+    let neurons: Vec<Neuron> = rows.iter().map(|row| dynamics::neuron(kind, row).unwrap()).collect();
+    let inputs: Vec<_> = (0..kind.table().ports).map(|_| net.input(Shape::Line(count))).collect();
+    let target = net.loihi(Shape::Line(count), &neurons, 0);
+    for (input, port) in inputs.into_iter().zip([Port::First, Port::Second]) {
+        let own = Connectivity::Sparse {
+            first: (0..=u64::from(count)).collect(),
+            targets: (0..count).collect(),
+            weights: vec![1; count as usize].into(),
+        };
+        net.project(input, target, SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, own);
+    }
+    for population in net.parts.populations.iter_mut() {
+        let values = matches!(population.units, Units::Input(_)) || kind.table().emits == Emits::Values;
+        population.message = if values { Message::Value(MessageBits::MAX) } else { Message::Spike };
+    }
+    net.build()
+}
+
+/// The inputs `[neuron][step]` of each port.
+fn shown(inputs: &[Array]) -> Sample {
+    let (count, steps) = (inputs[0].shape[0], inputs[0].shape[1]);
+    let mut events = Vec::new();
+    for (port, input) in inputs.iter().enumerate() {
+        for (at, &value) in input.values.iter().enumerate() {
+            events.push(((at % steps) as u32, ChannelId((port * count + at / steps) as u32), value as i32));
+        }
+    }
+    Sample::with_values(steps as u32, &events, None).unwrap()
+}
+
+/// Holds every engine to recorded messages, and to recorded words of state by their names.
+fn matches_recording(folder: &Path, kind: NeuronKind, rows: &[Vec<i64>], (out, columns): (&str, &[&str])) -> u64 {
+    let read = |name: &str| Array::read(&folder.join(format!("{name}.npy")));
+    let ports: &[&str] = if kind.table().ports == 2 { &["a_real_in", "a_imag_in"] } else { &["a_in"] };
+    let sample = shown(&ports.iter().map(|name| read(name)).collect::<Vec<_>>());
+    let expected = read(out);
+    let states: Vec<(usize, Array)> = columns.iter().enumerate().map(|(place, name)| (place, read(name))).collect();
+    let (mut compared, steps) = (0, sample.steps());
+    for (name, mut engine) in engines(&alone(kind, rows)) {
+        engine.begin(steps);
+        for step in 0..steps {
+            engine.step(sample.input(step));
+            let at = |array: &Array, n: usize| array.at([n, step as usize]);
+            for n in 0..rows.len() {
+                let id = CompartmentId(n as u32);
+                let sent = engine.spikes().iter().position(|spike| *spike == id);
+                let sent = sent.map_or(0, |place| engine.payloads().get(place).copied().unwrap_or(1));
+                assert_eq!(i64::from(sent), at(&expected, n), "{name}, {}, {n}, step {step}", folder.display());
+                for (column, state) in &states {
+                    let word = i64::from(engine.state(id, *column));
+                    assert_eq!(word, at(state, n), "{name}, {}, {n}, column {column}, step {step}", folder.display());
+                }
+                compared += 1 + states.len() as u64;
+            }
+        }
+    }
+    compared
+}
+
+fn parameters(folder: &Path) -> serde_json::Map<String, Value> {
+    let text = std::fs::read_to_string(folder.join("parameters.json")).unwrap();
+    serde_json::from_str::<Value>(&text).unwrap().as_object().unwrap().clone()
+}
+
+/// lava's processes, every regime that does not pin a fault of the tool.
+#[test]
+fn recorded_neurons_of_lava_match_bit_for_bit() {
+    let Some(folder) = data("loihi2/neuron") else { return };
+    let mut compared = 0;
+    for (name, kind) in [
+        ("SigmaDelta", NeuronKind::SigmaDelta),
+        ("SigmaDeltaCorrected", NeuronKind::SigmaDelta),
+        ("Delta", NeuronKind::Delta),
+        ("Sigma", NeuronKind::Sigma),
+        ("RF", NeuronKind::Rf),
+        ("RF_IZ", NeuronKind::RfIz),
+    ] {
+        for (regime, given) in parameters(&folder.join(name)) {
+            let whole = |key: &str| given[key].as_i64().unwrap_or_else(|| i64::from(given[key] == Value::Bool(true)));
+            let bias =
+                |n: usize| given["bias"].as_array().map_or_else(|| whole("bias"), |each| each[n].as_i64().unwrap());
+            let corrected = i64::from(name.ends_with("Corrected"));
+            let row = |n: usize| match kind {
+                NeuronKind::SigmaDelta => {
+                    let relu = i64::from(given["act_mode"] == "RELU");
+                    let exponents = [whole("spike_exp"), whole("state_exp")];
+                    vec![whole("vth"), bias(n), exponents[0], exponents[1], relu, whole("cum_error"), corrected]
+                }
+                NeuronKind::Delta => ["vth", "spike_exp", "state_exp", "cum_error"].map(whole).to_vec(),
+                NeuronKind::Sigma => Vec::new(),
+                _ => ["sin_decay_int", "cos_decay_int", "vth_scaled", "state_exp", "decay_bits"].map(whole).to_vec(),
+            };
+            let rows: Vec<_> = (0..8).map(row).collect();
+            let columns: &[&str] = match (kind, corrected) {
+                (NeuronKind::SigmaDelta, 0) => &["sigma", "act", "residue", "error"],
+                (NeuronKind::SigmaDelta, _) => &["sigma", "act"],
+                (NeuronKind::Delta, _) => &["act", "residue", "error"],
+                (NeuronKind::Sigma, _) => &["sigma"],
+                _ => &["real", "imag"],
+            };
+            compared += matches_recording(&folder.join(name).join(&regime), kind, &rows, ("s_out", columns));
+        }
+    }
+    assert!(compared > 300_000, "{compared} numbers");
+}
+
+/// lava-dl's neurons; it shows the state of RF_IZ before its reset, so spikes alone are compared.
+#[test]
+fn recorded_neurons_of_lava_dl_match_bit_for_bit() {
+    let Some(folder) = data("loihi2/slayer") else { return };
+    for (name, kind) in [("RF_PHASE", NeuronKind::Rf), ("RF_IZ", NeuronKind::RfIz)] {
+        for (regime, given) in parameters(&folder.join(name)) {
+            let [sin, cos, threshold] = ["sinDecay", "cosDecay", "vThMant"].map(|key| given[key].as_i64().unwrap());
+            let columns: &[&str] = if kind == NeuronKind::Rf { &["real", "imag"] } else { &[] };
+            let rows = vec![vec![sin, cos, threshold * 64, 6, 12]; 8];
+            matches_recording(&folder.join(name).join(regime), kind, &rows, ("s_out", columns));
+        }
+    }
+}
+
+/// Resonators of lava-dl's recorded networks: driven directly, and behind two matrices.
+#[test]
+fn recorded_layers_of_resonators_match_bit_for_bit() {
+    let Some(folder) = data("loihi2/rf_blocks") else { return };
+    let read = |name: &str| Array::read(&folder.join(format!("{name}.npy")));
+    let [input, direct, behind] = ["s_in", "rf_iz_out", "rf_out"].map(read);
+    let [real, imag] = ["weight_real", "weight_imag"].map(read);
+    let steps = input.shape[1];
+    let mut net = Net::new();
+    let neurons = |kind, row: &[i64], count| vec![dynamics::neuron(kind, row).unwrap(); count];
+    let source = net.input(Shape::Line(200));
+    let mut own = net.loihi(Shape::Line(200), &neurons(NeuronKind::RfIz, &[3042, 2426, 70, 6, 12], 200), 0);
+    for port in [Port::First, Port::Second] {
+        let one = Connectivity::Sparse {
+            first: (0..=200).collect(),
+            targets: (0..200).collect(),
+            weights: vec![1; 200].into(),
+        };
+        net.project(source, own, SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, one);
+    }
+    own = net.loihi(Shape::Line(256), &neurons(NeuronKind::Rf, &[2103, 3273, 1600, 6, 12], 256), 0);
+    for (port, weights) in [(Port::First, &real), (Port::Second, &imag)] {
+        let by_source = (0..200).flat_map(|s| (0..256).map(move |t| weights.at([t, s]) as i16)).collect();
+        // Entry t of the input is sent in step t and arrives a step later.
+        let dense = Connectivity::Dense { targets: 256, weights: by_source };
+        net.project(source, own, SynapseFormat { port, ..format(SignMode::Mixed, 0) }, 1, dense);
+    }
+    let events: Vec<_> = (0..input.values.len())
+        .filter(|&at| input.values[at] != 0)
+        .map(|at| ((at % steps) as u32, ChannelId((at / steps) as u32)))
+        .collect();
+    let sample = Sample::new(steps as u32, &events, None).unwrap();
+    for (name, mut engine) in engines(&net.build()) {
+        engine.begin(steps as u32);
+        for step in 0..steps {
+            engine.step(sample.input(step as u32));
+            let mut spiked = [0; 456];
+            engine.spikes().iter().for_each(|spike| spiked[spike.0 as usize] = 1);
+            for (n, spiked) in spiked.into_iter().enumerate() {
+                let expected = if n < 200 { direct.at([n, step]) } else { behind.at([n - 200, step]) };
+                assert_eq!(spiked, expected, "{name}, {n}, step {step}");
+            }
+        }
+    }
+}
+
+/// A trained sigma-delta network from its own file: outputs of every input, and the messages of every
+/// layer for a scene that moves, by sums that their order and signs enter.
+#[test]
+fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
+    let Some(folder) = data("loihi2/pilotnet_sdnn") else { return };
+    let model = foreign::read(&folder.join("network.net"), &foreign::Options::default()).unwrap().model;
+    assert_eq!(model.target.as_deref(), Some("oheo-gulch"));
+    let network = Network::new(model, SourceText::new("network.net", ""), BTreeMap::new()).unwrap();
+    let network = front(&network).unwrap().into_quantised();
+    let compiled = compile(network.clone(), &load_target("oheo-gulch").unwrap(), &Options::default()).unwrap();
+    let image = Image::new(&compiled.program, 1).unwrap();
+    let layers: Vec<(u32, u32)> = (network.populations().iter())
+        .filter_map(|population| Some((population.first_compartment()?.0, population.shape.len())))
+        .collect();
+    for (scene, engines) in [("recorded", 1), ("moving", 2), ("frames4", 1), ("sparse_changes", 1)] {
+        let read = |name: &str| Array::read(&folder.join(scene).join(format!("{name}.npy")));
+        let (input, output) = (read("input"), read("output"));
+        let steps = output.shape[1];
+        // One frame is held for all steps.
+        let per_channel = if input.shape.len() == 3 { 1 } else { steps };
+        let value = |channel: usize, t: usize| input.values[channel * per_channel + t % per_channel] as i32;
+        let channels = input.values.len() / per_channel;
+        let events = (0..steps).flat_map(|t| (0..channels).map(move |c| (t as u32, ChannelId(c as u32), value(c, t))));
+        let sample = Sample::with_values(steps as u32, &events.collect::<Vec<_>>(), None).unwrap();
+        let checks = (scene == "moving").then(|| read("message_checks"));
+        let mut fast = Machine::new(&image, Settings::default());
+        let mut golden = Golden::new(&network);
+        for engine in [&mut fast as &mut dyn Engine, &mut golden].into_iter().take(engines) {
+            engine.begin(steps as u32);
+            for t in 0..steps {
+                engine.step(sample.input(t as u32));
+                let sent: BTreeMap<u32, i64> =
+                    engine.spikes().iter().map(|id| id.0).zip(engine.payloads().iter().map(|&m| m.into())).collect();
+                let (last, _) = layers[layers.len() - 1];
+                assert_eq!(sent.get(&last).copied().unwrap_or(0), output.at([0, t]), "{scene}, step {t}");
+                for (layer, &(first, units)) in layers.iter().enumerate() {
+                    let Some(checks) = &checks else { continue };
+                    let sums = sent.range(first..first + units).fold([0; 4], |[sum, size, count, order], (id, m)| {
+                        let order = order + m * i64::from(id - first + 1);
+                        [sum + m, size + m.abs(), count + 1, order]
+                    });
+                    let order = sums[3].rem_euclid(1 << 31);
+                    for (which, found) in [sums[0], sums[1], sums[2], order].into_iter().enumerate() {
+                        assert_eq!(found, checks.at([layer, which, t]), "{scene}, layer {layer}, check {which}, {t}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A message: its source, and what it carries.
+type Sent = (CompartmentId, i32);
+
+/// Everything that an engine shows: after each step its messages and all words; then counts.
+#[derive(Debug, PartialEq)]
+struct Trace {
+    steps: Vec<(Vec<Sent>, Vec<i32>)>,
+    totals: Totals,
+    overflow: Overflow,
+}
+
+fn trace(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> Trace {
+    engine.begin(sample.steps());
+    let mut steps = Vec::new();
+    for step in 0..sample.steps() {
+        if !(sample.at(step).is_empty() && step % 3 == 0 && engine.rest(1)) {
+            engine.step(sample.input(step));
+        }
+        let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
+        let mut sent: Vec<_> = engine.spikes().iter().copied().zip(payloads).collect();
+        sent.sort_unstable();
+        let mut words = Vec::new();
+        for population in network.populations() {
+            let Units::Compartments { first, neurons, .. } = &population.units else { continue };
+            for index in 0..population.shape.len() {
+                let columns = 0..neurons.get(index).kind.table().state.len();
+                words.extend(columns.map(|column| engine.state(CompartmentId(first.0 + index), column)));
+            }
+        }
+        steps.push((sent, words));
+    }
+    Trace { steps, totals: engine.totals(), overflow: engine.overflow() }
+}
+
+#[test]
+fn mixed_networks_are_the_same_in_both_engines() {
+    let chip = load_target("oheo-gulch").unwrap();
+    let mut limits = chip.limits().clone();
+    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
+        (1024, 1024, 64);
+    limits[Resource::AxonsIn] = 1 << 16;
+    let roomy = chip.clone().with_limits(limits.clone());
+    limits[Resource::Compartments] = 7;
+    let small = chip.with_limits(limits);
+    let seen: Vec<(u64, bool)> = (0..1_000u64)
+        .into_par_iter()
+        .map(|seed| {
+            let network = random::mixed(seed);
+            let draw = &mut Draw::new(seed ^ 0x77);
+            let bare = random::sample(&network, seed);
+            let events = (0..bare.steps()).flat_map(|t| bare.at(t).iter().map(move |&channel| (t, channel)));
+            let valued: Vec<_> = events.map(|(t, channel)| (t, channel, draw.from(-3_000, 3_000) as i32)).collect();
+            let sample = Sample::with_values(bare.steps(), &valued, None).unwrap();
+            let golden = trace(&mut Golden::new(&network), &network, &sample);
+            let options = Options { place: false, ..Options::default() };
+            for (target, what) in [(&roomy, "roomy"), (&small, "small cores")] {
+                let compiled = compile(network.clone(), target, &options).unwrap();
+                for shares in [1, 2, 8] {
+                    let image = Image::new(&compiled.program, shares).unwrap();
+                    for (skip, per_step) in [(true, false), (false, true)] {
+                        let mut machine = Machine::new(&image, Settings { skip, per_step });
+                        let fast = trace(&mut machine, &network, &sample);
+                        for (step, (meant, found)) in golden.steps.iter().zip(&fast.steps).enumerate() {
+                            assert!(meant == found, "{seed}, {what}, {shares} shares, skip {skip}, step {step}");
+                        }
+                        let counts = ((golden.totals, golden.overflow), (fast.totals, fast.overflow));
+                        assert_eq!(counts.0, counts.1, "{seed}, {what}, {shares} shares, skip {skip}");
+                        assert_eq!(machine.take_activity().totals(), golden.totals, "{seed}, {what}");
+                    }
+                }
+            }
+            let skipped = golden.totals.active_updates < golden.totals.compartment_updates;
+            (golden.totals.spikes, skipped && golden.overflow != Overflow::default())
+        })
+        .collect();
+    let spikes: u64 = seen.iter().map(|(spikes, _)| spikes).sum();
+    assert!(spikes > 100_000, "{spikes}");
+    assert!(seen.iter().filter(|(_, both)| *both).count() > 20, "values leave their words, and compartments rest");
+}
