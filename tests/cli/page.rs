@@ -167,7 +167,11 @@ fn a_page_holds_what_energy_prints_and_loads_nothing() {
         );
         assert!(name != "trained" || data["agreement"]["layers"].as_array().is_some_and(|layers| layers.len() == 3));
         let right = |index: usize| data["confusion"]["counts"][index][index].as_u64().unwrap_or(0);
-        assert!(data["confusion"].is_null() || (0..3).map(right).sum::<u64>() <= result["samples"].as_u64().unwrap());
+        let diagonal = (0..3).map(right).sum::<u64>() as f64;
+        assert_eq!(data["confusion"].is_null(), result["accuracy"].is_null(), "{name}");
+        if let Some(accuracy) = result["accuracy"].as_f64() {
+            assert_eq!(diagonal, (accuracy * result["samples"].as_f64().unwrap()).round(), "{name}");
+        }
     }
     let energy = ["energy", "vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti", "--format", "json"];
     let (status, said) = nsim(here, &energy);

@@ -316,3 +316,38 @@ fn of_pair(
     }
     found
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_system_of_equations_is_solved_and_a_singular_one_refused() {
+        let matrix = [vec![4.0, 1.0], vec![1.0, 3.0]];
+        let found = solved(&matrix, &[9.0, 7.0]).unwrap();
+        assert!(found.iter().zip([20.0 / 11.0, 19.0 / 11.0]).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
+        assert_eq!(solved(&[vec![1.0, 2.0], vec![2.0, 4.0]], &[1.0, 2.0]), None);
+    }
+
+    /// A potential that is made of two delayed responses is taken apart into them.
+    #[test]
+    fn planted_copies_are_found() {
+        let (steps, keeps, planted) = (200, (0.8, 0.3), [(2, 0.7), (9, -0.25)]);
+        let arrivals: Vec<f64> = (0..steps).map(|t| f64::from(u8::from(t % 17 == 3 || t % 29 == 0))).collect();
+        let mut response = Vec::new();
+        filtered_row(&arrivals, keeps, 1.0, &mut response);
+        let at = |t: usize| {
+            planted.iter().map(|&(d, factor)| if t < d { 0.0 } else { factor * response[t - d] }).sum::<f64>()
+        };
+        let wanted = vec![(0..steps).map(at).collect::<Vec<f64>>()];
+        let samples = [arrivals];
+        let task = Arrivals { neurons: 1, samples: &samples };
+        let delays: Vec<u32> = (0..20).collect();
+        let found = of_pair(task, &wanted, keeps, &delays, 2);
+        let (_, copies) = found.iter().find(|(_, copies)| copies.count == 2).unwrap();
+        for (&(delay, factor), (d, planted)) in copies.as_slice().iter().zip(planted) {
+            assert_eq!(delay as usize, d);
+            assert!((factor - planted).abs() < 1e-6, "{factor} for {planted}");
+        }
+    }
+}
