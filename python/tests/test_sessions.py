@@ -148,6 +148,16 @@ class Sessions(unittest.TestCase):
         self.assertEqual(lead, 3)
         self.assertGreater(scope["counts"].sum(), 0)
 
+    def test_the_loop_and_the_chip_of_the_readme(self):
+        readme = (PAGE.parents[1] / "README.md").read_text()
+        loop = next(block for block in re.findall(r"```python\n(.*?)```", readme, re.S) if "session()" in block)
+        scope = {"nsim": nsim}
+        exec(compile(loop, "README.md", "exec"), scope)
+        with tempfile.TemporaryDirectory() as folder:
+            chip = Path(folder) / "mine.ron"
+            chip.write_text(re.search(r"```ron\n(.*?)```", readme, re.S).group(1))
+            self.assertEqual(nsim.load("vtsnn-slip").map(chip).target, "mine")
+
 
 if __name__ == "__main__":
     unittest.main()
