@@ -101,8 +101,7 @@ impl Case {
             if count > 1 {
                 let whole = self.compiled(share(rank, count, true));
                 assert_eq!(whole.program.part(rank).unwrap(), **program, "{}: part {rank} of {count}", self.what);
-                let tables = program.cores().enumerate().filter(|(core, _)| !program.holds(*core));
-                assert!(tables.into_iter().all(|(_, image)| image.inputs.is_empty()), "{}", self.what);
+                assert_eq!(program.synapses_of(|core| !program.holds(core)), 0, "{}", self.what);
             }
             let Output { first, count, .. } = program.output();
             let probe = |quantity| Probe { first, count, quantity };

@@ -20,16 +20,19 @@
 //! for its synapses to compartments whose cores are held, and the parts of all processes together
 //! are proven by each proving its own.
 //!
-//! *Copies.* N may be so many equal copies that share nothing, copy after copy. Copy k is proven
-//! from copy j < k, which 1 and 2 have been checked for, when
+//! *Classes.* Cores of one class hold the same tables. Let f be the first core of a class and m
+//! another core of it. m is a *shift* of f when a map h of compartments and channels takes, slot by
+//! slot, the compartments of f to those of m, and axon by axon the sources of f to those of m, and
 //!
-//! a. the populations and projections of k in N are those of j, their units numbered k - j copies
-//! later; b. each source of k sends as many messages as that of j, to the same axons of cores each
-//! of which is that of j *later*: it holds the same lists, equal formats and parameters, and the
-//! compartments k - j copies later, slot by slot, at their seats.
+//! - h adds so many copies, where N is equal copies that share nothing; or
+//! - the compartments are of one population, h adds so many rows and columns to each, and to each
+//!   source these times the stride of every projection from its population, all of which are
+//!   windows.
 //!
-//! By b., D of a source of k is D of that of j with targets k - j copies later, by a. so is R, and
-//! parameters are equal.
+//! In both cases N has between h(s) and h(n) the synapses that it has between s and n. So if 2 holds
+//! of the synapses of f, each synapse of m is one of N. Shifts are therefore not compared. If what
+//! is compared is equal, and P has as many synapses as N, then P has all synapses of N. Otherwise
+//! all cores are compared, which finds the first source that differs.
 //!
 //! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing
 //! of the stages between. Sources are compared a piece at a time, of `synapses_of_piece` on
@@ -39,11 +42,10 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::repeats;
-use crate::repeats::messages_of;
+use crate::shifts::{compared, messages_of};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::{Delay, SignMode};
-use nsim_ir::base::id::{ChannelId, CompartmentId, Id, PopulationId};
+use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use nsim_ir::program::{AxonTarget, Compartment, Compartments, Program};
 use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Population, Projection, Quantised, Units};
@@ -127,21 +129,33 @@ pub fn check_neurons(network: &Quantised, program: &Program) -> Result<(), Diffe
     check_parameters(network, program)
 }
 
-/// The same of so many equal copies; how many of them were proven from another.
+/// The same of so many equal copies; how many cores were proven from the first of their class.
 ///
 /// # Errors
 /// As [`check`].
 pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Result<u32, Difference> {
     check_frame(network, program)?;
     check_parameters(network, program)?;
-    // A part has the messages of no copy whole.
-    let proven = match program.held_rank() {
-        None => repeats::proven(network, program, copies),
-        Some(_) => vec![false; copies.max(1) as usize],
-    };
-    let of_copy = (network.populations().len() as u32 / copies.max(1)).max(1);
-    let left = |id: PopulationId| !proven.get((id.0 / of_copy) as usize).copied().unwrap_or(false);
-    for (id, population) in network.populations().enumerate().filter(|&(id, _)| left(id)) {
+    // A part has not all messages of a core that it does not hold.
+    if program.held_rank().is_none() {
+        let compared = compared(network, program, copies);
+        let shifts = compared.iter().filter(|&&compared| !compared).count() as u32;
+        let complete = || program.synapses_of(|_| true) == network.synapses();
+        if shifts > 0 && complete() && check_synapses(network, program, |core| compared[core]).is_ok() {
+            return Ok(shifts);
+        }
+        return check_synapses(network, program, |_| true).map(|()| 0);
+    }
+    check_synapses(network, program, |core| program.holds(core)).map(|()| 0)
+}
+
+/// Checks the synapses of the cores that are to be compared.
+fn check_synapses(
+    network: &Quantised,
+    program: &Program,
+    compared: impl Fn(CoreId) -> bool + Sync + Copy,
+) -> Result<(), Difference> {
+    for (id, population) in network.populations().enumerate() {
         let outgoing: Vec<&Projection> = network.outgoing(id).iter().map(|&p| &network.projections()[p]).collect();
         let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
         let size = population.shape.len();
@@ -151,15 +165,15 @@ pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Resu
             .into_par_iter()
             .map_init(Decoder::default, |decoder, number| {
                 let sources = number * piece..((number + 1) * piece).min(size);
-                decoder.enumerate(network, &outgoing, sources.clone(), program);
-                decoder.decode(program, &population.units, sources.clone());
+                decoder.enumerate(network, &population.units, &outgoing, sources.clone(), (program, compared));
+                decoder.decode(program, &population.units, sources.clone(), compared);
                 match decoder.first_that_differs() {
                     None => Ok(()),
                     Some((source, meant)) => {
                         let index = sources.start + source;
                         let source_name = name_of(&population.units, index);
                         let of_message = |message: &AxonTarget| {
-                            program.cores()[message.core].inputs.get(usize::from(message.axon)).synapses().len()
+                            program.class_of(message.core).inputs.get(usize::from(message.axon)).synapses().len()
                         };
                         let decoded = messages_of(program, &population.units, index).iter().map(of_message).sum();
                         Err(Difference::Synapses { source_name, decoded, meant })
@@ -171,7 +185,7 @@ pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Resu
             return Err(difference);
         }
     }
-    Ok(proven.into_iter().filter(|&proven| proven).count() as u32)
+    Ok(())
 }
 
 fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference> {
@@ -214,7 +228,7 @@ fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Differ
             let seat = program.seats()[id];
             let found = program.cores().get(seat.core).and_then(|image| {
                 let slot = usize::from(seat.slot);
-                (image.ids.get(slot) == Some(&id)).then(|| image.compartments.get(slot))?
+                (image.ids.get(slot) == Some(&id)).then(|| program.classes()[image.class].compartments.get(slot))?
             });
             if found != Some(&meant) {
                 return Err(Difference::Parameters(id));
@@ -302,16 +316,27 @@ struct Decoder {
 }
 
 impl Decoder {
-    /// R(s): the network's synapses, of a part those to what it holds.
-    fn enumerate(&mut self, network: &Quantised, outgoing: &[&Projection], sources: Range<u32>, program: &Program) {
-        let part = program.held_rank().is_some();
+    /// R(s): the network's synapses to the cores that are compared.
+    fn enumerate(
+        &mut self,
+        network: &Quantised,
+        units: &Units,
+        outgoing: &[&Projection],
+        sources: Range<u32>,
+        (program, compared): (&Program, impl Fn(CoreId) -> bool),
+    ) {
         self.meant.clear();
         self.first.clear();
         for index in sources {
             self.first.push(self.meant.len());
+            // What a source reaches without a message is found by counting.
+            let messages = messages_of(program, units, index);
+            if !messages.is_empty() && messages.iter().all(|message| !compared(message.core)) {
+                continue;
+            }
             for projection in outgoing {
                 let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
-                let wanted = |target| !part || program.holds(program.seats()[CompartmentId(first.0 + target)].core);
+                let wanted = |target| compared(program.seats()[CompartmentId(first.0 + target)].core);
                 let code = SynapseCode::of_format(projection.format);
                 projection.connectivity.for_each_wanted(index, wanted, |target, weight| {
                     self.meant.push(code.with(CompartmentId(first.0 + target), weight, projection.delay));
@@ -322,9 +347,9 @@ impl Decoder {
     }
 
     /// D(s), as far as there is room.
-    fn decode(&mut self, program: &Program, units: &Units, sources: Range<u32>) {
-        let all =
-            || (0..=u16::MAX).zip(sources.clone()).map(|(source, index)| (source, messages_of(program, units, index)));
+    fn decode(&mut self, program: &Program, units: &Units, sources: Range<u32>, compared: impl Fn(CoreId) -> bool) {
+        let messages = |index| messages_of(program, units, index).iter().filter(|message| compared(message.core));
+        let all = || (0..=u16::MAX).zip(sources.clone()).map(|(source, index)| (source, messages(index)));
         self.ends.clear();
         self.ends.resize(program.cores().len() + 1, 0);
         all().flat_map(|(_, messages)| messages).for_each(|message| self.ends[message.core.index() + 1] += 1);
@@ -348,10 +373,11 @@ impl Decoder {
             let of_core = &self.messages[begin as usize..end as usize];
             begin = end;
             self.formats.clear();
-            self.formats.extend(image.formats.iter().map(|format| SynapseCode::of_format(format.synapse)));
+            let class = &program.classes()[image.class];
+            self.formats.extend(class.formats.iter().map(|format| SynapseCode::of_format(format.synapse)));
             for &(axon, source) in of_core {
                 let (next, end) = (&mut self.next[usize::from(source)], self.first[usize::from(source) + 1]);
-                for synapse in image.inputs.get(usize::from(axon)).synapses() {
+                for synapse in class.inputs.get(usize::from(axon)).synapses() {
                     if *next < end {
                         let target = image.ids[usize::from(synapse.slot)];
                         let format = self.formats[usize::from(synapse.format)];

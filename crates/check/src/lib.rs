@@ -3,7 +3,7 @@
 
 pub mod equivalence;
 pub mod relays;
-pub mod repeats;
 pub mod sampled;
+mod shifts;
 pub mod verify;
 mod words;

@@ -29,7 +29,7 @@ use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
 use nsim_ir::graph::Window;
 use nsim_ir::partition::Partition;
-use nsim_ir::program::{Compartment, CoreImage, InputAxon};
+use nsim_ir::program::{Compartment, CoreClass, InputAxon};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Limits, OutputAxons, Resource};
@@ -39,8 +39,8 @@ use nsim_ir::resource::{Limits, OutputAxons, Resource};
 pub struct SampledCore {
     /// The core.
     pub core: CoreId,
-    /// Its tables, without messages.
-    pub image: CoreImage,
+    /// What it stores.
+    pub class: CoreClass,
     /// The source of each input axon: channels first, then compartments.
     pub sources: Vec<u32>,
 }
@@ -62,8 +62,8 @@ pub fn check(
     }
     let tables: HashMap<CoreId, &SampledCore> = sample.iter().map(|sampled| (sampled.core, sampled)).collect();
     let wrong = sample.par_iter().map(|sampled| {
-        let SampledCore { core, image, .. } = sampled;
-        let mut found = verify_tables(*core, image, limits).map_err(|violation| violation.to_string())?;
+        let SampledCore { core, class, .. } = sampled;
+        let mut found = verify_tables(*core, class, limits).map_err(|violation| violation.to_string())?;
         check_parameters(network, partition, sampled)?;
         check_synapses(network, partition, sampled)?;
         let outputs = outputs(network, partition, chips, (*core, &tables), limits);
@@ -86,7 +86,7 @@ pub fn check(
 }
 
 fn check_parameters(network: &Quantised, partition: &Partition, sampled: &SampledCore) -> Result<(), String> {
-    let (held, image) = (&partition.members()[sampled.core], &sampled.image);
+    let held = &partition.members()[sampled.core];
     let meant = held.iter().filter_map(|&id| {
         let (population, index) = network.population_of(id);
         let Units::Compartments { neurons, start_step, .. } = &network.populations()[population].units else {
@@ -94,7 +94,7 @@ fn check_parameters(network: &Quantised, partition: &Partition, sampled: &Sample
         };
         Some(Compartment { neuron: neurons.get(index), start_step: *start_step })
     });
-    match image.ids == *held && meant.eq(image.compartments.iter().copied()) {
+    match meant.eq(sampled.class.compartments.iter().copied()) {
         true => Ok(()),
         false => Err(format!("{} has other compartments than its partition says", sampled.core)),
     }
@@ -103,9 +103,9 @@ fn check_parameters(network: &Quantised, partition: &Partition, sampled: &Sample
 /// Compares the list of every input axon with the network's synapses on the core, of every source
 /// that may have any.
 fn check_synapses(network: &Quantised, partition: &Partition, sampled: &SampledCore) -> Result<(), String> {
-    let SampledCore { core, image, sources } = sampled;
-    if image.inputs.len() != sources.len() {
-        return Err(format!("{core} has {} input axons of {} sources", image.inputs.len(), sources.len()));
+    let SampledCore { core, class, sources } = sampled;
+    if class.inputs.len() != sources.len() {
+        return Err(format!("{core} has {} input axons of {} sources", class.inputs.len(), sources.len()));
     }
     let mut axons: HashMap<u32, usize> = sources.iter().zip(0..).map(|(&source, axon)| (source, axon)).collect();
     let held = &partition.members()[*core];
@@ -143,9 +143,9 @@ fn check_synapses(network: &Quantised, partition: &Partition, sampled: &SampledC
             }
             decoded.clear();
             if let Some(axon) = axons.remove(&(first_source + index)) {
-                decoded.extend(image.inputs.get(axon).synapses().filter_map(|synapse| {
-                    let format = image.formats.get(usize::from(synapse.format))?.synapse;
-                    let target = *image.ids.get(usize::from(synapse.slot))?;
+                decoded.extend(class.inputs.get(axon).synapses().filter_map(|synapse| {
+                    let format = class.formats.get(usize::from(synapse.format))?.synapse;
+                    let target = *held.get(usize::from(synapse.slot))?;
                     Some(SynapseCode::new(target, format, synapse.weight, synapse.delay))
                 }));
             }
@@ -237,9 +237,9 @@ fn outputs(
         let Some(sum) = &mut by_position else { continue };
         // The population axon on each core, if it is one.
         let of_core = |to: &CoreId| {
-            let SampledCore { image, sources, .. } = tables[to];
+            let SampledCore { class, sources, .. } = tables[to];
             let axon = sources.binary_search(&(network.channels() + id.0)).ok()?;
-            match image.inputs.axon(axon) {
+            match class.inputs.axon(axon) {
                 InputAxon::Member { axon, .. } => Some(axon),
                 InputAxon::Discrete { .. } => None,
             }
@@ -250,7 +250,7 @@ fn outputs(
         if together.is_none_or(|together| lists.insert(together)) {
             let slots = |(&to, axon): (&CoreId, &Option<u16>)| {
                 let long =
-                    axon.is_some_and(|axon| is_long(&tables[&to].image.inputs.populations[usize::from(axon)], limits));
+                    axon.is_some_and(|axon| is_long(&tables[&to].class.inputs.populations[usize::from(axon)], limits));
                 u64::from(plain(to) + if long { more } else { 0 })
             };
             *sum += reached.iter().zip(&axons).map(slots).sum::<u64>();

@@ -21,20 +21,22 @@
 //! - weights are multiples of their format's least step, in its range (`Weight`);
 //! - every resource of [`CoreUsage`] is within its limit (`Excess`).
 //!
-//! The tables that several cores hold in common are checked once, for the first of these cores.
+//! The tables of a class are checked once, for its first core.
 //!
 //! Whether the program has its network's synapses is for [`crate::equivalence`].
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{CoreId, Id, IdVec};
+use nsim_ir::base::id::{ClassId, CoreId, IdVec};
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::placement::Mesh;
-use nsim_ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, PopulationAxon, Program, Stored, Synapse};
+use nsim_ir::program::{
+    AxonTarget, CoreClass, CoreFormat, CoreImage, InputAxon, PopulationAxon, Program, Stored, Synapse,
+};
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
 
@@ -151,49 +153,23 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
     if let Some(core) = program.cores().ids().find(|&core| !taken.insert(program.cores()[core].site)) {
         return Err(Violation::Site { core });
     }
-    let populations = program.cores().iter().any(|image| !image.inputs.populations.is_empty());
+    let populations = program.classes().iter().any(|class| !class.inputs.populations.is_empty());
     for (channel, messages) in program.parts().channels.iter().enumerate() {
         verify_messages(program, messages, populations, || format!("input channel {channel}"))?;
     }
-    let first = first_with_tables(program);
-    let tables: Vec<Option<Result<CoreUsage, Violation>>> = program
-        .cores()
-        .as_slice()
-        .par_iter()
-        .enumerate()
-        .map(|(index, image)| {
-            let core = CoreId::new(index);
-            (first[core] == core).then(|| verify_tables(core, image, limits))
-        })
-        .collect();
+    let firsts = program.first_cores();
+    let tables = firsts.as_slice().par_iter().map(|&core| verify_tables(core, program.class_of(core), limits));
+    let tables: IdVec<ClassId, Result<CoreUsage, Violation>> = tables.collect::<Vec<_>>().into();
     // Threads may finish in any order; the violation of the lowest core is reported.
-    let found: Vec<Violation> = program
-        .cores()
-        .as_slice()
-        .par_iter()
-        .enumerate()
-        .filter_map(|(index, image)| {
-            let core = CoreId::new(index);
-            match &tables[first[core].index()] {
-                Some(Ok(usage)) => verify_core(program, core, image, *usage, populations, limits).err(),
-                Some(Err(violation)) => (first[core] == core).then(|| violation.clone()),
-                None => None,
-            }
-        })
-        .collect();
-    found.into_iter().next().map_or(Ok(()), Err)
-}
-
-/// The first core that holds the same tables as each, and equal formats and compartments.
-fn first_with_tables(program: &Program) -> IdVec<CoreId, CoreId> {
-    let mut known: HashMap<usize, CoreId> = HashMap::new();
-    let first = |(core, image): (CoreId, &CoreImage)| {
-        let first = *known.entry(image.inputs.address()).or_insert(core);
-        let of_first = &program.cores()[first];
-        let alike = of_first.formats == image.formats && of_first.compartments == image.compartments;
-        if alike { first } else { core }
+    let all: Vec<CoreId> = program.cores().ids().collect();
+    let of_core = |&core: &CoreId| {
+        let class = program.cores()[core].class;
+        match &tables[class] {
+            Ok(usage) => verify_core(program, core, *usage, populations, limits).err(),
+            Err(violation) => (firsts[class] == core).then(|| violation.clone()),
+        }
     };
-    program.cores().enumerate().map(first).collect()
+    all.par_iter().find_map_first(of_core).map_or(Ok(()), Err)
 }
 
 fn verify_messages(
@@ -208,7 +184,7 @@ fn verify_messages(
     if !populations {
         return Ok(());
     }
-    let atom = |message: &AxonTarget| match program.cores()[message.core].inputs.axon(message.axon.into()) {
+    let atom = |message: &AxonTarget| match program.class_of(message.core).inputs.axon(message.axon.into()) {
         InputAxon::Member { atom, .. } => Some(atom),
         InputAxon::Discrete { .. } => None,
     };
@@ -315,11 +291,11 @@ fn words_of(inputs: &Stored, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) 
 fn verify_core(
     program: &Program,
     core: CoreId,
-    image: &CoreImage,
     mut usage: CoreUsage,
     populations: bool,
     limits: &Limits,
 ) -> Result<(), Violation> {
+    let image = &program.cores()[core];
     for (slot, messages) in image.axons_out.iter().enumerate() {
         verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
     }
@@ -338,17 +314,17 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
         OutputAxons::PerPosition { more_slots, .. } if populations => Some(more_slots),
         OutputAxons::PerPosition { .. } | OutputAxons::PerCompartment => None,
     };
-    let population = |message: &AxonTarget| match program.cores()[message.core].inputs.axon(message.axon.into()) {
+    let population = |message: &AxonTarget| match program.class_of(message.core).inputs.axon(message.axon.into()) {
         InputAxon::Member { axon, .. } => Some(axon),
         InputAxon::Discrete { .. } => None,
     };
     let slots = |message: &AxonTarget| {
-        let target = &program.cores()[message.core];
+        let (target, tables) = (&program.cores()[message.core], &program.class_of(message.core).inputs);
         let on_chip = target.site.chip == image.site.chip;
         let plain = if on_chip { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
         // Tables of other cores are looked into only where that matters.
         let axon = by_position.and_then(|more| Some((more, population(message)?)));
-        let is_long = |axon: u16| is_long(&target.inputs.populations[usize::from(axon)], limits);
+        let is_long = |axon: u16| is_long(&tables.populations[usize::from(axon)], limits);
         plain + axon.filter(|&(_, axon)| is_long(axon)).map_or(0, |(more, _)| more)
     };
     let (mut sum, mut shared) = (0, BTreeSet::new());
@@ -366,21 +342,21 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
 ///
 /// # Errors
 /// The first [`Violation`].
-pub(super) fn verify_tables(core: CoreId, image: &CoreImage, limits: &Limits) -> Result<CoreUsage, Violation> {
-    let in_table = verify_populations(core, &image.inputs, limits)?;
-    let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
-    let layout = Layout::of_core(image.compartments.len() as u32, longest, limits);
-    verify_formats(core, image, layout)?;
-    let mut of_lists = Vec::with_capacity(image.inputs.lists.len());
-    let (mut used, mut kinds) = (vec![false; image.formats.len()], Vec::new());
-    for (list, synapses) in image.inputs.lists.iter().enumerate() {
+pub(super) fn verify_tables(core: CoreId, class: &CoreClass, limits: &Limits) -> Result<CoreUsage, Violation> {
+    let in_table = verify_populations(core, &class.inputs, limits)?;
+    let longest = class.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
+    let layout = Layout::of_core(class.compartments.len() as u32, longest, limits);
+    verify_formats(core, class, layout)?;
+    let mut of_lists = Vec::with_capacity(class.inputs.lists.len());
+    let (mut used, mut kinds) = (vec![false; class.formats.len()], Vec::new());
+    for (list, synapses) in class.inputs.lists.iter().enumerate() {
         if synapses.is_empty() && !in_table[list] {
             return Err(Violation::EmptyAxon { core, list });
         }
         let mut list_words = 0;
         kinds.clear();
         for group in synapses.chunk_by(|a, b| a.format == b.format) {
-            let format = image.formats[usize::from(group[0].format)];
+            let format = class.formats[usize::from(group[0].format)];
             used[usize::from(group[0].format)] = true;
             if kinds.contains(&format.synapse) {
                 return Err(Violation::Scattered { core, list });
@@ -394,12 +370,12 @@ pub(super) fn verify_tables(core: CoreId, image: &CoreImage, limits: &Limits) ->
     if let Some(format) = used.iter().position(|&used| !used) {
         return Err(Violation::Format { core, format, what: "is not used" });
     }
-    Ok(usage_of(image, longest, words_of(&image.inputs, &of_lists, &in_table)))
+    Ok(usage_of(class, longest, words_of(&class.inputs, &of_lists, &in_table)))
 }
 
-fn verify_formats(core: CoreId, image: &CoreImage, layout: Layout) -> Result<(), Violation> {
+fn verify_formats(core: CoreId, class: &CoreClass, layout: Layout) -> Result<(), Violation> {
     let mut distinct = BTreeSet::new();
-    for (number, format) in image.formats.iter().enumerate() {
+    for (number, format) in class.formats.iter().enumerate() {
         let wrong = |what| Err(Violation::Format { core, format: number, what });
         if !distinct.insert(format) {
             return wrong("is there twice");
@@ -450,12 +426,12 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
     }
 }
 
-fn usage_of(image: &CoreImage, longest: Delay, (words, widest): (u64, u32)) -> CoreUsage {
-    let compartments = image.compartments.len() as u32;
+fn usage_of(class: &CoreClass, longest: Delay, (words, widest): (u64, u32)) -> CoreUsage {
+    let compartments = class.compartments.len() as u32;
     let profiles = |neuron: &Neuron| (neuron.profile(), neuron.threshold());
-    let distinct = image.compartments.iter().map(|c| profiles(&c.neuron));
+    let distinct = class.compartments.iter().map(|c| profiles(&c.neuron));
     let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
-    let axons_in = (image.inputs.populations.len() + image.inputs.iter_discrete().count()) as u64;
+    let axons_in = (class.inputs.populations.len() + class.inputs.iter_discrete().count()) as u64;
     let of = |resource| match resource {
         Resource::Compartments => u64::from(compartments),
         Resource::AxonsIn => axons_in,
@@ -463,10 +439,10 @@ fn usage_of(image: &CoreImage, longest: Delay, (words, widest): (u64, u32)) -> C
         Resource::AxonsOut | Resource::AxonsOutPerCompartment => 0,
         Resource::SynapseWords => words,
         Resource::SynapseWordsPerAxon => u64::from(widest),
-        Resource::SynapseFormats => image.formats.len() as u64,
+        Resource::SynapseFormats => class.formats.len() as u64,
         Resource::CompartmentProfiles => profiles.len() as u64,
         Resource::ThresholdProfiles => thresholds.len() as u64,
         Resource::Accumulators => u64::from(compartments) * u64::from(delay_slots(longest)),
     };
-    CoreUsage { synapses: image.inputs.count(), of: PerResource::from_fn(of) }
+    CoreUsage { synapses: class.inputs.count(), of: PerResource::from_fn(of) }
 }

@@ -10,11 +10,10 @@
 use std::collections::HashMap;
 use std::hash::Hash;
 
-use crate::emit::route::compartments;
+use crate::emit::route::parameters;
 use crate::mapping::Compiled;
 use nsim_check::{equivalence, verify};
 use nsim_ir::base::fixed::{Decay, Refractory, ThresholdMantissa};
-use nsim_ir::base::shared::Shared;
 use nsim_ir::hardware::Target;
 use nsim_ir::neurons::Row;
 use nsim_ir::program::Program;
@@ -87,16 +86,15 @@ pub fn with_neurons_of(compiled: &Compiled, one: Quantised, target: &Target) -> 
     let Compiled { options, partition, placement, program, checked, placed, rates, .. } = compiled;
     let quantised = copies(&one, options.copies).map_err(CompileError::fault)?;
     let mut parts = program.parts().clone();
-    let mut known: Option<(usize, Shared<_>)> = None;
-    for image in parts.cores.as_mut_slice() {
-        let held = compartments(&quantised, &image.ids);
-        // Cores of copies hold the same ones together.
-        let address = image.compartments.address();
-        let same =
-            known.take().filter(|(before, shared): &(usize, Shared<Vec<_>>)| *before == address && **shared == held);
-        let shared = same.map_or_else(|| held.into(), |(_, shared)| shared);
-        image.compartments = shared.clone();
-        known = Some((address, shared));
+    for (class, &first) in program.first_cores().enumerate() {
+        parts.classes[class].compartments = parameters(&quantised, &parts.cores[first].ids);
+    }
+    // Neurons of one class may differ now.
+    for core in parts.cores.ids() {
+        let own = parameters(&quantised, &parts.cores[core].ids);
+        if parts.class_of(core).compartments != own {
+            parts.class_mut(core).compartments = own;
+        }
     }
     let program = Program::new(parts).map_err(CompileError::fault)?;
     verify::verify(&program, target).map_err(CompileError::fault)?;

@@ -403,27 +403,32 @@ fn with_program_dealt(mapping: Mapping, target: &Target, dealt: Option<Dealt>) -
         return mapping.into_compiled();
     }
     let mut clock = Clock(mapping.seconds.clone());
-    let Mapping { quantised: network, partition, placement, .. } = &mapping;
-    let program = by_patterns(network, partition, (placement, dealt), target, &mut clock)?;
-    Mapping { program: Synapses::Written(program.into()), seconds: clock.0, ..mapping }.into_compiled()
+    let Mapping { quantised: network, partition, placement, options, .. } = &mapping;
+    let placed = (placement, dealt);
+    let (program, checked) = by_patterns((network, options.copies), partition, placed, target, &mut clock)?;
+    Mapping { program: Synapses::Written(program.into()), checked, seconds: clock.0, ..mapping }.into_compiled()
 }
 
 /// The program of a network that is mapped by its kernels, written, verified and checked.
 fn by_patterns(
-    network: &Quantised,
+    (network, copies): (&Quantised, u32),
     partition: &Partition,
     (placement, dealt): (&Placement, Option<Dealt>),
     target: &Target,
     clock: &mut Clock,
-) -> Result<Program> {
+) -> Result<(Program, Checked)> {
     let target = &*Form::Symbolic.counted_on(network, target);
     let route = || route_boxes(network, partition, (placement, dealt), target.limits());
     let (program, sample) = clock.stage("write", route).map_err(CompileError::Fault)?;
+    if program.held_rank().is_none() {
+        let checked = checked_whole(network, &program, target, copies, clock)?;
+        return Ok((program, checked));
+    }
     clock.stage("verify", || verify::verify(&program, target)).map_err(CompileError::fault)?;
     let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
     let check = || sampled::check(network, partition, &chips, &sample, target.limits());
     clock.stage("check", check).map_err(CompileError::Fault)?;
-    Ok(program)
+    Ok((program, Checked { how: "sampled", share: 0.0 }))
 }
 
 /// A network on the cores of the board that another process has placed, of which this one holds a
@@ -469,9 +474,8 @@ impl PlacedPart {
                 (program, checked)
             }
             Form::Symbolic => {
-                let dealt = (&placement, Some(dealt));
-                let program = by_patterns(&all, &partition, dealt, target, &mut clock)?;
-                (program, Checked { how: "sampled", share: 0.0 })
+                let placed = (&placement, Some(dealt));
+                by_patterns((&all, options.copies), &partition, placed, target, &mut clock)?
             }
         };
         let (one, quantised) = (one.without_projections(), all.without_projections());
@@ -568,7 +572,7 @@ impl Placed {
                     Ok((Synapses::Written(program.into()), Vec::new()))
                 }
                 Some(boxes) => {
-                    let sample = sample(&quantised, &partition, &placement, &boxes.to_be_checked(), limits)?;
+                    let sample = sample(&quantised, &partition, &boxes.to_be_checked(), limits)?;
                     Ok((Synapses::Symbolic(Box::new(boxes)), sample))
                 }
             })

@@ -173,8 +173,8 @@ fn mutable() -> (Quantised, Parts) {
 
 /// Changes the synapses of one core.
 fn resynapse(parts: &mut Parts, core: u32, change: impl FnOnce(&mut Vec<Vec<Synapse>>)) {
-    let image = &mut parts.cores[CoreId(core)];
-    relist(&mut image.inputs.lists, change);
+    let class = parts.class_mut(CoreId(core));
+    relist(&mut class.inputs.lists, change);
 }
 
 fn relist<T: Copy>(lists: &mut Csr<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
@@ -193,8 +193,8 @@ fn mutated_programs_are_found_out() {
         ("changed slot", |p| resynapse(p, 0, |l| l[0][0].slot = 3)),
         ("slot outside", |p| resynapse(p, 0, |l| l[0][0].slot = 400)),
         ("changed delay", |p| resynapse(p, 0, |l| l[0][0].delay = Delay::new(1).unwrap())),
-        ("changed exponent", |p| p.cores[CoreId(0)].formats[0].synapse.exponent = WeightExponent::new(2).unwrap()),
-        ("changed sign mode", |p| p.cores[CoreId(1)].formats[0].synapse.sign = SignMode::Excitatory),
+        ("changed exponent", |p| p.class_mut(CoreId(0)).formats[0].synapse.exponent = WeightExponent::new(2).unwrap()),
+        ("changed sign mode", |p| p.class_mut(CoreId(1)).formats[0].synapse.sign = SignMode::Excitatory),
         ("format outside", |p| resynapse(p, 0, |l| l[0][0].format = 200)),
         ("dropped synapse", |p| resynapse(p, 0, |l| l[3].truncate(1))),
         ("duplicated synapse", |p| {
@@ -224,9 +224,9 @@ fn mutated_programs_are_found_out() {
         }),
         ("swapped channels", |p| relist(&mut p.channels, |l| l.swap(0, 1))),
         ("swapped messages of compartments", |p| relist(&mut p.cores[CoreId(0)].axons_out, |l| l.swap(0, 1))),
-        ("changed decay", |p| p.cores[CoreId(0)].compartments[1].neuron.du = Decay::new(1025).unwrap()),
-        ("changed bias", |p| p.cores[CoreId(2)].compartments[0].neuron.bias_mant = BiasMantissa::new(1).unwrap()),
-        ("changed start step", |p| p.cores[CoreId(1)].compartments[0].start_step = 9),
+        ("changed decay", |p| p.class_mut(CoreId(0)).compartments[1].neuron.du = Decay::new(1025).unwrap()),
+        ("changed bias", |p| p.class_mut(CoreId(2)).compartments[0].neuron.bias_mant = BiasMantissa::new(1).unwrap()),
+        ("changed start step", |p| p.class_mut(CoreId(1)).compartments[0].start_step = 9),
         ("swapped seats", |p| {
             let (a, b) = (CompartmentId(0), CompartmentId(5));
             let (sa, sb) = (p.seats[a], p.seats[b]);
@@ -238,7 +238,7 @@ fn mutated_programs_are_found_out() {
     ];
     let frames: [Mutation; 8] = [
         ("changed threshold", |p| {
-            p.cores[CoreId(0)].compartments[0].neuron.vth = ThresholdMantissa::new(81).unwrap();
+            p.class_mut(CoreId(0)).compartments[0].neuron.vth = ThresholdMantissa::new(81).unwrap();
         }),
         ("changed reset", |p| p.reset = Some(Reset { interval: 3, offset: 0 })),
         ("changed semantics", |p| p.semantics = Semantics::Lava),
@@ -290,20 +290,22 @@ fn each_rule_of_the_verifier_can_fail() {
     assert!(matches!(verdict(&|p| resynapse(p, 0, |l| l[0].clear())), Violation::EmptyAxon { list: 0, .. }));
     let format = |change: fn(&mut Parts)| matches!(verdict(&change), Violation::Format { .. });
     assert!(format(|p| {
-        let copy = p.cores[CoreId(0)].formats[0];
-        p.cores[CoreId(0)].formats.push(copy);
+        let copy = p.class_mut(CoreId(0)).formats[0];
+        p.class_mut(CoreId(0)).formats.push(copy);
     }));
-    assert!(format(|p| p.cores[CoreId(0)].formats[0].synapse.bits = nsim_ir::base::fixed::WeightBits::new(7).unwrap()));
-    assert!(format(|p| p.cores[CoreId(0)].formats[0].delay_bits = 5));
-    assert!(format(|p| p.cores[CoreId(0)].formats[0].index_bits = Some(12)));
+    assert!(format(
+        |p| p.class_mut(CoreId(0)).formats[0].synapse.bits = nsim_ir::base::fixed::WeightBits::new(7).unwrap()
+    ));
+    assert!(format(|p| p.class_mut(CoreId(0)).formats[0].delay_bits = 5));
+    assert!(format(|p| p.class_mut(CoreId(0)).formats[0].index_bits = Some(12)));
     assert!(format(|p| {
         let unused = nsim_testing::format(5, SignMode::Mixed, 8);
-        let first = p.cores[CoreId(0)].formats[0];
-        p.cores[CoreId(0)].formats.push(nsim_ir::program::CoreFormat { synapse: unused, ..first });
+        let first = p.class_mut(CoreId(0)).formats[0];
+        p.class_mut(CoreId(0)).formats.push(nsim_ir::program::CoreFormat { synapse: unused, ..first });
     }));
     // Core 0 holds a's first half: its first list is of channel 0, dense over slots 0 to 3.
     let scattered = verdict(&|p| {
-        let image = &mut p.cores[CoreId(0)];
+        let image = p.class_mut(CoreId(0));
         let other = nsim_ir::program::CoreFormat { index_bits: Some(6), ..image.formats[0] };
         let number = image.formats.iter().position(|f| *f == other).unwrap_or_else(|| {
             image.formats.push(other);
@@ -377,20 +379,21 @@ fn a_kernel_is_stored_once() {
         // x 3,380 synapses.
         let limits = Limits { packing, ..limits().with(Resource::Compartments, 512) };
         let compiled = compiled(layers(), limits.clone());
-        for (core, image) in compiled.program.cores().enumerate() {
+        for core in compiled.program.cores().ids() {
+            let class = compiled.program.class_of(core);
             let used = &compiled.partition.usage()[core];
-            assert!(!image.inputs.populations.is_empty(), "{packing:?} {core}");
-            let stored = image.inputs.lists.items().len() as u64;
-            assert!(stored * 3 < image.inputs.count(), "{packing:?} {core}: {stored} of {}", image.inputs.count());
+            assert!(!class.inputs.populations.is_empty(), "{packing:?} {core}");
+            let stored = class.inputs.lists.items().len() as u64;
+            assert!(stored * 3 < class.inputs.count(), "{packing:?} {core}: {stored} of {}", class.inputs.count());
             assert!(
-                used[Resource::AxonsIn] * 4 < image.inputs.len() as u64,
+                used[Resource::AxonsIn] * 4 < class.inputs.len() as u64,
                 "{packing:?} {core}: {}",
                 used[Resource::AxonsIn]
             );
-            let memory = memory::encode(image, &limits);
+            let memory = memory::encode(class, &limits);
             assert_eq!(memory.words.len() as u64, used[Resource::SynapseWords], "{packing:?} {core}");
-            let meant: Vec<Vec<Synapse>> = image.inputs.iter().map(|list| list.synapses().collect()).collect();
-            assert_eq!(memory::decode(&memory, image, &limits), Some(meant), "{packing:?} {core}");
+            let meant: Vec<Vec<Synapse>> = class.inputs.iter().map(|list| list.synapses().collect()).collect();
+            assert_eq!(memory::decode(&memory, class, &limits), Some(meant), "{packing:?} {core}");
         }
     }
 }
@@ -430,8 +433,7 @@ fn more_sources_than_a_program_can_number_take_several_cores() {
     let kernel = (0..128 * 9).map(|k| (k % 50) as i16 * 2 - 40).collect();
     builder.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
     let compiled = compiled(builder.build(), limits());
-    let sources = |core: &nsim_ir::program::CoreImage| core.inputs.len();
-    let most = compiled.program.cores().iter().map(sources).max();
+    let most = compiled.program.classes().iter().map(|class| class.inputs.len()).max();
     assert!(compiled.partition.cores() > 1 && most.is_some_and(|most| most <= 1 << 16), "{most:?}");
 }
 
@@ -479,7 +481,7 @@ fn population_axons_that_no_chip_has_are_found_out() {
     ];
     for (name, mutate) in mutations {
         let mut parts = good.clone();
-        mutate(&mut parts.cores[CoreId(0)].inputs);
+        mutate(&mut parts.class_mut(CoreId(0)).inputs);
         assert_ne!(parts, good, "{name} changes nothing");
         let verdict = Program::new(parts).map(|program| (check(&network, &program), verify(&program, &board)));
         assert!(!matches!(verdict, Ok((Ok(()), Ok(())))), "{name} goes unnoticed");
@@ -520,11 +522,11 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
             route(&network, &partition, &place::sequential(1, &board).unwrap(), (1, None), board.limits()).unwrap();
         check(&network, &program).unwrap();
         verify(&program, &board).unwrap();
-        let [image] = program.cores().as_slice() else { unreachable!() };
-        let tables: BTreeSet<u32> = image.inputs.populations.iter().map(|axon| axon.table).collect();
-        let stored = image.inputs.lists.items().len();
-        assert_eq!([tables.len(), stored, image.inputs.populations.len()], theirs, "{source:?}");
-        assert_eq!(image.inputs.iter_discrete().count(), 0);
+        let [class] = program.classes().as_slice() else { unreachable!() };
+        let tables: BTreeSet<u32> = class.inputs.populations.iter().map(|axon| axon.table).collect();
+        let stored = class.inputs.lists.items().len();
+        assert_eq!([tables.len(), stored, class.inputs.populations.len()], theirs, "{source:?}");
+        assert_eq!(class.inputs.iter_discrete().count(), 0);
     }
 }
 

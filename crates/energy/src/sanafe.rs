@@ -29,7 +29,7 @@ use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::base::units::{Femtojoules, Picoseconds};
-use nsim_ir::program::{AxonTarget, Compartment, CoreImage, Program};
+use nsim_ir::program::{AxonTarget, Compartment, CoreClass, Program};
 use nsim_ir::spikes::Sample;
 
 /// What is exported.
@@ -78,24 +78,24 @@ fn attributes(compartment: &Compartment, semantics: Semantics, synapse: &str) ->
 }
 
 /// Dense and sparse synapses of each compartment of a core.
-fn synapse_counts(image: &CoreImage) -> Vec<[u64; 2]> {
-    let mut counts = vec![[0; 2]; image.compartments.len()];
-    for synapse in image.inputs.synapses() {
-        let sparse = image.formats[usize::from(synapse.format)].index_bits.is_some();
+fn synapse_counts(class: &CoreClass) -> Vec<[u64; 2]> {
+    let mut counts = vec![[0; 2]; class.compartments.len()];
+    for synapse in class.inputs.synapses() {
+        let sparse = class.formats[usize::from(synapse.format)].index_bits.is_some();
         counts[usize::from(synapse.slot)][usize::from(sparse)] += 1;
     }
     counts
 }
 
 /// Which synapse unit each compartment of a core has: that of most of its synapses.
-fn units(image: &CoreImage) -> Vec<&'static str> {
+fn units(class: &CoreClass) -> Vec<&'static str> {
     let unit = |[dense, sparse]: [u64; 2]| if sparse > dense { "sparse" } else { "dense" };
-    synapse_counts(image).into_iter().map(unit).collect()
+    synapse_counts(class).into_iter().map(unit).collect()
 }
 
 /// Compartments that are reached by lists of both kinds: SANA-FE charges all their synapses as one.
 fn mixed(program: &Program) -> u64 {
-    let counts = program.cores().iter().flat_map(synapse_counts);
+    let counts = program.cores().ids().flat_map(|core| synapse_counts(program.class_of(core)));
     counts.filter(|[dense, sparse]| *dense > 0 && *sparse > 0).count() as u64
 }
 
@@ -157,8 +157,8 @@ impl Export<'_> {
             return Err(refused(message).help("give all projections from inputs delay 0, or all delay 1"));
         }
         let leads = self.leads();
-        for image in self.program().cores() {
-            for compartment in image.compartments.iter() {
+        for class in self.program().classes() {
+            for compartment in &class.compartments {
                 if compartment.start_step > 0 {
                     let help = "a layer that nothing reaches before its start does not need one: \
                                 --set populations.NAME.start_step=0 for each";
@@ -175,8 +175,8 @@ impl Export<'_> {
 
     /// The least and the greatest delay of the synapses that these messages reach.
     fn delays<'m>(&self, messages: impl Iterator<Item = &'m AxonTarget>) -> (u8, u8) {
-        let cores = self.program().cores();
-        let of = |message: &'m AxonTarget| cores[message.core].inputs.get(usize::from(message.axon)).stored;
+        let program = self.program();
+        let of = |message: &'m AxonTarget| program.class_of(message.core).inputs.get(usize::from(message.axon)).stored;
         let delays = messages.flat_map(of).map(|synapse| synapse.delay.get());
         let (least, most) = delays.fold((u8::MAX, 0), |(least, most), delay| (least.min(delay), most.max(delay)));
         (least.min(most), most)
@@ -243,7 +243,7 @@ impl Export<'_> {
         out.push_str("}\n      core:\n");
         let cores = mesh.cores_per_tile;
         let range = if cores > 1 { format!("core[0..{}]", cores - 1) } else { "core".to_string() };
-        let most = self.program().cores().iter().map(|image| image.compartments.len()).max().unwrap_or(1);
+        let most = self.program().classes().iter().map(|class| class.compartments.len()).max().unwrap_or(1);
         self.core_text(out, &range, most, table.axon_out_energy, table.axon_out_time, None);
         if let Some(inputs) = inputs {
             self.core_text(out, "port", inputs, Femtojoules(0), Picoseconds(0), Some(inputs));
@@ -340,11 +340,12 @@ impl Export<'_> {
                 let _ = writeln!(out, "        - {index}: [spikes: [{}]]", trains[channel]);
             }
         }
-        for (core, image) in program.cores().enumerate() {
+        for core in program.cores().ids() {
+            let class = program.class_of(core);
             let _ = writeln!(out, "    - name: c{}\n      attributes: []\n      neurons:", core.0);
-            let (units, semantics) = (units(image), program.parts().semantics);
+            let (units, semantics) = (units(class), program.parts().semantics);
             let texts: Vec<String> =
-                image.compartments.iter().zip(&units).map(|(one, unit)| attributes(one, semantics, unit)).collect();
+                class.compartments.iter().zip(&units).map(|(one, unit)| attributes(one, semantics, unit)).collect();
             let mut first = 0;
             for run in texts.chunk_by(|a, b| a == b) {
                 let last = first + run.len() - 1;
@@ -383,9 +384,9 @@ impl Export<'_> {
 
     /// The synapses that a message reaches.
     fn edges(&self, out: &mut String, from: &str, message: &AxonTarget) {
-        let image = &self.program().cores()[message.core];
-        for synapse in image.inputs.get(usize::from(message.axon)).synapses() {
-            let format = image.formats[usize::from(synapse.format)].synapse;
+        let class = self.program().class_of(message.core);
+        for synapse in class.inputs.get(usize::from(message.axon)).synapses() {
+            let format = class.formats[usize::from(synapse.format)].synapse;
             let weight = f64::from(scaled(format, synapse.weight)) / 64.0;
             let _ = writeln!(out, "    - {from} -> c{}.{}: [weight: {weight:?}]", message.core.0, synapse.slot);
         }

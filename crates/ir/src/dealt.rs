@@ -3,10 +3,11 @@
 //! Processes are *ranks*, numbered from 0. Input: the rank of each core. True of every [`Dealt`]:
 //! each core has one rank, below their number.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use crate::base::id::{CoreId, IdVec};
-use crate::base::shared::Shared;
 
 /// A process among those that run a program together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,7 +33,7 @@ pub struct Dealt {
     /// Number of ranks.
     pub ranks: u32,
     /// The rank of each core.
-    pub owners: Shared<IdVec<CoreId, u32>>,
+    pub owners: Arc<IdVec<CoreId, u32>>,
     /// The only rank of whose cores there are tables and to whose cores there are messages; `None`
     /// where there are all.
     pub held: Option<u32>,

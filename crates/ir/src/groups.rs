@@ -119,7 +119,8 @@ impl CoreGroups {
             let copy = new_copy.get(&(id.0 / one.compartments)).ok_or_else(closed)?;
             Ok::<_, NotClosed>(CompartmentId(copy * one.compartments + id.0 % one.compartments))
         };
-        let mut cores = Vec::new();
+        let (mut cores, mut classes) = (Vec::new(), IdVec::new());
+        let mut new_class = HashMap::new();
         for &number in kept_cores.clone() {
             let mut image = whole.cores[number].clone();
             image.ids = image.ids.iter().map(|&id| compartment(id)).collect::<Result<_, _>>()?;
@@ -127,7 +128,9 @@ impl CoreGroups {
             for list in image.axons_out.iter() {
                 axons_out.push(list.iter().map(target).collect::<Result<Vec<_>, _>>()?);
             }
-            cores.push(CoreImage { axons_out, ..image });
+            let old = image.class;
+            let class = *new_class.entry(old).or_insert_with(|| classes.push(whole.classes[old].clone()));
+            cores.push(CoreImage { axons_out, class, ..image });
         }
         let (mut channels, mut seats, mut populations) = (Csr::default(), Vec::new(), Vec::new());
         for (number, &copy) in (0u32..).zip(&kept_copies) {
@@ -150,6 +153,7 @@ impl CoreGroups {
         let graded = graded_of(whole, one, &kept_copies);
         let parts = Parts {
             mesh: whole.mesh,
+            classes,
             cores: cores.into(),
             channels,
             seats: seats.into(),

@@ -1,14 +1,18 @@
-//! What the machine runs: one closed image for each core, and nothing by name.
+//! What the machine runs: classes of equal cores, one closed image for each core, and nothing by
+//! name.
+//!
+//! Cores of one class store the same tables: parameters, formats, input axons and lists. They
+//! differ in their place, in the numbers of their compartments and in the messages that these send.
 //!
 //! A spike of a compartment sends one message to each core that holds a target of it; there the
 //! message's input axon selects a list of synapses. Input channels do the same from outside. Input
 //! axons whose lists differ by a shift of all their slots can be members of population axons and
 //! select one stored list ([`PopulationAxon`]). True of every
 //! [`Program`]: every table is closed (each message meets an existing axon, each synapse an existing compartment), no axon
-//! is reached by two sources, and every stored list is selected.
+//! is reached by two sources, every stored list is selected, and every class has a core.
 //! That it equals its `Quantised` network is for `compile::check::equivalence` to prove.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -18,8 +22,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
-use crate::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, PopulationId};
-use crate::base::shared::Shared;
+use crate::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::dealt::Dealt;
 use crate::partition::Seat;
 use crate::placement::{Mesh, Site};
@@ -270,27 +273,42 @@ pub struct Compartment {
     pub start_step: u32,
 }
 
-/// Everything that one core holds.
+/// What equal cores store.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CoreClass {
+    /// Compartments by slot.
+    pub compartments: Vec<Compartment>,
+    /// Formats of the synapses.
+    pub formats: Vec<CoreFormat>,
+    /// Input axons and the synapses that they select.
+    pub inputs: Stored,
+}
+
+impl CoreClass {
+    /// What stands for cores whose tables another process holds.
+    #[must_use]
+    pub fn without_tables(compartments: Vec<Compartment>) -> Self {
+        CoreClass { compartments, formats: Vec::new(), inputs: Stored::default() }
+    }
+}
+
+/// A core: what it stores as its class does, and what it has of its own.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CoreImage {
     /// Where it is.
     pub site: Site,
-    /// Compartments by slot; cores with the same ones may hold them together.
-    pub compartments: Shared<Vec<Compartment>>,
-    /// The network's number of each compartment, for what is shown to people.
+    /// What it stores.
+    pub class: ClassId,
+    /// The network's number of each compartment, by slot.
     pub ids: Vec<CompartmentId>,
-    /// Formats of its synapses.
-    pub formats: Vec<CoreFormat>,
-    /// Input axons and the synapses that they select; equal cores of several copies may hold the
-    /// same.
-    pub inputs: Shared<Stored>,
     /// Messages that a spike sends, by slot, in ascending order of cores.
     pub axons_out: Csr<AxonTarget>,
 }
 
-impl CoreImage {
-    /// Of a core whose synapses lead to compartments.
+impl CoreClass {
+    /// Of one whose synapses lead to compartments.
     fn ports_not_closed(&self) -> Option<&'static str> {
         if self.formats.iter().all(|format| format.synapse.port.is_first()) {
             return None;
@@ -343,6 +361,8 @@ impl Compartments {
 pub struct Parts {
     /// The mesh that sites are on.
     pub mesh: Mesh,
+    /// What equal cores store.
+    pub classes: IdVec<ClassId, CoreClass>,
     /// Core images.
     pub cores: IdVec<CoreId, CoreImage>,
     /// Messages that an input spike sends, by channel, in ascending order of cores.
@@ -374,8 +394,8 @@ struct Marks(IdVec<CoreId, Box<[AtomicBool]>>);
 
 impl Marks {
     fn new(parts: &Parts) -> Self {
-        let of = |image: &CoreImage| (0..image.inputs.len()).map(|_| AtomicBool::new(false)).collect();
-        Marks(parts.cores.iter().map(of).collect())
+        let of = |core| (0..parts.class_of(core).inputs.len()).map(|_| AtomicBool::new(false)).collect();
+        Marks(parts.cores.ids().map(of).collect())
     }
 
     /// Whether a message leads to an input axon that none did before.
@@ -390,13 +410,43 @@ impl Marks {
 }
 
 impl Parts {
-    /// What of a core points nowhere; its lists are known to be closed when they have been `seen`
-    /// before.
-    fn not_closed(&self, core: CoreId, seen: bool, marks: &Marks) -> Option<&'static str> {
-        let image = &self.cores[core];
-        let slots = image.compartments.len();
+    /// What a core stores.
+    ///
+    /// # Panics
+    /// When the core or its class does not exist.
+    #[inline]
+    #[must_use]
+    pub fn class_of(&self, core: CoreId) -> &CoreClass {
+        &self.classes[self.cores[core].class]
+    }
+
+    /// What a core stores, to be changed for this core alone: it gets a class of its own.
+    ///
+    /// # Panics
+    /// When the core or its class does not exist.
+    pub fn class_mut(&mut self, core: CoreId) -> &mut CoreClass {
+        let class = self.cores[core].class;
+        if self.cores.iter().filter(|image| image.class == class).count() > 1 {
+            self.cores[core].class = self.classes.push(self.classes[class].clone());
+        }
+        &mut self.classes[self.cores[core].class]
+    }
+
+    /// The first core of each class; `None` of a class without cores.
+    fn first_cores(&self) -> IdVec<ClassId, Option<CoreId>> {
+        let mut firsts: IdVec<ClassId, Option<CoreId>> = vec![None; self.classes.len()].into();
+        for (core, image) in self.cores.enumerate() {
+            firsts[image.class].get_or_insert(core);
+        }
+        firsts
+    }
+
+    /// What of a core points nowhere; the tables of its class are looked at with its `first` core.
+    fn not_closed(&self, core: CoreId, first: bool, marks: &Marks) -> Option<&'static str> {
+        let (image, class) = (&self.cores[core], self.class_of(core));
+        let slots = class.compartments.len();
         let seat = |(slot, id): (usize, &CompartmentId)| self.seats.get(*id) == Some(&Seat { core, slot: slot as u16 });
-        let has_format = |synapse: &Synapse| usize::from(synapse.format) < image.formats.len();
+        let has_format = |synapse: &Synapse| usize::from(synapse.format) < class.formats.len();
         if image.axons_out.len() != slots || image.ids.len() != slots {
             return Some("a table has not one entry for each compartment");
         }
@@ -406,29 +456,17 @@ impl Parts {
         if !image.ids.iter().enumerate().all(seat) {
             return Some("a compartment does not sit where its core says");
         }
-        if seen {
-            return self.messages_not_closed(image, marks).or_else(|| image.ports_not_closed());
-        }
-        if !image.inputs.lists.items().iter().all(has_format) {
+        if first && !class.inputs.lists.items().iter().all(has_format) {
             return Some("a synapse has no format");
         }
-        if !image.inputs.is_closed(slots) {
+        if first && !class.inputs.is_closed(slots) {
             return Some("a synapse leads to no compartment, or an input axon and a list do not find each other");
         }
-        self.messages_not_closed(image, marks).or_else(|| image.ports_not_closed())
-    }
-
-    fn messages_not_closed(&self, image: &CoreImage, marks: &Marks) -> Option<&'static str> {
+        if let Some(what) = first.then(|| class.ports_not_closed()).flatten() {
+            return Some(what);
+        }
         let reach = image.axons_out.items().iter().all(|target| marks.reach(target));
         (!reach).then_some("an output axon leads nowhere or shares its input axon")
-    }
-
-    /// Whether the lists of each core are those of a core before it, which has as many slots and
-    /// formats.
-    fn seen_before(&self) -> IdVec<CoreId, bool> {
-        let mut known = HashSet::new();
-        let key = |image: &CoreImage| (image.inputs.address(), image.compartments.len(), image.formats.len());
-        self.cores.iter().map(|image| !known.insert(key(image))).collect()
     }
 }
 
@@ -469,14 +507,21 @@ impl Program {
         if !parts.mesh.is_countable() {
             return Err(NotClosed("the mesh has no cores, or more than can be numbered".to_string()));
         }
-        if let Some((core, _)) = parts.cores.enumerate().find(|(_, image)| !image.inputs.has_lists()) {
+        if let Some((core, _)) = parts.cores.enumerate().find(|(_, image)| parts.classes.get(image.class).is_none()) {
+            return wrong(core, "its class does not exist");
+        }
+        let firsts = parts.first_cores();
+        if let Some((class, _)) = firsts.enumerate().find(|(_, first)| first.is_none()) {
+            return Err(NotClosed(format!("no core is of {class}")));
+        }
+        if let Some(core) = parts.cores.ids().find(|&core| !parts.class_of(core).inputs.has_lists()) {
             return wrong(core, "it has more discrete input axons than lists");
         }
         let marks = Marks::new(&parts);
-        let seen = parts.seen_before();
         let core = |marks: &Marks, core| {
             let core = CoreId::new(core);
-            parts.not_closed(core, seen[core], marks).map(|what| (core, what))
+            let first = firsts[parts.cores[core].class] == Some(core);
+            parts.not_closed(core, first, marks).map(|what| (core, what))
         };
         if (0..parts.cores.len()).into_par_iter().any(|index| core(&marks, index).is_some()) {
             // Of two that share an input axon the second is reported, whatever the threads do.
@@ -491,7 +536,7 @@ impl Program {
         if let Some(core) = parts.cores.ids().find(|&core| !marks.all(core)) {
             return wrong(core, "an input axon is reached by no source");
         }
-        let seated: usize = parts.cores.iter().map(|image| image.compartments.len()).sum();
+        let seated: usize = parts.cores.iter().map(|image| image.ids.len()).sum();
         if seated != parts.seats.len() {
             return Err(NotClosed("a compartment has no seat".to_string()));
         }
@@ -555,21 +600,21 @@ impl Program {
             own.shrink_to_fit();
             own
         };
-        let nothing = Shared::from(Stored::default());
+        // Cores of a class that are held, and those that are not, are classes of their own here.
+        let mut classes = IdVec::new();
+        let mut known: HashMap<(ClassId, bool), ClassId> = HashMap::new();
         let image = |(core, image): (CoreId, &CoreImage)| {
             let held = dealt.holds(core);
-            CoreImage {
-                site: image.site,
-                compartments: image.compartments.clone(),
-                ids: image.ids.clone(),
-                formats: if held { image.formats.clone() } else { Vec::new() },
-                inputs: if held { image.inputs.clone() } else { nothing.clone() },
-                axons_out: kept(&image.axons_out),
-            }
+            let class = *known.entry((image.class, held)).or_insert_with(|| {
+                let class = &whole.classes[image.class];
+                classes.push(if held { class.clone() } else { CoreClass::without_tables(class.compartments.clone()) })
+            });
+            CoreImage { site: image.site, class, ids: image.ids.clone(), axons_out: kept(&image.axons_out) }
         };
         let cores: Vec<CoreImage> = whole.cores.enumerate().map(image).collect();
         Program::new(Parts {
             mesh: whole.mesh,
+            classes,
             cores: cores.into(),
             channels: kept(&whole.channels),
             seats: whole.seats.clone(),
@@ -591,21 +636,30 @@ impl Program {
         &self.parts.cores
     }
 
-    /// The core that is the first to hold a core's tables and formats, by core; most often itself.
+    /// What equal cores store.
     #[must_use]
-    pub fn first_with_tables(&self) -> IdVec<CoreId, CoreId> {
-        let mut known: HashMap<(usize, &[CoreFormat]), CoreId> = HashMap::new();
-        let mut firsts = IdVec::new();
-        for (core, image) in self.parts.cores.enumerate() {
-            firsts.push(*known.entry((image.inputs.address(), &image.formats)).or_insert(core));
-        }
-        firsts
+    pub fn classes(&self) -> &IdVec<ClassId, CoreClass> {
+        &self.parts.classes
     }
 
-    /// The cores that are the first to hold their tables and formats.
-    pub fn cores_with_own_tables(&self) -> impl Iterator<Item = &CoreImage> {
-        let firsts = self.first_with_tables();
-        self.parts.cores.enumerate().filter(move |(core, _)| firsts[*core] == *core).map(|(_, image)| image)
+    /// What a core stores.
+    #[inline]
+    #[must_use]
+    pub fn class_of(&self, core: CoreId) -> &CoreClass {
+        self.parts.class_of(core)
+    }
+
+    /// The first core of each class.
+    #[must_use]
+    pub fn first_cores(&self) -> IdVec<ClassId, CoreId> {
+        self.parts.first_cores().iter().copied().flatten().collect()
+    }
+
+    /// Synapses of some cores, those that several sources share counted for each.
+    #[must_use]
+    pub fn synapses_of(&self, cores: impl Fn(CoreId) -> bool) -> u64 {
+        let of_classes: IdVec<ClassId, u64> = self.classes().iter().map(|class| class.inputs.count()).collect();
+        self.cores().enumerate().filter(|(core, _)| cores(*core)).map(|(_, image)| of_classes[image.class]).sum()
     }
 
     /// Where each compartment of the network sits.

@@ -10,7 +10,6 @@ use nsim_compile as compile;
 use nsim_compile::parcel;
 use nsim_compile::parcel::{Opened, Parcel};
 use nsim_compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Options, Placed};
-use nsim_ir::base::id::CoreId;
 use nsim_ir::dealt::Dealt;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -92,10 +91,6 @@ pub fn compile_on(
 
 /// Synapses of the cores that a rank runs.
 fn own_synapses(compiled: &Compiled, rank: u32) -> u64 {
-    let is_own = |core: &CoreId| {
-        let dealt: Option<&Dealt> = compiled.program.parts().dealt.as_ref();
-        dealt.is_none_or(|dealt| dealt.owners[*core] == rank)
-    };
-    let cores = compiled.program.cores().enumerate();
-    cores.filter(|(core, _)| is_own(core)).map(|(_, image)| image.inputs.count()).sum()
+    let dealt: Option<&Dealt> = compiled.program.parts().dealt.as_ref();
+    compiled.program.synapses_of(|core| dealt.is_none_or(|dealt| dealt.owners[core] == rank))
 }

@@ -47,7 +47,7 @@ impl RankRow {
             rank,
             chips: chips.len() as u32,
             compartments: own().map(|image| image.ids.len() as u64).sum(),
-            synapses: own().map(|image| image.inputs.count()).sum(),
+            synapses: program.synapses_of(|core| program.holds(core)),
             peak_mib: peak_mib(),
         }
     }

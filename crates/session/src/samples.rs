@@ -99,7 +99,7 @@ impl Division {
     /// For so many samples of a program.
     #[must_use]
     pub fn new(program: &Program, samples: usize) -> Self {
-        let synapses: u64 = program.cores().iter().map(|image| image.inputs.count()).sum();
+        let synapses = program.synapses_of(|_| true);
         let in_turn = synapses > LARGE || samples == 1;
         let shards = if in_turn && synapses > SHARED { rayon::current_num_threads() } else { 1 };
         Division { shards, in_turn }

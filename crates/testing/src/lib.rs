@@ -10,11 +10,12 @@ use nsim_files::lower::lower;
 use nsim_files::network::{Network, NetworkFile};
 use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
-use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{Graph, PerCompartment, Shape, Window};
 use nsim_ir::hardware::{Chip, Target, TargetFile};
 use nsim_ir::neurons::Port;
+use nsim_ir::program::{self, Program};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Parts, Population, Projection, Quantised, Units};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Resource};
@@ -201,6 +202,15 @@ impl Draw {
             PerCompartment::Each((0..n).map(|_| pick()).collect())
         }
     }
+}
+
+/// The parts of a program with a class for each core.
+#[must_use]
+pub fn without_classes(program: &Program) -> program::Parts {
+    let mut parts = program.parts().clone();
+    parts.classes = parts.cores.ids().map(|core| program.class_of(core).clone()).collect();
+    (0..).map(ClassId).zip(parts.cores.as_mut_slice()).for_each(|(class, image)| image.class = class);
+    parts
 }
 
 /// A network of a few populations with every kind of projection, delays, formats and parameters.

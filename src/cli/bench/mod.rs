@@ -256,7 +256,7 @@ fn step_rows(
     if standard.wants_threads() && context.threads > 1 {
         wanted.push((context.threads, true));
     }
-    let own: u64 = images.program.cores().iter().map(|core| core.inputs.count()).sum();
+    let own = images.program.synapses_of(|_| true);
     let measured = wanted.into_iter().map(|(threads, skip)| {
         let image = images.get(standard, threads)?;
         let settings = Settings { skip, per_step: false };

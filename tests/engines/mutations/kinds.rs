@@ -8,9 +8,9 @@ use nsim::ir::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, MessageBits, Payload, Refractory, SignMode, ThresholdMantissa,
     VmaxExponent, VminExponent, WeightBits, WeightExponent,
 };
-use nsim::ir::base::id::{CompartmentId, CoreId, Id, PopulationId};
+use nsim::ir::base::id::{ClassId, CompartmentId, CoreId, Id, PopulationId};
 use nsim::ir::neurons::{NeuronKind, Port};
-use nsim::ir::program::{AxonTarget, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Synapse};
+use nsim::ir::program::{AxonTarget, CoreClass, CoreFormat, InputAxon, Parts, PopulationAxon, Synapse};
 use nsim::ir::quantised::{Neuron, Reset};
 use nsim::ir::spikes::Message;
 
@@ -48,7 +48,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("upper clip", |p, d| field(p, d, |n, d| n.vmax = VmaxExponent::new(d.from(0, 7)).unwrap())),
     ("parameter of a row", |p, d| {
         let (core, slot) = compartment(p, d);
-        let neuron = &mut p.cores[core].compartments[slot].neuron;
+        let neuron = &mut p.class_mut(core).compartments[slot].neuron;
         let parameters = neuron.kind.parameters();
         let place = d.from(0, neuron.row.0.len() as i64 - 1) as usize;
         let field = parameters.get(place).filter(|_| !neuron.kind.table().registers)?.field;
@@ -57,7 +57,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("kind of a neuron", |p, d| {
         let (core, slot) = compartment(p, d);
-        p.cores[core].compartments[slot].neuron.kind = d.one_of(&NeuronKind::ALL);
+        p.class_mut(core).compartments[slot].neuron.kind = d.one_of(&NeuronKind::ALL);
         // A synapse may then lead to a port that is not there.
         Some(Anything)
     }),
@@ -82,20 +82,20 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("port of a format", |p, d| {
         let (core, at) = format_at(p, d)?;
-        let format = &mut p.cores[core].formats[at].synapse;
+        let format = &mut p.class_mut(core).formats[at].synapse;
         format.port = if format.port.is_first() { Port::Second } else { Port::First };
         // Formats may then be the same twice, or lead to a port that is not there.
         Some(Anything)
     }),
     ("start step", |p, d| {
         let (core, slot) = compartment(p, d);
-        p.cores[core].compartments[slot].start_step += d.from(1, 9) as u32;
+        p.class_mut(core).compartments[slot].start_step += d.from(1, 9) as u32;
         Some(Verified)
     }),
     ("parameters of two compartments swapped", |p, d| {
         let (core, slot) = compartment(p, d);
-        let other = d.from(0, p.cores[core].compartments.len() as i64 - 1) as usize;
-        p.cores[core].compartments.swap(slot, other);
+        let other = d.from(0, p.class_of(core).compartments.len() as i64 - 1) as usize;
+        p.class_mut(core).compartments.swap(slot, other);
         Some(Verified)
     }),
     ("seats of two compartments swapped", |p, d| {
@@ -119,25 +119,43 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("a compartment too many", |p, d| {
         let (core, slot) = compartment(p, d);
-        let image = &mut p.cores[core];
-        let again = image.compartments[slot];
-        image.compartments.push(again);
+        let class = p.class_mut(core);
+        let again = class.compartments[slot];
+        class.compartments.push(again);
         Some(NotClosed)
     }),
     ("a compartment too few", |p, d| {
         let (core, _) = compartment(p, d);
+        p.class_mut(core).compartments.pop();
         let image = &mut p.cores[core];
-        image.compartments.pop();
         image.ids.pop();
         edit(&mut image.axons_out, |lists| drop(lists.pop()));
         Some(NotClosed)
     }),
+    // Classes.
+    ("class of another core", |p, d| {
+        let [(core, _), (other, _)] = [0, 1].map(|_| compartment(p, d));
+        p.cores[core].class = p.cores[other].class;
+        // No core is of its class now.
+        Some(NotClosed)
+    }),
+    ("a class that does not exist", |p, d| {
+        let (core, _) = compartment(p, d);
+        p.cores[core].class = ClassId(p.classes.len() as u32 + d.from(0, 9) as u32);
+        Some(NotClosed)
+    }),
+    ("tables of another core", |p, d| {
+        let [(core, _), (other, _)] = [0, 1].map(|_| compartment(p, d));
+        *p.class_mut(core) = p.class_of(other).clone();
+        Some(Anything)
+    }),
     // Synapse words.
     ("weight by a step", |p, d| {
         let (core, at) = synapse(p, d, |_, _| true)?;
-        let format = format_of(&p.cores[core], at).synapse;
+        let format = format_of(p.class_of(core), at).synapse;
         let (low, high) = format.sign.range(format.bits);
-        let (step, weight) = (format.sign.step(format.bits), &mut p.cores[core].inputs.lists.items_mut()[at].weight);
+        let (step, weight) =
+            (format.sign.step(format.bits), &mut p.class_mut(core).inputs.lists.items_mut()[at].weight);
         let up = (*weight + step <= high) && (d.chance(50) || *weight - step < low);
         *weight += if up { step } else { -step };
         (low..=high).contains(weight).then_some(Verified)
@@ -147,25 +165,25 @@ pub const KINDS: &[(&str, Kind)] = &[
             let format = format_of(image, at).synapse;
             format.sign.step(format.bits) > 1
         })?;
-        p.cores[core].inputs.lists.items_mut()[at].weight += 1;
+        p.class_mut(core).inputs.lists.items_mut()[at].weight += 1;
         Some(Breaks(|v| matches!(v, Violation::Weight { .. })))
     }),
     ("weight outside its bits", |p, d| {
         let (core, at) = synapse(p, d, |_, _| true)?;
-        let format = format_of(&p.cores[core], at).synapse;
+        let format = format_of(p.class_of(core), at).synapse;
         let (low, high) = format.sign.range(format.bits);
         let step = format.sign.step(format.bits);
-        p.cores[core].inputs.lists.items_mut()[at].weight = if d.chance(50) { low - step } else { high + step };
+        p.class_mut(core).inputs.lists.items_mut()[at].weight = if d.chance(50) { low - step } else { high + step };
         Some(Breaks(|v| matches!(v, Violation::Weight { .. })))
     }),
     ("weight of zero", |p, d| {
         let (core, at) = synapse(p, d, |_, _| true)?;
-        p.cores[core].inputs.lists.items_mut()[at].weight = 0;
+        p.class_mut(core).inputs.lists.items_mut()[at].weight = 0;
         Some(Verified)
     }),
     ("weight of another synapse", |p, d| {
         let (core, at) = synapse(p, d, |_, _| true)?;
-        let synapses = p.cores[core].inputs.lists.items_mut();
+        let synapses = p.class_mut(core).inputs.lists.items_mut();
         let other = d.from(0, synapses.len() as i64 - 1) as usize;
         let weight = synapses[other].weight;
         let same = synapses[other].format == synapses[at].format;
@@ -174,15 +192,15 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("target of a synapse", |p, d| {
         let (core, at) = synapse(p, d, |_, _| true)?;
-        let slots = p.cores[core].compartments.len() as i64;
-        p.cores[core].inputs.lists.items_mut()[at].slot = d.from(0, slots - 1) as u16;
+        let slots = p.class_of(core).compartments.len() as i64;
+        p.class_mut(core).inputs.lists.items_mut()[at].slot = d.from(0, slots - 1) as u16;
         // The lists of population axons are shifted, and may then lead outside.
-        Some(if p.cores[core].inputs.populations.is_empty() { Closed } else { Anything })
+        Some(if p.class_of(core).inputs.populations.is_empty() { Closed } else { Anything })
     }),
     ("target outside the core", |p, d| {
         let (core, at) = synapse(p, d, |_, _| true)?;
-        let slots = p.cores[core].compartments.len() as i64;
-        p.cores[core].inputs.lists.items_mut()[at].slot = (slots + d.from(0, 100)) as u16;
+        let slots = p.class_of(core).compartments.len() as i64;
+        p.class_mut(core).inputs.lists.items_mut()[at].slot = (slots + d.from(0, 100)) as u16;
         Some(NotClosed)
     }),
     ("neighbours swapped", |p, d| {
@@ -190,52 +208,52 @@ pub const KINDS: &[(&str, Kind)] = &[
             let same = |a: Synapse, b: Synapse| a.format == b.format && a.slot != b.slot;
             next_of(image, at).is_some_and(|next| same(image.inputs.lists.items()[at], next))
         })?;
-        p.cores[core].inputs.lists.items_mut().swap(at, at + 1);
+        p.class_mut(core).inputs.lists.items_mut().swap(at, at + 1);
         Some(Breaks(|v| matches!(v, Violation::Slots { .. })))
     }),
     ("delay without bits for it", |p, d| {
         let (core, at) = synapse(p, d, |image, at| format_of(image, at).delay_bits == 0)?;
-        let longest = p.cores[core].inputs.lists.items().iter().map(|s| s.delay).max()?;
+        let longest = p.class_of(core).inputs.lists.items().iter().map(|s| s.delay).max()?;
         if longest == Delay::MIN {
             // The first delay of a core gives it delay fields; its formats have none.
-            p.cores[core].inputs.lists.items_mut()[at].delay = Delay::new(d.from(1, 62)).unwrap();
+            p.class_mut(core).inputs.lists.items_mut()[at].delay = Delay::new(d.from(1, 62)).unwrap();
         } else {
-            p.cores[core].inputs.lists.items_mut()[at].delay = longest;
+            p.class_mut(core).inputs.lists.items_mut()[at].delay = longest;
         }
         Some(Breaks(|v| matches!(v, Violation::Delay { .. })))
     }),
     ("delay beyond its bits", |p, d| {
         let (core, at) = synapse(p, d, |image, at| (1..6).contains(&format_of(image, at).delay_bits))?;
-        let bits = format_of(&p.cores[core], at).delay_bits;
-        p.cores[core].inputs.lists.items_mut()[at].delay = Delay::new(d.from(1 << bits, 62)).unwrap();
+        let bits = format_of(p.class_of(core), at).delay_bits;
+        p.class_mut(core).inputs.lists.items_mut()[at].delay = Delay::new(d.from(1 << bits, 62)).unwrap();
         // Then the core's delays are wider than its formats say.
         Some(Breaks(|v| matches!(v, Violation::Format { .. } | Violation::Delay { .. })))
     }),
     ("another delay", |p, d| {
         let (core, at) = synapse(p, d, |image, at| format_of(image, at).delay_bits > 0)?;
-        p.cores[core].inputs.lists.items_mut()[at].delay = Delay::new(d.from(0, 62)).unwrap();
+        p.class_mut(core).inputs.lists.items_mut()[at].delay = Delay::new(d.from(0, 62)).unwrap();
         Some(Closed)
     }),
     ("format that is not there", |p, d| {
         let (core, at) = synapse(p, d, |_, _| true)?;
-        let formats = p.cores[core].formats.len() as i64;
-        p.cores[core].inputs.lists.items_mut()[at].format = d.from(formats, 255) as u8;
+        let formats = p.class_of(core).formats.len() as i64;
+        p.class_mut(core).inputs.lists.items_mut()[at].format = d.from(formats, 255) as u8;
         Some(NotClosed)
     }),
     ("format of others", |p, d| {
         let (core, at) = synapse(p, d, |image, _| image.formats.len() > 1)?;
-        let formats = p.cores[core].formats.len() as i64;
-        p.cores[core].inputs.lists.items_mut()[at].format = d.from(0, formats - 1) as u8;
+        let formats = p.class_of(core).formats.len() as i64;
+        p.class_mut(core).inputs.lists.items_mut()[at].format = d.from(0, formats - 1) as u8;
         Some(Closed)
     }),
     ("a synapse too few", |p, d| {
         let (core, list) = list(p, d, |list| list.len() > 1)?;
-        edit(&mut p.cores[core].inputs.lists, |lists| shorten(&mut lists[list]));
+        edit(&mut p.class_mut(core).inputs.lists, |lists| shorten(&mut lists[list]));
         Some(Closed)
     }),
     ("a synapse twice", |p, d| {
         let (core, list) = list(p, d, |list| !list.is_empty())?;
-        let image = &mut p.cores[core];
+        let image = p.class_mut(core);
         let last = *image.inputs.lists.get(list).last()?;
         let format = image.formats[usize::from(last.format)];
         edit(&mut image.inputs.lists, |lists| lists[list].push(last));
@@ -244,26 +262,26 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("a list without synapses", |p, d| {
         let (core, list) = list(p, d, |list| !list.is_empty())?;
-        edit(&mut p.cores[core].inputs.lists, |lists| lists[list].clear());
+        edit(&mut p.class_mut(core).inputs.lists, |lists| lists[list].clear());
         // Its delays may have been the only long ones of the core, whose formats then have bits too
         // many.
         Some(Breaks(|v| matches!(v, Violation::EmptyAxon { .. } | Violation::Format { .. })))
     }),
     ("two lists swapped", |p, d| {
         let (core, a) = list(p, d, |_| true)?;
-        let b = d.from(0, p.cores[core].inputs.lists.len() as i64 - 1) as usize;
-        edit(&mut p.cores[core].inputs.lists, |lists| lists.swap(a, b));
-        Some(if p.cores[core].inputs.populations.is_empty() { Verified } else { Anything })
+        let b = d.from(0, p.class_of(core).inputs.lists.len() as i64 - 1) as usize;
+        edit(&mut p.class_mut(core).inputs.lists, |lists| lists.swap(a, b));
+        Some(if p.class_of(core).inputs.populations.is_empty() { Verified } else { Anything })
     }),
     ("a list too many", |p, d| {
         let (core, list) = list(p, d, |_| true)?;
-        edit(&mut p.cores[core].inputs.lists, |lists| lists.push(lists[list].clone()));
+        edit(&mut p.class_mut(core).inputs.lists, |lists| lists.push(lists[list].clone()));
         Some(NotClosed)
     }),
     // Formats.
     ("exponent of a format", |p, d| {
         let (core, at) = format_at(p, d)?;
-        let image = &mut p.cores[core];
+        let image = p.class_mut(core);
         let new = WeightExponent::new(d.from(-8, 7)).unwrap();
         if image.formats.iter().any(|format| format.synapse.exponent == new) {
             return None;
@@ -273,45 +291,45 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("sign mode of a format", |p, d| {
         let (core, at) = format_at(p, d)?;
-        p.cores[core].formats[at].synapse.sign =
+        p.class_mut(core).formats[at].synapse.sign =
             d.one_of(&[SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory]);
         Some(Closed)
     }),
     ("weights of seven bits", |p, d| {
         let (core, at) = format_at(p, d)?;
-        p.cores[core].formats[at].synapse.bits = WeightBits::new(7).unwrap();
+        p.class_mut(core).formats[at].synapse.bits = WeightBits::new(7).unwrap();
         Some(Breaks(|v| matches!(v, Violation::Format { .. })))
     }),
     ("bits of a format", |p, d| {
         let (core, at) = format_at(p, d)?;
-        p.cores[core].formats[at].synapse.bits = WeightBits::new(d.one_of(&[2, 3, 4, 5, 6, 8])).unwrap();
+        p.class_mut(core).formats[at].synapse.bits = WeightBits::new(d.one_of(&[2, 3, 4, 5, 6, 8])).unwrap();
         Some(Closed)
     }),
     ("delay bits of a format", |p, d| {
         let (core, at) = format_at(p, d)?;
         // Neither none nor what any core has.
-        p.cores[core].formats[at].delay_bits = d.from(7, 20) as u8;
+        p.class_mut(core).formats[at].delay_bits = d.from(7, 20) as u8;
         Some(Breaks(|v| matches!(v, Violation::Format { .. })))
     }),
     ("index bits of a format", |p, d| {
         let (core, at) = format_at(p, d)?;
-        p.cores[core].formats[at].index_bits = Some(d.from(12, 20) as u8);
+        p.class_mut(core).formats[at].index_bits = Some(d.from(12, 20) as u8);
         Some(Breaks(|v| matches!(v, Violation::Format { .. })))
     }),
     ("run bits of a format", |p, d| {
         let (core, at) = format_at(p, d)?;
-        p.cores[core].formats[at].skip_bits = Some(d.from(9, 20) as u8);
+        p.class_mut(core).formats[at].skip_bits = Some(d.from(9, 20) as u8);
         Some(Breaks(|v| matches!(v, Violation::Format { .. })))
     }),
     ("a format twice", |p, d| {
         let (core, at) = format_at(p, d)?;
-        let image = &mut p.cores[core];
+        let image = p.class_mut(core);
         image.formats.push(image.formats[at]);
         Some(Breaks(|v| matches!(v, Violation::Format { what, .. } if what.contains("twice"))))
     }),
     ("a format that nothing uses", |p, d| {
         let (core, at) = format_at(p, d)?;
-        let image = &mut p.cores[core];
+        let image = p.class_mut(core);
         let mut format: CoreFormat = image.formats[at];
         format.synapse.exponent = WeightExponent::new(d.from(-8, 7)).unwrap();
         if image.formats.contains(&format) {
@@ -348,21 +366,21 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("a population axon too many", |p, d| {
         let copy = *population(p, d)?;
-        let core = p.cores.ids().find(|&core| p.cores[core].inputs.populations.contains(&copy))?;
-        p.cores[core].inputs.populations.push(copy);
+        let core = p.cores.ids().find(|&core| p.class_of(core).inputs.populations.contains(&copy))?;
+        p.class_mut(core).inputs.populations.push(copy);
         // It has lists, and no source selects them.
         Some(Breaks(|v| matches!(v, Violation::EmptyAxon { .. } | Violation::Population { .. })))
     }),
     ("input axons swapped", |p, d| {
         let core = core(p, d, |image| image.inputs.axons.len() > 1)?;
-        let axons = &mut p.cores[core].inputs.axons;
+        let axons = &mut p.class_mut(core).inputs.axons;
         let [a, b] = [0, 1].map(|_| d.from(0, axons.len() as i64 - 1) as usize);
         axons.swap(a, b);
         Some(Closed)
     }),
     ("atom of an input axon", |p, d| {
         let core = core(p, d, |image| image.inputs.axons.iter().any(|a| matches!(a, InputAxon::Member { .. })))?;
-        let members = p.cores[core].inputs.axons.iter_mut().filter(|axon| matches!(axon, InputAxon::Member { .. }));
+        let members = p.class_mut(core).inputs.axons.iter_mut().filter(|axon| matches!(axon, InputAxon::Member { .. }));
         let mut members: Vec<&mut InputAxon> = members.collect();
         let chosen = d.from(0, members.len() as i64 - 1) as usize;
         if let InputAxon::Member { atom, .. } = &mut *members[chosen] {
@@ -415,7 +433,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("messages of two compartments swapped", |p, d| {
         let (core, a) = compartment(p, d);
-        let b = d.from(0, p.cores[core].compartments.len() as i64 - 1) as usize;
+        let b = d.from(0, p.class_of(core).compartments.len() as i64 - 1) as usize;
         edit(&mut p.cores[core].axons_out, |lists| lists.swap(a, b));
         Some(Verified)
     }),
@@ -428,7 +446,7 @@ pub const KINDS: &[(&str, Kind)] = &[
         let second = lists.get_mut(b).iter_mut().find(|m| m.core == first.core)?;
         let axon = std::mem::replace(&mut second.axon, first.axon);
         lists.get_mut(a)[0].axon = axon;
-        let populations = p.cores.iter().any(|image| !image.inputs.populations.is_empty());
+        let populations = p.classes.iter().any(|class| !class.inputs.populations.is_empty());
         Some(if populations { Closed } else { Verified })
     }),
     // Sites.
@@ -515,8 +533,8 @@ fn shorten<T>(list: &mut Vec<T>) {
 }
 
 /// Any core that something is true of.
-fn core(parts: &Parts, draw: &mut Draw, fits: impl Fn(&CoreImage) -> bool) -> Option<CoreId> {
-    let fitting: Vec<CoreId> = parts.cores.ids().filter(|&core| fits(&parts.cores[core])).collect();
+fn core(parts: &Parts, draw: &mut Draw, fits: impl Fn(&CoreClass) -> bool) -> Option<CoreId> {
+    let fitting: Vec<CoreId> = parts.cores.ids().filter(|&core| fits(parts.class_of(core))).collect();
     (!fitting.is_empty()).then(|| draw.one_of(&fitting))
 }
 
@@ -529,24 +547,24 @@ fn compartment(parts: &Parts, draw: &mut Draw) -> (CoreId, usize) {
 /// Changes a field of any compartment.
 fn field(parts: &mut Parts, draw: &mut Draw, change: fn(&mut Neuron, &mut Draw)) -> Option<Expected> {
     let (core, slot) = compartment(parts, draw);
-    change(&mut parts.cores[core].compartments[slot].neuron, draw);
+    change(&mut parts.class_mut(core).compartments[slot].neuron, draw);
     Some(Verified)
 }
 
 /// Any stored synapse that something is true of: its core, and its number among all of the core.
-fn synapse(parts: &Parts, draw: &mut Draw, fits: impl Fn(&CoreImage, usize) -> bool) -> Option<(CoreId, usize)> {
-    let fitting = |image: &CoreImage| (0..image.inputs.lists.items().len()).filter(|&at| fits(image, at)).collect();
+fn synapse(parts: &Parts, draw: &mut Draw, fits: impl Fn(&CoreClass, usize) -> bool) -> Option<(CoreId, usize)> {
+    let fitting = |image: &CoreClass| (0..image.inputs.lists.items().len()).filter(|&at| fits(image, at)).collect();
     let core = core(parts, draw, |image| (0..image.inputs.lists.items().len()).any(|at| fits(image, at)))?;
-    let fitting: Vec<usize> = fitting(&parts.cores[core]);
+    let fitting: Vec<usize> = fitting(parts.class_of(core));
     Some((core, draw.one_of(&fitting)))
 }
 
-fn format_of(image: &CoreImage, synapse: usize) -> CoreFormat {
+fn format_of(image: &CoreClass, synapse: usize) -> CoreFormat {
     image.formats[usize::from(image.inputs.lists.items()[synapse].format)]
 }
 
 /// The synapse after this one in the same list.
-fn next_of(image: &CoreImage, synapse: usize) -> Option<Synapse> {
+fn next_of(image: &CoreClass, synapse: usize) -> Option<Synapse> {
     let ends = image.inputs.lists.firsts().contains(&(synapse as u32 + 1));
     (!ends).then(|| image.inputs.lists.items()[synapse + 1])
 }
@@ -554,7 +572,7 @@ fn next_of(image: &CoreImage, synapse: usize) -> Option<Synapse> {
 /// Any stored list that something is true of.
 fn list(parts: &Parts, draw: &mut Draw, fits: impl Fn(&[Synapse]) -> bool) -> Option<(CoreId, usize)> {
     let core = core(parts, draw, |image| image.inputs.lists.iter().any(&fits))?;
-    let lists = &parts.cores[core].inputs.lists;
+    let lists = &parts.class_of(core).inputs.lists;
     let fitting: Vec<usize> = (0..lists.len()).filter(|&list| fits(lists.get(list))).collect();
     Some((core, draw.one_of(&fitting)))
 }
@@ -562,13 +580,13 @@ fn list(parts: &Parts, draw: &mut Draw, fits: impl Fn(&[Synapse]) -> bool) -> Op
 /// Any format.
 fn format_at(parts: &Parts, draw: &mut Draw) -> Option<(CoreId, usize)> {
     let core = core(parts, draw, |image| !image.formats.is_empty())?;
-    Some((core, draw.from(0, parts.cores[core].formats.len() as i64 - 1) as usize))
+    Some((core, draw.from(0, parts.class_of(core).formats.len() as i64 - 1) as usize))
 }
 
 /// Any population axon.
 fn population<'a>(parts: &'a mut Parts, draw: &mut Draw) -> Option<&'a mut PopulationAxon> {
     let core = core(parts, draw, |image| !image.inputs.populations.is_empty())?;
-    let axons = &mut parts.cores[core].inputs.populations;
+    let axons = &mut parts.class_mut(core).inputs.populations;
     let chosen = draw.from(0, axons.len() as i64 - 1) as usize;
     Some(&mut axons[chosen])
 }
@@ -580,7 +598,9 @@ fn messages<'a>(
     draw: &mut Draw,
     fits: impl Fn(&[AxonTarget]) -> bool,
 ) -> Option<(&'a mut Csr<AxonTarget>, usize)> {
-    let from_core = core(parts, draw, |image| image.axons_out.iter().any(&fits)).filter(|_| draw.chance(50));
+    let fitting = |core: &CoreId| parts.cores[*core].axons_out.iter().any(&fits);
+    let fitting: Vec<CoreId> = parts.cores.ids().filter(fitting).collect();
+    let from_core = (!fitting.is_empty()).then(|| draw.one_of(&fitting)).filter(|_| draw.chance(50));
     let lists = match from_core {
         Some(core) => &mut parts.cores[core].axons_out,
         None => &mut parts.channels,

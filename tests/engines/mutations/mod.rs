@@ -51,9 +51,9 @@ impl Meaning {
         let reached = |messages: &[AxonTarget]| {
             let mut reached = Vec::new();
             for message in messages {
-                let image = &parts.cores[message.core];
-                for synapse in image.inputs.get(usize::from(message.axon)).synapses() {
-                    let format = image.formats[usize::from(synapse.format)].synapse;
+                let (image, class) = (&parts.cores[message.core], parts.class_of(message.core));
+                for synapse in class.inputs.get(usize::from(message.axon)).synapses() {
+                    let format = class.formats[usize::from(synapse.format)].synapse;
                     reached.push((image.ids[usize::from(synapse.slot)], format, synapse.weight, synapse.delay));
                 }
             }
@@ -67,7 +67,9 @@ impl Meaning {
             (format!("compartment {}", CompartmentId::new(i)), reached(image.axons_out.get(slot)))
         });
         Meaning {
-            compartments: (0..parts.seats.len()).map(|i| image(i).0.compartments[image(i).1]).collect(),
+            compartments: (0..parts.seats.len())
+                .map(|i| parts.classes[image(i).0.class].compartments[image(i).1])
+                .collect(),
             sources: channels.chain(compartments).collect(),
         }
     }

@@ -1,9 +1,9 @@
 //! The program of a network of layers, written pattern by pattern.
 //!
 //! Input: a network that is mapped by its kernels, its partition and placement. Output: a
-//! [`Program`], and the tables of one core of each pattern, for the checker. Boxes of a layer that
-//! hold the same channels, and whose rows and columns are reached in the same pattern, store the
-//! same tables. These are written once; the other boxes differ in the sources of their input axons,
+//! [`Program`], and the tables of one core of each class, for the checker. Boxes of a layer that
+//! hold the same channels, and whose rows and columns are reached in the same pattern, are of one
+//! class. Its tables are written once; the other boxes differ in the sources of their input axons,
 //! which are the same ones some rows and columns further on. So a program of thousands of millions
 //! of synapses takes the memory of its messages, not of its synapses.
 //!
@@ -12,20 +12,17 @@
 //! order. A test holds programs made so against those that [`route`](crate::emit::route) writes
 //! synapse by synapse.
 
-use std::collections::HashMap;
-
 use rayon::prelude::*;
 
-use crate::emit::route::{assemble, compartments};
+use crate::emit::classes::Classes;
+use crate::emit::route::{assemble, parameters};
 use crate::emit::sample::sample;
 use nsim_check::sampled::SampledCore;
-use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
-use nsim_ir::base::shared::Shared;
 use nsim_ir::dealt::Dealt;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
-use nsim_ir::program::{CoreImage, Program, Stored};
+use nsim_ir::program::{Compartment, CoreClass, Program};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Limits;
 use nsim_partition::resources::closed_form::Layer;
@@ -33,7 +30,7 @@ use nsim_partition::resources::fan_in::first_source;
 use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
 use nsim_partition::strategy::lattice;
 
-/// The program, and the tables of one core of each pattern.
+/// The program, and the tables of one core of each class.
 ///
 /// # Errors
 /// A sentence when the network does not consist of layers, and as [`crate::emit::route::route`].
@@ -51,58 +48,36 @@ pub fn route_boxes(
     let boxes: Vec<Option<BoxOfLayer>> =
         all.par_iter().map(|&core| BoxOfLayer::holding(network, &layers, &partition.members()[core])).collect();
     let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
-    // The first core of each pattern, by core; those that another process holds have none.
-    let mut known: HashMap<&Pattern, usize> = HashMap::new();
-    let mut firsts: Vec<CoreId> = Vec::new();
-    let first_of: Vec<usize> = all
-        .iter()
-        .zip(&boxes)
-        .map(|(&core, found)| {
-            if !holds(core) {
-                return usize::MAX;
-            }
-            let mut push = || {
-                firsts.push(core);
-                firsts.len() - 1
-            };
-            match found {
-                Some(BoxOfLayer { pattern, .. }) => *known.entry(pattern).or_insert_with(push),
-                None => push(),
-            }
-        })
-        .collect();
-    let written = sample(network, partition, placement, &firsts, limits)?;
-    let nothing = Shared::from(Stored::default());
-    let write = |(&core, &first): (&CoreId, &usize)| {
-        if first == usize::MAX {
-            let ids = partition.members()[core].clone();
-            let compartments = compartments(network, &ids).into();
-            let (site, formats, axons_out) = (placement.site(core), Vec::new(), Csr::default());
-            return (CoreImage { site, compartments, ids, formats, inputs: nothing.clone(), axons_out }, Vec::new());
+    let parameters = |core: CoreId| parameters(network, &partition.members()[core]);
+    let patterns = Classes::by_key(all.iter().zip(&boxes).map(|(core, found)| match found {
+        Some(BoxOfLayer { pattern, .. }) => Ok(pattern),
+        None => Err(core),
+    }));
+    let of_patterns: Vec<Vec<Compartment>> =
+        patterns.firsts.as_slice().par_iter().map(|&core| parameters(core)).collect();
+    // A box with other parameters than the first of its pattern is a class by itself.
+    let differs = |&core: &CoreId| parameters(core) != of_patterns[patterns.of[core].index()];
+    let differs: Vec<bool> = all.par_iter().map(differs).collect();
+    drop(of_patterns);
+    let key = |(&core, differs): (&CoreId, bool)| (holds(core), patterns.of[core], differs.then_some(core));
+    let classes = Classes::by_key(all.iter().zip(differs).map(key));
+    let firsts: Vec<CoreId> = classes.firsts.iter().copied().filter(|core| holds(*core)).collect();
+    let written = sample(network, partition, &firsts, limits)?;
+    let sources = |&core: &CoreId| {
+        let Ok(first) = firsts.binary_search(&classes.first(core)) else { return Vec::new() };
+        let SampledCore { core: of_first, sources, .. } = &written[first];
+        match (&boxes[of_first.index()], &boxes[core.index()]) {
+            (Some(from), Some(to)) => shifted(sources, &from.shifts_to(to)),
+            _ => sources.clone(),
         }
-        let SampledCore { core: of_first, image, sources } = &written[first];
-        if *of_first == core {
-            return (image.clone(), sources.clone());
-        }
-        let held = &partition.members()[core];
-        let own = compartments(network, held);
-        let alike = own == **image.compartments;
-        let image = CoreImage {
-            site: placement.site(core),
-            ids: held.clone(),
-            compartments: if alike { image.compartments.clone() } else { own.into() },
-            formats: image.formats.clone(),
-            inputs: image.inputs.clone(),
-            axons_out: Csr::default(),
-        };
-        let shifts = match (&boxes[of_first.index()], &boxes[core.index()]) {
-            (Some(from), Some(to)) => from.shifts_to(to),
-            _ => Vec::new(),
-        };
-        (image, shifted(sources, &shifts))
     };
-    let (cores, sources) = all.par_iter().zip(&first_of).map(write).unzip();
-    Ok((assemble(network, partition, (placement, dealt), (cores, sources))?, written))
+    let sources = all.par_iter().map(sources).collect();
+    let class = |&core: &CoreId| match firsts.binary_search(&core) {
+        Ok(first) => written[first].class.clone(),
+        Err(_) => CoreClass::without_tables(parameters(core)),
+    };
+    let stored = classes.firsts.iter().map(class).collect();
+    Ok((assemble(network, partition, (placement, dealt), (stored, classes, sources))?, written))
 }
 
 /// What of a box decides what its core stores.

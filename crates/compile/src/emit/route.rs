@@ -13,17 +13,16 @@
 
 use rayon::prelude::*;
 
-use crate::emit::twins::{Twin, twins};
+use crate::emit::classes::Classes;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{CompartmentId, CoreId, Id, PopulationId};
-use nsim_ir::base::shared::Shared;
+use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::dealt::Dealt;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
 use nsim_ir::program::{
-    AxonTarget, Compartment, Compartments, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon, Program,
-    Stored, Synapse,
+    AxonTarget, Compartment, Compartments, CoreClass, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon,
+    Program, Stored, Synapse,
 };
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::resource::Limits;
@@ -42,7 +41,7 @@ use nsim_partition::resources::packing::{Compression, Group, Widths};
 const PIECE: u32 = 1 << 14;
 
 /// The program of a network, so many equal copies that share nothing, on its places. What equal
-/// cores of several copies store is written once. Of a program that is dealt out and held in part,
+/// cores store is written once. Of a program that is dealt out and held in part,
 /// only what is held is written.
 ///
 /// # Errors
@@ -58,53 +57,54 @@ pub fn route(
     if partition.cores() != placement.len() {
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
-    let tables = Tables::new(network, partition, placement, limits);
+    let tables = Tables::new(network, partition, limits);
     let (channels, compartments) = (network.channels(), network.compartments());
-    let of_copy = |units: usize| units as u32 / copies.max(1);
+    let of_copy = |units: usize| (units as u32 / copies.max(1)).max(1);
+    let copy_size = of_copy(compartments as usize);
     let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
-    // A part writes each of its cores by itself: the first of its kind may be another rank's.
-    let twins = match dealt.as_ref().is_some_and(|dealt| dealt.held.is_some()) {
-        true => partition.members().ids().map(|first| Twin { first, later: 0 }).collect(),
-        false => twins(partition.members(), of_copy(compartments as usize)),
+    // Copies are equal and share nothing. So cores with the same compartments, of other copies, are
+    // of one class, and their sources are as many copies apart. A rank writes the classes that it
+    // holds.
+    let members = |core: CoreId| &partition.members()[core];
+    let copy_of = |core: CoreId| members(core).iter().map(|id| id.0 / copy_size).min().unwrap_or(0);
+    let key = |core: CoreId| {
+        let first = copy_of(core) * copy_size;
+        (holds(core), members(core).iter().map(|id| id.0 - first).collect::<Vec<u32>>())
     };
-    let (mut cores, mut sources): (Vec<CoreImage>, Vec<Vec<u32>>) =
-        (Vec::with_capacity(twins.len()), Vec::with_capacity(twins.len()));
-    // The copies of which a core is the first of its kind.
+    let classes = Classes::by_key(partition.members().ids().map(key));
+    // The copies that the first cores of classes hold.
     let mut written_down = vec![false; copies as usize];
-    for (core, _) in twins.enumerate().filter(|(core, twin)| twin.first == *core && holds(*core)) {
-        let copies_of = partition.members()[core].iter().map(|id| id.0 / of_copy(compartments as usize).max(1));
-        copies_of.for_each(|copy| written_down[copy as usize] = true);
+    for &core in classes.firsts.iter().filter(|core| holds(**core)) {
+        members(core).iter().for_each(|id| written_down[(id.0 / copy_size) as usize] = true);
     }
-    let populations = of_copy(network.populations().len()).max(1);
+    let populations = of_copy(network.populations().len());
     let counts = |id: PopulationId| written_down.get((id.0 / populations) as usize).copied().unwrap_or(true);
     let longest = longest_delays(network, partition.seats(), partition.cores(), counts);
     let wanted = (counts, holds);
-    let written = by_core_from(network, &tables.formats, partition.seats(), twins.len(), wanted, |core, keys| {
-        (holds(core) && twins[core].first == core).then(|| tables.image(core, keys, longest[core])).transpose()
+    let written = by_core_from(network, &tables.formats, partition.seats(), partition.cores(), wanted, |core, keys| {
+        (classes.first(core) == core).then(|| match holds(core) {
+            true => tables.class(core, keys, longest[core]),
+            false => Ok((CoreClass::without_tables(parameters(network, members(core))), Vec::new())),
+        })
     });
-    let nothing = Shared::from(Stored::default());
-    for (core, written) in twins.ids().zip(written) {
-        let Twin { first, later } = twins[core];
-        let (image, of_core) = match written? {
-            Some(written) => written,
-            None if !holds(core) => (tables.empty_image(core, &nothing), Vec::new()),
-            None => {
-                let later_source = |&source: &u32| match source < channels {
-                    true => source + later * of_copy(channels as usize),
-                    false => source + later * of_copy(compartments as usize),
-                };
-                let (site, ids) = (placement.site(core), partition.members()[core].clone());
-                let image = CoreImage { site, ids, ..cores[first.index()].clone() };
-                (image, sources[first.index()].iter().map(later_source).collect())
-            }
+    let written: Vec<(CoreClass, Vec<u32>)> = written.into_iter().flatten().collect::<Result<_, String>>()?;
+    let (written, of_first): (Vec<CoreClass>, IdVec<ClassId, Vec<u32>>) = {
+        let (written, sources): (Vec<_>, Vec<_>) = written.into_iter().unzip();
+        (written, sources.into())
+    };
+    let sources_of = |core: CoreId| {
+        let later = i64::from(copy_of(core)) - i64::from(copy_of(classes.first(core)));
+        let shift = |&source: &u32| {
+            let size = of_copy(if source < channels { channels } else { compartments } as usize);
+            (i64::from(source) + later * i64::from(size)) as u32
         };
-        cores.push(image);
-        sources.push(of_core);
-    }
-    assemble(network, partition, (placement, dealt), (cores, sources))
+        of_first[classes.of[core]].iter().map(shift).collect()
+    };
+    let sources = partition.members().ids().map(sources_of).collect();
+    assemble(network, partition, (placement, dealt), (written, classes, sources))
 }
 
-/// The program of these cores, in order, each with the source of each of its input axons.
+/// The program of these classes, with the source of each input axon of each core.
 ///
 /// # Errors
 /// As [`route`].
@@ -112,22 +112,25 @@ pub(super) fn assemble(
     network: &Quantised,
     partition: &Partition,
     (placement, dealt): (&Placement, Option<Dealt>),
-    (mut cores, sources): (Vec<CoreImage>, Vec<Vec<u32>>),
+    (written, classes, sources): (Vec<CoreClass>, Classes, Vec<Vec<u32>>),
 ) -> Result<Program, String> {
     let (channels, compartments) = (network.channels(), network.compartments());
     let messages = messages(&sources, channels, compartments);
     drop(sources);
-    cores.par_iter_mut().for_each(|image| {
+    let image = |&core: &CoreId| {
         let of = |id: &CompartmentId| messages.compartments[(id.0 / PIECE) as usize].get((id.0 % PIECE) as usize);
-        for id in &image.ids {
-            image.axons_out.push(of(id).iter().copied());
-        }
-        image.axons_out.shrink_to_fit();
-    });
+        let (ids, mut axons_out) = (partition.members()[core].clone(), Csr::default());
+        ids.iter().for_each(|id| axons_out.push(of(id).iter().copied()));
+        axons_out.shrink_to_fit();
+        CoreImage { site: placement.site(core), class: classes.of[core], ids, axons_out }
+    };
+    let all: Vec<CoreId> = partition.members().ids().collect();
+    let cores: Vec<CoreImage> = all.par_iter().map(image).collect();
     let populations = network.populations().iter().map(Compartments::in_population).collect();
     let parts = network.parts();
     Program::new(Parts {
         mesh: *placement.mesh(),
+        classes: written.into(),
         cores: cores.into(),
         channels: messages.channels,
         seats: partition.seats().clone(),
@@ -160,58 +163,30 @@ fn graded(network: &Quantised) -> Vec<Graded> {
 pub(super) struct Tables<'a> {
     network: &'a Quantised,
     partition: &'a Partition,
-    placement: &'a Placement,
     limits: &'a Limits,
     pub(super) formats: Formats,
     places: Places,
 }
 
 impl<'a> Tables<'a> {
-    pub(super) fn new(
-        network: &'a Quantised,
-        partition: &'a Partition,
-        placement: &'a Placement,
-        limits: &'a Limits,
-    ) -> Self {
+    pub(super) fn new(network: &'a Quantised, partition: &'a Partition, limits: &'a Limits) -> Self {
         let (formats, places) = (Formats::for_network(network), Places::for_network(network, limits));
-        Tables { network, partition, placement, limits, formats, places }
+        Tables { network, partition, limits, formats, places }
     }
 
-    /// The image of a core whose tables another process holds.
-    pub(super) fn empty_image(&self, core: CoreId, nothing: &Shared<Stored>) -> CoreImage {
-        let held = &self.partition.members()[core];
-        CoreImage {
-            site: self.placement.site(core),
-            compartments: compartments(self.network, held).into(),
-            ids: held.clone(),
-            formats: Vec::new(),
-            inputs: nothing.clone(),
-            axons_out: Csr::default(),
-        }
-    }
-
-    /// The image of a core with these synapses, without messages, and the source of each input
-    /// axon.
-    pub(super) fn image(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<(CoreImage, Vec<u32>), String> {
+    /// What a core with these synapses stores, and the source of each input axon.
+    pub(super) fn class(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<(CoreClass, Vec<u32>), String> {
         let held = &self.partition.members()[core];
         let widths = Widths::for_core(held.len() as u32, longest, self.limits.packing);
         let lists = StoredLists::new(keys, &self.formats, widths, self.limits, &self.places);
         let (formats, inputs, sources) = write_lists(keys, &self.formats, widths, &lists, self.limits)
             .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
-        let image = CoreImage {
-            site: self.placement.site(core),
-            compartments: compartments(self.network, held).into(),
-            ids: held.clone(),
-            formats,
-            inputs: inputs.into(),
-            axons_out: Csr::default(),
-        };
-        Ok((image, sources))
+        Ok((CoreClass { compartments: parameters(self.network, held), formats, inputs }, sources))
     }
 }
 
 /// Parameters of compartments in slot order.
-pub fn compartments(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
+pub fn parameters(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
     let mut known = None;
     held.iter()
         .filter_map(|&id| {

@@ -1,8 +1,7 @@
 //! The tables of some cores, of a network too large to write all.
 //!
-//! Input: a network, its partition and placement, and the cores wanted. Output: each core's image
-//! as [`route`] would write it, but for its messages, whose axon numbers depend on the tables of
-//! all other cores.
+//! Input: a network, its partition, and the cores wanted. Output: what each core stores, as
+//! [`route`] would write it.
 //!
 //! [`route`]: crate::emit::route::route()
 
@@ -14,7 +13,6 @@ use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, ProjectionId};
 use nsim_ir::partition::Partition;
-use nsim_ir::placement::Placement;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::Limits;
@@ -28,11 +26,10 @@ use nsim_partition::resources::fan_in::{FanIn, first_source};
 pub fn sample(
     network: &Quantised,
     partition: &Partition,
-    placement: &Placement,
     cores: &[CoreId],
     limits: &Limits,
 ) -> Result<Vec<SampledCore>, String> {
-    let (tables, fan_in) = (Tables::new(network, partition, placement, limits), FanIn::new(network));
+    let (tables, fan_in) = (Tables::new(network, partition, limits), FanIn::new(network));
     let one = |&core: &CoreId| {
         let held = &partition.members()[core];
         // Most targets of a source are outside the core's range, which spares a load of their seat.
@@ -57,8 +54,8 @@ pub fn sample(
             });
         }
         keys.sort_unstable();
-        let (image, sources) = tables.image(core, &keys, longest)?;
-        Ok(SampledCore { core, image, sources })
+        let (class, sources) = tables.class(core, &keys, longest)?;
+        Ok(SampledCore { core, class, sources })
     };
     cores.par_iter().map(one).collect()
 }

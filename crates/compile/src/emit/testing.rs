@@ -1,6 +1,6 @@
 //! An encoder and a decoder of synapse memory, for tests.
 //!
-//! Input: a core's image. Output: its 64-bit words as the formats say, and the lists that these
+//! Input: a core's class. Output: its 64-bit words as the formats say, and the lists that these
 //! words decode to. They show that what was counted can be stored: as many words as
 //! [`nsim_partition::resources::packing`] counts, and every synapse back. `verify` counts words by
 //! the formula; the tests hold the formula to this.
@@ -19,7 +19,7 @@
 use std::collections::BTreeMap;
 
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::program::{CoreFormat, CoreImage, InputAxon, Synapse};
+use nsim_ir::program::{CoreClass, CoreFormat, InputAxon, Synapse};
 use nsim_ir::resource::{Limits, Packing};
 use nsim_partition::resources::packing;
 use nsim_partition::resources::packing::{Compression, Group, Widths};
@@ -113,9 +113,9 @@ fn compression(format: &CoreFormat) -> Compression {
     }
 }
 
-fn widths(image: &CoreImage, limits: &Limits) -> Widths {
-    let longest = image.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
-    Widths::for_core(image.compartments.len() as u32, longest, limits.packing)
+fn widths(class: &CoreClass, limits: &Limits) -> Widths {
+    let longest = class.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
+    Widths::for_core(class.compartments.len() as u32, longest, limits.packing)
 }
 
 /// Whether an entry holds its first slot.
@@ -129,8 +129,8 @@ fn holds_slot(compression: Compression, in_table: bool, limits: &Limits) -> bool
 
 /// The words of a core's lists.
 #[must_use]
-pub fn encode(image: &CoreImage, limits: &Limits) -> Memory {
-    let (widths, inputs) = (widths(image, limits), &image.inputs);
+pub fn encode(class: &CoreClass, limits: &Limits) -> Memory {
+    let (widths, inputs) = (widths(class, limits), &class.inputs);
     let mut memory = Memory::default();
     let mut tables: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
     for axon in &inputs.populations {
@@ -140,7 +140,7 @@ pub fn encode(image: &CoreImage, limits: &Limits) -> Memory {
             let mut of_lists: Vec<Vec<u64>> = Vec::new();
             for list in lists {
                 let mut words = Vec::new();
-                encode_list(&mut words, inputs.lists.get(list), image, true, widths, limits);
+                encode_list(&mut words, inputs.lists.get(list), class, true, widths, limits);
                 of_lists.push(words);
             }
             let words = of_lists.iter().map(Vec::len).max().unwrap_or(0);
@@ -154,7 +154,7 @@ pub fn encode(image: &CoreImage, limits: &Limits) -> Memory {
     }
     for list in inputs.iter_discrete() {
         let first = memory.words.len();
-        let bases = encode_list(&mut memory.words, inputs.lists.get(list), image, false, widths, limits);
+        let bases = encode_list(&mut memory.words, inputs.lists.get(list), class, false, widths, limits);
         let words = memory.words.len() - first;
         memory.map.push(Mapped::Discrete { first, words, bases });
     }
@@ -165,7 +165,7 @@ pub fn encode(image: &CoreImage, limits: &Limits) -> Memory {
 fn encode_list(
     words: &mut Vec<u64>,
     list: &[Synapse],
-    image: &CoreImage,
+    class: &CoreClass,
     in_table: bool,
     widths: Widths,
     limits: &Limits,
@@ -173,7 +173,7 @@ fn encode_list(
     let mut bases = Vec::new();
     for group in list.chunk_by(|a, b| a.format == b.format) {
         let number = group[0].format;
-        let format = &image.formats[usize::from(number)];
+        let format = &class.formats[usize::from(number)];
         if compression(format) == Compression::Dense {
             bases.push(group[0].slot);
         }
@@ -237,8 +237,8 @@ fn encode_entry(
 /// The lists that a core's input axons select, as its words say them, with the slots that they lead
 /// to; or `None` when the words say nothing sensible.
 #[must_use]
-pub fn decode(memory: &Memory, image: &CoreImage, limits: &Limits) -> Option<Vec<Vec<Synapse>>> {
-    let (widths, inputs) = (widths(image, limits), &image.inputs);
+pub fn decode(memory: &Memory, class: &CoreClass, limits: &Limits) -> Option<Vec<Vec<Synapse>>> {
+    let (widths, inputs) = (widths(class, limits), &class.inputs);
     let mut discrete = memory.map.iter().skip(inputs.populations.len());
     let axons = (0..inputs.len()).map(|axon| inputs.axon(axon));
     axons
@@ -246,13 +246,13 @@ pub fn decode(memory: &Memory, image: &CoreImage, limits: &Limits) -> Option<Vec
             InputAxon::Discrete { .. } => {
                 let Mapped::Discrete { first, words, bases } = discrete.next()? else { return None };
                 let words = memory.words.get(*first..first + words)?;
-                decode_list(words, Some(bases), &image.formats, widths, limits)
+                decode_list(words, Some(bases), &class.formats, widths, limits)
             }
             InputAxon::Member { axon, atom } => {
                 let Mapped::Population { first, words, base } = memory.map.get(usize::from(axon))? else { return None };
                 let first = first + words * usize::from(atom);
                 let stored = memory.words.get(first..first + words)?;
-                let mut list = decode_list(stored, None, &image.formats, widths, limits)?;
+                let mut list = decode_list(stored, None, &class.formats, widths, limits)?;
                 list.iter_mut().for_each(|synapse| synapse.slot += base);
                 Some(list)
             }
@@ -312,19 +312,21 @@ fn decode_list(
 mod tests {
     use super::*;
     use crate::{Compiled, Options, compile};
+    use nsim_ir::base::id::CoreId;
     use nsim_ir::resource::Resource;
     use nsim_testing::{limits, random_network, slip, target};
 
     /// Encodes and decodes every core of a program; returns how many of its formats have runs.
     fn proved(compiled: &Compiled, limits: &Limits, what: &str) -> usize {
-        for (core, image) in compiled.program.cores().enumerate() {
-            let memory = encode(image, limits);
+        for core in compiled.program.cores().ids() {
+            let class = compiled.program.class_of(core);
+            let memory = encode(class, limits);
             let counted = compiled.partition.usage()[core][Resource::SynapseWords];
             assert_eq!(memory.words.len() as u64, counted, "{what} {core}: words");
-            let meant: Vec<Vec<Synapse>> = image.inputs.iter().map(|list| list.synapses().collect()).collect();
-            assert_eq!(decode(&memory, image, limits), Some(meant), "{what} {core}");
+            let meant: Vec<Vec<Synapse>> = class.inputs.iter().map(|list| list.synapses().collect()).collect();
+            assert_eq!(decode(&memory, class, limits), Some(meant), "{what} {core}");
         }
-        let formats = compiled.program.cores().iter().flat_map(|image| &image.formats);
+        let formats = compiled.program.classes().iter().flat_map(|class| &class.formats);
         formats.filter(|format| format.skip_bits.is_some()).count()
     }
 
@@ -347,13 +349,13 @@ mod tests {
     #[test]
     fn a_changed_word_is_another_synapse() {
         let compiled = compile(slip(50), &target(1, 1, limits()), &Options::default()).unwrap();
-        let image = &compiled.program.cores().as_slice()[0];
-        let good = encode(image, &limits());
-        let meant = decode(&good, image, &limits());
+        let class = compiled.program.class_of(CoreId(0));
+        let good = encode(class, &limits());
+        let meant = decode(&good, class, &limits());
         for bit in [12, 200, 1_000] {
             let mut bad = good.clone();
             bad.words[bit / 64] ^= 1 << (bit % 64);
-            assert_ne!(decode(&bad, image, &limits()), meant, "bit {bit}");
+            assert_ne!(decode(&bad, class, &limits()), meant, "bit {bit}");
         }
     }
 }

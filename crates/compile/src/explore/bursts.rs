@@ -72,7 +72,7 @@ pub fn followed_us(
     let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
     let mut step = StepActivity::new(program.cores().len());
     for (counts, image) in step.cores.as_mut_slice().iter_mut().zip(program.cores()) {
-        let compartments = image.compartments.len() as u64;
+        let compartments = image.ids.len() as u64;
         (counts.visited, counts.active) = (compartments, compartments);
     }
     let spikes = |&id: &u32| rng::unit(SEED, id.into(), 0) < chance;

@@ -7,7 +7,6 @@
 //! bursts; the estimate is for comparing mappings.
 
 use std::cmp::Ordering;
-use std::collections::HashMap;
 use std::ops::Range;
 
 use rayon::prelude::*;
@@ -20,12 +19,12 @@ use nsim_cost::model::{core_time, route_time, step_energy};
 use nsim_cost::transport::Transport;
 use nsim_ir::activity::{CoreCounts, StepActivity};
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::id::{ChannelId, CoreId, Id};
+use nsim_ir::base::id::{ChannelId, CoreId, Id, IdVec};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates::{Rates, UNIT};
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::{Placement, Site};
-use nsim_ir::program::{AxonTarget, Program};
+use nsim_ir::program::{AxonTarget, CoreImage, Program};
 use nsim_partition::options::Objective;
 
 /// What a mapping is expected to be worth.
@@ -126,7 +125,7 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
                     sum.add_routes(program.mesh().route(image.site, sites[message.core.index()]), rate);
                 }
             }
-            let steps = image.compartments.len() as u64 * UNIT as u64;
+            let steps = image.ids.len() as u64 * UNIT as u64;
             sum.cores[core].visited += steps;
             sum.cores[core].active += steps;
         }
@@ -158,35 +157,30 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
 /// Adds what arrives at each core: an input axon is the end of one message, so it has the rate of
 /// one source.
 fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
-    let cores = program.cores().as_slice();
     let of_axons = match rates {
         Rates::Assumed(_) => None,
         Rates::Profile { .. } => Some(rates_of_axons(program, rates)),
     };
-    // At one rate for all, cores that hold the same lists have as much arriving.
-    let mut first: HashMap<(usize, usize), CoreId> = HashMap::new();
-    let like: Vec<CoreId> = (0..)
-        .zip(cores)
-        .map(|(core, image)| {
-            let key = if of_axons.is_some() { core as usize + 1 } else { 0 };
-            let first = *first.entry((image.inputs.address(), key)).or_insert(CoreId(core));
-            if cores[first.index()].formats == image.formats { first } else { CoreId(core) }
-        })
-        .collect();
-    sum.cores.as_mut_slice().par_iter_mut().zip(cores).enumerate().for_each(|(core, (counts, image))| {
-        if like[core] != CoreId::new(core) {
+    // At one rate for all, cores of a class have as much arriving.
+    let firsts = program.first_cores();
+    let like = |(core, image): (CoreId, &CoreImage)| if of_axons.is_some() { core } else { firsts[image.class] };
+    let like: IdVec<CoreId, CoreId> = program.cores().enumerate().map(like).collect();
+    sum.cores.as_mut_slice().par_iter_mut().enumerate().for_each(|(core, counts)| {
+        let id = CoreId::new(core);
+        if like[id] != id {
             return;
         }
-        for (axon, list) in image.inputs.iter().enumerate() {
+        let class = program.class_of(id);
+        for (axon, list) in class.inputs.iter().enumerate() {
             let rate = of_axons.as_ref().map_or_else(|| rates.rate_of(0), |of_axons| of_axons[core][axon]);
             let list = list.stored;
-            let dense = list.iter().filter(|s| image.formats[usize::from(s.format)].index_bits.is_none()).count();
+            let dense = list.iter().filter(|s| class.formats[usize::from(s.format)].index_bits.is_none()).count();
             counts.messages_in += rate;
             counts.events_dense += dense as u64 * rate;
             counts.events_sparse += (list.len() - dense) as u64 * rate;
         }
     });
-    for (core, like) in (0..).map(CoreId).zip(like).filter(|(core, like)| core != like) {
+    for (core, &like) in like.enumerate().filter(|(core, like)| core != *like) {
         let CoreCounts { messages_in, events_dense, events_sparse, .. } = sum.cores[like];
         let counts = &mut sum.cores[core];
         counts.messages_in += messages_in;
@@ -197,7 +191,8 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
 
 /// The rate of the source that leads to each input axon, by core.
 fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
-    let mut of_axons: Vec<Vec<u64>> = program.cores().iter().map(|image| vec![0; image.inputs.len()]).collect();
+    let mut of_axons: Vec<Vec<u64>> =
+        program.cores().ids().map(|core| vec![0; program.class_of(core).inputs.len()]).collect();
     let mut leads = |message: &AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
     for image in program.cores() {
         for (id, messages) in image.ids.iter().zip(image.axons_out.iter()) {

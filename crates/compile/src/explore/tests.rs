@@ -9,6 +9,7 @@ use crate::explore::traffic;
 use crate::explore::traffic::traffic;
 use crate::mapping_file::one_copy;
 use crate::*;
+use nsim_check::equivalence::{check, check_copies};
 use nsim_check::sampled;
 use nsim_check::sampled::SampledCore;
 use nsim_ir::base::fixed::SignMode;
@@ -17,6 +18,7 @@ use nsim_ir::base::rng;
 use nsim_ir::graph::{PerCompartment, Shape, Window};
 use nsim_ir::mapping::{MappedLayer, OnChip};
 use nsim_ir::partition::{CoreUsage, Partition};
+use nsim_ir::program::{AxonTarget, CoreClass, Parts, Program};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, Resource};
@@ -25,7 +27,7 @@ use nsim_partition::strategy::box_fan_out::{PopulationRates, everywhere, only};
 use nsim_partition::strategy::boxes::Boxes;
 use nsim_partition::strategy::lattice;
 use nsim_partition::strategy::members::row_of_chips;
-use nsim_testing::{Builder, format, neurons, plain_format, target};
+use nsim_testing::{Builder, format, neurons, plain_format, target, without_classes};
 
 /// Limits with which output axons are counted by compartment.
 fn limits() -> Limits {
@@ -223,7 +225,7 @@ fn what_cannot_be_mapped_by_kernels_is_refused() {
 
 /// The tables of these cores.
 fn sample_of(mapping: &Mapping, cores: &[CoreId], limits: &Limits) -> Vec<SampledCore> {
-    sample(&mapping.quantised, &mapping.partition, &mapping.placement, cores, limits).unwrap()
+    sample(&mapping.quantised, &mapping.partition, cores, limits).unwrap()
 }
 
 #[test]
@@ -278,15 +280,15 @@ fn a_wrong_count_is_found() {
         checked(|_| {}, &sample).unwrap_err()
     };
     let weight = |one: &mut SampledCore| {
-        let format = one.image.formats[usize::from(one.image.inputs.lists.items()[0].format)].synapse;
+        let format = one.class.formats[usize::from(one.class.inputs.lists.items()[0].format)].synapse;
         let (low, high) = format.sign.range(format.bits);
-        let synapse = &mut one.image.inputs.lists.items_mut()[0];
+        let synapse = &mut one.class.inputs.lists.items_mut()[0];
         synapse.weight = if synapse.weight == low { high - high % format.sign.step(format.bits) } else { low };
     };
     assert!(wrong(&weight).contains("or other ones"));
     assert!(wrong(&|one| one.sources.swap(0, 1)).contains("or other ones"));
     assert!(wrong(&|one| one.sources.truncate(1)).contains("input axons"));
-    assert!(wrong(&|one| one.image.ids.swap(0, 1)).contains("other compartments"));
+    assert!(wrong(&|one| one.class.compartments[0].start_step += 1).contains("other compartments"));
 }
 
 /// A mapping in boxes, its board, and how it was made.
@@ -486,10 +488,56 @@ fn programs_of_boxes_are_those_written_synapse_by_synapse() {
         let Mapping { quantised: all, partition, placement, .. } = &mapping;
         let meant = route(all, partition, placement, (1, None), board.limits()).unwrap();
         let (written, sample) = route_boxes(all, partition, (placement, None), board.limits()).unwrap();
-        assert!(written == meant, "seed {seed}");
+        assert!(without_classes(&written) == without_classes(&meant), "seed {seed}");
+        // Every core is the first of its class or a shift of it.
+        let proven = check_copies(all, &written, 1).unwrap();
+        assert_eq!(proven as usize, written.cores().len() - written.classes().len(), "seed {seed}");
         (alike, cores) = (alike + partition.cores() - sample.len(), cores + partition.cores());
         let compiled = with_program(mapping, &board).unwrap();
-        assert!(*compiled.program == meant, "seed {seed}");
+        assert!(*compiled.program == written, "seed {seed}");
     }
     assert!(alike > 1_000 && cores > 2_000, "{alike} of {cores} cores are written as others are");
+}
+
+#[test]
+fn a_wrong_core_of_a_class_of_boxes_is_found() {
+    let mut found = [0; 3];
+    for seed in 0..40 {
+        let board = target(8, 8, limits().with(Resource::Compartments, 12));
+        let Ok(mapping) = symbolic(layered(seed), &board, &Options::default()) else { continue };
+        let Mapping { quantised: all, partition, placement, .. } = &mapping;
+        let (written, _) = route_boxes(all, partition, (placement, None), board.limits()).unwrap();
+        let firsts = written.first_cores();
+        let good = written.parts();
+        // A core that is not the first of its class, and that input channels send messages to.
+        let is_other = |to: &&AxonTarget| firsts[good.cores[to.core].class] != to.core;
+        let Some(&AxonTarget { core, .. }) = good.channels.items().iter().find(is_other) else { continue };
+        let image = &good.cores[core];
+        let mut wrong: Vec<(usize, Parts)> = Vec::new();
+        let with = |change: &dyn Fn(&mut Parts)| {
+            let mut parts = good.clone();
+            change(&mut parts);
+            parts
+        };
+        // The tables of another class with as many compartments and input axons.
+        let class = &good.classes[image.class];
+        let sizes = |of: &CoreClass| (of.compartments.len(), of.inputs.len());
+        let others = good.classes.enumerate().filter(|(_, other)| sizes(other) == sizes(class) && *other != class);
+        wrong.extend(others.map(|(other, _)| (0, with(&|parts| parts.cores[core].class = other))));
+        // One weight of this core alone.
+        let weight = |parts: &mut Parts| parts.class_mut(core).inputs.lists.items_mut()[0].weight ^= 2;
+        wrong.push((1, with(&weight)));
+        // The sources of two of its input axons change places.
+        let of_axon = |axon: u16| good.channels.items().iter().position(|to| *to == AxonTarget { core, axon });
+        if let (Some(a), Some(b)) = (of_axon(0), of_axon(1)) {
+            wrong.push((2, with(&|parts| parts.channels.items_mut().swap(a, b))));
+        }
+        for (kind, parts) in wrong {
+            let Ok(program) = Program::new(parts) else { continue };
+            let expected = check(all, &Program::new(without_classes(&program)).unwrap());
+            assert_eq!(check_copies(all, &program, 1).map(drop), expected, "seed {seed}, {kind}");
+            found[kind] += u32::from(expected.is_err());
+        }
+    }
+    assert!(found.iter().all(|&found| found > 3), "{found:?}");
 }

@@ -16,7 +16,7 @@ use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ChannelId, CoreId, Id};
 use nsim_ir::groups::{CoreGroups, Kind};
 use nsim_ir::placement::{Mesh, Route, Site};
-use nsim_ir::program::{AxonTarget, CoreImage, Program};
+use nsim_ir::program::{AxonTarget, CoreClass, Program};
 
 /// A link in one direction, or a sender's link into its router.
 pub(super) type Link = u32;
@@ -145,9 +145,9 @@ pub(super) struct Region {
 }
 
 /// Dense and sparse synapses of an input axon.
-fn events(image: &CoreImage, axon: u16) -> (u32, u32) {
-    let synapses = image.inputs.get(usize::from(axon)).stored;
-    let dense = |format: u8| image.formats[usize::from(format)].index_bits.is_none();
+fn events(class: &CoreClass, axon: u16) -> (u32, u32) {
+    let synapses = class.inputs.get(usize::from(axon)).stored;
+    let dense = |format: u8| class.formats[usize::from(format)].index_bits.is_none();
     let count = synapses.iter().filter(|synapse| dense(synapse.format)).count();
     (count as u32, (synapses.len() - count) as u32)
 }
@@ -248,7 +248,7 @@ impl MessageRoutes {
     fn new(program: &Program, kinds: &[Kind], groups: &[(usize, &[Site])]) -> Self {
         let cores = program.cores();
         let message = |target: &AxonTarget| {
-            let (events_dense, events_sparse) = events(&cores[target.core], target.axon);
+            let (events_dense, events_sparse) = events(program.class_of(target.core), target.axon);
             Message { core: target.core, events_dense, events_sparse }
         };
         let mut inputs = Csr::default();
@@ -260,7 +260,7 @@ impl MessageRoutes {
         for seat in program.seats() {
             let image = &cores[seat.core];
             spikes.push(image.axons_out.get(usize::from(seat.slot)).iter().map(message));
-            seats.push((seat.core, u32::from(seat.slot), image.compartments.len() as u32));
+            seats.push((seat.core, u32::from(seat.slot), image.ids.len() as u32));
         }
         let of_kind = |kind| groups.iter().filter(|group| group.0 == kind).count() as u64;
         let kinds = kinds.iter().enumerate();

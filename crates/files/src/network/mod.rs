@@ -11,6 +11,7 @@ mod resolve;
 mod write;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -18,7 +19,6 @@ use super::synapses::SynapseArrays;
 use nsim_ir::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::base::shared::Shared;
 use nsim_ir::locate::locate;
 use nsim_ir::neurons::{NeuronKind, Port};
 use nsim_ir::spanned::parse;
@@ -445,7 +445,7 @@ impl NetworkFile {
 pub struct Network {
     file: NetworkFile,
     source: SourceText,
-    arrays: Shared<BTreeMap<ArrayRef, Tensor>>,
+    arrays: Arc<BTreeMap<ArrayRef, Tensor>>,
 }
 
 impl Network {

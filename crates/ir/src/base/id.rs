@@ -69,6 +69,10 @@ define_id!(
     /// A core of a partition, before it has a place on the mesh.
     CoreId, "core"
 );
+define_id!(
+    /// A class of equal cores.
+    ClassId, "class"
+);
 
 /// A vector indexed by `I` only.
 #[derive(Clone, PartialEq, Eq, Deserialize, Serialize)]

@@ -10,6 +10,5 @@ pub mod folds;
 pub mod id;
 pub mod names;
 pub mod rng;
-pub mod shared;
 pub mod stats;
 pub mod units;

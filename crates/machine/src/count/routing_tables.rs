@@ -9,7 +9,7 @@
 
 use crate::deliver::prefetch::prefetch;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
-use nsim_ir::program::{AxonTarget, CoreFormat, CoreImage, Program, Stored, Synapse};
+use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, Program, Stored, Synapse};
 
 /// Messages in a batch: more than a processor core has outstanding misses, few enough for the
 /// first-level cache.
@@ -27,13 +27,13 @@ struct Core<'p> {
 }
 
 impl<'p> Core<'p> {
-    fn new(image: &'p CoreImage) -> Self {
-        let inputs = &image.inputs;
+    fn new(class: &'p CoreClass) -> Self {
+        let inputs = &class.inputs;
         Core {
             firsts: inputs.lists.firsts(),
             synapses: inputs.lists.items(),
-            formats: &image.formats,
-            inputs: Some(&**inputs).filter(|inputs| !inputs.populations.is_empty()),
+            formats: &class.formats,
+            inputs: Some(inputs).filter(|inputs| !inputs.populations.is_empty()),
         }
     }
 }
@@ -81,7 +81,7 @@ pub(crate) struct RoutingTables<'p> {
 impl<'p> RoutingTables<'p> {
     /// The tables of a program.
     pub fn new(program: &'p Program) -> Self {
-        RoutingTables { program, cores: program.cores().iter().map(Core::new).collect() }
+        RoutingTables { program, cores: program.cores().ids().map(|core| Core::new(program.class_of(core))).collect() }
     }
 
     /// Bytes of memory that they hold.

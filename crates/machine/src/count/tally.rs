@@ -18,14 +18,14 @@ use crate::count::routing_tables::{RoutingTables, Selected};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
+use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, IdVec};
 use nsim_ir::placement::{Route, Site};
-use nsim_ir::program::{CoreFormat, CoreImage, Program, Synapse};
+use nsim_ir::program::{CoreClass, CoreFormat, Program, Synapse};
 
 /// The longest delay field of a program's synapses.
 #[must_use]
 pub fn longest_delay(program: &Program) -> u32 {
-    let synapses = program.cores_with_own_tables().flat_map(|image| image.inputs.lists.items());
+    let synapses = program.classes().iter().flat_map(|class| class.inputs.lists.items());
     synapses.map(|synapse| u32::from(synapse.delay.get())).max().unwrap_or(0)
 }
 
@@ -51,14 +51,14 @@ enum ListKinds {
 const STORED_FROM: usize = 4;
 
 impl ListKinds {
-    fn new(image: &CoreImage) -> Self {
-        let lists = &image.inputs.lists;
-        match (image.formats.iter().any(is_dense), image.formats.iter().all(is_dense)) {
+    fn new(class: &CoreClass) -> Self {
+        let lists = &class.inputs.lists;
+        match (class.formats.iter().any(is_dense), class.formats.iter().all(is_dense)) {
             (_, true) => ListKinds::Dense,
             (false, false) => ListKinds::Sparse,
             (true, false) if lists.items().len() < STORED_FROM * lists.len() => ListKinds::Short,
             (true, false) => {
-                let dense: Vec<bool> = image.formats.iter().map(is_dense).collect();
+                let dense: Vec<bool> = class.formats.iter().map(is_dense).collect();
                 let of = |list: &[_]| list.iter().filter(|s: &&Synapse| dense[usize::from(s.format)]).count() as u32;
                 ListKinds::Both(lists.iter().map(of).collect())
             }
@@ -113,9 +113,8 @@ pub struct Tally<'p> {
     /// Whether this process counts input spikes, which all see.
     counts_inputs: bool,
     longest_delay: u32,
-    /// By core with tables of its own.
-    kinds: Vec<ListKinds>,
-    kind_of: IdVec<CoreId, u32>,
+    kinds: IdVec<ClassId, ListKinds>,
+    class_of: IdVec<CoreId, ClassId>,
     sites: IdVec<CoreId, Site>,
     tables: RoutingTables<'p>,
     /// By source, what its messages cause if every synapse is counted; `None` where there are more
@@ -153,21 +152,13 @@ impl<'p> Tally<'p> {
     /// The counts of a program.
     #[must_use]
     pub fn new(program: &'p Program) -> Self {
-        let kinds: Vec<ListKinds> = program.cores_with_own_tables().map(ListKinds::new).collect();
-        let (firsts, mut own) = (program.first_with_tables(), 0);
-        let mut kind_of: IdVec<CoreId, u32> = IdVec::new();
-        for (core, &first) in firsts.enumerate() {
-            let kind = if first == core { own } else { kind_of[first] };
-            own += u32::from(first == core);
-            kind_of.push(kind);
-        }
         let sites = program.cores().iter().map(|image| image.site).collect();
         Tally {
             program,
             counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
             longest_delay: longest_delay(program),
-            kinds,
-            kind_of,
+            kinds: program.classes().iter().map(ListKinds::new).collect(),
+            class_of: program.cores().iter().map(|image| image.class).collect(),
             sites,
             tables: RoutingTables::new(program),
             kept: OnceLock::new(),
@@ -185,7 +176,7 @@ impl<'p> Tally<'p> {
     pub fn bytes(&self) -> usize {
         let of = |kinds: &ListKinds| if let ListKinds::Both(dense) = kinds { size_of_val(dense.as_slice()) } else { 0 };
         let kinds: usize = self.kinds.iter().map(|kinds| size_of::<ListKinds>() + of(kinds)).sum();
-        kinds + 4 * self.kind_of.len() + size_of::<Site>() * self.sites.len() + self.tables.bytes()
+        kinds + 4 * self.class_of.len() + size_of::<Site>() * self.sites.len() + self.tables.bytes()
     }
 
     /// Synaptic events of a core's stored list whose delay field is below `reach`: (dense, sparse).
@@ -198,7 +189,7 @@ impl<'p> Tally<'p> {
         reach: u32,
     ) -> (u64, u64) {
         let known = if reach > self.longest_delay {
-            self.kinds[self.kind_of[core] as usize].split(list, stored.len() as u64)
+            self.kinds[self.class_of[core]].split(list, stored.len() as u64)
         } else {
             None
         };
@@ -379,7 +370,7 @@ impl<'p> Tally<'p> {
     pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
         let cores = self.program.cores().enumerate().zip(sum.cores.iter_mut());
         for ((_, image), counts) in cores.filter(|((core, _), _)| self.program.holds(*core)) {
-            counts.visited += image.compartments.len() as u64 * steps;
+            counts.visited += image.ids.len() as u64 * steps;
         }
     }
 }

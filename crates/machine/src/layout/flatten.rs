@@ -172,13 +172,14 @@ mod tests {
     use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
     use nsim_ir::base::csr::Csr;
     use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
-    use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, PopulationId};
+    use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
     use nsim_ir::base::rng;
     use nsim_ir::neurons::Port;
     use nsim_ir::partition::Seat;
     use nsim_ir::placement::{Mesh, Site};
     use nsim_ir::program::{
-        AxonTarget, Compartment, Compartments, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon, Stored, Synapse,
+        AxonTarget, Compartment, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon,
+        Stored, Synapse,
     };
     use nsim_ir::quantised::Neuron;
     use nsim_ir::quantised::connectivity::SynapseFormat;
@@ -241,7 +242,7 @@ mod tests {
             sent.push(messages);
         }
         let mut seats = vec![Seat { core: CoreId(0), slot: 0 }; compartments as usize];
-        let mut cores = Vec::new();
+        let (mut cores, mut classes) = (Vec::new(), IdVec::new());
         for (core, lists) in (0..).zip(lists) {
             let ids: Vec<CompartmentId> = (0..SLOTS).map(|slot| id(core, slot)).collect();
             let mut axons_out = Csr::default();
@@ -254,19 +255,18 @@ mod tests {
                 true => Stored::with_populations(lists, vec![table(0), table(7)], std::mem::take(&mut selected)),
                 false => Stored::discrete(lists),
             };
-            cores.push(CoreImage {
-                site: Site { chip: 0, x: core as u32, y: 0, core: 0 },
-                compartments: vec![Compartment { neuron: Neuron::PLAIN, start_step: 0 }; SLOTS as usize].into(),
-                ids,
+            let class = classes.push(CoreClass {
+                compartments: vec![Compartment { neuron: Neuron::PLAIN, start_step: 0 }; SLOTS as usize],
                 formats: vec![format(0, Some(4)), format(3, None)],
-                inputs: inputs.into(),
-                axons_out,
+                inputs,
             });
+            cores.push(CoreImage { site: Site { chip: 0, x: core as u32, y: 0, core: 0 }, class, ids, axons_out });
         }
         let mut channels = Csr::default();
         sent[..CHANNELS as usize].iter().for_each(|messages| channels.push(messages.iter().copied()));
         Program::new(Parts {
             mesh: Mesh { chips_x: 1, chips_y: 1, width: 16, height: 1, cores_per_tile: 1, cores_per_chip: 16 },
+            classes,
             cores: cores.into(),
             channels,
             seats: seats.into(),
@@ -296,11 +296,11 @@ mod tests {
         };
         let mut synapses = Vec::new();
         for message in messages {
-            let core = &program.cores()[message.core];
-            for synapse in core.inputs.get(usize::from(message.axon)).synapses() {
+            let (core, class) = (&program.cores()[message.core], program.class_of(message.core));
+            for synapse in class.inputs.get(usize::from(message.axon)).synapses() {
                 let place = image.lane(core.ids[usize::from(synapse.slot)]);
                 if synapse.delay.get() == delay && place.0 == shard {
-                    let exponent = core.formats[usize::from(synapse.format)].synapse.exponent.get();
+                    let exponent = class.formats[usize::from(synapse.format)].synapse.exponent.get();
                     synapses.push((place.1 as u32, synapse.weight << exponent));
                 }
             }

@@ -25,7 +25,7 @@ use nsim_dynamics::{arithmetic, kinds};
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
 use nsim_ir::neurons::Row;
-use nsim_ir::program::{CoreImage, Program};
+use nsim_ir::program::{CoreClass, Program};
 use nsim_ir::quantised::{Neuron, Reset};
 
 /// The lane of a compartment that another process holds.
@@ -207,7 +207,7 @@ impl Image {
     /// The parameters of a compartment.
     pub(crate) fn neuron(&self, compartment: CompartmentId) -> Neuron {
         let seat = self.program.seats()[compartment];
-        self.program.cores()[seat.core].compartments[usize::from(seat.slot)].neuron
+        self.program.class_of(seat.core).compartments[usize::from(seat.slot)].neuron
     }
 
     /// Shard and lane within it of a compartment.
@@ -245,7 +245,7 @@ impl Image {
             let field_of: Vec<u32> = slots
                 .iter()
                 .map(|&slot| {
-                    let compartment = core_image.compartments[usize::from(slot)];
+                    let compartment = parts.classes[core_image.class].compartments[usize::from(slot)];
                     *known.entry((compartment.neuron, compartment.start_step)).or_insert_with(|| {
                         let (neuron, start) = (compartment.neuron, compartment.start_step);
                         let fields = neuron::fields(&neuron, start, parts.semantics, parts.threshold);
@@ -342,14 +342,14 @@ impl Image {
         let factor = self.payloads.iter().map(greatest).max().unwrap_or(1).max(1);
         let bits = if self.payloads.is_empty() { 31 } else { 63 };
         let mut most = 0;
-        for image in self.program.cores_with_own_tables() {
-            let mut weight = vec![0u64; image.compartments.len()];
-            for synapse in image.inputs.synapses() {
-                let units = arithmetic::units(&synapse, &image.formats).unsigned_abs();
+        for (class, first) in self.program.classes().iter().zip(&self.program.first_cores()) {
+            let mut weight = vec![0u64; class.compartments.len()];
+            for synapse in class.inputs.synapses() {
+                let units = arithmetic::units(&synapse, &class.formats).unsigned_abs();
                 weight[usize::from(synapse.slot)] += u64::from(units) * factor;
             }
             if let Some(slot) = weight.iter().position(|&weight| weight >= 1 << bits) {
-                return Err(ImageError::FanIn(image.ids[slot], bits));
+                return Err(ImageError::FanIn(self.program.cores()[*first].ids[slot], bits));
             }
             most = weight.into_iter().fold(most, u64::max);
         }
@@ -480,8 +480,8 @@ impl Image {
     /// Lays out the synapses of all sources.
     fn connect(&mut self) -> Result<(), ImageError> {
         let mut delays: Vec<u8> = Vec::new();
-        for image in self.program.cores_with_own_tables() {
-            for synapse in image.inputs.lists.items() {
+        for class in self.program.classes() {
+            for synapse in class.inputs.lists.items() {
                 let delay = synapse.delay.get();
                 if !delays.contains(&delay) {
                     delays.push(delay);
@@ -533,8 +533,8 @@ impl Image {
 /// registers.
 fn payloads(program: &Program) -> Vec<Option<i32>> {
     let graded = &program.parts().graded;
-    let has_words = |image: &CoreImage| image.compartments.iter().any(|c| !c.neuron.kind.table().registers);
-    let plain = graded.is_empty() && !program.cores_with_own_tables().any(has_words);
+    let has_words = |class: &CoreClass| class.compartments.iter().any(|c| !c.neuron.kind.table().registers);
+    let plain = graded.is_empty() && !program.parts().classes.iter().any(has_words);
     let sources = if plain { 0 } else { program.channels() + program.compartments() };
     let mut payloads = vec![Some(1); sources as usize];
     for graded in graded {

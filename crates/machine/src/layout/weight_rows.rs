@@ -22,8 +22,8 @@ use crate::layout::lane_order::LaneOrder;
 use crate::update::kernel::LANES;
 use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::csr::Csr;
-use nsim_ir::base::id::{CoreId, Id};
-use nsim_ir::program::{CoreFormat, CoreImage, Program, Selected, Stored, Synapse};
+use nsim_ir::base::id::{ClassId, CoreId, Id};
+use nsim_ir::program::{CoreClass, CoreFormat, Program, Selected, Stored, Synapse};
 
 /// Lanes without a synapse that a row may bridge.
 const BRIDGED: u16 = LANES as u16;
@@ -131,29 +131,29 @@ pub(crate) struct ProgramRows {
 impl ProgramRows {
     /// The rows of a program.
     pub fn new(program: &Program) -> Self {
-        // Cores that hold the same lists in the same order of lanes are looked at once.
+        // Cores of a class in the same order of lanes are looked at once.
         let order = LaneOrder::new(program);
         let ranks: Vec<Vec<u16>> =
             program.cores().ids().collect::<Vec<_>>().par_iter().map(|&core| ranks(&order.slots(core))).collect();
-        let mut known: HashMap<(usize, &[CoreFormat], &[u16]), usize> = HashMap::new();
-        let mut firsts: Vec<(&CoreImage, &[u16], usize)> = Vec::new();
+        let mut known: HashMap<(ClassId, &[u16]), usize> = HashMap::new();
+        let mut firsts: Vec<(&CoreClass, &[u16], usize)> = Vec::new();
         let same: Vec<usize> = program
             .cores()
             .iter()
             .zip(&ranks)
             .map(|(image, ranks)| {
-                let first = *known.entry((image.inputs.address(), &image.formats, ranks)).or_insert_with(|| {
-                    firsts.push((image, ranks, 0));
+                let first = *known.entry((image.class, ranks.as_slice())).or_insert_with(|| {
+                    firsts.push((&program.classes()[image.class], ranks, 0));
                     firsts.len() - 1
                 });
                 firsts[first].2 += 1;
                 first
             })
             .collect();
-        let synapses: u64 = firsts.par_iter().map(|(image, _, cores)| image.inputs.count() * *cores as u64).sum();
+        let synapses: u64 = firsts.par_iter().map(|(class, _, cores)| class.inputs.count() * *cores as u64).sum();
         let found: Vec<Option<CoreRows>> = firsts
             .par_iter()
-            .map(|&(image, ranks, cores)| CoreRows::of_image(image, ranks, if synapses < MANY { 1 } else { cores }))
+            .map(|&(class, ranks, cores)| CoreRows::of_class(class, ranks, if synapses < MANY { 1 } else { cores }))
             .collect();
         let (mut rows, mut axons, mut place_of) = (WeightRows::default(), Vec::new(), Vec::new());
         let mut known: HashMap<Content, WeightRow> = HashMap::new();
@@ -209,13 +209,13 @@ struct CoreRows {
 
 impl CoreRows {
     /// The rows of a core's input axons, if they are shared enough when so many cores share them.
-    fn of_image(image: &CoreImage, ranks: &[u16], cores: usize) -> Option<Self> {
-        let stored: &Stored = &image.inputs;
+    fn of_class(class: &CoreClass, ranks: &[u16], cores: usize) -> Option<Self> {
+        let stored: &Stored = &class.inputs;
         let (mut contents, mut numbers) = (Vec::new(), HashMap::new());
         let mut axons = Csr::with_capacity(stored.len(), 0);
         let mut scratch = Vec::new();
         for axon in stored.iter() {
-            if let Some(rows) = rows_of(axon, ranks, &image.formats, &mut scratch) {
+            if let Some(rows) = rows_of(axon, ranks, &class.formats, &mut scratch) {
                 for (rank, delay, content) in rows {
                     let row = *numbers.entry(content).or_insert_with_key(|content: &Content| {
                         contents.push(content.clone());
