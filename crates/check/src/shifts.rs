@@ -70,7 +70,7 @@ struct Shifts<'a> {
 
 impl Shifts<'_> {
     /// The shift between two cores of a class, from their compartments.
-    fn of(&self, first: CoreId, core: CoreId) -> Option<Shift> {
+    fn between(&self, first: CoreId, core: CoreId) -> Option<Shift> {
         let [from, to] = [first, core].map(|core| &self.program.cores()[core].ids);
         let (one, other) = (from.first()?, to.first()?);
         let pairs = || from.iter().zip(to);
@@ -143,7 +143,7 @@ pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<Co
     let all: Vec<CoreId> = program.cores().ids().collect();
     let of = |&core: &CoreId| match is_first(core) {
         true => None,
-        false => shifts.of(firsts[program.cores()[core].class], core),
+        false => shifts.between(firsts[program.cores()[core].class], core),
     };
     let found: IdVec<CoreId, Option<Shift>> = all.par_iter().map(of).collect::<Vec<_>>().into();
     let compared: IdVec<CoreId, AtomicBool> = found.iter().map(|shift| AtomicBool::new(shift.is_none())).collect();
