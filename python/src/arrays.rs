@@ -149,7 +149,7 @@ impl<'py> Array<'py> {
     /// Calls `add` with the index in C order of every number that is not zero; refuses one that is
     /// not whole, as the reader of files does.
     ///
-    /// Most numbers of recordings are zero, so many are compared at a time.
+    /// Most numbers of recordings are zero, this many are compared at a time.
     pub fn each_non_zero(&self, mut add: impl FnMut(usize) -> Result<(), Problem>) -> PyResult<()> {
         let mut index = 0;
         if self.array.dtype().itemsize() == 1 {

@@ -256,7 +256,7 @@ impl Mapping {
         Energy::new(py, &self.0, &plan, spikes, &keywords)
     }
 
-    /// How long a timestep takes to simulate on one thread, measured for about so many `seconds`
+    /// How long a timestep takes to simulate on one thread, measured for about this many `seconds`
     /// while the first sample is shown over and over.
     ///
     /// Gives a dictionary: `us_per_timestep` (the median of the repeats), `fastest_us`, `spread_us`

@@ -220,9 +220,9 @@ impl Network {
     ///
     /// `against` is 'srm', 'cuba' or 'golden', by default what was trained; `conversion` 'search'
     /// or 'analytic' is how spike response neurons become integers, the search on
-    /// `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only so many
-    /// timesteps of each sample; `attribution` finds the causes, on `attribution_samples` (100).
-    /// `spikes` and its keywords are those of `Mapping.run`.
+    /// `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only this
+    /// many timesteps of each sample; `attribution` finds the causes, on `attribution_samples`
+    /// (100). `spikes` and its keywords are those of `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
         text_signature = "($self, spikes=None, *, target='nahuku-32', against=None, conversion='search', \
@@ -245,10 +245,10 @@ impl Network {
     /// The network in integers, searched for on samples: `nsim convert`.
     ///
     /// The search takes `calibration_samples` (60) of the sources `calibrate`: by default the scene
-    /// with another seed, or the first half of `spikes`. `fine_tune` then trains for so many epochs
-    /// as the training file `training` says (by default the one that ships under the model's name),
-    /// on the sources `train`. `spikes`, on which the result is judged, and its keywords are those
-    /// of `Mapping.run`.
+    /// with another seed, or the first half of `spikes`. `fine_tune` then trains for this many
+    /// epochs as the training file `training` says (by default the one that ships under the model's
+    /// name), on the sources `train`. `spikes`, on which the result is judged, and its keywords are
+    /// those of `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
         text_signature = "($self, spikes=None, *, target='nahuku-32', calibrate=None, calibration_samples=60, \

@@ -29,7 +29,7 @@ pub fn sweep_len(py: Python<'_>, path: PathBuf, text: String) -> PyResult<u64> {
     Ok(parsed(py, path, text)?.len())
 }
 
-/// Runs part `number` (from 0) of `parts` on so many threads; its table as CSV.
+/// Runs part `number` (from 0) of `parts` on this many threads; its table as CSV.
 #[pyfunction]
 pub fn sweep_part(
     py: Python<'_>,

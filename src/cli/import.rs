@@ -76,7 +76,7 @@ pub struct Args {
     /// The step at which the first layer starts, each next one a step later
     #[arg(long, value_name = "STEP")]
     first_step: Option<u32>,
-    /// Reset u and v of each layer every so many steps, counted from its start
+    /// Reset u and v of each layer every this many steps, counted from its start
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u32).range(1..))]
     reset_interval: Option<u32>,
     /// The first of these resets, counted from a layer's start

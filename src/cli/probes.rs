@@ -31,8 +31,8 @@ pub enum ProbeFormat {
 /// What is recorded, and where it goes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ProbeArgs {
-    /// Record POPULATION.spikes, .message, .u, .v, .v_register or a word of the kind's state into -o;
-    /// spikes when it says no more than a name, which may have * and ?
+    /// Record POPULATION.spikes, .message, .u, .v, .v_register or a word of the kind's state into
+    /// -o; spikes when it says no more than a name, which may have * and ?
     #[arg(long, value_name = "POP[.WHAT]", requires = "output")]
     pub probe: Vec<String>,
     /// How probes are written
@@ -56,7 +56,7 @@ pub struct NamedProbe {
 enum Source {
     /// A register of compartments.
     Engine(Probe),
-    /// So many channels from this one on, which are the samples' own: their spikes, or what their
+    /// This many channels from this one on, which are the samples' own: their spikes, or what their
     /// messages carry.
     Input(ChannelId, u32, Option<Message>),
 }

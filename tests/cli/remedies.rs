@@ -459,7 +459,7 @@ fn each_way_out_of_a_refusal_is_one() {
     }
 }
 
-/// A file of NumPy: 4 channels in 9 steps, of which so many bytes are there.
+/// A file of NumPy: 4 channels in 9 steps, of which this many bytes are there.
 fn array(bytes: usize) -> Vec<u8> {
     let fields = format!("{:<117}\n", "{'descr': '|u1', 'fortran_order': False, 'shape': (4, 9), }");
     [&b"\x93NUMPY\x01\x00\x76\x00"[..], fields.as_bytes(), &vec![1; bytes]].concat()
@@ -582,7 +582,7 @@ fn messages_name_options_commands_and_values_that_exist() {
     assert!(options > 150 && sets > 5, "{options} {sets}");
 }
 
-/// A board of so many cores.
+/// A board of this many cores.
 fn board_of(cores: i64, folder: &Path) -> String {
     let text = format!(
         "Target(base: \"tiny\", name: \"many\", width: 1, height: 1, chips_x: 1, chips_y: 1, cores_per_tile: {cores}, \

@@ -153,7 +153,7 @@ fn messages(network: &Quantised, core_of: &[usize]) -> u64 {
     sum
 }
 
-/// The least messages of all ways to put compartments on the fewest cores of so many.
+/// The least messages of all ways to put compartments on the fewest cores of this many.
 fn best_partition(network: &Quantised, n: usize, room: usize) -> u64 {
     fn go(network: &Quantised, core_of: &mut Vec<usize>, used: &mut Vec<usize>, n: usize, room: usize, best: &mut u64) {
         if core_of.len() == n {

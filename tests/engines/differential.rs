@@ -73,7 +73,7 @@ fn assert_same(golden: &Trace, fast: &Trace, what: &str) {
     assert_eq!((golden.totals, golden.overflow), (fast.totals, fast.overflow), "{what}: counts");
 }
 
-/// Three partitions: as few cores as possible, at most so many compartments a core, dealt out at
+/// Three partitions: as few cores as possible, at most this many compartments a core, dealt out at
 /// random.
 fn partitions(network: &Quantised, chip: &Target, few: u32, seed: u64) -> Vec<(&'static str, Compiled)> {
     // Searching for places takes most of the time and decides nothing here; dealt out, cores stand

@@ -197,8 +197,8 @@ fn recorded_layers_of_resonators_match_bit_for_bit() {
     }
 }
 
-/// A trained sigma-delta network from its own file: outputs of every input, and the messages of every
-/// layer for a scene that moves, by sums that their order and signs enter.
+/// A trained sigma-delta network from its own file: outputs of every input, and the messages of
+/// every layer for a scene that moves, by sums that their order and signs enter.
 #[test]
 fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
     let Some(folder) = data("loihi2/pilotnet_sdnn") else { return };

@@ -21,8 +21,8 @@ use nsim::quantise::relays::{Relayed, relayed};
 
 const NETWORKS: u64 = 400;
 
-/// The spikes of the compartments of the original, each so many steps earlier as its population is
-/// late.
+/// The spikes of the compartments of the original, each this many steps earlier as its population
+/// is late.
 fn spikes(
     engine: &mut dyn Engine,
     network: &Quantised,

@@ -96,7 +96,7 @@ fn the_tiny_network_of_lava_dl_gives_its_recorded_spikes() {
     let network = import(&data.join("network.net"), &Options::default());
     let input = of_array(&data.join("input.npy"), 0);
     assert_eq!(spikes(&network, "layer1", 16, input.clone()), of_array(&data.join("layer1.npy"), 0));
-    // Layer 2 hears layer 1 a step later than in SLAYER's time.
+    // Layer 2 receives layer 1 a step later than in SLAYER's time.
     assert_eq!(spikes(&network, "layer2", 17, input), of_array(&data.join("output.npy"), 1));
 }
 
@@ -383,7 +383,7 @@ fn a_deep_network_with_an_image_and_resets_gives_what_its_equations_give() {
         assert!(wanted.len() > 20, "layer {level} has {} spikes", wanted.len());
         assert_eq!(found, wanted, "layer {level}");
     }
-    // The dense layer hears the last convolution in the order C, H, W.
+    // The dense layer receives the last convolution in the order C, H, W.
     let flat = |step: usize| expected[step][11].iter().enumerate().filter(|(_, on)| **on).map(|(i, _)| i);
     let (mut u, mut v, mut wanted) = (vec![0i64; 5], vec![0i64; 5], Spikes::new());
     for step in 0..interval as usize {

@@ -133,8 +133,8 @@ fn sizes_are_refused_from_shapes() {
     }
 }
 
-/// A pickle of a dictionary with so many views of one storage of `numbers` floats (opcodes: CPython
-/// `pickletools.py`).
+/// A pickle of a dictionary with this many views of one storage of `numbers` floats (opcodes:
+/// CPython `pickletools.py`).
 fn pickle(tensors: u32, numbers: u32) -> Vec<u8> {
     let mut out = b"\x80\x02}".to_vec();
     let text = |out: &mut Vec<u8>, text: &str| {

@@ -22,8 +22,8 @@ const CASES: u64 = 1_000;
 /// are slow.
 const LONGEST: Duration = Duration::from_secs(20);
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
-/// Memory that one may take: so much, so many times its input, and so many bytes a weight that its
-/// model draws from a seed.
+/// Memory that one may take: so much, this many times its input, and this many bytes a weight that
+/// its model draws from a seed.
 const MOST_KIB: u64 = 256 << 10;
 const MOST_TIMES: u64 = 32;
 const MOST_DRAWN: u64 = 48;
@@ -516,7 +516,7 @@ fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &Atom
             most = most.saturating_add((MOST_DRAWN * drawn(folder.path()).min(1 << 40)) / 1024);
         }
         let wait = begin.elapsed();
-        // Whoever has not waited longer has not computed longer, on two threads.
+        // A process that has not waited longer has not computed longer, on two threads.
         let busy = if wait > LONGEST / 2 { busy(child.id()) } else { Duration::ZERO };
         if busy > LONGEST || wait > LONGEST_WAIT || peak > most {
             let _ = child.kill();

@@ -24,7 +24,7 @@ fn a_command_alone() {
     println!("\npeak {}", peak.trim().trim_end_matches(" kB"));
 }
 
-/// The most memory that a command takes, in KiB; the input is noise of so many samples and steps.
+/// The most memory that a command takes, in KiB; the input is noise of this many samples and steps.
 fn peak_kib(command: &[&str], samples: u32, steps: u32) -> u64 {
     let input = format!("scene:noise?samples={samples}&steps={steps}&rate=0.02&seed=3");
     let line =

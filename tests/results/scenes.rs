@@ -12,7 +12,7 @@ use nsim::ir::stimulus::SceneArg;
 use nsim::scene;
 use nsim::session::{Outcome, digest, inputs};
 
-/// The digest of all input spikes, (sample, step, channel), of a scene made by so many threads.
+/// The digest of all input spikes, (sample, step, channel), of a scene made by this many threads.
 fn made(network: &Quantised, argument: &str, threads: usize) -> String {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let argument = SceneArg::parse(argument).unwrap();

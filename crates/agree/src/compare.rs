@@ -72,7 +72,7 @@ pub struct Deployed<'a> {
     pub program: &'a Arc<Program>,
     /// In run order.
     pub samples: &'a [&'a Sample],
-    /// Compare only so many steps of each sample.
+    /// Compare only this many steps of each sample.
     pub steps: Option<u32>,
 }
 

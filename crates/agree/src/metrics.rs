@@ -41,7 +41,8 @@ pub struct TrainSums {
 }
 
 impl TrainSums {
-    /// Adds a neuron's trains of one sample of so many steps, `b` already shifted onto `a`'s steps.
+    /// Adds a neuron's trains of one sample of this many steps, `b` already shifted onto `a`'s
+    /// steps.
     pub fn trains(&mut self, a: &[u32], b: &[u32], steps: u32) {
         self.spikes_a += a.len() as u64;
         self.spikes_b += b.len() as u64;

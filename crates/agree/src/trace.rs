@@ -130,7 +130,7 @@ pub struct Divergence {
     pub potential_b: Option<f64>,
 }
 
-/// Both potentials around a divergence, in thresholds, from so many steps before it to so many
+/// Both potentials around a divergence, in thresholds, from this many steps before it to this many
 /// after.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Around {

@@ -27,7 +27,7 @@ impl Weights {
         Weights { all: VarMap::new(), seed, drawn: 0 }
     }
 
-    /// A tensor of weights with so many inputs.
+    /// A tensor of weights with this many inputs.
     ///
     /// # Errors
     /// Those of the crate.
@@ -78,7 +78,7 @@ pub struct Convolution {
     offset: Tensor,
 }
 
-/// What a convolution makes of so many places.
+/// What a convolution makes of this many places.
 #[must_use]
 pub fn halved(places: usize) -> usize {
     places.div_ceil(2)
@@ -109,7 +109,7 @@ impl Convolution {
         &self.offset
     }
 
-    /// With drawn weights, for planes of so many rows and columns.
+    /// With drawn weights, for planes of this many rows and columns.
     ///
     /// # Errors
     /// Those of the crate.

@@ -158,7 +158,7 @@ impl Ann {
         count as u64
     }
 
-    /// Events of one sense, summed in so many bins: `[samples, bins, units]`.
+    /// Events of one sense, summed in this many bins: `[samples, bins, units]`.
     fn binned(&self, samples: &[&Example], sense: usize, bins: usize) -> Result<Tensor> {
         let (channels, rows, columns) = self.senses.shapes[sense];
         let units = channels * rows * columns;

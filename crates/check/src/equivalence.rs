@@ -24,15 +24,15 @@
 //! another core of it. m is a *shift* of f when a map h of compartments and channels takes, slot by
 //! slot, the compartments of f to those of m, and axon by axon the sources of f to those of m, and
 //!
-//! - h adds so many copies, where N is equal copies that share nothing; or
-//! - the compartments are of one population, h adds so many rows and columns to each, and to each
+//! - h adds this many copies, where N is equal copies that share nothing; or
+//! - the compartments are of one population, h adds this many rows and columns to each, and to each
 //!   source these times the stride of every projection from its population, all of which are
 //!   windows.
 //!
-//! In both cases N has between h(s) and h(n) the synapses that it has between s and n. So if 2 holds
-//! of the synapses of f, each synapse of m is one of N. Shifts are therefore not compared. If what
-//! is compared is equal, and P has as many synapses as N, then P has all synapses of N. Otherwise
-//! all cores are compared, which finds the first source that differs.
+//! In both cases N has between h(s) and h(n) the synapses that it has between s and n. So if 2
+//! holds of the synapses of f, each synapse of m is one of N. Shifts are therefore not compared. If
+//! what is compared is equal, and P has as many synapses as N, then P has all synapses of N.
+//! Otherwise all cores are compared, which finds the first source that differs.
 //!
 //! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing
 //! of the stages between. Sources are compared a piece at a time, of `synapses_of_piece` on
@@ -82,8 +82,8 @@ pub enum Difference {
     },
 }
 
-/// One synapse as both sides encode it, in one number, so that sorting is quick: port (1 bit), target
-/// (27), exponent (5), sign mode (2), bits (4), delay (6), weight (10).
+/// One synapse as both sides encode it, in one number, so that sorting is quick: port (1 bit),
+/// target (27), exponent (5), sign mode (2), bits (4), delay (6), weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct SynapseCode(u64);
 
@@ -129,7 +129,7 @@ pub fn check_neurons(network: &Quantised, program: &Program) -> Result<(), Diffe
     check_parameters(network, program)
 }
 
-/// The same of so many equal copies; how many cores were proven from the first of their class.
+/// The same of this many equal copies; how many cores were proven from the first of their class.
 ///
 /// # Errors
 /// As [`check`].

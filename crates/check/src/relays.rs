@@ -162,7 +162,7 @@ impl Walk<'_> {
         Ok(())
     }
 
-    /// Collects what a source reaches, so many steps after the spike of the source of all.
+    /// Collects what a source reaches, this many steps after the spike of the source of all.
     fn follow(
         &self,
         population: PopulationId,

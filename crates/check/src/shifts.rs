@@ -1,9 +1,10 @@
 //! Which cores are shifts of the first core of their class: the rule *Classes* of
 //! [`crate::equivalence`].
 //!
-//! Input: a network, so many copies, and a program for it. Output: for each core whether its synapses
-//! have to be compared with the network's. Those of the others follow from the first core of their
-//! class. Nothing is assumed of how either was made: the network's copies are compared too.
+//! Input: a network, this many copies, and a program for it. Output: for each core whether its
+//! synapses have to be compared with the network's. Those of the others follow from the first core
+//! of their class. Nothing is assumed of how either was made: the network's copies are compared
+//! too.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -44,9 +45,9 @@ impl Sizes {
 /// How a core differs from the first of its class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Shift {
-    /// Everything is so many copies later.
+    /// Everything is this many copies later.
     Copies(i64),
-    /// All compartments are of this population, so many rows and columns further on.
+    /// All compartments are of this population, this many rows and columns further on.
     Positions(PopulationId, (i64, i64)),
 }
 

@@ -5,7 +5,7 @@
 //! compiler's packing says in closed form; the two share no code, so a mistake in one is found by
 //! the other.
 //!
-//! An entry holds up to so many synapses: a header of 4 bits for the format and 6 for the count
+//! An entry holds up to this many synapses: a header of 4 bits for the format and 6 for the count
 //! (nengo-loihi e564f66 `builder/validate.py`, `bits_per_axon`), then perhaps the index of its
 //! first slot, then the synapses. A synapse has its weight, its delay where its group has one, and
 //! its slot: nothing where slots follow each other, the slots left out where they ascend, an index
@@ -37,7 +37,7 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// The layout of a core with so many compartments and this longest delay.
+    /// The layout of a core with this many compartments and this longest delay.
     pub fn of_core(compartments: u32, longest: Delay, limits: &Limits) -> Self {
         let nxtf = limits.packing == Packing::Nxtf;
         let mut index = INDEX.0;
@@ -55,7 +55,7 @@ impl Layout {
         Layout { index, delay, per_entry, nxtf }
     }
 
-    /// Words of a group of so many synapses of a format, in the list of a discrete axon or in a
+    /// Words of a group of this many synapses of a format, in the list of a discrete axon or in a
     /// table of a population axon.
     pub fn words(&self, format: CoreFormat, synapses: u32, in_table: bool) -> u32 {
         let slot = match (format.index_bits, format.skip_bits) {

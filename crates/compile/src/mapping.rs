@@ -29,8 +29,8 @@ pub enum Synapses {
 /// How the checker compared a mapping with its network.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Checked {
-    /// `whole`: every synapse of every core. `pattern`: every synapse of one core of each class, and
-    /// that the others of the class are shifts of it. `sampled`: every synapse of some cores.
+    /// `whole`: every synapse of every core. `pattern`: every synapse of one core of each class,
+    /// and that the others of the class are shifts of it. `sampled`: every synapse of some cores.
     pub how: &'static str,
     /// The share of the cores whose synapses are known to be the network's.
     pub share: f64,

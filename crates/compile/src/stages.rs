@@ -88,7 +88,7 @@ impl From<Quantised> for Front {
 }
 
 impl Front {
-    /// A network in integers, made in stages that took so many seconds each.
+    /// A network in integers, made in stages that took this many seconds each.
     #[must_use]
     pub fn measured(one: Quantised, seconds: Vec<(&'static str, f64)>) -> Self {
         Front { one, clock: Clock(seconds), relays: None }

@@ -128,8 +128,8 @@ impl CostTable {
         }
     }
 
-    /// Equation (10): the time of a barrier over so many tiles, linear between the preset's entries
-    /// (rounded down to a picosecond), constant before the first and after the last.
+    /// Equation (10): the time of a barrier over this many tiles, linear between the preset's
+    /// entries (rounded down to a picosecond), constant before the first and after the last.
     #[must_use]
     pub fn barrier(&self, tiles: u64) -> Picoseconds {
         let after = self.barrier.partition_point(|&(at, _)| at < tiles);

@@ -165,8 +165,8 @@ impl StepMeter {
         StepMeter::new(self.settings.clone())
     }
 
-    /// Adds a timestep that happened so many times in a row; `decided` when its sample was decided
-    /// before.
+    /// Adds a timestep that happened this many times in a row; `decided` when its sample was
+    /// decided before.
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
         let MeterSettings { tables, timing, routes, timestep, distribution, by_step } = &*self.settings;
         let step_times = routes.step_times(step, tables, *timing, &mut self.memory);

@@ -49,7 +49,7 @@ pub struct Quantiles {
 }
 
 impl Quantiles {
-    /// Adds a number so many times; a negative one counts as 0.
+    /// Adds a number this many times; a negative one counts as 0.
     pub fn add(&mut self, value: f64, times: u64) {
         if times == 0 {
             return;
@@ -80,7 +80,7 @@ impl Quantiles {
         self.count
     }
 
-    /// The least number that so many percent do not exceed, within 2^-10 of its value; none of
+    /// The least number that this many percent do not exceed, within 2^-10 of its value; none of
     /// nothing.
     #[must_use]
     pub fn percentile(&self, percent: u32) -> Option<f64> {

@@ -30,8 +30,8 @@ pub struct Kind {
     /// Equation (8): what the chip's voltage register reads after an update; the last argument says
     /// whether it spiked.
     pub voltage_register: fn(&Neuron, Semantics, &Registers, bool) -> i32,
-    /// The dynamics in real numbers, from a model's parameters: of this compartment, at so many ms
-    /// a timestep.
+    /// The dynamics in real numbers, from a model's parameters: of this compartment, at this many
+    /// ms a timestep.
     pub model: fn(&NeuronParameters, u32, f64) -> RealForm,
 }
 
@@ -151,7 +151,7 @@ impl Arrivals {
         *if added < 0 { &mut self.low } else { &mut self.high } += added;
     }
 
-    /// Whether both fit so many bits and a sign.
+    /// Whether both fit this many bits and a sign.
     #[must_use]
     pub fn fit(self, bits: u32) -> bool {
         -(1i64 << bits) <= self.low && self.high < 1i64 << bits
@@ -171,7 +171,7 @@ pub struct RealForm {
     pub threshold: f64,
     /// Added to the voltage in each step.
     pub bias: f64,
-    /// The next spike comes at least so many steps after one; at least 1.
+    /// The next spike comes at least this many steps after one; at least 1.
     pub refractory: u32,
     /// A spike subtracts the threshold from v instead of setting it to 0.
     pub subtracts: bool,

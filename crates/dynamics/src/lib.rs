@@ -99,8 +99,8 @@ pub fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZer
     }
 }
 
-/// A compartment of a model in real numbers, at so many ms a timestep; [`Graph::has_real_form`] says
-/// whether all have such a form.
+/// A compartment of a model in real numbers, at this many ms a timestep; [`Graph::has_real_form`]
+/// says whether all have such a form.
 #[must_use]
 pub fn model(parameters: &NeuronParameters, index: u32, timestep_ms: f64, semantics: Semantics) -> RealForm {
     let endless = parameters.value("refractory", index) < 1.0;

@@ -87,7 +87,7 @@ impl Work {
         Work { projections: projections.collect(), layers: layers.map(|population| population.shape.len()).collect() }
     }
 
-    /// Seconds of a window of so many steps at a peak rate and bandwidth, without overheads:
+    /// Seconds of a window of this many steps at a peak rate and bandwidth, without overheads:
     /// equation (18).
     fn roofline_s(&self, steps: f64, gflops: f64, gb_s: f64) -> f64 {
         let bound = |operations: f64, bytes: f64| (operations / (gflops * 1e9)).max(bytes / (gb_s * 1e9));
@@ -295,7 +295,8 @@ impl Baseline {
         Some(figures.row(&self.file.hardware, convention, steps))
     }
 
-    /// Equations (18) and (19) for so many timesteps of one pass; the latency is that of the pass.
+    /// Equations (18) and (19) for this many timesteps of one pass; the latency is that of the
+    /// pass.
     fn windows(&self, work: &Work, timesteps: f64) -> Option<Figures> {
         let roofline = self.file.roofline.as_ref()?;
         let value = |figure: &crate::published::baseline::RooflineFigure| figure.value.value;

@@ -48,7 +48,7 @@ pub struct Timed {
     pub timesteps: u64,
 }
 
-/// Repeats something that passes over so many timesteps, for about so long.
+/// Repeats something that passes over this many timesteps, for about so long.
 pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed {
     let once = |pass: &mut dyn FnMut()| {
         let begin = Instant::now();

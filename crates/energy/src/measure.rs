@@ -17,7 +17,7 @@ use nsim_ir::spikes::{Engine, Sample};
 pub enum Budget {
     /// About so long, warm-up included, though never fewer than [`LEAST_REPEATS`] repeats.
     Time(Duration),
-    /// Exactly so many steps in one repeat, without warm-up: for counting instructions.
+    /// Exactly this many steps in one repeat, without warm-up: for counting instructions.
     Steps(u64),
 }
 
@@ -56,7 +56,7 @@ impl StepTiming {
     }
 }
 
-/// So many steps from this one on, with the period's input over and over; returns the step that
+/// This many steps from this one on, with the period's input over and over; returns the step that
 /// comes next. It is a function of its own so that a profiler can count what it, and nothing else,
 /// does.
 #[inline(never)]
@@ -87,7 +87,7 @@ pub fn measure_agreed<E: Engine>(
     budget: Budget,
     mut agreed: impl FnMut(u64) -> u64,
 ) -> StepTiming {
-    // So many steps never come: nothing is near the end, where deliveries would no longer be
+    // This many steps never come: nothing is near the end, where deliveries would no longer be
     // counted.
     engine.begin(u32::MAX);
     let (mut at, size, repeats) = match budget {

@@ -86,7 +86,7 @@ pub fn rows(
     found
 }
 
-/// The row of a command on a GPU that passes so many timesteps.
+/// The row of a command on a GPU that passes this many timesteps.
 #[cfg(feature = "nvml")]
 pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: Convention, found: &mut Rows) {
     use crate::gpu;

@@ -96,7 +96,7 @@ pub struct PackagePower {
 }
 
 impl PackagePower {
-    /// A desktop processor's package for this machine, of which so many threads compute, for when
+    /// A desktop processor's package for this machine, of which this many threads compute, for when
     /// nothing says better.
     pub fn assumed(used: usize) -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -120,7 +120,7 @@ pub enum PowerMeter {
         /// Power at idle.
         idle_mw: f64,
     },
-    /// As stated by whoever runs nsim.
+    /// As stated by the user.
     Stated {
         /// Power at idle.
         idle_mw: f64,

@@ -310,7 +310,7 @@ impl Export<'_> {
         let mut out = format!(
             "# {} for SANA-FE 2.2; written by nsim energy --export-sanafe.\n# run: timesteps={steps} leading={} \
              mixed={}\n\
-             # Run it for so many timesteps; of those, `leading` go before nsim's first. Synaptic events of the last \
+             # Run it for this many timesteps; of those, `leading` go before nsim's first. Synaptic events of the last \
              timestep's\n\
              # spikes are charged by SANA-FE and not by nsim, whose samples end before they arrive. `mixed` \
              compartments are\n\

@@ -27,7 +27,7 @@ pub const MOST_FIXED: u64 = 64 << 20;
 /// Bytes that a file may cost in addition, for each byte of its own.
 pub const MOST_RATIO: u64 = 12;
 
-/// Bytes that packets may decompress to, and so many in addition for each byte that was read.
+/// Bytes that packets may decompress to, and this many in addition for each byte that was read.
 /// Events are 16 bytes of which 8 hardly change, which no compression makes a hundred times
 /// smaller.
 const PACKETS_FIXED: u64 = 32 << 20;
@@ -68,7 +68,7 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// The budget of a file of so many bytes, items and depth.
+    /// The budget of a file of this many bytes, items and depth.
     #[must_use]
     pub fn for_file(bytes: u64, most_items: usize, deepest: usize) -> Budget {
         let (fixed, ratio) = (MOST_FIXED, MOST_RATIO);
@@ -84,12 +84,12 @@ impl Budget {
         Budget { fixed, ratio, bytes: fixed, items: usize::MAX, most_items: usize::MAX, deepest: 0 }
     }
 
-    /// So many bytes more have been read.
+    /// This many bytes more have been read.
     pub fn grow(&mut self, bytes: u64) {
         self.bytes = self.bytes.saturating_add(self.ratio.saturating_mul(bytes));
     }
 
-    /// Takes so many samples of so many timesteps, before their spikes.
+    /// Takes this many samples of this many timesteps, before their spikes.
     ///
     /// # Errors
     /// [`Exceeded::Bytes`].
@@ -97,7 +97,7 @@ impl Budget {
         self.bytes(count.saturating_mul(STEP.saturating_mul(steps).saturating_add(SAMPLE)))
     }
 
-    /// Takes so many numbers that are stored in `width` bytes each and become reals.
+    /// Takes this many numbers that are stored in `width` bytes each and become reals.
     ///
     /// # Errors
     /// [`Exceeded::Bytes`].
@@ -105,7 +105,7 @@ impl Budget {
         self.bytes(count.saturating_mul(width.saturating_add(8)))
     }
 
-    /// Takes so many bytes.
+    /// Takes this many bytes.
     ///
     /// # Errors
     /// [`Exceeded::Bytes`].

@@ -113,7 +113,7 @@ pub fn within<T>(changes: &[Change], read: impl FnOnce() -> T) -> T {
 /// A sentence for what is not `PATH=VALUE`.
 pub fn set(typed: &[String]) -> Result<(), String> {
     let changes = typed.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>()?;
-    // Whoever set them first has read files with them.
+    // The first to set them has read files with them.
     let _ = CHANGES.set(changes);
     Ok(())
 }

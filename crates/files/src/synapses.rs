@@ -52,7 +52,7 @@ impl SynapseArrays {
         given.into_iter().chain(optional).filter_map(|(name, array)| Some((name, array?)))
     }
 
-    /// The synapses, in the order of the arrays, between so many sources and so many targets;
+    /// The synapses, in the order of the arrays, between this many sources and this many targets;
     /// `text` is that of the model, in which the projection is `declared`.
     ///
     /// # Errors

@@ -52,7 +52,7 @@ fn ten() -> f64 {
 pub enum TimesDesc {
     /// The same for all.
     Same(f64),
-    /// So many values from one to another in a geometric series, assigned to the neurons in turn.
+    /// This many values from one to another in a geometric series, assigned to the neurons in turn.
     Spread(f64, f64, u32),
 }
 
@@ -177,9 +177,9 @@ pub enum OptimiserDesc {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AugmentDesc {
-    /// The whole sample is moved by up to so many steps, either way.
+    /// The whole sample is moved by up to this many steps, either way.
     pub shift: u32,
-    /// Each spike is moved by up to so many steps, either way.
+    /// Each spike is moved by up to this many steps, either way.
     pub jitter: u32,
     /// The sample is stretched or squeezed in time by up to this share.
     pub stretch: f64,

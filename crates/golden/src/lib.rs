@@ -544,8 +544,8 @@ fn in_words(neuron: &Neuron, words: &mut [i64; 4], sums: [i64; 2]) -> Outcome {
     Outcome { q_wrapped: (0..2).any(|port| 64 * arrived[port] != sums[port]), ..outcome }
 }
 
-/// Rule (13) for such a kind: whether a step without arrivals would change nothing, send nothing and
-/// report nothing.
+/// Rule (13) for such a kind: whether a step without arrivals would change nothing, send nothing
+/// and report nothing.
 fn is_idle(neuron: &Neuron, words: &[i64; 4]) -> bool {
     let mut after = *words;
     let Outcome { spiked, u_wrapped, v_clipped, .. } = in_words(neuron, &mut after, [0; 2]);

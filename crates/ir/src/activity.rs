@@ -14,7 +14,7 @@ use crate::placement::Route;
 macro_rules! counts {
     ($counts:ident: $($field:ident),*) => {
         impl $counts {
-            /// The same, so many times over.
+            /// The same, this many times over.
             #[must_use]
             pub fn times(self, times: u64) -> Self {
                 $counts { $($field: self.$field * times,)* }
@@ -117,7 +117,7 @@ impl CoreCounts {
         [messages_in, events_dense, events_sparse, visited, active, spikes, messages_out]
     }
 
-    /// Counts from so many words.
+    /// Counts from this many words.
     ///
     /// # Panics
     /// When there are fewer: a mistake of the caller.
@@ -161,7 +161,7 @@ impl HopCounts {
         self.east_west + self.north_south
     }
 
-    /// Adds the route of so many messages.
+    /// Adds the route of this many messages.
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.local += u64::from(route.links() == 0) * times;
         self.east_west += u64::from(route.east_west) * times;
@@ -226,7 +226,7 @@ impl StepActivity {
         self.spikes_out += other.spikes_out;
     }
 
-    /// Adds the route of so many messages.
+    /// Adds the route of this many messages.
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.hops.add_routes(route, times);
         self.longest = self.longest.max(route);
@@ -270,7 +270,7 @@ impl Activity {
         self.steps += times;
     }
 
-    /// Adds the sum of so many timesteps.
+    /// Adds the sum of this many timesteps.
     ///
     /// # Panics
     /// As [`Activity::add_steps`].

@@ -40,7 +40,7 @@ pub struct Dealt {
 }
 
 impl Dealt {
-    /// Whether so many cores each have a rank.
+    /// Whether this many cores each have a rank.
     #[must_use]
     pub fn is_of(&self, cores: usize) -> bool {
         self.owners.len() == cores && self.owners.iter().all(|&owner| owner < self.ranks)

@@ -29,21 +29,21 @@ pub enum Rates {
 }
 
 impl Rates {
-    /// So many spikes a step of every source.
+    /// This many spikes a step of every source.
     #[must_use]
     pub fn assumed(rate: f64) -> Self {
         Rates::Assumed(((rate * UNIT).round() as u64).max(LEAST))
     }
 
-    /// From how often each channel and each compartment spiked in so many steps.
+    /// From how often each channel and each compartment spiked in this many steps.
     #[must_use]
     pub fn profile(channels: &[u64], compartments: &[u64], steps: u64) -> Self {
         let rate = |&spikes: &u64| ((spikes as f64 * UNIT / steps.max(1) as f64).round() as u64).max(LEAST);
         Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
     }
 
-    /// From what was counted in so many steps of one network, or of several copies that all did the
-    /// same.
+    /// From what was counted in this many steps of one network, or of several copies that all did
+    /// the same.
     ///
     /// # Panics
     /// When the counts are of fewer channels or compartments than the network has.
@@ -64,7 +64,7 @@ impl Rates {
         }
     }
 
-    /// The rate of a source of a network with so many channels.
+    /// The rate of a source of a network with this many channels.
     #[must_use]
     pub fn of_source(&self, source: SpikeSource, channels: u32) -> u64 {
         self.rate_of(match source {
@@ -73,7 +73,7 @@ impl Rates {
         })
     }
 
-    /// The same for so many copies of the network: channels of all copies first, then their
+    /// The same for this many copies of the network: channels of all copies first, then their
     /// compartments.
     #[must_use]
     pub fn copies(&self, copies: u32) -> Rates {

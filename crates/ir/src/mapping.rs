@@ -106,7 +106,7 @@ mod strides {
                 }
                 _ => {
                     return Err(D::Error::custom(
-                        "a core holds a population either from first on, so many, or at places",
+                        "a core holds a population either from first on, this many, or at places",
                     ));
                 }
             }

@@ -105,9 +105,9 @@ pub enum Emits {
 /// Where a core keeps a parameter, and what limits how many values there are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kept {
-    /// With others in a profile of compartments; a core has so many profiles.
+    /// With others in a profile of compartments; a core has this many profiles.
     Profile,
-    /// In a table of thresholds; a core has so many.
+    /// In a table of thresholds; a core has this many.
     Threshold,
     /// With each compartment.
     Each,

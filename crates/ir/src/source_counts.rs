@@ -29,7 +29,7 @@ pub struct SourceCounts {
 }
 
 impl SourceCounts {
-    /// No spikes of so many channels and compartments.
+    /// No spikes of this many channels and compartments.
     #[must_use]
     pub fn new(channels: usize, compartments: usize) -> Self {
         SourceCounts {

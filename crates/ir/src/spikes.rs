@@ -16,7 +16,7 @@ pub enum Message {
     Spike,
     /// The same integer each.
     Payload(Payload),
-    /// An integer that the neuron computes or the input gives, of at most so many bits. A greater
+    /// An integer that the neuron computes or the input gives, of at most this many bits. A greater
     /// one is sent whole and reported.
     Value(MessageBits),
 }
@@ -185,7 +185,7 @@ impl Sample {
         Sample { label, ..self }
     }
 
-    /// The channels that spike in a step when each of so many copies of a network, one after the
+    /// The channels that spike in a step when each of this many copies of a network, one after the
     /// other, sees the sample: ascending, each once. They are written to `shown` where there are
     /// several copies.
     pub fn at_copies<'s>(
@@ -208,7 +208,7 @@ impl Sample {
         Spikes { ids: shown, values }
     }
 
-    /// The same spikes on the channels of so many copies of a network, one after the other.
+    /// The same spikes on the channels of this many copies of a network, one after the other.
     #[must_use]
     pub fn copies(&self, copies: u32, channels: u32) -> Sample {
         let spikes =
@@ -229,7 +229,7 @@ impl Sample {
         self
     }
 
-    /// The first so many steps, or all of a shorter sample.
+    /// The first this many steps, or all of a shorter sample.
     #[must_use]
     pub fn beginning(&self, steps: u32) -> Sample {
         let first = self.first[..=steps.min(self.steps()) as usize].to_vec();

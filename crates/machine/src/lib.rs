@@ -51,7 +51,7 @@ impl Default for Settings {
     }
 }
 
-/// From so many events a skip block on, a step visits every skip block: marking an arrival costs
+/// From this many events a skip block on, a step visits every skip block: marking an arrival costs
 /// about as much as adding it, and visiting a skip block at rest as much as a few dozen additions.
 const VISIT_ALL_FROM: u64 = 8;
 

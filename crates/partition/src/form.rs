@@ -30,7 +30,7 @@ pub enum Form {
 }
 
 impl Form {
-    /// The form of so many copies of a network: symbolic when it has more than [`MOST_WRITTEN`]
+    /// The form of this many copies of a network: symbolic when it has more than [`MOST_WRITTEN`]
     /// synapses and consists of layers, so that it can be.
     #[must_use]
     pub fn for_network(one: &Quantised, copies: u32) -> Form {

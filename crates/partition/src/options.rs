@@ -56,8 +56,8 @@ named_variants!(CopyPlacement { Spread = "spread", Packed = "packed" });
 /// How much may be spent on looking for a better partition and placement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
-    /// What a reference machine does in so many seconds, counted in work, so that the result is the
-    /// same on every machine.
+    /// What a reference machine does in this many seconds, counted in work, so that the result is
+    /// the same on every machine.
     Work(u32),
     /// What this machine does until then.
     Within {
@@ -69,13 +69,13 @@ pub enum Effort {
 }
 
 impl Effort {
-    /// So many milliseconds from now on.
+    /// This many milliseconds from now on.
     #[must_use]
     pub fn within_ms(budget_ms: u32) -> Self {
         Effort::Within { budget_ms, end: Instant::now() + Duration::from_millis(budget_ms.into()) }
     }
 
-    /// Units of work, of which a reference machine does so many in a second.
+    /// Units of work, of which a reference machine does this many in a second.
     #[must_use]
     pub fn work(self, per_second: u64) -> u64 {
         match self {
@@ -96,7 +96,7 @@ impl Effort {
         }
     }
 
-    /// An equal part of it for each of so many.
+    /// An equal part of it for each of this many.
     #[must_use]
     pub fn shared_by(self, parts: usize) -> Self {
         match self {

@@ -14,7 +14,7 @@ pub fn copied_name(name: &str, k: u32) -> String {
     if k == 0 { name.to_string() } else { format!("{name}@{k}") }
 }
 
-/// So many copies. The output population is that of copy 0.
+/// This many copies. The output population is that of copy 0.
 ///
 /// # Errors
 /// [`Inconsistent`] when there are none, more units than a network may have, or a name that a copy

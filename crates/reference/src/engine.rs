@@ -151,7 +151,7 @@ impl<F: Real> Model<F> {
     }
 }
 
-/// The parameters of spike response neurons in timesteps of so many ms.
+/// The parameters of spike response neurons in timesteps of this many ms.
 #[must_use]
 pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
     srm::Parameters {

@@ -68,7 +68,7 @@ fn relays_text(AddedRelays { relays, levels, later }: &AddedRelays) -> String {
     match later.is_empty() {
         true => format!("{relays} in {levels}; no spike comes later"),
         false => format!(
-            "{relays} in {levels}; spikes come later, by so many steps: {}",
+            "{relays} in {levels}; spikes come later, by this many steps: {}",
             later.iter().map(of).collect::<Vec<_>>().join(", ")
         ),
     }

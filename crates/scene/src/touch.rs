@@ -116,8 +116,8 @@ pub struct Taxels {
 }
 
 impl Taxels {
-    /// So many taxels at rest. Thresholds belong to the fingers, not to the sample: they are drawn
-    /// from the seed alone.
+    /// This many taxels at rest. Thresholds belong to the fingers, not to the sample: they are
+    /// drawn from the seed alone.
     #[must_use]
     pub fn new(skin: &Skin, draws: Draws, fingers: Draws, count: usize) -> Self {
         let taxel = |k| Taxel {

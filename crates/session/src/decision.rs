@@ -19,7 +19,7 @@ use nsim_ir::quantised::{Quantised, Reset, Units};
 /// What decides a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rule {
-    /// The leading output has at least so many spikes more than every other; an only output, so
+    /// The leading output has at least this many spikes more than every other; an only output, so
     /// many spikes.
     Margin(NonZeroU32),
     /// No spikes that the refractory periods still allow can change the class.
@@ -157,7 +157,7 @@ pub struct Decision<'e> {
 }
 
 impl<'e> Decision<'e> {
-    /// Of a sample of so many steps, before its first.
+    /// Of a sample of this many steps, before its first.
     #[must_use]
     pub fn new(exit: &'e EarlyExit, steps: u32) -> Self {
         let outputs = exit.pace.gaps.len();

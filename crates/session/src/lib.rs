@@ -83,8 +83,8 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// What is called so of a population's compartments: a quantity, or a word of their state; `None`
-    /// where they have no such thing.
+    /// What is called so of a population's compartments: a quantity, or a word of their state;
+    /// `None` where they have no such thing.
     #[must_use]
     pub fn named(population: &Population, what: &str) -> Option<Probe> {
         let Units::Compartments { first, neurons, .. } = &population.units else { return None };
@@ -144,7 +144,7 @@ impl Outcome {
     }
 }
 
-/// Runs one sample; `after_step` sees the engine after each step, or after so many steps in which
+/// Runs one sample; `after_step` sees the engine after each step, or after this many steps in which
 /// nothing happened.
 pub fn run_sample<E: Engine + ?Sized>(
     engine: &mut E,
@@ -164,8 +164,8 @@ pub struct Passed {
     pub decided: bool,
 }
 
-/// Runs one sample on so many copies of its network; `after_step` sees the engine after each step,
-/// or after so many steps in which nothing happened.
+/// Runs one sample on this many copies of its network; `after_step` sees the engine after each
+/// step, or after this many steps in which nothing happened.
 pub fn run_copies<E: Engine + ?Sized>(
     engine: &mut E,
     sample: &Sample,

@@ -85,7 +85,7 @@ impl ByPopulation {
         sum
     }
 
-    /// The same of so many copies that all do what the counted ones do.
+    /// The same of this many copies that all do what the counted ones do.
     #[must_use]
     pub fn of_copies(network: &Quantised, counts: &SourceCounts, copies: u32) -> Self {
         let mut sum = ByPopulation::new(network, counts);
@@ -101,7 +101,7 @@ impl ByPopulation {
     }
 }
 
-/// The numbers of consecutive units in each of so many copies of `per_copy` units.
+/// The numbers of consecutive units in each of this many copies of `per_copy` units.
 fn numbers_in_copies(first: u32, size: u32, per_copy: u32, copies: u32) -> impl Iterator<Item = u32> {
     (0..copies).flat_map(move |copy| first + copy * per_copy..first + size + copy * per_copy)
 }

@@ -96,7 +96,7 @@ pub struct Division {
 }
 
 impl Division {
-    /// For so many samples of a program.
+    /// For this many samples of a program.
     #[must_use]
     pub fn new(program: &Program, samples: usize) -> Self {
         let synapses = program.synapses_of(|_| true);
@@ -159,7 +159,7 @@ fn on_ranks<M: Meter>(
     let here = RankRow::here(&part, ranks.rank());
     let shards = if here.synapses > SHARED { rayon::current_num_threads() } else { 1 };
     let image = laid_out(&part, Division { shards, in_turn: true })?;
-    // Whoever decides has to see all outputs.
+    // The rank that decides has to see all outputs.
     let shown = keep.early_exit.as_ref().map(|_| (keep.output.first, keep.output.count));
     let is_first = ranks.rank() == 0;
     let run_all = || {
@@ -330,7 +330,7 @@ pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: P
 /// For each probe `[compartments][steps]`, in real numbers.
 pub type Traces = Vec<Vec<f64>>;
 
-/// Runs samples of a network with so many channels and compartments on the reference engine; the
+/// Runs samples of a network with this many channels and compartments on the reference engine; the
 /// probes come as real numbers beside the outcomes. Nothing leaves a field of real numbers.
 #[must_use]
 pub fn reference<F: Real>(

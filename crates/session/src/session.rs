@@ -69,8 +69,8 @@ impl Session {
     }
 
     /// One timestep in which these channels of each copy spike, in any order, each with what its
-    /// message carries, 1 for a spike; of one that is given twice the first counts, and a value of 0
-    /// is no message.
+    /// message carries, 1 for a spike; of one that is given twice the first counts, and a value of
+    /// 0 is no message.
     ///
     /// # Errors
     /// `session.channel`; the session stays as it was.

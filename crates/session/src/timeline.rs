@@ -33,7 +33,7 @@ pub struct Raster {
     pub population: usize,
     /// Units of the population.
     pub units: u32,
-    /// One unit in so many is kept.
+    /// One unit in this many is kept.
     pub every: u32,
     /// (step, unit), ascending by step.
     pub spikes: Vec<(u32, u32)>,

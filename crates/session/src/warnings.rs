@@ -66,7 +66,7 @@ const MOST_AGAIN: u64 = 4_000_000;
 /// Rounding of real weights by a greater share of the greatest weight is worth a warning: half a
 /// step of 5 bits and a sign.
 const COARSE: f64 = 1.0 / 64.0;
-/// So many samples are run again.
+/// This many samples are run again.
 const SAMPLES_AGAIN: usize = 20;
 /// Names that a warning lists at most.
 const LISTED: usize = 5;

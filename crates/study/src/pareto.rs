@@ -62,11 +62,11 @@ pub enum Variant {
     },
     /// The machine with every step metered, energy and time under this model of the mesh.
     Metered(Transport),
-    /// The machine with weights of so many bits; 1 is two values of one size.
+    /// The machine with weights of this many bits; 1 is two values of one size.
     WeightBits(u8),
-    /// The machine with decays of so many bits.
+    /// The machine with decays of this many bits.
     DecayBits(u8),
-    /// The machine with so many steps merged into one.
+    /// The machine with this many steps merged into one.
     Merged(u32),
     /// The machine, each sample ended by a rule.
     Early(Rule),
@@ -398,7 +398,7 @@ fn quartiles(times: &[f64]) -> (f64, f64) {
     (at(0.5), at(0.75) - at(0.25))
 }
 
-/// The sample with so many steps in one: a channel that spikes in any of them spikes.
+/// The sample with this many steps in one: a channel that spikes in any of them spikes.
 fn merge(sample: &Sample, steps: u32) -> Sample {
     if steps == 1 {
         return sample.clone();
@@ -465,9 +465,9 @@ fn with_decays(network: &Quantised, f: impl Fn(Decay) -> Result<Decay, OutOfRang
     with_neurons(network, |neuron| Ok(Neuron { du: f(neuron.du)?, dv: f(neuron.dv)?, ..neuron }))
 }
 
-/// The network for steps that are so many times as long: what is kept is kept so many times over,
-/// and the voltage, which a current is added to once instead of so often, has a threshold as much
-/// lower.
+/// The network for steps that are this many times as long: what is kept is kept this many times
+/// over, and the voltage, which a current is added to once instead of so often, has a threshold as
+/// much lower.
 fn slower(network: &Quantised, steps: u32) -> Result<Quantised, Error> {
     let decay = |d: Decay| {
         let keep = libm::pow(1.0 - f64::from(d.get()) / 4096.0, f64::from(steps));

@@ -50,7 +50,7 @@ use nsim_ir::quantised::connectivity::Connectivity;
 
 /// Steps of input: enough for spikes to reach every layer.
 pub const STEPS: u32 = 16;
-/// Of each channel, one step in so many has a spike.
+/// Of each channel, one step in this many has a spike.
 const RARE: u64 = 20;
 
 /// In which ways a network is mapped.

@@ -119,7 +119,7 @@ impl Builder {
         self.parts.populations.push(Population { name: name.to_string(), shape, units, message: Message::Spike })
     }
 
-    /// An input of so many channels.
+    /// An input of this many channels.
     pub fn input(&mut self, name: &str, channels: u32) -> PopulationId {
         self.input_shape(name, Shape::Line(channels))
     }
@@ -133,7 +133,7 @@ impl Builder {
         self.parts.output
     }
 
-    /// So many compartments.
+    /// This many compartments.
     pub fn loihi(&mut self, name: &str, compartments: u32) -> PopulationId {
         self.loihi_with(name, Shape::Line(compartments), neurons())
     }

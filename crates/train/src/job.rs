@@ -167,8 +167,8 @@ impl Job {
         Ok(Data { train: self.read(Part::Train, train)?, test: self.read(Part::Test, test)? })
     }
 
-    /// So many stratified folds of samples, drawn from a fixed seed so that every setting is tried
-    /// on the same ones.
+    /// This many stratified folds of samples, drawn from a fixed seed so that every setting is
+    /// tried on the same ones.
     #[must_use]
     pub fn folds(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
         let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();

@@ -15,7 +15,7 @@ use nsim_ir::quantised::Neuron;
 use nsim_reference::kernel::{Alpha, Kernel};
 use nsim_reference::srm::Parameters;
 
-/// Time constants are at most so many steps.
+/// Time constants are at most this many steps.
 const LONGEST: f64 = 1e6;
 /// A layer is at most so large.
 const LARGEST: u32 = 65_536;

@@ -51,7 +51,7 @@ pub struct Args {
     /// How many samples to search on
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) calibration_samples: u32,
-    /// Compare only so many steps of each sample
+    /// Compare only this many steps of each sample
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) steps: Option<u32>,
     /// Attribute the disagreement to causes

@@ -14,7 +14,7 @@ use nsim_train::convert::deployed::{Choice, Conversion, Integers};
 /// What a conversion may cost.
 #[derive(Debug, Clone, clap::Args)]
 pub struct CopiesArgs {
-    /// At most so many delayed copies of what comes in to a spike response population, each with
+    /// At most this many delayed copies of what comes in to a spike response population, each with
     /// synapses of its own; twice as many where they are few
     #[arg(
         long,

@@ -67,7 +67,7 @@ pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sam
     Ok(select_numbers(samples.len(), args)?.into_iter().map(|number| &samples[number]).collect())
 }
 
-/// The numbers of the samples that a run asks for, of so many, as often as it asks.
+/// The numbers of the samples that a run asks for, of this many, as often as it asks.
 ///
 /// # Errors
 /// [`Error::Usage`] when the range holds no sample, `input.too-many`.

@@ -141,7 +141,7 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// That this model does not fit this target for these reasons, to whoever runs this command.
+    /// That this model does not fit this target for these reasons, to the user of this command.
     #[must_use]
     pub fn new(model: &str, target: Target, mut reasons: Vec<Reason>) -> Self {
         reasons.iter_mut().for_each(|reason| reason.help = with_owners(&reason.help));

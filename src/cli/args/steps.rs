@@ -51,7 +51,7 @@ pub fn recorded(
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let layout = StepLayout::new(network);
     if ranks::several().is_some_and(|ranks| ranks.rank() > 0) {
-        // Rank 0 hears of all steps; the others take part in its groups of samples.
+        // Rank 0 learns of all steps; the others take part in its groups of samples.
         let mut nowhere = std::io::sink();
         let table = StepWriter::new(&mut nowhere, StepFormat::Csv, layout.columns(), None)
             .map_err(|error| Error::Fault(error.to_string()))?;

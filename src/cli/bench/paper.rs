@@ -123,7 +123,7 @@ impl Scenes {
     }
 }
 
-/// A source with so many scenes.
+/// A source with this many scenes.
 fn with_scenes(source: &str, scenes: Option<u32>) -> String {
     match (scenes, source.split_once("samples=")) {
         (Some(scenes), Some((before, after))) => {

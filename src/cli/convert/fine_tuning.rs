@@ -21,7 +21,7 @@ use nsim_train::convert::model_file;
 /// How integers are trained further.
 #[derive(Debug, Clone, clap::Args)]
 pub struct FineTuneArgs {
-    /// Then train for so many epochs with the integers in the forward pass, on training samples
+    /// Then train for this many epochs with the integers in the forward pass, on training samples
     /// alone
     #[arg(long, value_name = "EPOCHS", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     fine_tune: Option<u32>,

@@ -109,8 +109,8 @@ pub struct CostArgs {
     /// Whether the simulator skips work that cannot change anything; no figure depends on it
     #[arg(help_heading = "Cost model", long, default_value = "on")]
     pub skip: Switch,
-    /// Say what ending a sample would save when an output leads by so many spikes, or when no other
-    /// can overtake it
+    /// Say what ending a sample would save when an output leads by this many spikes, or when no
+    /// other can overtake it
     #[arg(help_heading = "Cost model", long, value_name = "MARGIN|certain")]
     pub early_exit: Option<Rule>,
 }

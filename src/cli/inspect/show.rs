@@ -56,8 +56,8 @@ pub struct Args {
     /// places of the cores, or their tables
     #[arg(long = "as", value_name = "STAGE", value_parser = one_of(&Stage::ALL, Stage::name), requires = "name")]
     pub stage: Option<Stage>,
-    /// The target of the compiler: a file or the name of a shipped target [default: the model's own, or
-    /// nahuku-32]
+    /// The target of the compiler: a file or the name of a shipped target [default: the model's
+    /// own, or nahuku-32]
     #[arg(long, requires = "stage")]
     pub target: Option<String>,
     /// Where to save the text

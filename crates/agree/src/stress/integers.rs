@@ -164,7 +164,7 @@ impl Plan {
         }
     }
 
-    /// Runs the three over so many steps and compares everything in each.
+    /// Runs the three over this many steps and compares everything in each.
     fn run(&self, target: &Target, steps: u32, drive: impl Fn(u32) -> Vec<u32>) -> Result<Seen, (u64, String)> {
         let (network, program) = self.program(target).map_err(|e| fault(&e))?;
         let image = Image::new(&program, 1).map_err(|e| fault(&e))?;

@@ -40,7 +40,7 @@ use nsim_partition::resources::packing::{Compression, Group, Widths};
 /// shorter runs: 4,096 took twice the time.
 const PIECE: u32 = 1 << 14;
 
-/// The program of a network, so many equal copies that share nothing, on its places. What equal
+/// The program of a network, this many equal copies that share nothing, on its places. What equal
 /// cores store is written once. Of a program that is dealt out and held in part,
 /// only what is held is written.
 ///

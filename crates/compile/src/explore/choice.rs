@@ -35,7 +35,7 @@ const SHORT: f64 = 0.1;
 pub struct Candidate {
     /// How compartments are grouped into cores.
     pub strategy: Strategy,
-    /// A core is filled to one part in so many.
+    /// A core is filled to one part in this many.
     pub divisor: u32,
     /// Whether cores are placed by traffic.
     pub placed: bool,
@@ -181,7 +181,7 @@ pub fn front(found: &[Found]) -> Vec<&Found> {
 mod tests {
     use super::*;
 
-    /// Bursts that take what was kept, and a followed step of so many microseconds.
+    /// Bursts that take what was kept, and a followed step of this many microseconds.
     struct Same;
 
     impl Bursts<(u32, Score, f64)> for Same {

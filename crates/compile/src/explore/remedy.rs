@@ -121,8 +121,8 @@ fn most_copies(wanted: u32, fits: impl Fn(u32) -> Option<Fitting>) -> Option<Fit
     Some(best)
 }
 
-/// The network with weights of at most so many bits, rounded toward zero; `None` when no weight has
-/// more.
+/// The network with weights of at most this many bits, rounded toward zero; `None` when no weight
+/// has more.
 #[must_use]
 pub fn coarser(one: &Quantised, bits: i64) -> Option<Quantised> {
     let mut parts: Parts = one.parts().clone();

@@ -292,7 +292,7 @@ impl Search<'_> {
         wanted.then_some(way)
     }
 
-    /// What these ways come to, behind so many others; those that do not fit left out.
+    /// What these ways come to, behind this many others; those that do not fit left out.
     fn all(&self, ways: &[(Strategy, u32)], behind: usize) -> Result<Vec<Made<Kept>>> {
         // The effort is for all of them together.
         let options = Options { effort: self.options.effort.shared_by(ways.len() + behind), ..*self.options };

@@ -104,7 +104,7 @@ pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
 /// on threads.
 const PARTS: usize = 8;
 
-/// So many items in at most [`PARTS`] ranges of nearly the same size.
+/// This many items in at most [`PARTS`] ranges of nearly the same size.
 pub(crate) fn parts(items: usize) -> Vec<Range<usize>> {
     let size = items.div_ceil(PARTS).max(1);
     (0..items).step_by(size).map(|from| from..(from + size).min(items)).collect()

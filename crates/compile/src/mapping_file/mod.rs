@@ -232,7 +232,7 @@ pub fn explained(error: CompileError, path: &Path, model: &str) -> CompileError 
     }
 }
 
-/// Checks that a file is of so many copies.
+/// Checks that a file is of this many copies.
 ///
 /// # Errors
 /// `mapping.copies`.

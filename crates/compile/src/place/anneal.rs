@@ -40,7 +40,7 @@ const PROPOSALS: u64 = 200;
 /// costs next to nothing.
 const LEAST_PROPOSALS: u64 = 1500;
 
-/// A chip is annealed if there is a proposal in a round for one core in so many.
+/// A chip is annealed if there is a proposal in a round for one core in this many.
 const FEW: u64 = 8;
 /// Nets by which places of whole chips are compared, about.
 const SAMPLED_NETS: usize = 1 << 12;

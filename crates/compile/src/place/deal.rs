@@ -92,7 +92,7 @@ impl Units {
         sums
     }
 
-    /// The load of a rank that has so many hundredths of the mean.
+    /// The load of a rank that has this many hundredths of the mean.
     fn hundredths(&self, percent: u64) -> u64 {
         let all: u64 = self.loads.iter().sum();
         (u128::from(all) * u128::from(percent) / 100).div_ceil(u128::from(self.ranks.max(1))) as u64

@@ -37,8 +37,8 @@ impl Lines {
         loads
     }
 
-    /// The greatest load, the greatest after every so many tiles, where a chip ends, and the sum of
-    /// loads.
+    /// The greatest load, the greatest after every this many tiles, where a chip ends, and the sum
+    /// of loads.
     fn loads(&self, of_chip: u32) -> [u64; 3] {
         let (mut most, mut between, mut sum) = (0, 0, 0);
         for line in self.differences.chunks(self.length.max(1)) {

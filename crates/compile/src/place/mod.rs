@@ -46,7 +46,7 @@ pub const SAVED: &str = "saved";
 /// Pairs of a source and a core that it reaches above which there are too many to anneal with.
 const MOST_MESSAGES: u64 = 20_000_000;
 
-/// A place for each of so many cores, in order.
+/// A place for each of this many cores, in order.
 ///
 /// # Errors
 /// A [`Reason`] when they are more than the target has.

@@ -118,7 +118,8 @@ impl Nets {
         Nets::from_flows(partition.cores(), flows.into_iter())
     }
 
-    /// The nets of so many cores, given as (core, none for inputs; rate; cores reached, ascending).
+    /// The nets of this many cores, given as (core, none for inputs; rate; cores reached,
+    /// ascending).
     #[must_use]
     pub fn from_flows(all_cores: usize, flows: impl Iterator<Item = (Option<u32>, u64, Vec<u32>)>) -> Self {
         let mut known: HashMap<(Option<u32>, Vec<u32>), usize> = HashMap::new();

@@ -66,7 +66,7 @@ pub struct QueueMemory {
     next: BinaryHeap<Reverse<(u64, usize, usize)>>,
 }
 
-/// So many zeros in place of what was there.
+/// This many zeros in place of what was there.
 fn zeros(numbers: &mut Vec<u64>, size: usize) {
     numbers.clear();
     numbers.resize(size, 0);

@@ -22,8 +22,8 @@ use nsim_ir::neurons::{NeuronKind, Row};
 
 /// Compartments that are updated together.
 pub const MOST_LANES: usize = 64;
-/// Compartments of one kind, at most [`MOST_LANES`], in chunks; lanes behind the last compartment are
-/// padding.
+/// Compartments of one kind, at most [`MOST_LANES`], in chunks; lanes behind the last compartment
+/// are padding.
 #[derive(Debug)]
 pub struct Block<'a> {
     /// Words of state: of each chunk, column after column.

@@ -1,7 +1,8 @@
 //! Resonate-and-fire neurons: a state in the complex plane that decays and turns.
 //!
 //! Equations (25) to (27) of `docs/loihi2.md`. Source: lava-nc b6822fb, `proc/rf/models.py` and
-//! `proc/rf_iz/models.py`; lava-dl d825ac5 computes the same (`slayer/neuron/dynamics/resonator.py`).
+//! `proc/rf_iz/models.py`; lava-dl d825ac5 computes the same
+//! (`slayer/neuron/dynamics/resonator.py`).
 
 use nsim_ir::base::fixed::UV_BITS;
 use nsim_ir::neurons::Row;

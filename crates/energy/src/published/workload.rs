@@ -193,7 +193,7 @@ pub enum WorkloadProjection {
         /// Stride.
         stride: u32,
     },
-    /// So many synapses of each source, spread evenly over as many units of the target around the
+    /// This many synapses of each source, spread evenly over as many units of the target around the
     /// source's own place.
     Local {
         /// Source.
@@ -205,7 +205,7 @@ pub enum WorkloadProjection {
         /// Units that they are spread over.
         reach: u32,
     },
-    /// So many synapses of each source to random targets.
+    /// This many synapses of each source to random targets.
     Random {
         /// Source.
         from: String,

@@ -75,7 +75,7 @@ pub fn ratios(chip: &EnergyRow, others: &[(EnergyRow, String)]) -> Vec<Ratio> {
     others.iter().filter_map(|(other, _)| of(other)).collect()
 }
 
-/// The cost of a sample of so many timesteps on each row's hardware.
+/// The cost of a sample of this many timesteps on each row's hardware.
 pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> Vec<PerSample> {
     let of = |row: &EnergyRow| {
         Some(PerSample {

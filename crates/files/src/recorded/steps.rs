@@ -58,7 +58,7 @@ impl std::fmt::Debug for StepWriter<'_> {
 }
 
 impl<'w> StepWriter<'w> {
-    /// Begins a table of so many rows; their number may be left open in CSV.
+    /// Begins a table of this many rows; their number may be left open in CSV.
     ///
     /// # Errors
     /// Those of the writer; an array of an open number of rows.

@@ -1,9 +1,9 @@
 //! A folder of files with a manifest that names them, replaced as a whole.
 //!
 //! Input: a folder and the name of its manifest. While files are written, a locked file [`MARKER`]
-//! lies in the folder and no manifest does: whoever finds the marker without a lock knows that a
-//! writer was killed, and may replace what it left. The manifest is written last, once everything
-//! else is on the disk.
+//! lies in the folder and no manifest does: a process that finds the marker without a lock knows
+//! that a writer was killed, and may replace what it left. The manifest is written last, once
+//! everything else is on the disk.
 
 use std::collections::BTreeSet;
 use std::fs::File;

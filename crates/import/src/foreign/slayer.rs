@@ -409,7 +409,7 @@ pub(super) fn build(
         model.populations.push(input("tactile", matrices[0].sources));
         model.populations.push(input("vision", matrices[1].sources));
         notes.push(format!(
-            "'{}' hears '{}' and '{}', in this order",
+            "'{}' receives from '{}' and '{}', in this order",
             matrices[2].name, matrices[0].name, matrices[1].name
         ));
         vec![vec!["tactile".into()], vec!["vision".into()], vec![matrices[0].name.clone(), matrices[1].name.clone()]]

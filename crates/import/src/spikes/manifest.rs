@@ -199,7 +199,7 @@ impl Manifest {
         self.set.folds.len().max(self.set.splits.len())
     }
 
-    /// Which of so many samples each fold trains and tests on.
+    /// Which of this many samples each fold trains and tests on.
     ///
     /// # Errors
     /// `dataset.split` for a row of a list, `dataset.label` where two lists disagree; `io.*`.

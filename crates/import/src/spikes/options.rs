@@ -24,7 +24,7 @@ pub enum Polarity {
 pub enum Origin {
     /// The first event of the file.
     First,
-    /// So many microseconds on the recording's clock.
+    /// This many microseconds on the recording's clock.
     At(i64),
 }
 

@@ -23,7 +23,7 @@ pub struct PopulationSpikes {
 }
 
 impl PopulationSpikes {
-    /// So many samples of `units` channels without a spike.
+    /// This many samples of `units` channels without a spike.
     pub(super) fn silent(samples: usize, units: u64, steps: u32, path: &Path) -> Vec<Self> {
         let name = path.display().to_string();
         let silent =

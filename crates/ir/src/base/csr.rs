@@ -55,7 +55,7 @@ impl<T> Csr<T> {
         if ends && first.is_sorted() { Ok(Csr { first, items }) } else { Err(NotClosed) }
     }
 
-    /// No row yet, with room for so many rows and items.
+    /// No row yet, with room for this many rows and items.
     #[must_use]
     pub fn with_capacity(rows: usize, items: usize) -> Self {
         let mut first = Vec::with_capacity(rows + 1);
@@ -82,7 +82,7 @@ impl<T> Csr<T> {
         Csr { first, items: vec![item; sum as usize] }
     }
 
-    /// So many rows from (row, item) pairs in any order; the items of a row keep theirs. `visit`
+    /// This many rows from (row, item) pairs in any order; the items of a row keep theirs. `visit`
     /// passes every pair to the function that it is given, the same ones in each of two calls.
     ///
     /// # Panics

@@ -214,7 +214,7 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     }
 }
 
-/// Time of a barrier for up to so many tiles in use; between entries it is interpolated linearly.
+/// Time of a barrier for up to this many tiles in use; between entries it is interpolated linearly.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BarrierTime {

@@ -95,7 +95,7 @@ impl Connectivity {
         }
     }
 
-    /// Number of synapses of so many sources together.
+    /// Number of synapses of this many sources together.
     #[must_use]
     pub fn count(&self, sources: u64) -> u64 {
         match self {

@@ -68,13 +68,13 @@ impl Neuron {
         row: Row::EMPTY,
     };
 
-    /// What compartments of the same profile share, on a core that has so many profiles.
+    /// What compartments of the same profile share, on a core that has this many profiles.
     #[must_use]
     pub fn profile(&self) -> (Decay, Decay, Refractory, Row) {
         (self.du, self.dv, self.refractory, self.row.kept(self.kind, Kept::Profile))
     }
 
-    /// What compartments of the same threshold share, on a core that has so many thresholds.
+    /// What compartments of the same threshold share, on a core that has this many thresholds.
     #[must_use]
     pub fn threshold(&self) -> (ThresholdMantissa, Row) {
         (self.vth, self.row.kept(self.kind, Kept::Threshold))

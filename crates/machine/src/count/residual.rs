@@ -26,7 +26,7 @@ pub(crate) struct Residual {
 }
 
 impl Residual {
-    /// Replaces f by m in these fan-outs, of sources from `first` on, out of so many in all.
+    /// Replaces f by m in these fan-outs, of sources from `first` on, out of this many in all.
     pub fn replace_by_means(&mut self, fan_outs: &mut [FanOut], first: usize, sources: usize) {
         let undelayed = fan_outs.iter_mut().filter(|fan_out| fan_out.delay == 0);
         for block in undelayed.flat_map(|fan_out| &mut fan_out.dense.blocks).filter(|block| block.is_uneven()) {

@@ -65,7 +65,7 @@ impl ListKinds {
         }
     }
 
-    /// (dense, sparse) of a stored list of so many synapses, if known.
+    /// (dense, sparse) of a stored list of this many synapses, if known.
     #[inline]
     fn split(&self, list: usize, synapses: u64) -> Option<(u64, u64)> {
         let dense = match self {
@@ -88,7 +88,7 @@ struct Caused {
 }
 
 impl Caused {
-    /// Adds it so many times.
+    /// Adds it this many times.
     #[inline]
     fn add(self, times: u64, sum: &mut StepActivity) {
         let core = &mut sum.cores[self.core];
@@ -240,7 +240,7 @@ impl<'p> Tally<'p> {
         });
     }
 
-    /// Adds so many spikes of a source that sends so many messages.
+    /// Adds this many spikes of a source that sends this many messages.
     #[inline]
     fn add_sent(&self, source: u32, sent: u64, times: u64, sum: &mut StepActivity) {
         match self.core_of(source) {
@@ -308,7 +308,7 @@ impl<'p> Tally<'p> {
         }
     }
 
-    /// What so many spikes of each source cause if no delivery falls after a sample's end.
+    /// What this many spikes of each source cause if no delivery falls after a sample's end.
     #[must_use]
     pub fn sum(&self, fired: &[u32]) -> StepActivity {
         let cores = self.sites.len();
@@ -366,7 +366,7 @@ impl<'p> Tally<'p> {
         self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);
     }
 
-    /// Adds the visits to all compartments in so many steps.
+    /// Adds the visits to all compartments in this many steps.
     pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
         let cores = self.program.cores().enumerate().zip(sum.cores.iter_mut());
         for ((_, image), counts) in cores.filter(|((core, _), _)| self.program.holds(*core)) {

@@ -44,8 +44,8 @@ impl<S: Sum> Clone for DelayRing<S> {
 }
 
 impl<S: Sum> DelayRing<S> {
-    /// An empty ring of so many lanes, slots, and words of skip blocks; `compact` if a list of the
-    /// shard is.
+    /// An empty ring of this many lanes, slots, and words of skip blocks; `compact` if a list of
+    /// the shard is.
     pub fn new(lanes: usize, compact: bool, words: usize, slots: usize) -> Self {
         // What lies beyond the lanes is untouched pages, which the OS never commits.
         // The last chunk of a row may reach beyond them too, where it adds zeros.
@@ -213,9 +213,9 @@ impl<S: Sum> DelayRing<S> {
         block.synapses(spikes)
     }
 
-    /// Delivers spikes of the sources of a dense block with one range of so many chunks, up to the
-    /// first spike of another source; returns how many. Looking up each source's weights finds the
-    /// end without a search beforehand.
+    /// Delivers spikes of the sources of a dense block with one range of this many chunks, up to
+    /// the first spike of another source; returns how many. Looking up each source's weights finds
+    /// the end without a search beforehand.
     #[inline(always)]
     fn deliver_narrow<P: Spike, const N: usize>(
         &mut self,
@@ -372,7 +372,7 @@ fn mark<const MARK: bool>(arrivals: &mut [u64], target: usize) {
     }
 }
 
-/// Up to so many spikes are counted faster than searched.
+/// Up to this many spikes are counted faster than searched.
 const COUNTED: usize = 64;
 
 /// How many of these spikes, ascending, come before a source; often none or all.

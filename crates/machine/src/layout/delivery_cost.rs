@@ -7,8 +7,8 @@
 //! `cargo bench --bench delivery_cost` measures it: it times steps of small networks, each of which
 //! has mostly parts of one kind, fits a time for each part, and prints both beside each other.
 //! Entries are not simply what is fitted: those networks fit a cache, where a listed synapse takes
-//! half as long as elsewhere, and blocks are what networks beyond caches need. Whoever changes an
-//! entry compares `nsim bench step` before and after (`docs/benchmarks.md` has what the fitted
+//! half as long as elsewhere, and blocks are what networks beyond caches need. Anyone who changes
+//! an entry compares `nsim bench step` before and after (`docs/benchmarks.md` has what the fitted
 //! times did to it).
 
 /// A number for each part of a delivery.

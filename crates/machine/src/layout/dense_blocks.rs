@@ -130,7 +130,7 @@ pub(crate) struct BlockWriter {
 }
 
 impl BlockWriter {
-    /// A writer of these blocks, ascending, for a shard with so many lanes.
+    /// A writer of these blocks, ascending, for a shard with this many lanes.
     pub fn new(planned: Vec<PlannedBlock>, lanes: usize) -> Self {
         let size: usize = planned.iter().map(PlannedBlock::size).sum();
         BlockWriter {
@@ -265,7 +265,7 @@ mod tests {
         (blocks, all_listed)
     }
 
-    /// Sources with a synapse to each of these lanes in so many of 1,000 cases.
+    /// Sources with a synapse to each of these lanes in this many of 1,000 cases.
     fn some(sources: u64, lanes: std::ops::Range<u32>, per_mille: u64) -> Vec<Vec<LaneWeight>> {
         let of = |source: u64, lane: u32| {
             let weight = rng::below(511, 2, source, lane.into()) as i16 - 255;

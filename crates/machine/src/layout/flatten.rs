@@ -91,7 +91,7 @@ impl<'a> Flattener<'a> {
         Flattener { tables: RoutingTables::new(program), slots, lanes, ascending, bases, delays, rows }
     }
 
-    /// The synapses of these sources, by shard, then by delay; the shards have so many lanes.
+    /// The synapses of these sources, by shard, then by delay; the shards have this many lanes.
     /// Sources are numbered channels first.
     pub fn flatten(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<Flattened> {
         let empty = |lanes| Flattened { lists: ListBuilder::new(lanes), rows: RowBuilder::new() };

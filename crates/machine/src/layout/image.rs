@@ -105,7 +105,7 @@ pub struct Image {
 }
 
 impl Image {
-    /// Flattens a program into about so many shards.
+    /// Flattens a program into about this many shards.
     ///
     /// # Errors
     /// [`ImageError`] when sums could not be exact or an index would overflow.

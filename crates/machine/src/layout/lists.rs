@@ -111,7 +111,7 @@ enum Words {
 }
 
 impl ListBuilder {
-    /// A builder for a shard with so many lanes.
+    /// A builder for a shard with this many lanes.
     pub fn new(lanes: usize) -> Self {
         ListBuilder { lanes, packing: Packing::new(lanes), ends: Vec::new(), words: Words::Packed(Vec::new()) }
     }
@@ -139,7 +139,7 @@ impl ListBuilder {
         }
     }
 
-    /// Appends the lists of the next sources, of so many synapses each.
+    /// Appends the lists of the next sources, of this many synapses each.
     pub fn append(&mut self, counts: &[u32], mut synapses: &[LaneWeight]) {
         for &count in counts {
             let list;

@@ -39,8 +39,8 @@ pub(crate) struct ListPlace {
 }
 
 impl ListPlace {
-    /// The place of a list that begins there and has so many synapses; `None` if a number does not
-    /// fit.
+    /// The place of a list that begins there and has this many synapses; `None` if a number does
+    /// not fit.
     pub fn new(start: usize, count: usize) -> Option<Self> {
         Some(ListPlace { start: start.try_into().ok()?, count: count.try_into().ok()? })
     }
@@ -102,7 +102,7 @@ pub(crate) struct Packing {
 }
 
 impl Packing {
-    /// The packing of a shard with so many lanes.
+    /// The packing of a shard with this many lanes.
     pub fn new(lanes: usize) -> Self {
         Packing { target_bits: (usize::BITS - lanes.leading_zeros()).clamp(1, 31) }
     }
@@ -152,7 +152,7 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
     /// Runs between the prefetch of a run and its use.
     const AHEAD: usize = PREFETCH_SYNAPSES / N;
 
-    /// Stores lists of so many synapses, which come list after list; also their positions. `None`
+    /// Stores lists of this many synapses, which come list after list; also their positions. `None`
     /// when a position does not fit.
     pub fn new(
         form: F,
@@ -263,9 +263,9 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
     }
 }
 
-/// Positions for lists of so many synapses, which take so many bytes, and the bytes of all. No list
-/// touches more cache lines than its length needs. At most half of the bytes are gaps: a gap is
-/// smaller than the list after it. `None` when a position does not fit.
+/// Positions for lists of this many synapses, which take this many bytes, and the bytes of all. No
+/// list touches more cache lines than its length needs. At most half of the bytes are gaps: a gap
+/// is smaller than the list after it. `None` when a position does not fit.
 pub(crate) fn lay_out(
     lengths: impl Iterator<Item = usize>,
     bytes: impl Fn(usize) -> usize,

@@ -184,7 +184,7 @@ pub(crate) struct Planner {
 }
 
 impl Planner {
-    /// A planner for a shard with so many lanes.
+    /// A planner for a shard with this many lanes.
     pub fn new(lanes: usize) -> Self {
         Planner {
             counts: vec![0; lanes.div_ceil(LANES)],

@@ -72,7 +72,7 @@ pub(crate) struct Aligned<T> {
 }
 
 impl<T: Copy + Default> Aligned<T> {
-    /// So many zeros.
+    /// This many zeros.
     pub fn new(count: usize) -> Self {
         let spare = LINE / size_of::<T>();
         let items = vec![T::default(); count + spare];

@@ -208,7 +208,7 @@ struct CoreRows {
 }
 
 impl CoreRows {
-    /// The rows of a core's input axons, if they are shared enough when so many cores share them.
+    /// The rows of a core's input axons, if they are shared enough when this many cores share them.
     fn of_class(class: &CoreClass, ranks: &[u16], cores: usize) -> Option<Self> {
         let stored: &Stored = &class.inputs;
         let (mut contents, mut numbers) = (Vec::new(), HashMap::new());
@@ -294,13 +294,13 @@ impl RowPlace {
         WeightRow((self.0 >> u32::BITS) as u32)
     }
 
-    /// The same row so many lanes later, which the shard has.
+    /// The same row this many lanes later, which the shard has.
     #[inline(always)]
     pub fn after(self, lanes: u32) -> Self {
         RowPlace(self.0.wrapping_add(lanes.into()))
     }
 
-    /// The same row so many lanes earlier; its lane is not before them.
+    /// The same row this many lanes earlier; its lane is not before them.
     fn before(self, lanes: u32) -> Self {
         RowPlace(self.0 - u64::from(lanes))
     }
@@ -375,7 +375,7 @@ impl RowBuilder {
         RowBuilder { origins: Vec::new(), stencils: vec![none], places: Vec::new(), known: HashMap::new() }
     }
 
-    /// Appends the next sources, of so many rows and synapses in rows each.
+    /// Appends the next sources, of this many rows and synapses in rows each.
     pub fn append(&mut self, counts: &[(u32, u32)], mut places: &[RowPlace]) {
         let mut own = Vec::new();
         for &(rows, synapses) in counts {

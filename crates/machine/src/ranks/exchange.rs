@@ -61,7 +61,7 @@ fn checksum(program: &Program) -> u64 {
 }
 
 impl Exchange {
-    /// Tells the other ranks what this one wants of them, and hears what they want.
+    /// Tells the other ranks what this one wants of them, and learns what they want.
     ///
     /// # Panics
     /// When the program is no part, or the ranks have made different mappings: faults of the caller

@@ -14,7 +14,7 @@ struct Threads {
     from: Vec<bool>,
 }
 
-/// So many ranks, one for each thread to take.
+/// This many ranks, one for each thread to take.
 #[must_use]
 pub fn ranks(count: u32) -> Vec<Ranks> {
     let mut senders: Vec<Vec<Sender<Vec<u64>>>> = (0..count).map(|_| Vec::new()).collect();

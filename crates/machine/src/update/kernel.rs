@@ -191,7 +191,7 @@ pub trait Vectors: Copy {
     /// has changed. `PLAIN` only for fields that are.
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
 
-    /// The same of some chunks at once, for whoever has the registers; `None` also if not.
+    /// The same of some chunks at once, for processors with the registers; `None` also if not.
     #[inline(always)]
     fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
         self,
@@ -285,7 +285,7 @@ fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, 
     effects
 }
 
-/// Updates so many chunks at once.
+/// Updates this many chunks at once.
 #[inline(always)]
 fn some<S: Sum, const PLAIN: bool, const N: usize>(
     u: &mut [[i32; LANES]],

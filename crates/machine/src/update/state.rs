@@ -195,7 +195,7 @@ impl std::ops::DerefMut for ShardState {
 }
 
 impl ShardState {
-    /// A shard at rest, with so many slots in its delay ring.
+    /// A shard at rest, with this many slots in its delay ring.
     pub fn new(image: &Image, shard: &Shard, slots: usize) -> Self {
         let words = shard.driven.len();
         let holds = if image.semantics == Semantics::Slayer { shard.lanes } else { 0 };
@@ -652,7 +652,7 @@ impl RunEffects {
         self.busy |= other.busy;
     }
 
-    /// The same, so many lanes later.
+    /// The same, this many lanes later.
     fn after(self, lanes: usize) -> RunEffects {
         RunEffects { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
     }

@@ -76,14 +76,14 @@ pub const MOST_NUMBERED: u64 = 1 << 16;
 /// The most atoms.
 pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
 
-/// pop16 axons that a core can number when its tables have so many atoms, at most [`MOST_ATOMS`].
+/// pop16 axons that a core can number when its tables have this many atoms, at most [`MOST_ATOMS`].
 #[must_use]
 pub fn most_axons(atoms: u16) -> u32 {
     let bits = u16::BITS - atoms.saturating_sub(1).leading_zeros();
     1 << (AXON_BITS - bits.clamp(FREE_ATOM_BITS, MOST_ATOM_BITS) + FREE_ATOM_BITS)
 }
 
-/// Population axons that a core can number: of so many atoms at most, and all together.
+/// Population axons that a core can number: of this many atoms at most, and all together.
 #[must_use]
 pub fn numbers(most_atoms: u16, limits: &Limits) -> (u32, u32) {
     match limits.output_axons {
@@ -257,7 +257,7 @@ impl Class {
         u64::from(self.atoms) * u64::from(self.list_words.1)
     }
 
-    /// Words that so many places save by sharing; less than none when the table is dearer.
+    /// Words that this many places save by sharing; less than none when the table is dearer.
     #[must_use]
     pub fn saving(&self, places: u32) -> i64 {
         (u64::from(places) * u64::from(self.words)) as i64 - self.table() as i64

@@ -143,8 +143,8 @@ impl Side {
     }
 }
 
-/// A part of the channels: how many of them sources reach, and how many sources reach so many; and
-/// the last such source.
+/// A part of the channels: how many of them sources reach, and how many sources reach this many;
+/// and the last such source.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Channels {
     /// How many.
@@ -377,7 +377,7 @@ impl Place {
         }
     }
 
-    /// One of so many places with the same lists each.
+    /// One of this many places with the same lists each.
     fn part(mut self, places: u64) -> Self {
         self.lists /= places;
         self.ways.iter_mut().for_each(|way| way.0 /= places);

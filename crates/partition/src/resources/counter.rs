@@ -68,7 +68,7 @@ pub struct FormatCounts {
 }
 
 impl FormatCounts {
-    /// Of a core without groups, in a network of so many formats.
+    /// Of a core without groups, in a network of this many formats.
     #[must_use]
     pub fn new(formats: usize) -> Self {
         FormatCounts { groups: vec![[0; 12]; formats], distinct: 0 }
@@ -130,7 +130,7 @@ pub struct ListTotals {
 }
 
 impl ListTotals {
-    /// So many lists of so many words each.
+    /// This many lists of this many words each.
     #[inline]
     pub fn add(&mut self, lists: u64, words: u32) {
         self.axons += lists;
@@ -193,7 +193,7 @@ impl<'a> ListCounter<'a> {
         })
     }
 
-    /// Counts so many lists of so many words each.
+    /// Counts this many lists of this many words each.
     pub fn lists(&mut self, lists: u64, words: [Words; LISTS]) {
         for (totals, words) in self.totals.iter_mut().zip(words) {
             totals.add(lists, words.discrete);
@@ -229,7 +229,8 @@ pub struct CoreTotals {
 }
 
 impl CoreTotals {
-    /// Of a core with so many compartments and this longest delay, before anything else is counted.
+    /// Of a core with this many compartments and this longest delay, before anything else is
+    /// counted.
     #[must_use]
     pub fn new(compartments: u32, longest_delay: Delay) -> Self {
         CoreTotals {

@@ -45,7 +45,7 @@ struct Draws {
 }
 
 impl Draws {
-    /// The chance that a source reaches one of so many targets.
+    /// The chance that a source reaches one of this many targets.
     fn reaches(&self, together: f64) -> f64 {
         -(self.fan_out * (-together / self.targets).ln_1p()).exp_m1()
     }

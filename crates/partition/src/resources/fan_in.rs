@@ -165,7 +165,7 @@ impl FanIn {
     }
 
     /// Calls `f(source, projection, part, bundle)` for every synapse into a compartment of a
-    /// population, by projection, then source; synapses of the channels of a bundle, so many, are
+    /// population, by projection, then source; synapses of the channels of a bundle, this many, are
     /// one call with the first of their sources. Synapses of a projection that are the same part of
     /// a kernel, between sources of the same atom, have the same weight.
     #[inline]

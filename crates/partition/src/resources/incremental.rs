@@ -559,7 +559,7 @@ mod tests {
     use nsim_ir::resource::Packing;
     use nsim_testing::{limits, random_network};
 
-    /// What a core uses that holds the first so many of these compartments, counted from its
+    /// What a core uses that holds the first this many of these compartments, counted from its
     /// synapses.
     fn exact(network: &Quantised, order: &[CompartmentId], held: usize, limits: &Limits) -> CoreUsage {
         let (held, rest) = order.split_at(held);

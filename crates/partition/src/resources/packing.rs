@@ -53,7 +53,7 @@ const NXTF_PER_ENTRY: u32 = 60;
 /// The least width of a stored delay that NxTF uses.
 const NXTF_DELAY_BITS: u8 = 3;
 
-/// The fewest legal index bits that hold every slot of a core with so many compartments; `None`
+/// The fewest legal index bits that hold every slot of a core with this many compartments; `None`
 /// above [`MOST_SLOTS`].
 #[must_use]
 pub fn index_bits(compartments: u32) -> Option<u8> {
@@ -98,8 +98,8 @@ pub struct Widths {
 }
 
 impl Widths {
-    /// The widths of a core with so many compartments and this longest delay. Above [`MOST_SLOTS`]
-    /// the index stays at its widest; such a core fits no target.
+    /// The widths of a core with this many compartments and this longest delay. Above
+    /// [`MOST_SLOTS`] the index stays at its widest; such a core fits no target.
     #[must_use]
     pub fn for_core(compartments: u32, longest: Delay, packing: Packing) -> Self {
         Widths { index: index_bits(compartments).unwrap_or(12), delay: delay_bits(longest, packing) }
@@ -126,13 +126,13 @@ pub struct Group {
 pub enum Compression {
     /// By their place in the list.
     Dense,
-    /// By the slots left out before each, in so many bits.
+    /// By the slots left out before each, in this many bits.
     RunLength(u8),
     /// By an index each.
     Sparse,
 }
 
-/// The fewest bits of a run that hold a gap of so many slots; `None` beyond the widest.
+/// The fewest bits of a run that hold a gap of this many slots; `None` beyond the widest.
 #[inline]
 #[must_use]
 pub fn skip_bits(gap: u16) -> Option<u8> {
@@ -170,7 +170,7 @@ pub fn words_as(group: Group, compression: Compression, widths: Widths, limits: 
 }
 
 /// Words of one group stored in this way, in the table of a population axon: a dense one begins
-/// with its first slot there, whoever counts.
+/// with its first slot there, whichever way it is counted.
 #[inline]
 #[must_use]
 pub fn words_in_table(group: Group, compression: Compression, widths: Widths, limits: &Limits) -> u32 {

@@ -59,8 +59,8 @@ impl<'n> Layers<'n> {
         Ok(Layers { network, layers, formats: Formats::for_network(network) })
     }
 
-    /// The fewest boxes of which each fits a core with at most so many compartments, before output
-    /// axons are counted.
+    /// The fewest boxes of which each fits a core with at most this many compartments, before
+    /// output axons are counted.
     fn fewest(&self, most: &IdVec<PopulationId, u32>, limits: &Limits, cuts: &mut Cuts) -> Result<(), CompileError> {
         let mut reasons = Vec::new();
         for (id, population) in self.network.populations().enumerate() {
@@ -84,8 +84,8 @@ impl<'n> Layers<'n> {
         vec![None; self.layers.len()].into()
     }
 
-    /// Whether the boxes of so many copies, of at most so many synapses each, are no more than the
-    /// cores of the target, before output axons are counted.
+    /// Whether the boxes of this many copies, of at most this many synapses each, are no more than
+    /// the cores of the target, before output axons are counted.
     #[must_use]
     pub fn may_fit(&self, target: &Target, copies: u64, most_synapses: Option<u64>) -> bool {
         let most = most_compartments(self.network, target.limits(), most_synapses);
@@ -114,7 +114,7 @@ pub struct Boxes {
 }
 
 impl Boxes {
-    /// Cuts every layer into the fewest boxes, of at most so many synapses where that is said,
+    /// Cuts every layer into the fewest boxes, of at most this many synapses where that is said,
     /// smaller where their output axons do not fit.
     ///
     /// # Errors

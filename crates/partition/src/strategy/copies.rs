@@ -54,7 +54,7 @@ fn repeated(starts: &[u32], of_copy: u32) -> Option<(usize, usize)> {
 }
 
 impl Pattern {
-    /// One copy's cores for each of so many copies.
+    /// One copy's cores for each of this many copies.
     #[must_use]
     pub fn repeated(one: &Quantised, members: Members, copies: u32) -> Self {
         Pattern(vec![Group { network: one.clone(), members, times: copies }])

@@ -13,8 +13,8 @@
 //! Input axons are those of lists of their own, output axons take the slots of another chip where
 //! there is more than one: both are never too few. Words are those of the simple formats at the
 //! index width that the largest core needs and the longest delay there is: never too few for
-//! sources with one sparse projection, an estimate for others. Whoever keeps a refined partition
-//! has it counted exactly afterwards ([`crate::resources::exact`]).
+//! sources with one sparse projection, an estimate for others. A caller that keeps a refined
+//! partition has it counted exactly afterwards ([`crate::resources::exact`]).
 
 use crate::resources::fan_in::first_source;
 use crate::resources::packing;
@@ -209,7 +209,7 @@ pub struct State<'a> {
 const TABLE: usize = 4097;
 
 impl<'a> State<'a> {
-    /// The state of a membership. Synapse words are limited to so many hundredths of what a core
+    /// The state of a membership. Synapse words are limited to this many hundredths of what a core
     /// has.
     #[must_use]
     pub fn new(

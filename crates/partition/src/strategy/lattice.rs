@@ -124,7 +124,7 @@ impl Cut {
     }
 
     /// The first grid, in the order of boxes and then of messages, of which every box fits a core
-    /// with at most so many compartments.
+    /// with at most this many compartments.
     ///
     /// # Errors
     /// What one compartment alone uses, when no grid was found.

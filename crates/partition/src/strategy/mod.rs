@@ -71,7 +71,7 @@ pub struct Search<'a> {
     pub strategy: Strategy,
     /// How often sources of one copy spike.
     pub rates: &'a Rates,
-    /// Units of work, about 5 ns each: what an effort of so many seconds comes to, the same on
+    /// Units of work, about 5 ns each: what an effort of this many seconds comes to, the same on
     /// every machine.
     pub work: u64,
     /// When to end in any case.
@@ -103,7 +103,7 @@ const WORK_PER_PIN: u64 = 60;
 /// Synapses from which on a network is not grouped by levels where its synapses are drawn evenly.
 const EVEN_SYNAPSES: u64 = 1 << 18;
 /// How many times as long as in the order of the file the busiest core may work where that saves
-/// fewer cores; where it saves more, as many times. Where no population is over space, so many
+/// fewer cores; where it saves more, as many times. Where no population is over space, this many
 /// times the cores saved.
 const MOST_LONGER: f64 = 1.1;
 /// Synapses of a network whose tiles are also tried with fewer words.

@@ -55,7 +55,7 @@ pub enum Chips {
 }
 
 impl Chips {
-    /// The chip of each of so many cores.
+    /// The chip of each of this many cores.
     #[must_use]
     pub fn of_cores(self, cores: usize, target: &Target) -> IdVec<CoreId, u32> {
         match self {
@@ -77,7 +77,7 @@ pub struct Segment {
 /// Indices of a population's compartments.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Indices {
-    /// All from the first, so many.
+    /// All from the first, this many.
     All(u32),
     /// These.
     Listed(Vec<u32>),

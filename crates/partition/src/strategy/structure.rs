@@ -18,7 +18,7 @@ const SAMPLE: u64 = 256;
 /// Targets of each, and targets of each of these, that are looked at.
 const TARGETS: usize = 16;
 const THEIR_TARGETS: usize = 256;
-/// How much more often than by chance they coincide where there is structure, beyond so many
+/// How much more often than by chance they coincide where there is structure, beyond this many
 /// standard deviations of chance. Hubs that are reached with a probability of 1 / sqrt(j) coincide
 /// ln(n) / 4 times as often: 2.3 times among 10,000.
 const FACTOR: f64 = 1.25;
@@ -50,7 +50,7 @@ pub fn is_uniform(network: &Quantised) -> bool {
     pairs >= SAMPLE.min(n) * TARGETS as u64 && (coincide as f64) < chance
 }
 
-/// Targets of a compartment, each once, evenly taken where there are more than so many; and the
+/// Targets of a compartment, each once, evenly taken where there are more than this many; and the
 /// compartments of the populations that it reaches.
 fn targets(network: &Quantised, id: u32, most: usize) -> (Vec<u32>, u64) {
     let (population, index) = network.population_of(CompartmentId::new(id as usize));

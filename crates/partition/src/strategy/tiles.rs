@@ -56,7 +56,7 @@ pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
 }
 
 /// By population, the compartments that a core may hold: as many as its limits say, or fewer where
-/// their synapses are to be no more than so many.
+/// their synapses are to be no more than this many.
 #[must_use]
 pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Option<u64>) -> IdVec<PopulationId, u32> {
     let held = limits[Resource::Compartments].min(MOST_SLOTS);
@@ -120,7 +120,7 @@ pub struct Grid {
 /// projection.
 type Along = (u32, u32, Vec<(u64, u64)>);
 
-/// Grids that may fit a core of so many compartments, the best first.
+/// Grids that may fit a core of this many compartments, the best first.
 #[must_use]
 pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Vec<Grid> {
     let (c, h, w) = layer.shape;
@@ -183,7 +183,7 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
     grids
 }
 
-/// The tiles of a population as segments, each fit for a core with at most so many compartments;
+/// The tiles of a population as segments, each fit for a core with at most this many compartments;
 /// `None` when no grid was found that fits.
 #[must_use]
 pub fn tiles(

@@ -18,7 +18,7 @@ use nsim_session::timeline::Timeline;
 const GAP: f64 = 12.0;
 /// Points of a curve; a longer one shows the largest potential of each group of steps.
 const MOST_POINTS: usize = 1_500;
-/// A panel is as high as so many times the lowest at most.
+/// A panel is as high as this many times the lowest at most.
 const MOST_SHARE: f64 = 3.0;
 /// Panels of a raster; more would be thinner than their names.
 const MOST_PANELS: usize = 24;

@@ -15,7 +15,7 @@ use nsim_session::timeline::{Raster, Timeline};
 /// Points of a curve over steps; a longer one is reduced.
 const MOST_POINTS: usize = 1_500;
 
-/// A sample over its steps: means of so many steps in a row of everything that is counted, the
+/// A sample over its steps: means of this many steps in a row of everything that is counted, the
 /// largest potential of each such group, every kept spike of the populations that are [`drawn`].
 pub fn json(network: &Quantised, timeline: &Timeline, watched: &[Traced], sample: &Sample, outcome: &Outcome) -> Value {
     let (kept, all) = timeline.steps;

@@ -42,7 +42,7 @@ impl Detail {
         }
     }
 
-    /// A table of the populations, for so many timesteps.
+    /// A table of the populations, for this many timesteps.
     #[must_use]
     pub fn populations_text(&self, timesteps: u64) -> String {
         if self.sums.populations.is_empty() {

@@ -40,7 +40,7 @@ fn every(stride: u32, spikes: u32) -> Vec<ChannelId> {
     (0..spikes).map(|k| ChannelId(k * stride)).collect()
 }
 
-/// Lists of so many synapses each.
+/// Lists of this many synapses each.
 fn lists(synapses: u32) -> Result<DeliveryNetwork, BuildError> {
     lists_over(format!("lists of {synapses}"), synapses, (8_192, 16_384), (8, 1))
 }
@@ -74,7 +74,7 @@ fn dense(compartments: u32) -> Result<DeliveryNetwork, BuildError> {
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(2, 256), period: 1 })
 }
 
-/// Groups of sources with compartments of their own, which lie in so many places.
+/// Groups of sources with compartments of their own, which lie in this many places.
 fn groups(groups: u32, places: u32) -> Result<DeliveryNetwork, BuildError> {
     let name = format!("{groups} groups to {places} x 16");
     let mut net = Builder::new(&name);
@@ -89,7 +89,7 @@ fn groups(groups: u32, places: u32) -> Result<DeliveryNetwork, BuildError> {
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(TOGETHER, groups), period: 1 })
 }
 
-/// A convolution of 3 x 3 to so many channels.
+/// A convolution of 3 x 3 to this many channels.
 fn convolution(channels: u32) -> Result<DeliveryNetwork, BuildError> {
     let name = format!("convolution to {channels}");
     let mut layers = Layers::new(&name, (2, 24, 24));

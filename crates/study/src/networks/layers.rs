@@ -23,7 +23,7 @@ pub(crate) struct Layers {
 }
 
 impl Layers {
-    /// An input of so many channels, rows and columns.
+    /// An input of this many channels, rows and columns.
     pub fn new(name: &str, size: (u32, u32, u32)) -> Self {
         let mut net = Builder::new(name);
         let last = net.input("input", size.0 * size.1 * size.2);
@@ -55,7 +55,7 @@ impl Layers {
         }
     }
 
-    /// A convolution with random weights, to so many channels.
+    /// A convolution with random weights, to this many channels.
     pub fn convolve(&mut self, channels: u32, kernel: u32, stride: u32, padding: u32) -> Result<(), OutOfRange> {
         let window = self.window(channels, kernel, stride, padding, 1);
         let to = self.next(window.target)?;

@@ -188,7 +188,7 @@ pub(super) fn vtsnn(name: &str, percent: u64) -> Result<BenchNetwork, BuildError
     Ok(BenchNetwork { network, period, target: "nahuku-32" })
 }
 
-/// Input in which every channel spikes independently in so many of so many steps.
+/// Input in which every channel spikes independently in this many of this many steps.
 pub(super) fn independent_spikes(
     network: &Quantised,
     steps: u32,
@@ -218,7 +218,7 @@ pub struct Random {
     pub period: u32,
 }
 
-/// So many synapses of each source to random targets, with small weights of both signs.
+/// This many synapses of each source to random targets, with small weights of both signs.
 pub(super) fn random_synapses(targets: u32, fan_out: u32, seed: u64) -> Connectivity {
     Connectivity::Random { targets, fan_out, low: -8, high: 8, step: 2, seed, first_source: 0 }
 }
@@ -243,7 +243,7 @@ fn spread(
 /// Steps of input of a network of layers.
 const LAYERS_STEPS: u32 = 64;
 
-/// Layers whose channels spike independently in so many of so many steps.
+/// Layers whose channels spike independently in this many of this many steps.
 fn layers(net: Builder, rate: (u64, u64), target: &'static str) -> Result<BenchNetwork, BuildError> {
     let network = net.build()?;
     Ok(BenchNetwork { period: independent_spikes(&network, LAYERS_STEPS, rate)?, network, target })

@@ -20,7 +20,7 @@ pub struct RunInput<'a> {
     pub scene: Option<&'a str>,
 }
 
-/// So many samples to search on: of the named sources, or else of the run's scene with another
+/// This many samples to search on: of the named sources, or else of the run's scene with another
 /// seed; `None` when the run shows no scene, so that only its own samples are left.
 ///
 /// # Errors

@@ -72,7 +72,7 @@ impl Copies {
     }
 }
 
-/// What an error counts where the potential is so many thresholds: less, the further it is from
+/// What an error counts where the potential is this many thresholds: less, the further it is from
 /// where spikes are decided. A neuron that spikes in every step has about six.
 pub fn relevance(potential: f64) -> f64 {
     let away = (potential - 2.0) / 3.0;

@@ -393,8 +393,8 @@ impl Task {
         all + 2 * u64::from(epochs) * all + 2 * held_out
     }
 
-    /// Trains for so many epochs. `shown` is called after each sample, `after` with the best epoch
-    /// whenever there is a better one.
+    /// Trains for this many epochs. `shown` is called after each sample, `after` with the best
+    /// epoch whenever there is a better one.
     ///
     /// # Errors
     /// As [`Task::integers`], where weights grow beyond what the integers hold.

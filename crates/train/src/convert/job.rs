@@ -181,7 +181,8 @@ pub struct FineTuning {
 }
 
 impl FineTuning {
-    /// So many epochs as a training file says, on the samples that it names or those of `sources`.
+    /// This many epochs as a training file says, on the samples that it names or those of
+    /// `sources`.
     ///
     /// # Errors
     /// `convert.fine-tune` for the file of another network, `train.sources` without samples,

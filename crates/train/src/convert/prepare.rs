@@ -24,7 +24,7 @@ pub fn has_srm(network: &Network) -> bool {
     network.file().populations.iter().any(|population| population.srm.is_some())
 }
 
-/// A network in integers, with at most so many delayed copies of what a spike response population
+/// A network in integers, with at most this many delayed copies of what a spike response population
 /// takes in.
 ///
 /// # Errors

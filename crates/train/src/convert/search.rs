@@ -53,7 +53,7 @@ const DRAWING: usize = 240_000;
 const LEAST: usize = 8;
 
 /// Synapses of a compartment onto itself: the paper's refractory response is below 0.001 thresholds
-/// after so many steps. With 10 what is left of it, which decays with the current, costs 0.01 to
+/// after this many steps. With 10 what is left of it, which decays with the current, costs 0.01 to
 /// 0.03 in coincidence.
 const OWN: usize = 12;
 

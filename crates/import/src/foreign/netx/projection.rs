@@ -143,7 +143,7 @@ impl Reader<'_> {
         Err(layer.wrong(format!("{count} delays for {sources} sources and {targets} targets")))
     }
 
-    /// Whether so many delays are those of the layer's own spikes: one a channel or a unit.
+    /// Whether this many delays are those of the layer's own spikes: one a channel or a unit.
     pub(super) fn is_axonal(&self, count: u64) -> bool {
         self.last.as_ref().is_some_and(|last| count == last.shape[0] || count == last.units())
     }

@@ -7,13 +7,13 @@ use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::neurons::NeuronKind;
 
-/// Parameters that are given for each channel are expanded to at most so many numbers, all layers
+/// Parameters that are given for each channel are expanded to at most this many numbers, all layers
 /// together.
 pub(super) const MOST_EXPANDED: u64 = 1 << 22;
 /// The exponent of a bias (netx, `bias_exp`).
 pub(super) const BIAS_EXP: f64 = 6.0;
-/// Bits of the fraction of a message, and of the state behind it (netx, `spike_exp` and `state_exp` of
-/// its sigma-delta blocks).
+/// Bits of the fraction of a message, and of the state behind it (netx, `spike_exp` and `state_exp`
+/// of its sigma-delta blocks).
 pub(super) const SDNN_EXP: f64 = 6.0;
 
 pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {

@@ -27,7 +27,8 @@ impl Reader<'_> {
     pub(super) fn pass(&self, mut connection: Connection, name: &str) -> Result<Connection> {
         let node = &self.flat.nodes[name];
         let group = node.group;
-        let units = product(&connection.shape).ok_or_else(|| wrong(format!("'{name}' hears too many units")))?;
+        let units =
+            product(&connection.shape).ok_or_else(|| wrong(format!("'{name}' receives from too many units")))?;
         match node.kind.as_str() {
             "Pass" | "Output" => self.check_shape(name, units)?,
             // Every population is flattened in C order; the batch axis is not in a file.

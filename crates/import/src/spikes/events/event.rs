@@ -84,7 +84,7 @@ impl Counts {
 
 /// Receives the events of a decoder.
 pub trait Sink {
-    /// The file says that the sensor has so many columns and rows.
+    /// The file says that the sensor has this many columns and rows.
     fn size(&mut self, columns: u32, rows: u32);
     /// An event.
     ///
