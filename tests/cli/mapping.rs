@@ -71,6 +71,16 @@ fn stages_of_the_compiler_are_shown_as_text_that_reads_back() {
     let program: Program = parse(&shown("program"), "stage").unwrap();
     let compiled = compile(network, &load_target("loihi1-chip").unwrap(), &Options::default()).unwrap();
     assert!((partition, placement, program.into()) == (compiled.partition, compiled.placement, compiled.program));
+    // Of more copies the tables of classes are the same; cores and what sits on them grow.
+    let classes = |copies: &str| {
+        let line = ["show", "vtsnn-slip", "--as", "program", "--target", "pohoiki-springs", "--copies", copies];
+        let (_, text, _) = said(&line);
+        let begin = text.find("classes: [").unwrap_or_else(|| panic!("{copies}"));
+        let end = text[begin..].find("cores: [").unwrap();
+        (text[begin..begin + end].to_string(), text.len())
+    };
+    let (few, many) = (classes("32"), classes("1024"));
+    assert!(few.0 == many.0 && few.0.len() > 100_000 && many.1 > few.1, "{} {}", few.0.len(), many.0.len());
     let refused = object(&["show", "vtsnn-slip", "--as", "program", "--target", "tiny"], 1);
     assert_eq!((&refused["schema"], &refused["fits"]), (&"nsim.show/1".into(), &false.into()));
 }

@@ -60,6 +60,9 @@ pub struct Args {
     /// own, or nahuku-32]
     #[arg(long, requires = "stage")]
     pub target: Option<String>,
+    /// Copies of the model that the compiler maps
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), requires = "stage")]
+    pub copies: Option<u32>,
     /// Where to save the text
     #[arg(short, long)]
     pub output: Option<PathBuf>,
@@ -89,7 +92,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Some(stage) => {
             let job = JobArgs { target: args.target.clone(), ..JobArgs::for_model(name) };
             let wanted = if stage == Stage::Quantised { Wanted::Quantised } else { Wanted::Mapped };
-            let job = match prepare(&job, wanted, 1)? {
+            let job = match prepare(&job, wanted, args.copies.unwrap_or(1))? {
                 Prepared::Ready(job) => job,
                 Prepared::DoesNotFit(why) => return why.say(json!({ "schema": "nsim.show/1", "name": name }), context),
             };
