@@ -173,11 +173,7 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
             Parameter::Same(value) => format!("{key} {value}"),
             Parameter::Each(_) | Parameter::From(_) => format!("{key} each"),
         });
-        let kind = match (&population.loihi, population.srm) {
-            (Some(_), _) => "loihi",
-            (None, Some(_)) => "srm",
-            (None, None) => "input",
-        };
+        let kind = population.kind_name().to_lowercase();
         let parameters = parameters.chain(real).collect::<Vec<_>>().join(", ");
         json!([population.name, kind, population.shape, population.start_step, parameters])
     });
