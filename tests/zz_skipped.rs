@@ -17,8 +17,21 @@ use syn::visit::{self, Visit};
 
 /// The folders of recordings that tests ask for; one that is not listed is a slip of the pen and
 /// would be skipped for ever.
-const FOLDERS: [&str; 9] =
-    ["cases", "silicon", "neuron", "vtsnn-random", "ev-containers", "oxford-slayer", "netx", "nir", "events"];
+const FOLDERS: [&str; 13] = [
+    "cases",
+    "silicon",
+    "neuron",
+    "vtsnn-random",
+    "ev-containers",
+    "oxford-slayer",
+    "netx",
+    "nir",
+    "events",
+    "loihi2/neuron",
+    "loihi2/slayer",
+    "loihi2/rf_blocks",
+    "loihi2/pilotnet_sdnn",
+];
 
 /// The folders that the tests of a file ask for.
 #[derive(Default)]
