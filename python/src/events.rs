@@ -210,7 +210,8 @@ impl Records {
 
     /// The sample for a population; warns of events that it has no channel or step for.
     pub fn recording(&self, py: Python<'_>, population: &Population, dt_ms: f64) -> PyResult<PopulationSpikes> {
-        let expected = Expected { units: population.shape.len().into(), volume: population.shape.volume(), dt_ms, values: false };
+        let (units, volume) = (population.shape.len().into(), population.shape.volume());
+        let expected = Expected { units, volume, dt_ms, values: false };
         let read = read_input(&mut self.text.as_bytes(), "events", EventFormat::Text, &expected, &self.options);
         let (spikes, counts) = read.map_err(|mut problem| {
             // The first row is the header.

@@ -8,9 +8,7 @@
 
 use std::path::Path;
 
-use nsim::files::network::{
-    Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor,
-};
+use nsim::files::network::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim::import::foreign;
 use nsim::import::foreign::imported::DecayRule;
 use nsim::import::foreign::{Options, ResetMode};

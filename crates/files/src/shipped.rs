@@ -95,7 +95,14 @@ pub const TARGETS: &[Shipped] =
 /// Shipped chips.
 pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "loihi2", "tiny");
 /// Shipped presets of constants.
-pub const CONSTANTS: &[Shipped] = shipped!("mapping/constants": "davies2018", "loihi1-evidence", "loihi2-modelled", "sanafe-calibrated", "vtsnn-calibrated");
+pub const CONSTANTS: &[Shipped] = shipped!(
+    "mapping/constants":
+    "davies2018",
+    "loihi1-evidence",
+    "loihi2-modelled",
+    "sanafe-calibrated",
+    "vtsnn-calibrated",
+);
 /// Shipped tables of measurements.
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
 /// Shipped workloads that others measured.
