@@ -142,7 +142,11 @@ impl Export<'_> {
             return Err(refused("that a compartment spikes when it reaches its threshold (threshold: Inclusive)"));
         }
         if !parts.graded.is_empty() {
-            return Err(refused("spikes with a payload"));
+            return Err(refused("messages that carry integers"));
+        }
+        let mut compartments = self.program().classes().iter().flat_map(|class| &class.compartments);
+        if let Some(compartment) = compartments.find(|compartment| !compartment.neuron.kind.table().registers) {
+            return Err(refused(format!("{} neurons", compartment.neuron.kind.name())));
         }
         if parts.reset.is_some() {
             return Err(refused("that a network is reset within a sample"));

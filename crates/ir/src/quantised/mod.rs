@@ -68,6 +68,26 @@ impl Neuron {
         row: Row::EMPTY,
     };
 
+    /// The parameter of its kind that is called so in model files, 0 where the kind has none.
+    #[must_use]
+    pub fn parameter(&self, name: &str) -> i64 {
+        if !self.kind.table().registers {
+            let place = self.kind.parameters().iter().position(|parameter| parameter.name == name);
+            return place.map_or(0, |place| self.row.0[place].into());
+        }
+        match name {
+            "du" => self.du.into(),
+            "dv" => self.dv.into(),
+            "vth_mant" => self.vth.into(),
+            "bias_mant" => self.bias_mant.into(),
+            "bias_exp" => self.bias_exp.into(),
+            "refractory" => self.refractory.into(),
+            "vmin_exp" => self.vmin.into(),
+            "vmax_exp" => self.vmax.into(),
+            _ => 0,
+        }
+    }
+
     /// What compartments of the same profile share, on a core that has this many profiles.
     #[must_use]
     pub fn profile(&self) -> (Decay, Decay, Refractory, Row) {

@@ -3,8 +3,9 @@
 use serde_json::{Value, json};
 
 use nsim_ir::base::id::PopulationId;
+use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::quantised::{Neuron, Population, Projection, Quantised, Units};
+use nsim_ir::quantised::{Population, Projection, Quantised, Units};
 
 /// Bars of a histogram of weights.
 const BARS: i32 = 32;
@@ -85,27 +86,22 @@ pub fn json(network: &Quantised) -> Value {
     })
 }
 
-/// A parameter of a neuron by name.
-type NamedValue = (&'static str, fn(&Neuron) -> i64);
-
 fn population_json(population: &Population) -> Value {
-    let parameters: [NamedValue; 5] = [
-        ("du", |neuron| neuron.du.get().into()),
-        ("dv", |neuron| neuron.dv.get().into()),
-        ("vth_mant", |neuron| neuron.vth.get().into()),
-        ("bias_mant", |neuron| neuron.bias_mant.get().into()),
-        ("refractory", |neuron| neuron.refractory.get().into()),
-    ];
     let mut object =
         json!({ "name": population.name, "shape": population.shape.to_string(), "units": population.shape.len() });
     match &population.units {
         Units::Input(_) => object["kind"] = "input".into(),
         Units::Compartments { neurons, .. } => {
             let each = || (0..population.shape.len()).map(|index| neurons.get(index));
-            object["kind"] = each().next().map_or("", |neuron| neuron.kind.name()).into();
-            for (name, value) in parameters {
+            let kind = each().next().map(|neuron| neuron.kind);
+            object["kind"] = kind.map_or("", NeuronKind::name).into();
+            let table = kind.unwrap_or_default().table();
+            let own: Vec<&str> = table.parameters.iter().map(|parameter| parameter.name).collect();
+            // Of a compartment of Loihi 1 the most telling ones.
+            let telling = ["du", "dv", "vth_mant", "bias_mant", "refractory"];
+            for &name in if table.registers { &telling[..] } else { &own } {
                 let range = each().fold(None, |range: Option<(i64, i64)>, neuron| {
-                    let value = value(&neuron);
+                    let value = neuron.parameter(name);
                     Some(range.map_or((value, value), |(low, high)| (low.min(value), high.max(value))))
                 });
                 object["parameters"][name] = json!(range);

@@ -50,19 +50,8 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<N
                     return Err(unsupported(&format!("'{}', whose sums lava shifts,", population.name)));
                 }
                 let kind = each.first().map_or(Neuron::PLAIN.kind, |neuron| neuron.kind);
-                let values = |name: &str| -> Vec<f64> {
-                    let value = |neuron: &Neuron| match name {
-                        "du" => f64::from(neuron.du.get()),
-                        "dv" => f64::from(neuron.dv.get()),
-                        "vth_mant" => f64::from(neuron.vth.get()),
-                        "bias_mant" => f64::from(neuron.bias_mant.get()),
-                        "bias_exp" => f64::from(neuron.bias_exp.get()),
-                        "refractory" => f64::from(neuron.refractory.get()),
-                        "vmin_exp" => f64::from(neuron.vmin.get()),
-                        _ => f64::from(neuron.vmax.get()),
-                    };
-                    each.iter().map(value).collect()
-                };
+                let values =
+                    |name: &str| -> Vec<f64> { each.iter().map(|neuron| neuron.parameter(name) as f64).collect() };
                 let given = kind.parameters().iter().filter_map(|parameter| {
                     let values = Parameter::from_values(values(parameter.name));
                     let default = parameter.default.map(|default| Parameter::Same(default as f64));
