@@ -1,5 +1,5 @@
 //! The kinds of neurons whose state is columns of 32-bit words: one update of one compartment each,
-//! which [`Chunked`] applies to the compartments of a block.
+//! which `Chunked` applies to the compartments of a block.
 //!
 //! Input: the sums of a step's arrivals, in units of 64 of the accumulator (a weight times a
 //! message), and the state. Output: the next state, and what each compartment sends. Sums and words
