@@ -316,3 +316,46 @@ fn a_network_on_the_cores_of_another_runs_as_on_its_own() {
     }
     assert!(reused > 50 && fired > 2_000, "{reused} variants, {fired} spikes");
 }
+
+/// Hidden sizes are trained, mapped and priced in one table, as the single commands do it.
+#[test]
+fn variants_train_networks_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = r#"Sweep(
+        train: "slip-tactile",
+        set: {
+            "train.epochs": 1,
+            "train.train": "[\"scene:slip?samples=40&seed=1\"]",
+            "train.test": "[\"scene:slip?samples=10&seed=2\"]",
+        },
+        grid: [
+            (name: "hidden", paths: ["train.layers.touch.size"], values: [4, 8]),
+            (name: "copies", paths: ["options.copies"], values: [1, 2]),
+        ],
+    )"#;
+    std::fs::write(folder.path().join("sweep.ron"), sweep).unwrap();
+    let table = rows(&ran(folder.path(), "sweep sweep.ron"));
+    assert_eq!(table.len(), 4);
+    let set = "--set layers.touch.size=8 --set epochs=1 --set train=[\"scene:slip?samples=40&seed=1\"] \
+               --set test=[\"scene:slip?samples=10&seed=2\"]";
+    let trained = json(folder.path(), &format!("train slip-tactile {set} -o h8.ron"));
+    let run = json(folder.path(), "run h8.ron --input scene:slip?samples=10&seed=2");
+    assert_eq!(cell(&table[2], "digest"), run["digest"].as_str().unwrap());
+    assert_eq!(run["digest"], trained["digest"]);
+    let energy = json(folder.path(), "energy h8.ron --input scene:slip?samples=10&seed=2 --baseline --copies 2");
+    let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
+    assert_eq!(cell(&table[3], "energy_uj"), total["energy_uj"].to_string());
+    assert_ne!(cell(&table[0], "digest"), cell(&table[2], "digest"));
+    for (text, code) in [
+        (r#"Sweep(train: "slip-tactile", model: "slip-tactile")"#, "sweep.value"),
+        (r#"Sweep(train: "slip-tactile", set: {"populations.out.du": 1})"#, "sweep.path"),
+        (r#"Sweep(set: {"train.epochs": 1})"#, "sweep.path"),
+        (r#"Sweep(train: "slip")"#, "train.unknown"),
+        (r#"Sweep(train: "slip-tactile", set: {"train.layers.nothing.size": 1})"#, "set.path"),
+    ] {
+        std::fs::write(folder.path().join("wrong.ron"), text).unwrap();
+        let output = nsim(folder.path(), "sweep wrong.ron").output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && said.contains(code), "{text}: {said}");
+    }
+}

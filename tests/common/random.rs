@@ -9,7 +9,7 @@ use nsim::ir::base::id::{ChannelId, IdVec, PopulationId};
 use nsim::ir::base::rng;
 use nsim::ir::graph::{PerCompartment, Shape, Window};
 use nsim::ir::mapping::{MappedCore, MappingFile, Run};
-use nsim::ir::neurons::{Emits, Kept, NeuronKind, ParameterField, Port};
+use nsim::ir::neurons::{Emits, NeuronKind, ParameterField, Port, Storage};
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Quantised, Units};
@@ -213,7 +213,7 @@ pub fn network(seed: u64) -> Quantised {
 /// A neuron of a kind with random parameters; thresholds are low enough to be reached.
 fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
     let value = |parameter: &ParameterField| {
-        let most = if parameter.kept == Kept::Threshold { 500 } else { 1 << 16 };
+        let most = if parameter.storage == Storage::Threshold { 500 } else { 1 << 16 };
         draw.from(parameter.field.low.max(-most), parameter.field.high.min(most))
     };
     let values: Vec<i64> = kind.parameters().iter().map(value).collect();

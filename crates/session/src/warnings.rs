@@ -18,7 +18,7 @@ use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::{ThresholdMantissa, VmaxExponent};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
-use nsim_ir::neurons::{Kept, NeuronKind};
+use nsim_ir::neurons::{NeuronKind, Storage};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
 use nsim_ir::spikes::{Copies, Engine, Sample};
@@ -202,7 +202,7 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
     };
     let table = kind.table();
     if !table.registers {
-        let threshold = table.parameters.iter().find(|parameter| parameter.kept == Kept::Threshold);
+        let threshold = table.parameters.iter().find(|parameter| parameter.storage == Storage::Threshold);
         return match threshold {
             Some(threshold) => format!("lower its {}, or scale up the weights that lead to it", threshold.name),
             None => "all that reaches it sums to zero".to_string(),

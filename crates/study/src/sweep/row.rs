@@ -12,9 +12,9 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
 use crate::sweep::made::{MadeOnce, held};
-use crate::sweep::variants::{FIGURES, Job};
+use crate::sweep::variants::{FIGURES, Job, Training};
 use nsim_compile::reuse::{is_mapped_alike, with_neurons_of};
-use nsim_compile::{Compiled, DEFAULT_RATE, Form, explore};
+use nsim_compile::{Compiled, DEFAULT_RATE, Form, Front, explore};
 use nsim_cost::estimate::{Case, estimate};
 use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use nsim_energy::options::{tables, with_preset};
@@ -36,7 +36,9 @@ use nsim_session::samples::Run;
 use nsim_session::shapes;
 use nsim_session::{accuracy, digest};
 use nsim_train::convert::copies::USUAL;
-use nsim_train::convert::prepare::integers;
+use nsim_train::convert::prepare::{has_srm, integers};
+use nsim_train::job as train;
+use nsim_train::job::{Part, training_text, with_fields};
 
 /// The cells of a variant.
 pub type Cells = [String; FIGURES.len()];
@@ -51,19 +53,45 @@ struct Priced {
     table: CostTable,
 }
 
+/// What a variant trained, and where its test samples come from.
+#[derive(Debug)]
+struct Trained {
+    network: Network,
+    test: Vec<String>,
+}
+
+impl Trained {
+    /// Trains to the end on the samples that the training file names.
+    fn new(training: &Training) -> Result<Self, Error> {
+        let source = training_text(&training.config)?;
+        let fields = training.fields.iter().map(|(field, value)| (field.as_str(), value.as_str()));
+        let file = train::Job::new(with_fields(&source, &fields.collect::<Vec<_>>())?, None, None)?;
+        let examples = file.read(Part::Train, &[])?;
+        if examples.is_empty() {
+            let problem = Diagnostic::new("train.sources", "it names no samples to train on");
+            return Err(problem.help("list them in its field train").in_file(source.path()).into());
+        }
+        let (state, _) = train::train(&file.plan, &examples, None, |_| ())?;
+        let network = file.network(file.plan.result(&state), "trained by a sweep")?;
+        Ok(Trained { network, test: file.file.test })
+    }
+}
+
 /// The latest mappings that have been made for one key.
 type Mappings = Mutex<Vec<Arc<Compiled>>>;
 
 /// What variants have to have in common to be mapped alike: all but the parameters of neurons.
 fn shared_by(job: &Job) -> String {
     let others: Vec<&Change> = job.of_model.iter().filter(|change| !change.is_of_population()).collect();
-    format!("{:?}", (&job.model, others, &job.target, &job.of_target, &job.options))
+    format!("{:?}", (&job.model, &job.training, others, &job.target, &job.of_target, &job.options))
 }
 
 /// Runs variants.
 #[derive(Debug, Default)]
 pub struct Runner {
     models: MadeOnce<String, Option<Unchanged>>,
+    trained: MadeOnce<String, Trained>,
+    converted: MadeOnce<String, Front>,
     targets: MadeOnce<(String, Vec<Change>, Option<String>), Priced>,
     mappings: MadeOnce<String, Mappings>,
     stimuli: MadeOnce<String, Stimulus>,
@@ -124,7 +152,14 @@ impl Runner {
         self.models.get(name.to_string(), || Ok(Unchanged::load(name)))
     }
 
+    fn trained(&self, training: &Training) -> Result<Arc<Trained>, Error> {
+        self.trained.get(format!("{training:?}"), || Trained::new(training))
+    }
+
     fn network(&self, job: &Job) -> Result<Network, Error> {
+        if let Some(training) = &job.training {
+            return Ok(agreeing(self.trained(training)?.network.clone(), job.dt_ms)?);
+        }
         let model = self.model(&job.model)?;
         Ok(within(&job.of_model, || match &*model {
             Some(model) => agreeing(model.changed()?, job.dt_ms),
@@ -149,7 +184,12 @@ impl Runner {
     fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Compiled>, Error> {
         let options = &job.options;
         shapes::check(network, target, options.copies)?;
-        let front = integers(network, USUAL)?;
+        let front = if has_srm(network) {
+            let network_of = format!("{:?}", (&job.model, &job.training, job.dt_ms, &job.of_model));
+            Front::clone(&*self.converted.get(network_of, || integers(network, USUAL))?)
+        } else {
+            integers(network, USUAL)?
+        };
         let key = shared_by(job);
         let known = self.mappings.get(key, || Ok::<_, Error>(Mappings::default()))?;
         // Who finds none makes one, while others wait for it.
@@ -169,7 +209,13 @@ impl Runner {
         Ok(compiled)
     }
 
-    fn stimulus(&self, job: &Job, network: &Quantised, scene: Option<&str>) -> Result<Arc<Stimulus>, Error> {
+    fn stimulus(
+        &self,
+        job: &Job,
+        input: &[String],
+        network: &Quantised,
+        scene: Option<&str>,
+    ) -> Result<Arc<Stimulus>, Error> {
         let parts = network.parts();
         let inputs: Vec<_> = parts
             .populations
@@ -177,13 +223,17 @@ impl Runner {
             .filter(|one| matches!(one.units, Units::Input(_)))
             .map(|one| (&one.name, one.shape))
             .collect();
-        let seen = (&job.input, job.seed, scene, inputs, parts.timestep_ms, &parts.classes);
-        self.stimuli.get(format!("{seen:?}"), || stimulus(network, &job.input, scene, job.seed))
+        let seen = (input, job.seed, scene, inputs, parts.timestep_ms, &parts.classes);
+        self.stimuli.get(format!("{seen:?}"), || stimulus(network, input, scene, job.seed))
     }
 
     fn figures(&self, job: &Job) -> Result<Cells, Error> {
         let network = self.network(job)?;
-        if job.input.is_empty() {
+        let input = match &job.training {
+            Some(training) if job.input.is_empty() => self.trained(training)?.test.clone(),
+            _ => job.input.clone(),
+        };
+        if input.is_empty() {
             let help = "give spikes with input: [\"FILE\"] in the sweep, or input: [\"scene:noise\"] to try";
             require_scene(&job.model, network.file().scene.as_deref(), help)?;
         }
@@ -191,7 +241,7 @@ impl Runner {
         let target = &priced.target;
         let compiled = self.mapped(job, &network, target)?;
         let scene = network.file().scene.as_deref();
-        let shown = self.stimulus(job, &compiled.one, scene)?;
+        let shown = self.stimulus(job, &input, &compiled.one, scene)?;
         let range = job.samples.clone().unwrap_or(0..usize::MAX);
         let all = shown.samples.len();
         if range.start >= all || (range.end != usize::MAX && range.end > all) {
