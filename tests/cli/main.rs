@@ -22,6 +22,7 @@ mod remedies;
 mod results;
 mod runs;
 mod saved_mappings;
+mod screens;
 mod side_by_side;
 mod sweep;
 mod training;

@@ -13,7 +13,7 @@ use nsim::ir::program::Program;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spanned::parse;
 
-use crate::{MODEL, has_keys, object, said, write};
+use crate::{MODEL, has_keys, nsim, object, said, write};
 
 #[test]
 fn what_does_not_fit_is_answered_with_the_command_s_own_object() {
@@ -116,8 +116,9 @@ fn pruning_changes_no_output_and_says_what_it_left_out() {
     has_keys(&fixed["pruned"][0], &["kind", "count", "reason"]);
     let scene = object(&["map", &model, "--prune", &spikes, "-o", &saved], 0);
     assert_eq!(row(&scene, "dead_input"), Some(1));
-    let (code, stdout, _) = said(&["map", &model, "--prune", &spikes]);
-    assert!(code == 0 && stdout.contains("dead input") && stdout.contains("never fires in"), "{stdout}");
+    let wide = nsim(&["map", &model, "--prune", &spikes]).env("COLUMNS", "400").output().unwrap();
+    let stdout = String::from_utf8(wide.stdout).unwrap();
+    assert!(wide.status.success() && stdout.contains("dead input") && stdout.contains("never fires in"), "{stdout}");
 
     let whole = object(&["run", &model, "--input", &spikes], 0);
     assert!(whole["activity"]["spikes"].as_u64().unwrap() > 0);

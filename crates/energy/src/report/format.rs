@@ -1,19 +1,6 @@
 //! Tables and figures as the reports of energy print them.
 
-use comfy_table::{CellAlignment, Table};
-
-use nsim_files::table as text;
 use nsim_files::table::digits;
-
-/// An empty table: the first column, units and sources to the left, figures to the right.
-pub(super) fn plain(header: &[&str]) -> Table {
-    let mut table = text::table(header);
-    for (i, column) in table.column_iter_mut().enumerate() {
-        let left = i == 0 || matches!(header[i], "Unit" | "Source");
-        column.set_cell_alignment(if left { CellAlignment::Left } else { CellAlignment::Right });
-    }
-    table
-}
 
 /// What stands for a figure that is not known.
 pub(super) fn unknown() -> String {

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::step::rounded;
 use nsim_compile::{Objective, Strategy};
 use nsim_energy::environment::Environment;
-use nsim_files::table::{Column, csv, or_empty, table_of, three};
+use nsim_files::table::{Column, csv, or_empty, table_of, three, wrapped};
 use nsim_study::mapping::{MeasuredMapping, Refusal};
 
 /// Everything that the report says.
@@ -117,19 +117,19 @@ impl MapReport<'_> {
             ("s", |row| three(row.seconds)),
             ("MiB", |row| or_empty(row.peak_mib.map(|mib| format!("{mib:.0}")))),
         ];
-        let table = table_of(self.rows, &columns, 4);
-        let mut text = format!("{}\n\n{table}\n\n", self.environment);
+        let table = table_of(self.rows, &columns);
+        let mut text = format!("{}\n{table}\n", wrapped(&self.environment.to_string()));
         for Refusal { network, target, reasons, seconds, .. } in self.refused {
-            text += &format!("{network} does not fit {target}, known after {} s:\n", three(*seconds));
-            reasons.iter().for_each(|reason| text += &format!("  {reason}\n"));
+            text += &wrapped(&format!("{network} does not fit {target}, known after {} s:", three(*seconds)));
+            reasons.iter().for_each(|reason| text += &wrapped(&format!("- {reason}")));
         }
         for strategy in [Strategy::Greedy, Strategy::Multilevel] {
             let (networks, hops_multicast, worse) = self.against_sequential(strategy, Objective::Cores);
             let name = strategy.name();
-            text += &format!(
+            text += &wrapped(&format!(
                 "{name}, placed: {hops_multicast:.2} of the multicast hops of unplaced sequential (geometric mean of \
-                 {networks} networks); more hops or cores on {worse}\n"
-            );
+                 {networks} networks); more hops or cores on {worse}"
+            ));
         }
         text
     }
@@ -191,7 +191,7 @@ mod tests {
             assert!(json["rows"][0].get(key).is_some(), "{key}");
         }
         assert_eq!(json["refused"][0]["reasons"][0], "too large");
-        assert!(report.text().contains("s:\n  too large"));
+        assert!(report.text().contains("s:\n- too large"));
         assert_eq!(report.csv().lines().count(), 7);
         assert!(report.text().contains("0.50 of the multicast hops"));
     }

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use nsim_energy::environment::Environment;
 use nsim_energy::measure::StepTiming;
-use nsim_files::table::{Column, csv, table_of, three};
+use nsim_files::table::{Column, csv, table_of, three, wrapped};
 
 /// A row of `nsim bench step`.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,8 +107,8 @@ impl StepReport<'_> {
             ("bytes a synapse", |row| three(row.bytes_per_synapse)),
             ("ms for sums", |row| three(row.sums_ms)),
         ];
-        let table = table_of(self.rows, &columns, 1);
-        format!("{}\n\n{table}\n", self.environment)
+        let table = table_of(self.rows, &columns);
+        format!("{}\n{table}", wrapped(&self.environment.to_string()))
     }
 }
 
