@@ -1,5 +1,6 @@
-//! The tables of fields in `docs/import.md`: a field that is changed to a value that means
+//! The table of fields in `tests/files/fields.md`: a field that is changed to a value that means
 //! something else changes the model or is refused, and a field without meaning changes nothing.
+//! `docs/import.md` has each field in a row of its layer.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -21,7 +22,7 @@ struct Row {
 }
 
 fn rows() -> Vec<Row> {
-    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
+    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/files/fields.md")).unwrap();
     let table = text.split("\n## Fields").nth(1).unwrap().split("\n## ").next().unwrap();
     let plain = |cell: &str| cell.trim().trim_matches('`').to_string();
     let cells = table.lines().filter_map(|line| line.strip_prefix('|')).map(|line| line.split('|').collect::<Vec<_>>());
@@ -390,6 +391,20 @@ fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<NetworkFi
     lower(&model.build(Path::new("net.pt")).ok()?).ok()?;
     model.provenance = None;
     Some(model)
+}
+
+/// Tensors of state dicts have names of their own; the page lists them by tool.
+#[test]
+fn each_field_is_described_in_the_row_of_its_layer() {
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
+    let described: Vec<(&str, &str)> =
+        page.lines().filter_map(|line| line.strip_prefix("| ")?.split_once(" | ")).collect();
+    for Row { owner, field, .. } in rows() {
+        let (format, kind) = owner.split_once(' ').unwrap();
+        let of_layer = |layers: &str| layers.split(", ").any(|layer| layer == kind);
+        let found = described.iter().any(|(layers, fields)| of_layer(layers) && fields.contains(&format!("`{field}`")));
+        assert!(format == "torch" || found, "docs/import.md has no `{field}` in a row of {owner}");
+    }
 }
 
 #[test]
