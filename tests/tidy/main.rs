@@ -286,17 +286,65 @@ fn boards_are_named_in_their_files_only() {
 }
 
 /// Folders whose files documents name by their path.
-const NAMED_FOLDERS: [&str; 10] =
-    ["src/", "crates/", "tests/", "docs/", "models/", "mapping/", "benches/", "examples/", ".github/", ".ci/"];
+const NAMED_FOLDERS: &str = ".ci .github assets benches crates docs examples mapping models python results src tests";
 
 /// Paths in the repositories of other projects, which comments cite.
 const CITED: [&str; 2] = ["docs/source/primitives.md", "docs/spec.md"];
+
+/// Words of a page of `docs`, and of all pages with the README and CONTRIBUTING; the pages of
+/// commands are generated.
+const MOST_WORDS: (usize, usize) = (4_100, 34_800);
+
+/// Words of no field, in place of the terms of this one.
+const DIALECT: &str = "alike, at once, beside, comes to, dealt, for want of, foretold, handed, hears, in turn, \
+                       leads nowhere, left out, nobody, so many, stands for, told, twins, whoever";
+
+/// The pages that people write, by their path.
+fn pages() -> Vec<(String, String)> {
+    let mut paths: Vec<PathBuf> = ["README.md", "CONTRIBUTING.md"].map(|name| root().join(name)).into();
+    files(&root().join("docs"), "md", &mut paths);
+    let text = |path: &PathBuf| fs::read_to_string(path).unwrap();
+    let named = |path: &PathBuf| path.strip_prefix(root()).unwrap().to_string_lossy().into_owned();
+    paths.iter().map(|path| (named(path), text(path))).filter(|(path, _)| !path.contains("/commands/")).collect()
+}
+
+#[test]
+fn pages_are_short_and_in_words_of_the_field() {
+    let (mut wrong, mut all) = (Vec::new(), 0);
+    for (path, text) in pages() {
+        let words: Vec<String> = text
+            .split_whitespace()
+            .map(|word| word.trim_matches(|c: char| !c.is_alphanumeric()).to_lowercase())
+            .collect();
+        all += words.len();
+        if words.len() > MOST_WORDS.0 {
+            wrong.push(format!("{path}: {} words, at most {}", words.len(), MOST_WORDS.0));
+        }
+        let text = format!(" {} ", words.join(" "));
+        let found = DIALECT.split(", ").filter(|term| text.contains(&format!(" {term} ")));
+        wrong.extend(found.map(|term| format!("{path}: '{term}' is no term of the field")));
+    }
+    if all > MOST_WORDS.1 {
+        wrong.push(format!("{all} words in all pages, at most {}", MOST_WORDS.1));
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// The names by which links reach the headings of a page.
+fn anchors(page: &str) -> impl Iterator<Item = String> {
+    page.lines().filter_map(|line| line.strip_prefix('#')).map(|heading| {
+        let plain = heading.trim_matches(['#', ' ']).to_lowercase().replace(' ', "-");
+        plain.chars().filter(|c| c.is_alphanumeric() || *c == '-' || *c == '_').collect()
+    })
+}
 
 /// The paths that a text names between backquotes.
 fn quoted_paths(text: &str) -> impl Iterator<Item = &str> {
     let quoted = text.split('`').skip(1).step_by(2);
     quoted.filter(|quoted| {
-        NAMED_FOLDERS.iter().any(|folder| quoted.starts_with(folder)) && !quoted.contains([' ', '*', '<', '{', '\n'])
+        let folder = quoted.split_once('/').map(|(folder, _)| folder);
+        folder.is_some_and(|folder| NAMED_FOLDERS.split(' ').any(|named| named == folder))
+            && !quoted.contains([' ', '*', '<', '{', '\n'])
     })
 }
 
@@ -314,11 +362,11 @@ fn paths_in_documents_exist() {
         let absent = quoted_paths(&text).filter(|path| !root().join(path).exists());
         wrong.extend(absent.map(|path| format!("{name} names {path}, which does not exist")));
         for link in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
-            if !link.contains("://") && !link.starts_with('#') {
-                let target = document.parent().unwrap().join(link.split('#').next().unwrap());
-                if !target.exists() {
-                    wrong.push(format!("{name} links to {link}, which does not exist"));
-                }
+            let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let target = if file.is_empty() { document.clone() } else { document.parent().unwrap().join(file) };
+            let found = || anchor.is_empty() || anchors(&fs::read_to_string(&target).unwrap()).any(|of| of == anchor);
+            if !link.contains("://") && !(target.exists() && found()) {
+                wrong.push(format!("{name} links to {link}, which does not exist"));
             }
         }
     }
