@@ -216,7 +216,7 @@ fn store(
             bytes[channel as usize * steps + step as usize] = 1;
         }
         let shape = [shape, vec![steps as u64]].concat();
-        folder.member(name, |out| npy::write_bytes(out, &shape, &bytes))?;
+        folder.member(name, |out| npy::write(out, &shape, bytes.iter().copied()))?;
     }
     Ok(names)
 }

@@ -5,7 +5,7 @@ use crate::common::random;
 use nsim::compile::{Compiled, Options, compile};
 use nsim::cost::model::{core_time, energy};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
-use nsim::files::recorded::steps::{StepFormat, StepWriter};
+use nsim::files::steps::{StepFormat, StepWriter};
 use nsim::files::target::load_target;
 use nsim::ir::activity::{Overflow, Totals};
 use nsim::ir::base::id::ChannelId;

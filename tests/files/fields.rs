@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use crate::torch::{Entry, checkpoint};
+use crate::tree;
 use nsim::files::lower::lower;
 use nsim::files::network::NetworkFile;
 use nsim::import::foreign;
@@ -175,21 +176,20 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
         "I" => neuron(&[("type", "I"), ("r", "[1, 1, 1]")]),
         other => panic!("no graph with a node {other}"),
     };
-    let edges: Vec<String> = nodes.windows(2).flat_map(|pair| [pair[0].0.to_string(), pair[1].0.to_string()]).collect();
-    let mut all = Group::default();
-    for (name, mut node) in nodes {
+    let edges: Vec<(&str, &str)> = nodes.windows(2).map(|pair| (pair[0].0, pair[1].0)).collect();
+    let changed = |(name, mut node): (&'static str, Group)| {
         if let Some((field, value)) = change.filter(|_| name == "x") {
-            node.items.insert((*field).to_string(), value.clone());
+            node.insert(field, value.clone());
         }
-        all = all.with(name, node);
+        (name, node)
+    };
+    let mut root = tree::nir(nodes.into_iter().map(changed), edges);
+    match (change, root.items.get_mut("node")) {
+        (Some((field, value)), Some(Item::Group(graph))) if kind == "NIRGraph" => graph.insert(field, value.clone()),
+        (Some((field, value)), _) if kind == "file" => root.insert(field, value.clone()),
+        _ => {}
     }
-    let edges = Item::Texts(vec![edges.len() / 2, 2], edges);
-    let graph = Group::default().with("type", "NIRGraph").with("nodes", all).with("edges", edges);
-    match change {
-        Some((field, value)) if kind == "NIRGraph" => Group::default().with("node", graph.with(field, value.clone())),
-        Some((field, value)) if kind == "file" => Group::default().with("node", graph).with(field, value.clone()),
-        _ => Group::default().with("node", graph),
-    }
+    root
 }
 
 /// A netx file of an input, a convolution and a dense layer, with a field of one of them, or of the
@@ -197,7 +197,7 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
 fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     let changed = |mut group: Group, name: &str| {
         if let Some((field, value)) = change.filter(|_| owner == name) {
-            group.items.insert((*field).to_string(), value.clone());
+            group.insert(field, value.clone());
         }
         group
     };
@@ -280,17 +280,6 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     }
     let simulation = changed(group(&[("Ts", "1")]), "simulation");
     Group::default().with("layer", layers).with("simulation", simulation)
-}
-
-/// A 3 x 3 image of 32-bit reals.
-fn npy_image() -> Vec<u8> {
-    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }";
-    let mut file = b"\x93NUMPY\x01\0".to_vec();
-    file.extend((header.len() as u16 + 1).to_le_bytes());
-    file.extend(header.bytes());
-    file.push(b'\n');
-    file.extend((0..9u8).flat_map(|i| (f32::from(i) / 9.0).to_le_bytes()));
-    file
 }
 
 /// A set of weights as VT_SNN saves them, or a state dict for neurons of real numbers, with a
@@ -401,7 +390,8 @@ fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
     let options = Options { dt_ms: Some(1.0), ..Options::default() };
     let folder = tempfile::tempdir().unwrap();
     let image = folder.path().join("image.npy");
-    std::fs::write(&image, npy_image()).unwrap();
+    let pixels = (0..9u8).map(|i| f64::from(i) / 9.0);
+    nsim::files::npy::write(std::fs::File::create(&image).unwrap(), &[3, 3], pixels).unwrap();
     for Row { owner, field, other } in &rows {
         let (format, kind) = owner.split_once(' ').unwrap();
         let value = if other == "-" { "7" } else { other };

@@ -15,7 +15,7 @@ use super::priced::Metered;
 use super::samples::{Meter, Run, Running};
 use nsim_cost::model::{Breakdown, StepTime, energy_of_counts};
 use nsim_cost::{MeterSettings, StepMeter};
-use nsim_files::recorded::steps::{Column, StepWriter, Unit};
+use nsim_files::steps::{Column, StepWriter, Unit};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::Id;

@@ -88,17 +88,8 @@ pub enum NeuronKind {
 /// Units of the mantissa in a real weight of 1 of lava-dl (`w_scale` of its neurons, d825ac5).
 pub(super) const LAVA_SCALE: f64 = 64.0;
 /// What only a training uses: shapes of the gradient, and how lava-dl keeps its parameters.
-const OF_TRAINING: [&str; 9] = [
-    "tauRho",
-    "scaleRho",
-    "tau_grad",
-    "scale_grad",
-    "requires_grad",
-    "shared_param",
-    "persistent_state",
-    "norm",
-    "dropout",
-];
+const OF_TRAINING: &str =
+    "tauRho scaleRho tau_grad scale_grad requires_grad shared_param persistent_state norm dropout";
 
 #[derive(Deserialize)]
 struct ConfigFile {
@@ -227,7 +218,7 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
         }
         other => return Err(wrong(format!("neurons of the type '{other}' are not known")).help(KINDS)),
     };
-    match fields.into_keys().find(|key| !OF_TRAINING.contains(&key.as_str())) {
+    match fields.into_keys().find(|key| !OF_TRAINING.split(' ').any(|known| known == key)) {
         Some(key) => Err(wrong(format!("a neuron of type {kind} has no field '{key}'"))
             .help("leave it out if the network does not depend on it; docs/import.md has the fields of each type")),
         None => Ok(Neuron { kind: read, dt_ms: file.simulation.and_then(|simulation| simulation.ts) }),

@@ -214,19 +214,6 @@ impl Reader<'_> {
     }
 
     fn check_kinds(&self) -> Result<()> {
-        const LINEAR: [&str; 11] = [
-            "Linear",
-            "Affine",
-            "Scale",
-            "Conv1d",
-            "Conv2d",
-            "SumPool2d",
-            "AvgPool2d",
-            "Flatten",
-            "Delay",
-            "Pass",
-            "Output",
-        ];
         for (name, node) in &self.flat.nodes {
             let known = fields(&node.kind);
             let unknown = |key: &&String| !known.contains(&key.as_str()) && !WITHOUT_MEANING.contains(&key.as_str());
@@ -236,7 +223,7 @@ impl Reader<'_> {
                     "remove it if the network does not depend on it",
                 ));
             }
-            if !is_population(&node.kind) && !LINEAR.contains(&node.kind.as_str()) {
+            if known.is_empty() {
                 return Err(unsupported(
                     format!("node '{name}' is of the type '{}'", node.kind),
                     "imported are Input, Output, Linear, Affine, Scale, CubaLIF, LIF, IF, CubaLI, LI, I, Threshold, \
