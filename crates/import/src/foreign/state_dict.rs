@@ -107,9 +107,6 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
 }
 
 /// Reads a checkpoint.
-///
-/// # Errors
-/// `import.torch`, `import.pickle`, `import.state-dict`, `import.option`, `import.slayer`.
 pub fn read(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported> {
     let mut checkpoint = torch::open(bytes)?;
     let (modules, ignored) = modules(arrays(&mut checkpoint)?)?;

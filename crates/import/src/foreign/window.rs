@@ -40,7 +40,6 @@ pub type Synapses = Vec<(u64, u64, f64)>;
 impl Sliding {
     /// A window of this size with stride, padding and dilation between two volumes; none where a
     /// shape has other than three axes.
-    #[must_use]
     pub fn new(
         (source, target): (&[u64], &[u64]),
         size: (u64, u64),
@@ -61,13 +60,11 @@ impl Sliding {
     }
 
     /// Source channels of an output.
-    #[must_use]
     pub fn per_group(&self) -> usize {
         self.source[0] / self.groups
     }
 
     /// Silent rows and columns behind the last.
-    #[must_use]
     pub fn padding_after(&self) -> (u64, u64) {
         let after = |source: usize, target: usize, size: usize, stride: usize, before: usize, dilation: usize| {
             let reach = dilation * (size - 1) + 1;
@@ -82,7 +79,6 @@ impl Sliding {
 
     /// Every synapse as (source unit, target unit, index into a kernel
     /// `[out][in / groups][kh][kw]`); nothing where there may be more than [`MOST_LISTED`].
-    #[must_use]
     pub fn synapses(self) -> Option<impl Iterator<Item = (u64, u64, usize)>> {
         let (window, per_in) = (self, self.per_group());
         let per_out = (self.target[0] / self.groups).max(1);
@@ -108,7 +104,6 @@ impl Sliding {
 
 /// The synapses of a projection from one shape to another; none where they may be more than
 /// [`MOST_LISTED`], or are not in place.
-#[must_use]
 pub fn listed(kind: ProjectionKind, source: &[u64], target: &[u64]) -> Option<Synapses> {
     match kind {
         ProjectionKind::Sparse(synapses) => Some(synapses),

@@ -31,10 +31,6 @@ use nsim_ir::neurons::NeuronKind;
 use reader::{Neurons, Reader, units, wrong};
 
 /// Reads the tree of a file.
-///
-/// # Errors
-/// `import.netx` for what is malformed, `import.unsupported` for what is known and has no
-/// counterpart, `import.option` for what the file does not say.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let layers = layers(root)?;
     let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);

@@ -45,10 +45,6 @@ use nsim_ir::neurons::NeuronKind;
 use reader::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
 
 /// Reads the tree of a file.
-///
-/// # Errors
-/// `import.nir` for what is malformed, `import.unsupported` for what a core cannot do,
-/// `import.option` for what the file does not say.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
     let mut notes = Vec::new();
