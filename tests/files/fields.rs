@@ -72,46 +72,38 @@ fn model(root: &Group, options: &Options) -> Option<NetworkFile> {
     Some(model)
 }
 
-const LIF: [(&str, &str); 5] = [
-    ("type", "LIF"),
-    ("tau", "[0.008, 0.008, 0.008]"),
-    ("r", "[8, 8, 8]"),
-    ("v_leak", "[0, 0, 0]"),
-    ("v_threshold", "[1, 1, 1]"),
-];
+const LIF: [(&str, f64); 4] = [("tau", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)];
+const CUBA: [(&str, f64); 5] = [("tau_syn", 0.004), ("tau_mem", 0.008), ("w_in", 4.0), ("r", 8.0), ("v_leak", 0.0)];
 const LINEAR: [(&str, &str); 2] = [("type", "Linear"), ("weight", "[[1, 2, 3, 4], [2, 3, 4, 5], [3, 4, 5, 6]]")];
 
 /// A graph with a node of this type, `x`, that has this field if nodes of the type may have it.
 fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
     let line = |nodes: Vec<(&'static str, Group)>| nodes;
-    let lif = |units: usize| {
-        let list = |x: f64| Numbers::f64(&[units], &vec![x; units]);
-        let node = Group::default().with("type", "LIF").with("tau", list(0.008)).with("r", list(8.0));
-        node.with("v_leak", list(0.0)).with("v_threshold", list(1.0))
-    };
+    let lif = |units: usize| tree::node("LIF", &[units], &LIF);
     // Neurons whose one set of parameters fits any shape.
-    let any = || group(&[("type", "LIF"), ("tau", "[0.008]"), ("r", "[8]"), ("v_leak", "[0]"), ("v_threshold", "[1]")]);
+    let any = || lif(1);
     let (input, output) =
         (|| group(&[("type", "Input"), ("shape", "[4]")]), || group(&[("type", "Output"), ("shape", "[3]")]));
     let image = || group(&[("type", "Input"), ("shape", "[1, 4, 4]")]);
     let end = || group(&[("type", "Output")]);
-    let neuron = |members: &[(&str, &str)]| {
-        line(vec![("i", input()), ("w", group(&LINEAR)), ("x", group(members)), ("o", output())])
+    let neuron = |fields: &[(&str, f64)]| {
+        let node = tree::node(kind, &[3], fields);
+        line(vec![("i", input()), ("w", group(&LINEAR)), ("x", node), ("o", output())])
     };
     let nodes = match kind {
-        "Input" => line(vec![("x", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
-        "Output" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("x", output())]),
-        "Linear" => line(vec![("i", input()), ("x", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
+        "Input" => line(vec![("x", input()), ("w", group(&LINEAR)), ("n", lif(3)), ("o", output())]),
+        "Output" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", lif(3)), ("x", output())]),
+        "Linear" => line(vec![("i", input()), ("x", group(&LINEAR)), ("n", lif(3)), ("o", output())]),
         "Affine" => {
             let affine = group(&[("bias", "[0, 0, 1]"), ("weight", LINEAR[1].1), ("type", "Affine")]);
-            line(vec![("i", input()), ("x", affine), ("n", group(&LIF)), ("o", output())])
+            line(vec![("i", input()), ("x", affine), ("n", lif(3)), ("o", output())])
         }
         "Scale" | "Delay" => {
             let node = match kind {
                 "Scale" => group(&[("type", "Scale"), ("scale", "[1, 2, 3]")]),
                 _ => group(&[("type", "Delay"), ("delay", "[0.001, 0.002, 0]")]),
             };
-            line(vec![("i", input()), ("w", group(&LINEAR)), ("x", node), ("n", group(&LIF)), ("o", output())])
+            line(vec![("i", input()), ("w", group(&LINEAR)), ("x", node), ("n", lif(3)), ("o", output())])
         }
         "Conv2d" => {
             let conv = group(&[
@@ -150,30 +142,13 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
             line(vec![("i", image()), ("x", flatten), ("w", weights), ("n", lif(2)), ("o", end())])
         }
         "LIF" => neuron(&LIF),
-        "CubaLIF" => neuron(&[
-            ("type", "CubaLIF"),
-            ("tau_syn", "[0.004, 0.004, 0.004]"),
-            ("tau_mem", "[0.008, 0.008, 0.008]"),
-            ("w_in", "[4, 4, 4]"),
-            ("r", "[8, 8, 8]"),
-            ("v_leak", "[0, 0, 0]"),
-            ("v_threshold", "[1, 1, 1]"),
-        ]),
-        "IF" => neuron(&[("type", "IF"), ("r", "[1, 1, 1]"), ("v_threshold", "[1, 1, 1]")]),
-        "Threshold" => neuron(&[("type", "Threshold"), ("threshold", "[1, 1, 1]")]),
-        "LI" => {
-            neuron(&[("type", "LI"), ("tau", "[0.008, 0.008, 0.008]"), ("r", "[8, 8, 8]"), ("v_leak", "[0, 0, 0]")])
-        }
-        "CubaLI" => neuron(&[
-            ("type", "CubaLI"),
-            ("tau_syn", "[0.004, 0.004, 0.004]"),
-            ("tau_mem", "[0.008, 0.008, 0.008]"),
-            ("w_in", "[4, 4, 4]"),
-            ("r", "[8, 8, 8]"),
-            ("v_leak", "[0, 0, 0]"),
-        ]),
-        "NIRGraph" | "file" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
-        "I" => neuron(&[("type", "I"), ("r", "[1, 1, 1]")]),
+        "CubaLIF" => neuron(&[&CUBA[..], &[("v_threshold", 1.0)]].concat()),
+        "IF" => neuron(&[("r", 1.0), ("v_threshold", 1.0)]),
+        "Threshold" => neuron(&[("threshold", 1.0)]),
+        "LI" => neuron(&LIF[..3]),
+        "CubaLI" => neuron(&CUBA),
+        "I" => neuron(&[("r", 1.0)]),
+        "NIRGraph" | "file" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", lif(3)), ("o", output())]),
         other => panic!("no graph with a node {other}"),
     };
     let edges: Vec<(&str, &str)> = nodes.windows(2).map(|pair| (pair[0].0, pair[1].0)).collect();

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use crate::real::{STEPS, input, spikes, total};
-use crate::tree::{int, ints, nir, node, reals, shaped, typed};
+use crate::tree::{int, ints, nir, node, reals, typed};
 use nsim::files::lower::lower;
 use nsim::files::network::{NetworkFile, Parameter, ProjectionKind};
 use nsim::import::foreign;
@@ -53,22 +53,14 @@ fn import(root: &Group) -> NetworkFile {
 
 /// Leaky neurons of which a step takes an eighth, with weights that count as they are.
 fn lif(axes: &[usize]) -> Group {
-    typed("LIF")
-        .with("tau", shaped(axes, 0.008))
-        .with("r", shaped(axes, 8.0))
-        .with("v_leak", shaped(axes, 0.0))
-        .with("v_threshold", shaped(axes, 1.0))
+    node("LIF", axes, &[("tau", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)])
 }
 
 /// The same with a current of which a step takes a quarter.
 fn cuba(axes: &[usize]) -> Group {
-    typed("CubaLIF")
-        .with("tau_syn", shaped(axes, 0.004))
-        .with("w_in", shaped(axes, 4.0))
-        .with("tau_mem", shaped(axes, 0.008))
-        .with("r", shaped(axes, 8.0))
-        .with("v_leak", shaped(axes, 0.0))
-        .with("v_threshold", shaped(axes, 1.0))
+    let fields =
+        [("tau_syn", 0.004), ("w_in", 4.0), ("tau_mem", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)];
+    node("CubaLIF", axes, &fields)
 }
 
 fn source(axes: &[i64]) -> Group {
@@ -288,8 +280,8 @@ fn every_kind_of_node_keeps_its_spikes_over_an_export_that_another_tool_rewrote(
         .with("padding", int(1))
         .with("dilation", int(1))
         .with("groups", int(1));
-    let integrate = typed("IF").with("r", shaped(&[3], 1.0)).with("v_threshold", shaped(&[3], 2.0));
-    let threshold = typed("Threshold").with("threshold", shaped(&[3], 0.5));
+    let integrate = node("IF", &[3], &[("r", 1.0), ("v_threshold", 2.0)]);
+    let threshold = node("Threshold", &[3], &[("threshold", 0.5)]);
     let back = [("n", "r"), ("r", "n")];
     type Chain = (&'static str, Vec<i64>, Vec<Group>, bool);
     let chains: Vec<Chain> = vec![
@@ -335,11 +327,11 @@ fn every_kind_of_node_keeps_its_spikes_over_an_export_that_another_tool_rewrote(
     // Integrators stay what they are: no neuron that never spikes.
     for kind in ["LI", "CubaLI", "I"] {
         let node = match kind {
-            "LI" => node(kind, 3, &[("tau", 0.016), ("r", 16.0), ("v_leak", 0.0)]),
-            "I" => node(kind, 3, &[("r", 1.0)]),
+            "LI" => node(kind, &[3], &[("tau", 0.016), ("r", 16.0), ("v_leak", 0.0)]),
+            "I" => node(kind, &[3], &[("r", 1.0)]),
             _ => {
                 let fields = [("tau_syn", 0.004), ("w_in", 4.0), ("tau_mem", 0.016), ("r", 16.0), ("v_leak", 0.0)];
-                node(kind, 3, &fields)
+                node(kind, &[3], &fields)
             }
         };
         let model = import(&file(&[("i", source(&[4])), ("w", affine(3, 4, 41)), ("n", node), ("o", output())]));

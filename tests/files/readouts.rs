@@ -107,7 +107,7 @@ fn write_input(folder: &Path, name: &str, empty: usize) {
 fn write_array(folder: &Path, name: &str, shape: [usize; 3], bytes: &[u8]) {
     let shape = shape.map(|axis| axis as u64);
     let file = std::fs::File::create(folder.join(name)).unwrap();
-    npy::write(std::io::BufWriter::new(file), &shape, bytes.iter().copied()).unwrap();
+    npy::write(file, &shape, bytes.iter().copied()).unwrap();
 }
 
 const WEIGHTS: [f64; 12] = [0.5, -0.25, 0.125, 0.25, -0.5, 0.75, 0.25, -0.125, 0.25, 0.5, -0.75, 0.125];
@@ -117,8 +117,8 @@ fn write_nir(folder: &Path, node: Option<(&str, &[(&str, f64)])>) {
     let weights = typed("Linear").with("weight", Numbers::f64(&[3, CHANNELS], &WEIGHTS));
     let input = typed("Input").with("shape", ints(&[CHANNELS as i64]));
     let own = match node {
-        Some((kind, fields)) => tree::node(kind, 3, fields),
-        None => tree::node("IF", CHANNELS, &[("r", 1.0), ("v_threshold", 0.5)]),
+        Some((kind, fields)) => tree::node(kind, &[3], fields),
+        None => tree::node("IF", &[CHANNELS], &[("r", 1.0), ("v_threshold", 0.5)]),
     };
     let nodes = [("in", input), ("w", weights), ("out", typed("Output").with("shape", ints(&[3]))), ("own", own)];
     let edges = match node {
@@ -264,7 +264,7 @@ fn write_layered(folder: &Path, ways: &[(usize, usize)]) {
     let names = ["in", "a", "b", "c"];
     let shaped = |kind, n: usize| typed(kind).with("shape", ints(&[n as i64]));
     let fields = [("tau", 1e-3 / FRACTION), ("r", 1.0 / FRACTION), ("v_leak", 0.4), ("v_threshold", 1.0)];
-    let neurons = names.into_iter().zip(SIZES).skip(1).map(|(name, n)| (name, tree::node("LIF", n, &fields)));
+    let neurons = names.into_iter().zip(SIZES).skip(1).map(|(name, n)| (name, tree::node("LIF", &[n], &fields)));
     let linear = |&(from, to): &(usize, usize)| {
         typed("Linear").with("weight", Numbers::f64(&[SIZES[to], SIZES[from]], &weights(from, to)))
     };

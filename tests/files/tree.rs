@@ -20,14 +20,10 @@ pub fn reals(x: &[f64]) -> Numbers {
     Numbers::f64(&[x.len()], x)
 }
 
-/// The same real at every place.
-pub fn shaped(axes: &[usize], value: f64) -> Numbers {
-    Numbers::f64(axes, &vec![value; axes.iter().product()])
-}
-
 /// A node with these reals for each of its units.
-pub fn node(kind: &str, units: usize, fields: &[(&str, f64)]) -> Group {
-    fields.iter().fold(typed(kind), |node, (key, value)| node.with(key, shaped(&[units], *value)))
+pub fn node(kind: &str, axes: &[usize], fields: &[(&str, f64)]) -> Group {
+    let all = |value: f64| Numbers::f64(axes, &vec![value; axes.iter().product()]);
+    fields.iter().fold(typed(kind), |node, (key, value)| node.with(key, all(*value)))
 }
 
 /// A NIR file of these nodes and edges.

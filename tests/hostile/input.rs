@@ -228,16 +228,10 @@ fn pipes_without_a_writer_do_not_hang() {
 fn a_path_that_changes_nothing_is_refused() {
     let place = Place::new();
     let line = format!("energy ok.ron --input '{NOISE}' --baseline");
+    // Which paths and values are refused is tested in `nsim_files::changes`.
     for (set, code) in [
         ("constants=nonsense(", "set.path"),
-        ("constants=10", "set.path"),
-        ("target=x", "set.path"),
         ("target.=3", "set.path"),
-        ("constants.=3", "set.path"),
-        (".=3", "set.path"),
-        ("populations..vth_mant=3", "set.path"),
-        ("target.limits..axons_in=3", "set.path"),
-        ("populations.o.=3", "set.path"),
         ("populations.o.vth_mant=9, dv: 3", "set.value"),
         ("target.limits.axons_in=(", "set.value"),
     ] {
