@@ -25,7 +25,6 @@ use nsim_files as io;
 use nsim_ir::activity::Totals;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
-use nsim_ir::resource::Resource;
 use nsim_ir::spikes::Sample;
 use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
@@ -37,7 +36,7 @@ use nsim_session::ranks::part_of;
 use nsim_study::mapping;
 use nsim_study::networks::{BenchNetwork, StandardNetwork};
 use nsim_study::suite;
-use nsim_study::suite::{SuiteCase, Ways};
+use nsim_study::suite::SuiteCase;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -156,28 +155,20 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let environment = Environment::here();
     output::warn_of_debug_build(&environment);
     let ways: usize = mapping::WAYS.iter().map(|(_, _, places)| places.len()).sum();
-    let (rows, refused) = output::with_progress(context, cases.len() * ways, "mappings", |done| {
-        let (mut rows, mut refused) = (Vec::new(), Vec::new());
+    let rows = output::with_progress(context, cases.len() * ways, "mappings", |done| {
+        let mut rows = Vec::new();
         for case in &cases {
             let bench = case.build().map_err(|error| Error::Fault(format!("{}: {error}", case.name)))?;
-            let mut target = io::target::load_target(bench.target)?;
-            if let Some(axons) = case.axons {
-                let limits = target.limits().clone();
-                target = target.with_limits(limits.with(Resource::AxonsIn, axons).with(Resource::AxonsOut, axons));
-            }
-            if case.ways == Ways::Refused {
-                refused.push(mapping::refuse(case, &bench, &target)?);
-                continue;
-            }
+            let target = io::target::load_target(bench.target)?;
             mapping::map_all(case, &bench, &target, args.time_budget, |row| {
                 tracing::info!("{} {} placed {}: {:.1} s", row.network, row.strategy.name(), row.placed, row.seconds);
                 rows.push(row);
                 done();
             })?;
         }
-        Ok::<_, Error>((rows, refused))
+        Ok::<_, Error>(rows)
     })?;
-    let report = MapReport { environment: &environment, rows: &rows, refused: &refused };
+    let report = MapReport { environment: &environment, rows: &rows };
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
