@@ -12,8 +12,8 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::simulate;
 use crate::cli::output;
 use crate::cli::train::train;
+use nsim_cost::MeterSettings;
 use nsim_cost::estimate::{Case, spent_by_step_uj};
-use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use nsim_energy::environment::Environment;
 use nsim_energy::workload::Workload;
 use nsim_files as io;
@@ -31,9 +31,9 @@ use nsim_study::early::Trial;
 use nsim_study::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
 use nsim_study::published::paper;
 use nsim_study::published::paper::PaperRow;
+use nsim_train::checkpoint::fingerprint;
 use nsim_train::fit::{Example, Plan};
-use nsim_train::job::Job as Training;
-use nsim_train::study::Study;
+use nsim_train::job::{Job as Training, cross_validate, with_fields};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -174,11 +174,7 @@ fn trial(
 /// # Errors
 /// [`Error`] for samples of several lengths or without labels.
 fn timed(workload: &Workload<'_>, context: Context) -> Result<Trial, Error> {
-    let table = CostTable::new(&workload.target.constants()[0])?;
-    let placement = &workload.compiled.placement;
-    let work = HostWork::for_target(workload.target);
-    let deployment = Deployment::from_placement("mapped", placement, workload.target, workload.copies, work);
-    let metered = workload.metered(vec![table], &deployment, Transport::default());
+    let (metered, deployment) = workload.meter().offline(workload.target)?;
     let run = simulate(workload, MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
     let Some(steps) = workload.steps_per_sample() else {
         return Err(Error::Usage("accuracy over time needs samples of one length".to_string()));
@@ -225,19 +221,21 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
             for (loss, value) in LOSSES.iter().zip(cell.losses(&job.file)?) {
                 let mut fields = vec![("loss", value.as_str())];
                 fields.extend(neuron.as_deref().map(|neuron| ("neuron", neuron)));
-                let (epochs, folds) = (args.epochs, args.folds);
-                let study = Study { source: &job.source, fields: &fields, epochs, folds, folder };
-                let finished = study.run(
-                    &examples,
-                    |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0),
-                    |finished| tracing::info!("{} {loss}: {:.4}", cell.name(), finished.run.accuracy),
-                )?;
-                let mut trials = Vec::with_capacity(finished.len());
-                for fold in &finished {
-                    let tested = chosen(&samples, &fold.tested);
-                    let model = fold.model.display().to_string();
-                    let trial = trial(&model, tested, (neurons, COPIES), context)?;
-                    let (trained, run) = (fold.run.accuracy, trial.accuracy.last().copied().unwrap_or(0.0));
+                let job = Training::new(with_fields(&job.source, &fields)?, None, args.epochs)?;
+                let print = fingerprint(&job.plan, &examples);
+                let mut trials = Vec::new();
+                for (fold, tested) in Training::folds(&examples, args.folds).iter().enumerate() {
+                    let name = format!("{}-{}-{}-fold{fold}.ron", job.file.name, &print[..12], job.plan.seed);
+                    let model = folder.join(name);
+                    let state = model.with_extension("state");
+                    let keeping = |plan: &Plan, part: &[Example]| Ok(train(plan, part, Some(&state), context)?.0);
+                    let (trained, weights) = cross_validate(&job.plan, &examples, tested, keeping)?;
+                    tracing::info!("{} {loss}: {trained:.4}", cell.name());
+                    let said = format!("{loss} loss, seed {}, fold {fold}: accuracy {trained:.4}", job.plan.seed);
+                    job.write((&model, true), &weights, "", &said)?;
+                    let model = model.display().to_string();
+                    let trial = trial(&model, chosen(&samples, tested), (neurons, COPIES), context)?;
+                    let run = trial.accuracy.last().copied().unwrap_or(0.0);
                     // Integers are the same in training and on cores; real numbers have fewer
                     // digits in training.
                     if neurons == Neurons::Loihi && (trained - run).abs() > 1e-9 {
