@@ -71,8 +71,7 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
     }
 }
 
-/// Samples from the first on, as many as have about this many timesteps together: enough to be
-/// measured on.
+/// The first samples that together have about this many timesteps.
 pub fn enough<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
     let mut sum = 0;
     let until = samples.iter().position(|sample| {
@@ -176,8 +175,7 @@ impl Dense {
         Ok(Dense { layers, inputs, output: network.parts().output.index() })
     }
 
-    /// Passes one sample through, layer by layer over the whole window; returns the spikes of each
-    /// output.
+    /// Passes one sample through, layer by layer; returns the spikes of each output.
     pub fn pass(&self, sample: &Sample) -> Vec<u32> {
         let steps = sample.steps() as usize;
         // `[step][unit]`.

@@ -25,8 +25,7 @@ pub enum Budget {
 pub const LEAST_REPEATS: usize = 9;
 /// Repeats above which more would only cost memory.
 const MOST_REPEATS: usize = 201;
-/// Steps after which a standard network has settled: 1.25 time constants of the slowest decay, 32
-/// steps.
+/// Steps after which a standard network has settled: 1.25 times the slowest decay's 32 steps.
 const SETTLING: u64 = 40;
 /// The least time of a repeat: far above the resolution of the clock.
 const LEAST_REPEAT: Duration = Duration::from_millis(2);
@@ -57,8 +56,7 @@ impl StepTiming {
 }
 
 /// This many steps from this one on, with the period's input over and over; returns the step that
-/// comes next. It is a function of its own so that a profiler can count what it, and nothing else,
-/// does.
+/// comes next. Not inlined, so that a profiler can count what it does.
 #[inline(never)]
 pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) -> u64 {
     let length = period.steps().max(1);
@@ -87,8 +85,7 @@ pub fn measure_agreed<E: Engine>(
     budget: Budget,
     mut agreed: impl FnMut(u64) -> u64,
 ) -> StepTiming {
-    // This many steps never come: nothing is near the end, where deliveries would no longer be
-    // counted.
+    // Never reached: near the end deliveries would no longer be counted.
     engine.begin(u32::MAX);
     let (mut at, size, repeats) = match budget {
         Budget::Steps(count) => (0, count.max(1), 1),

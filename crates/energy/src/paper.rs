@@ -6,7 +6,7 @@
 
 use super::options::CostOptions;
 use super::workload::Workload;
-use crate::published::files::measurement::load_measurements;
+use crate::published::measurement::load_measurements;
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::{Compiled, Options, compile};
 use nsim_cost::estimate::{Case, Convention, EnergyRow, FigureSource, estimate};
@@ -71,8 +71,7 @@ pub fn row(
     Ok(EnergyRow { hardware: format!("{}, as in {}", row.hardware, scenario.work), ..row })
 }
 
-/// The `total` row that a job's source printed in this mode, if it did; energy as power times time,
-/// or as printed.
+/// The `total` row that a job's source printed in this mode; energy is power times time.
 ///
 /// # Errors
 /// When a table of measurements cannot be read.

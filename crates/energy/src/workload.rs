@@ -30,8 +30,7 @@ pub struct Workload<'j> {
     pub target: &'j Target,
     /// Copies of the network on the target.
     pub copies: u32,
-    /// What all copies see: they share nothing, input channels included, so each sees the whole
-    /// sample.
+    /// What each copy sees: the whole sample, since copies share no input channels.
     given: Vec<Sample>,
     /// Numbers of the samples that are run, in run order.
     order: Vec<usize>,
@@ -100,8 +99,7 @@ impl<'j> Workload<'j> {
         Detail { cores, sums, warnings, ranks: run.ranks.clone() }
     }
 
-    /// What a mean step is expected to cost, by the target's own constants, at the rates of the
-    /// run.
+    /// Expected cost of a mean step, by the target's own constants, at the rates of the run.
     ///
     /// # Errors
     /// A constant that no integer holds.

@@ -133,8 +133,7 @@ pub struct EnergyReport {
     pub constants: Vec<ConstantEntry>,
     /// By population, input and core, and what to warn of.
     pub detail: Detail,
-    /// What `nsim map` expects of a mean step of this mapping, given how often each source spiked
-    /// in the run.
+    /// What `nsim map` expects of a mean step, given the firing rates of the run.
     pub expected: Option<Score>,
     /// The published job of the model, if there is one.
     pub job: Option<ScenarioFile>,
@@ -270,8 +269,7 @@ impl EnergyReport {
         csv(self.rows(), columns)
     }
 
-    /// The energy-delay product of a row in the unit of the table: nJ s, or pJ s as the paper
-    /// computes it.
+    /// The energy-delay product of a row in the table's unit: nJ s, or the paper's pJ s.
     fn edp(&self, pjs: f64) -> f64 {
         if self.convention() == Convention::Physical { pjs / 1e3 } else { pjs }
     }
@@ -475,8 +473,7 @@ impl EnergyReport {
         out
     }
 
-    /// The table as comma-separated values, for a table in a paper: the same lines, each with all
-    /// of its cells.
+    /// The table as comma-separated values for a paper: the same lines with all cells.
     pub fn paper_csv(&self) -> String {
         let physical = self.convention() == Convention::Physical;
         let energy = if physical { "Energy (\u{b5}J)" } else { "Energy (mW / steps)" };

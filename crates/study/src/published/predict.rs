@@ -128,12 +128,10 @@ fn figure(
     Some(all / parts.max(1.0))
 }
 
-/// The figures of a workload under each table, in the order of the file; unknown ones are not
-/// numbers.
+/// The figures of a workload under each table, in the order of the file; unknown ones are NaN.
 ///
 /// # Errors
-/// [`Error`] where the network cannot be built, does not fit the cores of its layout, or its sums
-/// could not be exact.
+/// [`Error`] where the network cannot be built, does not fit its layout, or sums are inexact.
 pub fn predict(
     file: &WorkloadFile,
     target: &Target,
