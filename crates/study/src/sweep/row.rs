@@ -8,7 +8,6 @@
 //! Errors: whatever no variant could be run with, such as a path that leads nowhere. What is wrong
 //! with one variant stands in its row under `error`.
 
-use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
 use crate::sweep::made::{MadeOnce, held};
@@ -16,7 +15,6 @@ use crate::sweep::variants::{FIGURES, Job};
 use nsim_compile::reuse::{is_mapped_alike, with_neurons_of};
 use nsim_compile::{Compiled, DEFAULT_RATE, Form, explore};
 use nsim_cost::estimate::{Case, estimate};
-use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use nsim_energy::options::{tables, with_preset};
 use nsim_files::changes::{Change, within};
 use nsim_files::network::Network;
@@ -24,7 +22,6 @@ use nsim_files::target::load_target;
 use nsim_import::model::{Unchanged, agreeing, load_model_with};
 use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::{Quantised, Units};
@@ -44,13 +41,6 @@ pub type Cells = [String; FIGURES.len()];
 /// Mappings of networks that may be mapped alike which are kept.
 const MOST_ALIKE: usize = 16;
 
-/// A target and the constants that it is priced by.
-#[derive(Debug)]
-struct Priced {
-    target: Target,
-    table: CostTable,
-}
-
 /// The latest mappings that have been made for one key.
 type Mappings = Mutex<Vec<Arc<Compiled>>>;
 
@@ -64,7 +54,8 @@ fn shared_by(job: &Job) -> String {
 #[derive(Debug, Default)]
 pub struct Runner {
     models: MadeOnce<String, Option<Unchanged>>,
-    targets: MadeOnce<(String, Vec<Change>, Option<String>), Priced>,
+    /// Those that variants are priced by come first among a target's constants.
+    targets: MadeOnce<(String, Vec<Change>, Option<String>), Target>,
     mappings: MadeOnce<String, Mappings>,
     stimuli: MadeOnce<String, Stimulus>,
 }
@@ -132,20 +123,18 @@ impl Runner {
         })?)
     }
 
-    fn target(&self, job: &Job) -> Result<Arc<Priced>, Error> {
+    fn target(&self, job: &Job) -> Result<Arc<Target>, Error> {
         let key = (job.target.clone(), job.of_target.clone(), job.constants.clone());
         self.targets.get(key, || {
             within(&job.of_target, || {
                 let target = load_target(&job.target)?;
                 let (target, preset) = with_preset(target, job.constants.as_deref())?;
-                let (target, table) = tables(target, preset.as_deref())?;
-                Ok(Priced { target, table })
+                Ok(tables(target, preset.as_deref())?.0)
             })
         })
     }
 
-    /// A network of a variant on its cores, which are those of one that is mapped alike where
-    /// there is one.
+    /// A network of a variant on its cores: those of a network that is mapped alike, if any.
     fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Compiled>, Error> {
         let options = &job.options;
         shapes::check(network, target, options.copies)?;
@@ -187,9 +176,8 @@ impl Runner {
             let help = "give spikes with input: [\"FILE\"] in the sweep, or input: [\"scene:noise\"] to try";
             require_scene(&job.model, network.file().scene.as_deref(), help)?;
         }
-        let priced = self.target(job)?;
-        let target = &priced.target;
-        let compiled = self.mapped(job, &network, target)?;
+        let target = self.target(job)?;
+        let compiled = self.mapped(job, &network, &target)?;
         let scene = network.file().scene.as_deref();
         let shown = self.stimulus(job, &compiled.one, scene)?;
         let range = job.samples.clone().unwrap_or(0..usize::MAX);
@@ -198,26 +186,15 @@ impl Runner {
             return Err(Diagnostic::new("sweep.value", format!("input.samples: there are {all} samples")).into());
         }
         let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
-        let (placement, copies) = (&compiled.placement, job.options.copies);
-        let work = HostWork::for_target(target);
-        let deployment = Deployment::from_placement(job.options.placement.name(), placement, target, copies, work);
-        let timestep_ms = compiled.one.parts().timestep_ms;
         let metered = Metered::new(&compiled);
-        let settings = MeterSettings {
-            tables: vec![priced.table.clone()],
-            timing: deployment.timing(Transport::default(), copies),
-            routes: metered.routes.clone(),
-            timestep: Picoseconds::from_milliseconds(timestep_ms),
-            distribution: None,
-            by_step: None,
-        };
+        let (settings, deployment) = metered.offline(&target)?;
         let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
         let Run { outcomes, activity, meter, .. } = metered.run(settings, run)?;
         let case = Case {
             mode: job.mode,
             convention: job.convention,
             steps_per_sample: steps_per_sample(&samples),
-            ..Case::new(&activity, &meter, &deployment, timestep_ms)
+            ..Case::new(&activity, &meter, &deployment, compiled.one.parts().timestep_ms)
         };
         let estimate = estimate(&case);
         let total = estimate.rows.iter().find(|row| row.unit == "total");
@@ -225,12 +202,11 @@ impl Runner {
         let mut totals = Totals::default();
         outcomes.iter().for_each(|outcome| totals += outcome.totals);
         let copies_run = u64::from(metered.copies_run());
-        let chips: BTreeSet<u32> = placement.sites().iter().map(|site| site.chip).collect();
         Ok([
             String::new(),
             true.to_string(),
             compiled.partition.cores().to_string(),
-            chips.len().to_string(),
+            compiled.placement.chips_used().to_string(),
             samples.len().to_string(),
             outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum::<u64>().to_string(),
             cell(accuracy(&outcomes, samples.iter().map(|sample| sample.label()))),

@@ -24,13 +24,11 @@ pub struct Table<'s> {
     sweep: &'s Sweep,
     /// The cells of each variant that has been run.
     pub rows: BTreeMap<u64, Cells>,
-    /// The column of checksums of the shards that were added, if there were any; none of a version
-    /// without checksums.
+    /// The checksum column of the added shards, if any; none of a version without checksums.
     column: Option<Option<String>>,
 }
 
-/// What the name of the column of checksums begins with; a digest of what the rows were made from
-/// follows.
+/// Prefix of the checksum column's name; a digest of the rows' sources follows.
 const CHECKSUM: &str = "checksum of ";
 
 /// The name of the column of checksums, for rows that were made from files of this digest.

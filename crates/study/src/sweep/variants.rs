@@ -315,28 +315,13 @@ impl Sweep {
 
     /// Models, targets, inputs and constants that variants name.
     pub fn names(&self) -> Vec<String> {
-        let mut scratch = self.base.clone();
-        let mut names = Vec::new();
+        let Job { model, target, input, constants, .. } = &self.base;
+        let mut names: Vec<String> = [model, target].into_iter().chain(input).chain(constants).cloned().collect();
+        let is_name = |path: &String| ["model", "target", "input", "options.constants"].contains(&path.as_str());
         let listed = self.list.iter().flat_map(|entry| self.listed.iter().zip(entry));
-        let listed = listed.filter_map(|(path, value)| Some((path, value.as_ref()?)));
-        let of_axis = |axis: &'_ Axis| -> Vec<(String, String)> {
-            let pairs =
-                axis.paths.iter().flat_map(|path| axis.values.iter().map(move |value| (path.clone(), value.clone())));
-            pairs.collect()
-        };
-        let on_axes = self.axes.iter().flat_map(of_axis);
-        let all = listed.map(|(path, value)| (path.clone(), value.clone())).chain(on_axes);
-        let names_one = |path: &String| ["model", "target", "input", "options.constants"].contains(&path.as_str());
-        let of_job = |job: &Job, names: &mut Vec<String>| {
-            let some = [&job.model, &job.target].into_iter().chain(&job.input).chain(&job.constants);
-            names.extend(some.cloned());
-        };
-        of_job(&scratch, &mut names);
-        for (path, value) in all.filter(|(path, _)| names_one(path)) {
-            // Wrong values were refused before.
-            let _ = scratch.assign(&path, &value);
-            of_job(&scratch, &mut names);
-        }
+        names.extend(listed.filter(|(path, _)| is_name(path)).filter_map(|(_, value)| value.clone()));
+        let axes = self.axes.iter().filter(|axis| axis.paths.iter().any(is_name));
+        names.extend(axes.flat_map(|axis| axis.values.iter().cloned()));
         names.sort_unstable();
         names.dedup();
         names
