@@ -3,12 +3,12 @@
 use serde_json::{Value, json};
 
 use super::agree::{blame, lost_json, next_json};
-use nsim_agree::attribution::Distance;
+use nsim_agree::attribution::{Distance, Share};
 use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table_of};
 use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
 use nsim_train::convert::job::{Done, Job, sentence};
 use nsim_train::convert::next::Next;
-use nsim_train::convert::staged::{LayerRow, Left, Measured, StageRow};
+use nsim_train::convert::staged::{LayerRow, Measured, StageRow};
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ const STAGES: [Column<StageRow>; 7] = [
     ("potential rmse", |row| or_empty(row.distance.potential_rmse.map(four))),
 ];
 
-const LEFT: [Column<Left>; 4] = [
+const LEFT: [Column<Share>; 4] = [
     ("real numbers in place of", |left| left.cause.name().to_string()),
     ("classes agree", |left| or_empty(left.without.class_agreement.map(four))),
     ("coincidence", |left| four(left.without.coincidence)),
@@ -139,7 +139,7 @@ impl ConvertReport<'_> {
                 "clipped": layer.clipped, "problem": layer.problem,
             })
         };
-        let left = |left: &Left| {
+        let left = |left: &Share| {
             let mut object = distance(&left.without);
             object["cause"] = left.cause.name().into();
             object

@@ -104,8 +104,7 @@ pub struct Plan {
     pub augment: AugmentDesc,
     /// Probability with which a unit of a hidden layer is left out of a sample.
     pub dropout: f32,
-    /// Decay of the exponential moving average of the weights, which is what is deployed. 0: the
-    /// weights themselves.
+    /// Decay of the moving average of the weights, which is deployed. 0: the weights themselves.
     pub averaging: f32,
     /// Initial weights are uniform within this many times `1 / sqrt(fan-in)`, for each layer.
     pub initial: Vec<f32>,
@@ -288,8 +287,7 @@ impl Plan {
         (loss, right)
     }
 
-    /// Runs all epochs that are left; `after` sees the state after each and may end the run by
-    /// returning false.
+    /// Runs the remaining epochs; `after` sees the state after each and may return false to stop.
     pub fn run(&self, state: &mut TrainingState, examples: &[Example], mut after: impl FnMut(&TrainingState) -> bool) {
         let mut workers = Vec::new();
         while state.epoch < self.epochs {

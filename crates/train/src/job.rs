@@ -81,8 +81,7 @@ pub struct Trained {
     pub train_accuracy: f64,
     /// Share of the test samples that is right; none without any.
     pub test_accuracy: Option<f64>,
-    /// Of the output spikes on the test samples (without any, the training samples), as `nsim run`
-    /// computes it.
+    /// Digest of the output spikes on the test (else training) samples, as `nsim run` computes it.
     pub digest: String,
     /// Accuracy on each fold left out of the training samples.
     pub folds: Vec<f64>,

@@ -10,13 +10,14 @@
 
 pub mod exact;
 mod integers;
-mod outcome;
 mod reals;
 
-use outcome::Outcome;
 use reals::{REFRACTORY, RESPONSE, filter};
 
 use nsim_ir::hardware::Target;
+
+/// Steps and what was seen, or steps and what is wrong.
+type Outcome = Result<(u64, String), (u64, String)>;
 
 /// The result of a case.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,14 +41,13 @@ pub struct Case {
 }
 
 impl Case {
-    /// Runs it; the target's limits on the variety of compartments are lifted, since a case holds
-    /// many kinds.
+    /// Runs it; the target's limits on profiles are lifted, since a case has many kinds.
     #[must_use]
     pub fn run(&self, target: &Target) -> Verdict {
-        match (self.run)(target) {
-            Ok((steps, detail)) => Verdict { name: self.name, pass: true, steps, detail },
-            Err((steps, detail)) => Verdict { name: self.name, pass: false, steps, detail },
-        }
+        let outcome = (self.run)(target);
+        let pass = outcome.is_ok();
+        let (steps, detail) = outcome.unwrap_or_else(|wrong| wrong);
+        Verdict { name: self.name, pass, steps, detail }
     }
 }
 

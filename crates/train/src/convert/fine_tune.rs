@@ -209,8 +209,7 @@ pub fn trainable(graph: &Graph) -> Result<()> {
 }
 
 impl Task {
-    /// A network, what stands for its populations, and how it is trained; the plan is that of the
-    /// training file.
+    /// A network, the fits of its populations, and the training file with its plan.
     ///
     /// # Errors
     /// `convert.fine-tune` where the training file describes another network.
@@ -319,8 +318,7 @@ impl Task {
         all
     }
 
-    /// The network with other weights. Projections that are declared as one stay one: they share an
-    /// array.
+    /// The network with other weights; projections declared as one share an array.
     #[must_use]
     pub fn with_weights(&self, weights: &Weights) -> Graph {
         let mut declared: Vec<(Arc<Tensor>, Vec<f64>)> = Vec::new();

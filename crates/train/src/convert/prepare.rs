@@ -24,8 +24,7 @@ pub fn has_srm(network: &Network) -> bool {
     network.file().populations.iter().any(|population| population.srm.is_some())
 }
 
-/// A network in integers, with at most this many delayed copies of what a spike response population
-/// takes in.
+/// A network in integers, with at most this many delayed input copies a population.
 ///
 /// # Errors
 /// [`Error`] when the network cannot be used.
