@@ -16,8 +16,7 @@ const PART: f64 = 0.98;
 /// Standard deviation of a marker's height, mm; assumed: a tenth of a millimetre, which such
 /// trackers promise at a metre or two.
 const HEIGHT_MM: f64 = 0.1;
-/// Standard deviation of the orientation of markers, rad; assumed: the above over markers 5 cm
-/// apart.
+/// Standard deviation of orientation, rad; assumed: the above over markers 5 cm apart.
 const ORIENTATION_RAD: f64 = 0.002;
 
 /// When things happen, in ms of the recording.
