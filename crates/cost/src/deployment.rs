@@ -173,8 +173,7 @@ impl Deployment {
         self.x86_cores > 0 && (self.host != Host::None || self.reset.count > 0)
     }
 
-    /// What the time of a step depends on here, for steps that count the spikes of `copies_counted`
-    /// copies.
+    /// What the time of a step depends on, when steps count spikes of `copies_counted` copies.
     #[must_use]
     pub fn timing(&self, transport: Transport, copies_counted: u32) -> Timing {
         Timing {
