@@ -133,8 +133,7 @@ pub struct Attribution {
 }
 
 impl Attribution {
-    /// The cause without which most classes would agree again, and how many more then do, as a
-    /// share.
+    /// The cause without which most classes would agree again, and the share of those.
     #[must_use]
     pub fn worst_of_classes(&self) -> Option<(Cause, f64)> {
         let now = self.machine.class_agreement?;

@@ -6,8 +6,7 @@ use nsim_ir::base::names::named_variants;
 /// Something in which the machine differs from the trained network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cause {
-    /// Layers that answer a step later each, in samples that end with their input, instead of
-    /// layers that all answer to every step.
+    /// Layers that answer a step later each, in samples that end with their input.
     Pipeline,
     /// The response and refractory kernels without end instead of cut.
     Untruncated,

@@ -172,8 +172,7 @@ impl Ladder {
         self
     }
 
-    /// Whether what comes in is copied: an alpha kernel needs no copies, only current and voltage
-    /// with decays of their own do.
+    /// Whether input is copied: only current and voltage with own decays need copies.
     fn copied(&self, rung: Rung) -> bool {
         let single = self.fits.iter().flatten().all(|fit| fit.copies == [(0, 1.0)]);
         single || rung.has(Cause::Kernel) && rung.has(Cause::Decays)

@@ -89,8 +89,7 @@ impl Trace {
         self
     }
 
-    /// The class by what decides: by spikes the output of this layer with most, the lowest index on
-    /// a tie, none when silent.
+    /// The class: by spikes the output with most, the lowest index on a tie, none when silent.
     #[must_use]
     pub fn class(&self, output: &Layer) -> Option<u32> {
         let outputs = self.deciding.first().map_or(0, Vec::len);

@@ -80,8 +80,7 @@ struct FullestChip {
     copies: u64,
 }
 
-/// Hops of a barrier between chips in use: across the board's own rectangle where it is full, else
-/// across the nearest square.
+/// Hops of a barrier between chips: across the board where it is full, else a square.
 #[must_use]
 pub fn chip_hops(chips_used: u64, (chips_x, chips_y): (u32, u32)) -> u64 {
     let (wide, high) = (u64::from(chips_x), u64::from(chips_y));

@@ -334,8 +334,7 @@ impl JobPower {
     }
 }
 
-/// What x86 cores do in a step, by equation (20): the power of those that inject, and the energy in
-/// fJ of those that reset.
+/// Equation (20): the power of x86 cores that inject, and the energy in fJ of those that reset.
 fn x86_work(table: &CostTable, deployment: &Deployment) -> (f64, f64) {
     let each = table.x86_active_power.milliwatts() * deployment.x86_working as f64;
     match deployment.host {

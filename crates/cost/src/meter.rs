@@ -64,8 +64,7 @@ pub struct Lane {
     pub until_decided: StepSums,
 }
 
-/// What is spent in a step besides events: the whole energy of a step is
-/// events * `events` + `step_fj` + `always_mw` * time.
+/// Energy of a step: events * `events` + `step_fj` + `always_mw` * time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepPrice {
     /// Factor of counted events: one over the copies counted, for the energy of one copy.

@@ -262,8 +262,7 @@ impl Baseline {
         }
     }
 
-    /// Its row for a workload that it was not measured on, from what bounds it; `None` when the
-    /// file does not say, or samples differ in length.
+    /// Its row for another workload, by its roofline; `None` without one or for uneven samples.
     pub fn modelled(
         &self,
         work: &Work,

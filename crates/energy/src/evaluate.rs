@@ -92,8 +92,7 @@ impl Plan {
         }
     }
 
-    /// The network of the published job, mapped, where the deployment is one; its inputs have
-    /// compartments of their own where those of the job had.
+    /// The network of the published job, mapped; inputs have compartments where the job's had.
     ///
     /// # Errors
     /// When it does not compile.

@@ -35,8 +35,7 @@ const LEAST_REPEAT: Duration = Duration::from_millis(2);
 pub struct StepTiming {
     /// Microseconds of a step: the median of the repeats.
     pub us_per_timestep: f64,
-    /// Microseconds of a step in the fastest repeat: what a machine shared with others comes
-    /// nearest to being alone in.
+    /// Microseconds of a step in the fastest repeat: the one that others disturbed least.
     pub fastest: f64,
     /// Microseconds between the first and the third quartile of the repeats.
     pub spread: f64,

@@ -50,8 +50,7 @@ pub struct CostOptions {
 }
 
 impl CostOptions {
-    /// What `nsim energy` does unless other options are given, compared with these other pieces of
-    /// hardware: all when `None`.
+    /// The defaults of `nsim energy`, compared with these baselines: all when `None`.
     ///
     /// # Errors
     /// A name that no baseline has.

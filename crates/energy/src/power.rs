@@ -143,8 +143,7 @@ pub struct Power {
 }
 
 impl PowerMeter {
-    /// What is stated; else counters if they can be read, after watching them at idle for a while;
-    /// else an assumed package.
+    /// What is stated; else counters, after watching them at idle; else an assumed package.
     pub fn new(tree: &Path, stated: Option<(f64, f64)>, assumed: PackagePower, idle: Duration) -> Self {
         let counted = || -> Result<PowerMeter, String> {
             let rapl = Rapl::open(tree)?;

@@ -339,8 +339,7 @@ impl Containers {
             vibration: draw(6, self.vibration),
             shake_mm: draw(7, self.shake_mm),
             tones: [tone(0), tone(2)],
-            // A half-full container sloshes most; a liquid in a width of 6 cm swings at about 3.5
-            // Hz.
+            // A half-full container sloshes most; liquid 6 cm wide swings at about 3.5 Hz.
             slosh: (
                 0.3 * container.sloshes * 4.0 * fill.min(1.0) * (1.0 - fill.min(1.0)),
                 draw(8, (3.0, 4.0)),

@@ -138,8 +138,7 @@ pub struct Taxels {
 }
 
 impl Taxels {
-    /// This many taxels at rest. Thresholds belong to the fingers, not to the sample: they are
-    /// drawn from the seed alone.
+    /// Taxels at rest. Thresholds belong to the fingers: they are drawn from the seed alone.
     #[must_use]
     pub fn new(skin: &Skin, draws: Draws, fingers: Draws, count: usize) -> Self {
         let taxel = |k| Taxel {

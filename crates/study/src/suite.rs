@@ -199,8 +199,7 @@ const FAN_OUT: u32 = 32;
 
 fn small_world(name: &'static str, side: u32) -> Result<BenchNetwork, BuildError> {
     let n = side * side;
-    // The 33 nearest of a square neighbourhood of 7 x 7, without its corners' surroundings, less
-    // the compartment itself.
+    // The 33 nearest of a square of 7 x 7, without its corners, less the compartment itself.
     let near: Vec<(i64, i64)> = (-3..=3i64)
         .flat_map(|y| (-3..=3i64).map(move |x| (y, x)))
         .filter(|&(y, x)| (y, x) != (0, 0) && y * y + x * x <= 10)

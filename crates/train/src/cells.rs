@@ -20,8 +20,7 @@ const LONGEST: u32 = 100_000;
 pub enum Spiking {
     /// Spikes and what follows them, as deployed.
     Hard,
-    /// The smooth function whose derivative the surrogate is, no refractory response, no reset: a
-    /// network that can be differentiated, to check gradients on.
+    /// The integral of the surrogate, without refractory response or reset, to check gradients.
     Smooth,
 }
 

@@ -64,8 +64,7 @@ pub trait Forward: Sync {
     /// Where the weights have no such network.
     fn network(&self, weights: &Weights) -> Result<Self::Network, Self::Error>;
 
-    /// Runs a sample and leaves the potentials and spikes of every layer in [`Workspace::traces`],
-    /// in the trained network's time.
+    /// Runs a sample and leaves all layers in [`Workspace::traces`], in the trained network's time.
     fn run(&self, network: &Self::Network, deployed: &Deployed, inputs: &[Raster], work: &mut Workspace);
 }
 
@@ -248,8 +247,7 @@ impl Plan {
         }
     }
 
-    /// Draws which units of hidden layers a sample goes without; the factor of the others keeps the
-    /// mean (Srivastava et al.: JMLR 2014).
+    /// Draws the dropped units of a sample; factors keep the mean (Srivastava et al.: JMLR 2014).
     fn drop_units(&self, index: u64, epoch: u64, work: &mut Workspace) {
         work.factors.clear();
         if self.dropout == 0.0 {

@@ -166,8 +166,7 @@ impl Job {
         Ok(Data { train: self.read(Part::Train, train)?, test: self.read(Part::Test, test)? })
     }
 
-    /// This many stratified folds of samples, drawn from a fixed seed so that every setting is
-    /// tried on the same ones.
+    /// Stratified folds of samples from a fixed seed: the same for every setting.
     #[must_use]
     pub fn folds(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
         let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();

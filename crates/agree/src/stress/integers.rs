@@ -240,8 +240,7 @@ fn noise(channels: u32, seed: u64, chance: f64) -> impl Fn(u32) -> Vec<u32> {
 
 pub(super) fn fan_in(target: &Target, weight: i16) -> Outcome {
     const AXONS: u32 = 4096;
-    // Of 4,096 equal weights the sum is a multiple of the accumulator's period for -256; fewer
-    // axons show the rest of the way.
+    // 4,096 weights of -256 sum to a multiple of the accumulator's period; fewer axons do not.
     let drive = |step: u32| match step % 3 {
         0 => (0..AXONS).collect(),
         1 => (0..1 + step * 37 % AXONS).collect(),

@@ -102,8 +102,7 @@ impl Timing {
 }
 
 impl MessageRoutes {
-    /// The times of a step under each preset, (11) or (17). The memory is that of an earlier step,
-    /// so that a step allocates nothing of the mesh's size.
+    /// The times of a step under each preset, (11) or (17); the memory is reused between steps.
     #[must_use]
     pub fn step_times(
         &self,

@@ -160,12 +160,10 @@ pub enum WorkloadPopulation {
         name: String,
         /// Channels, height, width; or one number.
         shape: Vec<u32>,
-        /// How often a compartment spikes: spikes a compartment and step, the mean over
-        /// compartments and steps.
+        /// Spikes a compartment and step, the mean over compartments and steps.
         rate: Between,
     },
-    /// A compartment for each unit of an input population, which spikes one step after it: what
-    /// hands inputs on to other cores.
+    /// A compartment for each input unit, which spikes a step later: it hands inputs on.
     Relay {
         /// Its name.
         name: String,

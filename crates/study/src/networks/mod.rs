@@ -171,8 +171,7 @@ impl StandardNetwork {
 /// Steps of input of the visual-tactile network: 20 samples of the slip task's 150 steps.
 const VTSNN_STEPS: u32 = 20 * 150;
 
-/// The layers, weights and thresholds of `models/vtsnn-slip.ron`, without its file: a retrained
-/// model would change what is measured.
+/// As `models/vtsnn-slip.ron`, without its file: a retrained model would change the measurement.
 pub(super) fn vtsnn(name: &str, percent: u64) -> Result<BenchNetwork, BuildError> {
     let mut net = Builder::new(name);
     let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));

@@ -142,8 +142,7 @@ pub fn predict(
     let compiled = mapped(file, network, target)?;
     let deployment = deployment(file, target);
     let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
-    // Biases keep every compartment of the network from rest; what that costs is linear in the
-    // share of steps in which it is so.
+    // Biases keep every compartment active; the cost of that is linear in the share of steps.
     let share = rates.of_range(file.active_share);
     let table = |table: &CostTable| {
         let mut table = table.clone();

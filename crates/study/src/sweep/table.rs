@@ -40,8 +40,7 @@ fn checksum(column: &str, record: &[String]) -> String {
     sha256(format!("{column}\n{}", record.join("\n")).as_bytes())[..16].to_string()
 }
 
-/// What is wrong with the cells of a row, if anything: each is what
-/// [`crate::sweep::row::Runner::row`] writes.
+/// The first figure of a row that [`crate::sweep::row::Runner::row`] would not write.
 fn first_wrong(cells: &Cells) -> Option<&'static str> {
     let failed = !cells[0].is_empty();
     let is_right = |(name, cell): (&str, &String)| match name {

@@ -52,8 +52,7 @@ pub struct Task {
     fits: Vec<Option<Fit>>,
     detail: Detail,
     plan: Plan,
-    /// For each projection of the graph, the layer that it leads to and the place of its first
-    /// source among the layer's.
+    /// For each projection of the graph, its target layer and the place of its first source.
     places: Vec<Place>,
     /// The plan's layers as the integers number their compartments.
     layers: Vec<Layer>,
@@ -180,8 +179,7 @@ fn unlike(graph: &Graph, message: &str) -> Diagnostic {
         .help("fine-tuning takes dense layers of spike response neurons and the training file that describes them")
 }
 
-/// Whether fine-tuning takes a network at all: dense layers of spike response neurons without loops
-/// or delays, read out by their spikes.
+/// Checks that a network has dense layers of spike response neurons without loops or delays.
 ///
 /// # Errors
 /// `convert.fine-tune` with what it does not take.
@@ -391,8 +389,7 @@ impl Task {
         all + 2 * u64::from(epochs) * all + 2 * held_out
     }
 
-    /// Trains for this many epochs. `shown` is called after each sample, `after` with the best
-    /// epoch whenever there is a better one.
+    /// Trains; `shown` is called after each sample, `after` with each new best epoch.
     ///
     /// # Errors
     /// As [`Task::integers`], where weights grow beyond what the integers hold.

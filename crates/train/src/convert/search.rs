@@ -64,12 +64,10 @@ const FORESEEN: f64 = 2.0;
 const COPY_PRICE: f64 = 0.0005;
 const SYNAPSE_PRICE: f64 = 5e-8;
 
-/// The most synapses that the copies of a compartment's input may have together: what one core of
-/// Loihi holds of a compartment, at 20 bits a synapse.
+/// The most synapses of the copies of a compartment's input: a core at 20 bits a synapse.
 const MOST_SYNAPSES: usize = 49_152;
 
-/// Synapses that all copies of a population's input may have for it to be given twice as many
-/// copies as others: half a core.
+/// A population with at most this many copied synapses, half a core, gets twice the copies.
 const FEW_SYNAPSES: f64 = 24_576.0;
 
 /// The most compartments whose synapses onto themselves are listed one by one.
