@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::Outcome;
 use super::exact::{Compartment, Parameters, scaled};
+use super::outcome::Outcome;
 use nsim_compile::{Options, compile};
 use nsim_golden::Golden;
 use nsim_ir::base::fixed::{

@@ -10,14 +10,13 @@
 
 pub mod exact;
 mod integers;
+mod outcome;
 mod reals;
 
+use outcome::Outcome;
 use reals::{REFRACTORY, RESPONSE, filter};
 
 use nsim_ir::hardware::Target;
-
-/// Steps and what was seen, or steps and what is wrong.
-type Outcome = Result<(u64, String), (u64, String)>;
 
 /// The result of a case.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -5,7 +5,7 @@
 //! distance from 1 to the next number. So the error of a kernel a over inputs x is at most
 //! `u sum_k abs(x) a(k) (4 k + 4)`, however many steps have been run: it cannot grow.
 
-use super::Outcome;
+use super::outcome::Outcome;
 use nsim_dynamics::RealForm;
 use nsim_ir::arithmetic::ThresholdTest;
 use nsim_ir::base::rng;
