@@ -97,18 +97,15 @@ fn metrics_are_those_of_a_count_over_matrices() {
         let given: Vec<Sample> = (0..3).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let samples: Vec<&Sample> = given.iter().collect();
         let expected = counted(&network, &samples);
-        let interpreted = NeuroBench::measure(&network, &samples, |samples, keep| {
-            let run = golden(&network, samples, keep, &|| ());
-            Ok((run.outcomes, run.counts))
-        })
-        .unwrap();
+        let interpreted =
+            NeuroBench::measure(&network, &samples, |samples, keep| Ok(golden(&network, samples, keep, &|| ())))
+                .unwrap();
         let options = Options { place: false, copies: 2, ..Options::default() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
         let copies = Copies { copies: 2, channels: network.channels() };
         let simulated = NeuroBench::measure(&network, &samples, |samples, keep| {
-            let running = Running { keep, copies, skip: seed % 4 < 2, per_step: false, progress: &|| (), ranks: None };
-            let run = fast(&compiled.program, samples, running, || ())?;
-            Ok((run.outcomes, run.counts))
+            let running = Running { copies, skip: seed % 4 < 2, ..Running::new(keep) };
+            fast(&compiled.program, samples, running, || ())
         })
         .unwrap();
         assert_eq!(interpreted, simulated, "network {seed}");

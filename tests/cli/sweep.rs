@@ -16,8 +16,9 @@ use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::resource::Resource;
 use nsim::ir::spikes::Sample;
-use nsim::session::priced::{Metered, SampleRun};
-use nsim::session::samples::Run;
+use nsim::session::Keep;
+use nsim::session::priced::Metered;
+use nsim::session::samples::{Run, Running};
 use serde_json::Value;
 
 fn nsim(folder: &Path, line: &str) -> Command {
@@ -297,10 +298,10 @@ fn a_network_on_the_cores_of_another_runs_as_on_its_own() {
         let samples = [random::sample(&network, seed), random::sample(&network, seed + 1_000)];
         let samples: Vec<&Sample> = samples.iter().collect();
         let ran = |compiled: &Compiled| {
-            let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
+            let keep = Keep::new(compiled.program.output());
             let metered = Metered::new(compiled);
             let settings = metered.offline(&target).unwrap().0;
-            let Run { outcomes, activity, meter, .. } = metered.run(settings, run).unwrap();
+            let Run { outcomes, activity, meter, .. } = metered.run(settings, &samples, Running::new(&keep)).unwrap();
             (outcomes, activity, meter.hops(), meter.lanes().to_vec())
         };
         for variant in 1..3 {

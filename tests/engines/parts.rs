@@ -16,7 +16,7 @@ use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Sample};
 use nsim::session::cores::core_rows;
 use nsim::session::populations::ByPopulation;
-use nsim::session::priced::{Metered, SampleRun};
+use nsim::session::priced::Metered;
 use nsim::session::samples::{Run, Running, golden};
 use nsim::session::steps::{CELLS, StepLayout, run_recorded};
 use nsim::session::{Keep, Outcome};
@@ -67,7 +67,7 @@ fn populations_and_cores_sum_to_the_totals() {
         let given: Vec<Sample> = (0..5).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let samples: Vec<&Sample> = given.iter().collect();
         let compiled = compile(network.clone(), &target, &Options { place: false, ..Options::default() }).unwrap();
-        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+        let keep = Keep::new(compiled.program.output());
         let expected = pools[1].install(|| golden(&network, &samples, &keep, &|| ()));
         let rows = ByPopulation::new(&network, &expected.counts);
         assert_adds_up(&rows, &network, &expected.outcomes, &format!("network {seed}, golden"));
@@ -98,8 +98,7 @@ fn compare(compiled: &Compiled, target: &Target, samples: &[&Sample], expected: 
         distribution: None,
         by_step: None,
     };
-    let sweep = SampleRun { samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
-    let run = metered.run(settings, sweep).unwrap();
+    let run = metered.run(settings, samples, Running::new(&Keep::new(program.output()))).unwrap();
     let rows = ByPopulation::of_copies(&compiled.one, &run.counts, compiled.options.copies);
     assert_eq!(&rows, expected, "{what}: as the golden interpreter counts");
 
@@ -133,13 +132,12 @@ fn copies_count_together() {
     let rows = |copies: u32| {
         let options = Options { copies, place: false, ..Options::default() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
-        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
-        let shown = Copies { copies, channels: network.channels() };
-        let running =
-            Running { keep: &keep, copies: shown, skip: true, per_step: false, progress: &|| (), ranks: None };
+        let keep = Keep::new(compiled.program.output());
+        let copies = Copies { copies, channels: network.channels() };
+        let running = Running { copies, ..Running::new(&keep) };
         let run = nsim::session::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
         let rows = ByPopulation::new(&compiled.one, &run.counts);
-        compare(&compiled, &target, &samples, &rows, &format!("{copies} copies"));
+        compare(&compiled, &target, &samples, &rows, &format!("{} copies", copies.copies));
         rows
     };
     let (one, three) = (rows(1), rows(3));
@@ -163,13 +161,11 @@ fn recorded(
     let metered = Metered::new(compiled);
     let (settings, _) = metered.offline(target).unwrap();
     let layout = StepLayout::new(&compiled.one);
-    let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
-    let running =
-        Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| (), ranks: None };
+    let keep = Keep::new(compiled.program.output());
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let mut file = Vec::new();
     let table = StepWriter::new(&mut file, format, layout.columns(), Some(rows)).unwrap();
-    let (run, written) = run_recorded(&metered, settings, (samples, running), &layout, table).unwrap();
+    let (run, written) = run_recorded(&metered, settings, (samples, Running::new(&keep)), &layout, table).unwrap();
     written.unwrap();
     (run, layout, file)
 }

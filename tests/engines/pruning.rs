@@ -219,7 +219,7 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
             assert_eq!(check_stimulus(&pruned, &[&loud], 0).unwrap_err().code, "input.pruned");
         }
     }
-    let keep = Keep { output: whole.output(), probes: Vec::new(), early_exit: None };
+    let keep = Keep::new(whole.output());
     let outcome = run_sample(&mut golden, &shown, &keep, |_, _| ());
     (fixed, scene, [outcome.totals.spikes, outcome.spikes.len() as u64])
 }
@@ -262,7 +262,7 @@ fn recorded_touch_is_told_apart_the_same() {
         assert!(compiled.program.cores().len() > 8, "one core or more for each of eight shares");
         let image = Image::new(&compiled.program, shares).unwrap();
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });
-        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+        let keep = Keep::new(compiled.program.output());
         let run = || samples.iter().map(|s| run_sample(&mut machine, s, &keep, |_, _| ())).collect();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(shares).build().unwrap();
         let outcomes: Vec<_> = pool.install(run);

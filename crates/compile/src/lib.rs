@@ -12,7 +12,6 @@ pub mod explore;
 pub mod groups;
 pub mod mapping;
 pub mod mapping_file;
-pub mod parcel;
 pub mod place;
 #[cfg(test)]
 mod prune_tests;
@@ -52,19 +51,8 @@ pub fn map(
     unchecked.check(target)
 }
 
-/// A network on the cores of a target, by one partition and one placement; the first half of
-/// [`map()`].
-///
-/// # Errors
-/// [`CompileError`].
-pub fn place(
-    front: Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-    form: Form,
-) -> Result<Placed, CompileError> {
-    let target = &*form.counted_on(front.quantised(), target);
+/// The first half of [`map()`].
+fn place(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Placed, CompileError> {
     let one = |front: Front, options: &Options| {
         let placed = place(front, target, options, rates, form)?;
         Ok((placed.partitioned.partition.members().clone(), placed.placement, placed.name))
@@ -72,8 +60,7 @@ pub fn place(
     if let Some(spread) = spread(&front, target, options, rates, form, one)? {
         return Ok(spread);
     }
-    let partitioned = front.partition(target, options, rates, form)?;
-    partitioned.place(target, options)
+    front.partition(target, options, rates, form)?.place(target, options)
 }
 
 /// The mapping that a file says, checked as any other. The network is pruned as it was for the

@@ -389,21 +389,12 @@ fn dealt(network: &Quantised, partition: &Partition, placement: &Placement, shar
 /// # Errors
 /// [`CompileError::Fault`].
 pub fn with_program(mapping: Mapping, target: &Target) -> Result<Compiled> {
-    let Mapping { quantised: network, partition, placement, options, .. } = &mapping;
-    let dealt = match mapping.form() {
-        Form::Written => None,
-        Form::Symbolic => dealt(network, partition, placement, options.share),
-    };
-    with_program_dealt(mapping, target, dealt)
-}
-
-/// The same of a mapping that has been dealt out, if there are several processes.
-fn with_program_dealt(mapping: Mapping, target: &Target, dealt: Option<Dealt>) -> Result<Compiled> {
     if mapping.form() == Form::Written {
         return mapping.into_compiled();
     }
     let mut clock = Clock(mapping.seconds.clone());
     let Mapping { quantised: network, partition, placement, options, .. } = &mapping;
+    let dealt = dealt(network, partition, placement, options.share);
     let placed = (placement, dealt);
     let (program, checked) = by_patterns((network, options.copies), partition, placed, target, &mut clock)?;
     Mapping { program: Synapses::Written(program.into()), checked, seconds: clock.0, ..mapping }.into_compiled()
@@ -429,72 +420,6 @@ fn by_patterns(
     let check = || sampled::check(network, partition, &chips, &sample, target.limits());
     clock.stage("check", check).map_err(CompileError::Fault)?;
     Ok((program, Checked { how: "sampled", share: 0.0 }))
-}
-
-/// A network on the cores of the board that another process has placed, of which this one holds a
-/// part.
-#[derive(Debug)]
-pub struct PlacedPart {
-    /// The network, one copy, with the synapses to compartments that are held.
-    pub one: Quantised,
-    /// The same, all copies.
-    pub all: Quantised,
-    /// Compartments on cores.
-    pub partition: Partition,
-    /// Cores on the board.
-    pub placement: Placement,
-    /// Which process holds which cores.
-    pub dealt: Dealt,
-    /// Name of the placement.
-    pub name: &'static str,
-    /// How it was mapped.
-    pub form: Form,
-}
-
-impl PlacedPart {
-    /// How many copies there are.
-    #[must_use]
-    pub fn copies(&self) -> u32 {
-        (self.all.populations().len() / self.one.populations().len().max(1)) as u32
-    }
-
-    /// The program that is held, verified and checked. The network that is kept with it has no
-    /// projections: they are in the program.
-    ///
-    /// # Errors
-    /// [`CompileError::Fault`].
-    pub fn compiled(self, target: &Target, options: &Options) -> Result<Compiled> {
-        let PlacedPart { one, all, partition, placement, dealt, name: placed, form } = self;
-        let mut clock = Clock::default();
-        let (program, checked) = match form {
-            Form::Written => {
-                let written = || route(&all, &partition, &placement, (options.copies, Some(dealt)), target.limits());
-                let program = clock.stage("route", written).map_err(CompileError::Fault)?;
-                let checked = checked_whole(&all, &program, target, options.copies, &mut clock)?;
-                (program, checked)
-            }
-            Form::Symbolic => {
-                let placed = (&placement, Some(dealt));
-                by_patterns((&all, options.copies), &partition, placed, target, &mut clock)?
-            }
-        };
-        let (one, quantised) = (one.without_projections(), all.without_projections());
-        let (seconds, target, options) = (clock.0, target.name().to_string(), *options);
-        let rates = Rates::assumed(DEFAULT_RATE);
-        Ok(Mapping {
-            one,
-            quantised,
-            partition,
-            placement,
-            program: program.into(),
-            checked,
-            seconds,
-            target,
-            options,
-            placed,
-            rates,
-        })
-    }
 }
 
 /// How a program was compared with its network, once its limits have been verified and all of it
@@ -530,44 +455,18 @@ impl Placed {
         if self.partitioned.boxes.is_some() { Form::Symbolic } else { Form::Written }
     }
 
-    /// Its cores dealt out to the processes that run the program together, if there are several.
-    #[must_use]
-    pub fn dealt(&self, share: Share) -> Option<Dealt> {
-        let Placed { partitioned: Partitioned { all, partition, .. }, placement, .. } = self;
-        dealt(all, partition, placement, share)
-    }
-
-    /// The program, verified and checked, of a network that has been dealt out, if there are
-    /// several processes.
-    ///
-    /// # Errors
-    /// [`CompileError::Fault`].
-    pub fn compiled(self, target: &Target, options: &Options, dealt: Option<Dealt>) -> Result<Compiled> {
-        let target = &*self.form().counted_on(&self.partitioned.one, target);
-        let of_tables = dealt.clone().filter(|_| self.form() == Form::Written);
-        let mapping = self.emit_dealt(target, options, of_tables)?.check(target)?;
-        with_program_dealt(mapping, target, dealt)
-    }
-
     /// The tables of all cores; of a symbolic mapping those of one core of each kind.
     ///
     /// # Errors
     /// [`CompileError::Fault`].
     pub fn emit(self, target: &Target, options: &Options) -> Result<Unchecked> {
-        let dealt = match self.form() {
-            Form::Written => self.dealt(options.share),
-            Form::Symbolic => None,
-        };
-        self.emit_dealt(target, options, dealt)
-    }
-
-    fn emit_dealt(self, target: &Target, options: &Options, dealt: Option<Dealt>) -> Result<Unchecked> {
         let Placed { partitioned, placement, name: placed } = self;
         let Partitioned { one, all: quantised, partition, boxes, rates, mut clock } = partitioned;
         let limits = target.limits();
         let (program, sample) = clock
             .stage("route", || match boxes {
                 None => {
+                    let dealt = dealt(&quantised, &partition, &placement, options.share);
                     let program = route(&quantised, &partition, &placement, (options.copies, dealt), limits)?;
                     Ok((Synapses::Written(program.into()), Vec::new()))
                 }

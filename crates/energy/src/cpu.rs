@@ -279,7 +279,7 @@ pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Resu
 pub fn event_driven(program: &Arc<Program>, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
     let image = Image::new(program, 1).map_err(|error| error.to_string())?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
-    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+    let keep = Keep::new(program.output());
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     Ok(timed(timesteps, budget, || {
         for sample in samples {
@@ -313,7 +313,7 @@ mod tests {
     }
 
     fn golden(network: &Quantised, sample: &Sample) -> Vec<u32> {
-        let keep = Keep { output: network.output(), probes: Vec::new(), early_exit: None };
+        let keep = Keep::new(network.output());
         run_sample(&mut Golden::new(network), sample, &keep, |_, _| ()).counts
     }
 

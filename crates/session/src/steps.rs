@@ -148,10 +148,10 @@ impl Meter for Recorder<'_, '_> {
         }
     }
 
-    fn merge(&mut self, other: &Self) {
+    fn merge(&mut self, other: Self) {
         self.meter.merge(&other.meter);
         // Samples are merged in run order.
-        self.cells.extend_from_slice(&other.cells);
+        self.cells.extend(other.cells);
     }
 }
 

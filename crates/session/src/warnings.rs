@@ -21,7 +21,7 @@ use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::neurons::{Kept, NeuronKind};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
-use nsim_ir::spikes::{Copies, Engine, Sample};
+use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
 
 /// Something about a run that its user should look at.
@@ -142,10 +142,8 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
 /// # Errors
 /// As [`fast`].
 pub fn warnings_of(network: &Quantised, program: &Arc<Program>, samples: &[&Sample]) -> Result<Vec<Warning>> {
-    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
-    let running =
-        Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None };
-    let run = fast(program, samples, running, || ())?;
+    let keep = Keep::new(program.output());
+    let run = fast(program, samples, Running::new(&keep), || ())?;
     let sums = ByPopulation::new(network, &run.counts);
     Ok(warnings(Finished { network, ran: Ran::Program(program), sums: &sums, samples, outcomes: &run.outcomes }))
 }

@@ -303,7 +303,7 @@ impl<'a> Subject<'a> {
         let mut machine = Machine::new(&image, Settings { skip, per_step: meter.is_some() });
         let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
         let alone = meter.is_none() && early_exit.is_none();
-        let keep = Keep { output: network.output(), probes: Vec::new(), early_exit };
+        let keep = Keep { early_exit, ..Keep::new(network.output()) };
         let times = self.timed(|| {
             for sample in &given {
                 if alone {

@@ -18,7 +18,7 @@ use crate::cli::bench::published::PublishedArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use nsim_compile::{CompileError, Options};
+use nsim_compile::{CompileError, Options, compile};
 use nsim_energy::environment::Environment;
 use nsim_energy::measure::{Budget, StepTiming, measure_agreed};
 use nsim_files as io;
@@ -32,7 +32,6 @@ use nsim_machine::{Image, Machine, Settings};
 use nsim_report::bench::mapping::MapReport;
 use nsim_report::bench::step::{StepReport, StepRow};
 use nsim_session::error::Error;
-use nsim_session::handed::compile_on;
 use nsim_session::ranks::part_of;
 use nsim_study::mapping;
 use nsim_study::networks::{BenchNetwork, StandardNetwork};
@@ -290,15 +289,10 @@ fn step_rows(
 /// its own.
 fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming, u64, u64) {
     let Some(ranks) = ranks::several() else { return (measured, bytes, synapses) };
-    let Totals { spikes_in, spikes, synaptic_events, compartment_updates, active_updates } = measured.totals;
-    let counts = vec![spikes_in, spikes, synaptic_events, compartment_updates, active_updates, bytes, synapses];
     let (mut totals, mut sums) = (measured.totals, (bytes, synapses));
-    for of_rank in ranks.transport().gather(counts).iter().skip(1) {
-        if let [spikes_in, spikes, synaptic_events, compartment_updates, active_updates, bytes, synapses] = of_rank[..]
-        {
-            totals += Totals { spikes_in, spikes, synaptic_events, compartment_updates, active_updates };
-            sums = (sums.0 + bytes, sums.1 + synapses);
-        }
+    for (other, bytes, synapses) in ranks.gathered::<_, (Totals, u64, u64)>(&(totals, bytes, synapses)) {
+        totals += other;
+        sums = (sums.0 + bytes, sums.1 + synapses);
     }
     (StepTiming { totals, ..measured }, sums.0, sums.1)
 }
@@ -306,7 +300,7 @@ fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming,
 fn map(standard: StandardNetwork, network: Quantised, target: &str) -> Result<Arc<Program>, Error> {
     let target = io::target::load_target(target)?;
     let options = Options { share: ranks::share(), ..Options::default() };
-    let compiled = compile_on(ranks::several(), network, &target, &options).map_err(|error| match error {
+    let compiled = compile(network, &target, &options).map_err(|error| match error {
         CompileError::Input(diagnostic) => diagnostic.into(),
         other => fault(standard, &other),
     })?;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use crate::cli::args::jobs;
-use crate::cli::args::jobs::{Job, JobArgs, Prepared, Wanted};
+use crate::cli::args::jobs::{JobArgs, Prepared};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::simulate;
@@ -26,6 +26,7 @@ use nsim_report::bench::paper as report;
 use nsim_session::Keep;
 use nsim_session::error::Error;
 use nsim_session::inputs::{seen_by, stimulus};
+use nsim_session::obtain::{Job, Wanted};
 use nsim_session::samples::reference;
 use nsim_study::early::Trial;
 use nsim_study::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
@@ -143,7 +144,7 @@ fn trial(
     context: Context,
 ) -> Result<Trial, Error> {
     let wanted = if neurons == Neurons::Srm { Wanted::Real } else { Wanted::Mapped };
-    let job = match jobs::prepare(&JobArgs::for_model(model), wanted, copies)? {
+    let job = match jobs::prepare(&JobArgs::for_model(model), wanted, Some(copies), &[])? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(_) => {
             return Err(Error::Usage(format!("{model}: {copies} copies do not fit the default target: see nsim map")));
@@ -158,11 +159,11 @@ fn trial(
         return Err(Error::Fault(format!("{model}: it was not made ready for real numbers")));
     };
     let samples: Vec<&Sample> = samples.iter().collect();
-    let keep = Keep { output: quantised.output(), probes: Vec::new(), early_exit: None };
+    let keep = Keep::new(quantised.output());
     let (model, units) =
         (Model::<f64>::new(graph, Options::default())?, (quantised.channels(), quantised.compartments()));
     let outcomes = output::with_progress(context, samples.len(), "samples", |progress| {
-        reference(&model, units, &samples, &keep, progress).0.outcomes
+        reference(&model, units, &samples, &keep, progress).outcomes
     });
     let steps = samples.iter().map(|sample| sample.steps() as usize).max().unwrap_or(0);
     let (timestep_ms, spent_uj) = (quantised.parts().timestep_ms, vec![0.0; steps]);

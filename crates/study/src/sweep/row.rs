@@ -13,8 +13,8 @@ use std::sync::{Arc, Mutex};
 
 use crate::sweep::made::{MadeOnce, held};
 use crate::sweep::variants::{FIGURES, Job};
+use nsim_compile::Compiled;
 use nsim_compile::reuse::{is_mapped_alike, with_neurons_of};
-use nsim_compile::{Compiled, DEFAULT_RATE, Form, explore};
 use nsim_cost::estimate::{Case, estimate};
 use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use nsim_energy::options::{tables, with_preset};
@@ -25,16 +25,15 @@ use nsim_import::model::{Unchanged, agreeing, load_model_with};
 use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::units::Picoseconds;
-use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_session::error::Error;
 use nsim_session::inputs::{require_scene, stimulus};
-use nsim_session::priced::{Metered, SampleRun, steps_per_sample};
-use nsim_session::samples::Run;
-use nsim_session::shapes;
-use nsim_session::{accuracy, digest};
+use nsim_session::obtain::{Request, TargetChoice, begin};
+use nsim_session::priced::{Metered, steps_per_sample};
+use nsim_session::samples::{Run, Running};
+use nsim_session::{Keep, accuracy, digest};
 use nsim_train::convert::copies::USUAL;
 use nsim_train::convert::prepare::integers;
 
@@ -73,8 +72,8 @@ pub struct Runner {
 fn ends_all(error: &Error) -> bool {
     match error {
         Error::Usage(_) | Error::Fault(_) => true,
-        Error::Input(diagnostic) => {
-            let code = diagnostic.code;
+        Error::Input(_) | Error::DoesNotFit(_) => {
+            let code = error.code();
             code.starts_with("set.")
                 || code.starts_with("import.")
                 || code.starts_with("io.")
@@ -98,14 +97,9 @@ impl Runner {
         match self.figures(job) {
             Err(error) if ends_all(&error) => Err(error),
             Err(error) => {
-                let code = match &error {
-                    Error::Input(diagnostic) => diagnostic.code,
-                    Error::Usage(_) => "usage",
-                    Error::Fault(_) => "fault",
-                };
                 let mut cells = Cells::default();
-                cells[0] = code.to_string();
-                if code == "map.does-not-fit" {
+                cells[0] = error.code().to_string();
+                if matches!(error, Error::DoesNotFit(_)) {
                     cells[1] = "false".to_string();
                 }
                 Ok(cells)
@@ -147,9 +141,14 @@ impl Runner {
     /// A network of a variant on its cores, which are those of one that is mapped alike where
     /// there is one.
     fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Compiled>, Error> {
-        let options = &job.options;
-        shapes::check(network, target, options.copies)?;
-        let front = integers(network, USUAL)?;
+        let integers = |network: &Network| integers(network, USUAL);
+        let request = Request {
+            target: TargetChoice::Loaded(target),
+            copies: Some(job.options.copies),
+            options: job.options,
+            ..Request::new(&job.model, network, &integers)
+        };
+        let (front, goal) = begin(&request)?;
         let key = shared_by(job);
         let known = self.mappings.get(key, || Ok::<_, Error>(Mappings::default()))?;
         // Who finds none makes one, while others wait for it.
@@ -159,9 +158,7 @@ impl Runner {
             drop(known);
             return Ok(Arc::new(with_neurons_of(&alike, front.into_quantised(), target)?));
         }
-        Form::require_written("running it on cores", front.quantised(), options.copies)?;
-        let mapping = explore::map(front, target, options, &Rates::assumed(DEFAULT_RATE), Form::Written)?;
-        let compiled = Arc::new(mapping.into_compiled()?);
+        let compiled = Arc::new(goal.compiled(front)?);
         if known.len() == MOST_ALIKE {
             known.remove(0);
         }
@@ -211,8 +208,8 @@ impl Runner {
             distribution: None,
             by_step: None,
         };
-        let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
-        let Run { outcomes, activity, meter, .. } = metered.run(settings, run)?;
+        let keep = Keep::new(compiled.program.output());
+        let Run { outcomes, activity, meter, .. } = metered.run(settings, &samples, Running::new(&keep))?;
         let case = Case {
             mode: job.mode,
             convention: job.convention,
