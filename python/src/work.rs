@@ -81,7 +81,9 @@ pub fn work<T: Send>(
     done.map_err(|error| raised(py, error))
 }
 
-fn watched<T: Send>(job: impl FnOnce(Progress<'_>) -> Result<T, nsim::Error> + Send) -> PyResult<Result<T, nsim::Error>> {
+fn watched<T: Send>(
+    job: impl FnOnce(Progress<'_>) -> Result<T, nsim::Error> + Send,
+) -> PyResult<Result<T, nsim::Error>> {
     let stop = AtomicBool::new(false);
     let after_sample = || {
         if stop.load(Ordering::Relaxed) {

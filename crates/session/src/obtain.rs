@@ -1,9 +1,9 @@
 //! From what a user named to something that runs: the only way there.
 //!
 //! Input: a [`Request`]: model, engine, target, saved mapping, copies, pruning, relays. Output: a
-//! [`Job`], or every reason why the network does not fit ([`Error::DoesNotFit`]). [`begin`] stops before mapping, for those
-//! who compare mappings. Each of several processes makes the same request and holds its share of
-//! the program ([`Options::share`]).
+//! [`Job`], or every reason why the network does not fit ([`Error::DoesNotFit`]). [`begin`] stops
+//! before mapping, for those who compare mappings. Each of several processes makes the same request
+//! and holds its share of the program ([`Options::share`]).
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
