@@ -145,9 +145,9 @@ fn stepping_is_running_for_every_shipped_model_and_a_snapshot_goes_on_as_before(
         let mut session = Session::open(&Image::new(&mapped.program, 1).unwrap(), &mapped.one, 1);
         let mut spikes = outputs(&mut session, sample, output, 0..50);
         let middle = session.clone();
-        let rest = outputs(&mut session, sample, output, 50..100);
+        let rest = outputs(&mut session, sample, output, 50..sample.steps());
         session = middle;
-        assert_eq!(outputs(&mut session, sample, output, 50..100), rest, "{}: after going back", model.name);
+        assert_eq!(outputs(&mut session, sample, output, 50..sample.steps()), rest, "{}: after going back", model.name);
         spikes.extend(rest);
         fired += usize::from(!spikes.is_empty());
         let stepped = Outcome { spikes, ..Outcome::default() };
