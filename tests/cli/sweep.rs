@@ -5,19 +5,6 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::common::random;
-use nsim::compile::reuse::{is_mapped_alike, with_neurons_of};
-use nsim::compile::{Compiled, Options, compile, compile_saved};
-use nsim::files::target::load_target;
-use nsim::ir::base::fixed::{BiasMantissa, Decay, ThresholdMantissa};
-use nsim::ir::graph::PerCompartment;
-use nsim::ir::neurons::NeuronKind;
-use nsim::ir::placement::Mesh;
-use nsim::ir::quantised::{Neuron, Quantised, Units};
-use nsim::ir::resource::Resource;
-use nsim::ir::spikes::Sample;
-use nsim::session::priced::{Metered, SampleRun};
-use nsim::session::samples::Run;
 use serde_json::Value;
 
 fn nsim(folder: &Path, line: &str) -> Command {
@@ -245,74 +232,4 @@ fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
     std::fs::write(folder.join("s.ron"), format!("Sweep(model: \"own.ron\", {field})")).unwrap();
     let table = rows(&ran(folder, "sweep s.ron"));
     assert_eq!(cell(&table[0], "error"), "");
-}
-
-/// The network with other neurons in the populations whose spikes go nowhere, which are alike where
-/// they were.
-fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {
-    let last = |id| network.outgoing(id).is_empty();
-    let mut parts = network.parts().clone();
-    for (id, population) in parts.populations.ids().zip(parts.populations.clone().iter()) {
-        let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
-        if !last(id) {
-            continue;
-        }
-        let other = |index| {
-            let old = neurons.get(index);
-            let turned = |field: i64, by: i64, size: i64| (field + by * variant) % size;
-            let vth = ThresholdMantissa::new(turned(old.vth.get().into(), 37, 1 << 17)).unwrap();
-            let bias = BiasMantissa::new(turned(i64::from(old.bias_mant.get()) + 4096, 11, 8192) - 4096).unwrap();
-            let decay = |field: Decay, by| Decay::new(turned(field.get().into(), by, 4097)).unwrap();
-            match old.kind {
-                NeuronKind::If => Neuron { vth, bias_mant: bias, ..old },
-                _ => Neuron { vth, bias_mant: bias, du: decay(old.du, 97), dv: decay(old.dv, 1201), ..old },
-            }
-        };
-        let each = PerCompartment::Each((0..population.shape.len()).map(other).collect());
-        parts.populations[id].units = Units::Compartments { first: *first, neurons: each, start_step: *start_step };
-    }
-    Quantised::new(parts).unwrap()
-}
-
-/// Random networks on random cores of a chip: a network on the cores of one that is mapped alike
-/// does what it does when it is compiled afresh.
-#[test]
-fn a_network_on_the_cores_of_another_runs_as_on_its_own() {
-    let target = load_target("loihi1-chip").unwrap();
-    // Cores hold any mix of parameters.
-    let mut limits = target.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
-        (1024, 1024, 1 << 16);
-    limits[Resource::SynapseFormats] = 64;
-    let target = target.with_limits(limits);
-    let (mut reused, mut fired) = (0, 0);
-    for seed in 0..100 {
-        let network = if seed % 4 == 0 { random::convolutional(seed) } else { random::network(seed) };
-        let mapping = random::mapping(&network, &Mesh::for_target(&target), seed);
-        let compiled_afresh = |network: &Quantised| match network.compartments() {
-            0..=1024 => compile_saved(network.clone(), &target, &Options::default(), &mapping),
-            _ => compile(network.clone(), &target, &Options::default()),
-        };
-        let compiled = compiled_afresh(&network).unwrap_or_else(|error| panic!("{seed}: {error}"));
-        let samples = [random::sample(&network, seed), random::sample(&network, seed + 1_000)];
-        let samples: Vec<&Sample> = samples.iter().collect();
-        let ran = |compiled: &Compiled| {
-            let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
-            let metered = Metered::new(compiled);
-            let settings = metered.offline(&target).unwrap().0;
-            let Run { outcomes, activity, meter, .. } = metered.run(settings, run).unwrap();
-            (outcomes, activity, meter.hops(), meter.lanes().to_vec())
-        };
-        for variant in 1..3 {
-            let other = with_other_last_neurons(&network, variant);
-            if !is_mapped_alike(&compiled.one, &other) {
-                continue;
-            }
-            let on_its_cores = ran(&with_neurons_of(&compiled, other.clone(), &target).unwrap());
-            assert_eq!(on_its_cores, ran(&compiled_afresh(&other).unwrap()), "seed {seed}, variant {variant}");
-            reused += 1;
-            fired += on_its_cores.0.iter().map(|outcome| outcome.totals.spikes).sum::<u64>();
-        }
-    }
-    assert!(reused > 50 && fired > 2_000, "{reused} variants, {fired} spikes");
 }

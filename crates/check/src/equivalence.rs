@@ -120,15 +120,6 @@ pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
     check_copies(network, program, 1).map(|_| ())
 }
 
-/// Checks all but synapses, of a program whose synapses have been checked.
-///
-/// # Errors
-/// The first [`Difference`]: the frame, then parameters.
-pub fn check_neurons(network: &Quantised, program: &Program) -> Result<(), Difference> {
-    check_frame(network, program)?;
-    check_parameters(network, program)
-}
-
 /// The same of this many equal copies; how many cores were proven from the first of their class.
 ///
 /// # Errors

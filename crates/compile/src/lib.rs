@@ -16,7 +16,6 @@ pub mod parcel;
 pub mod place;
 #[cfg(test)]
 mod prune_tests;
-pub mod reuse;
 pub mod stages;
 #[cfg(test)]
 mod tests;

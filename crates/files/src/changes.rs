@@ -82,14 +82,6 @@ impl Change {
     }
 }
 
-impl Change {
-    /// Whether it changes a population of the model.
-    #[must_use]
-    pub fn is_of_population(&self) -> bool {
-        self.path.starts_with("populations.")
-    }
-}
-
 /// Ends the changes of a thread, however its work ends.
 struct Ending;
 

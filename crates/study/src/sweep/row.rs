@@ -2,18 +2,16 @@
 //!
 //! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; a figure that is not known is empty.
 //! Energies, power and latency are the total of one copy. What variants have in common is made
-//! once: models and their arrays, targets and their constants, samples, and mappings, which
-//! networks share that differ in the parameters of neurons alone.
+//! once: models and their arrays, targets and their constants, samples, and mappings.
 //!
 //! Errors: whatever no variant could be run with, such as a path that leads nowhere. What is wrong
 //! with one variant stands in its row under `error`.
 
 use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
-use crate::sweep::made::{MadeOnce, held};
+use crate::sweep::made::MadeOnce;
 use crate::sweep::variants::{FIGURES, Job};
-use nsim_compile::reuse::{is_mapped_alike, with_neurons_of};
 use nsim_compile::{Compiled, DEFAULT_RATE, Form, explore};
 use nsim_cost::estimate::{Case, estimate};
 use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
@@ -41,9 +39,6 @@ use nsim_train::convert::prepare::integers;
 /// The cells of a variant.
 pub type Cells = [String; FIGURES.len()];
 
-/// Mappings of networks that may be mapped alike which are kept.
-const MOST_ALIKE: usize = 16;
-
 /// A target and the constants that it is priced by.
 #[derive(Debug)]
 struct Priced {
@@ -51,13 +46,9 @@ struct Priced {
     table: CostTable,
 }
 
-/// The latest mappings that have been made for one key.
-type Mappings = Mutex<Vec<Arc<Compiled>>>;
-
-/// What variants have to have in common to be mapped alike: all but the parameters of neurons.
+/// What variants have in common that share a mapping.
 fn shared_by(job: &Job) -> String {
-    let others: Vec<&Change> = job.of_model.iter().filter(|change| !change.is_of_population()).collect();
-    format!("{:?}", (&job.model, others, &job.target, &job.of_target, &job.options))
+    format!("{:?}", (&job.model, &job.of_model, job.dt_ms, &job.target, &job.of_target, &job.options))
 }
 
 /// Runs variants.
@@ -65,7 +56,7 @@ fn shared_by(job: &Job) -> String {
 pub struct Runner {
     models: MadeOnce<String, Option<Unchanged>>,
     targets: MadeOnce<(String, Vec<Change>, Option<String>), Priced>,
-    mappings: MadeOnce<String, Mappings>,
+    mappings: MadeOnce<String, Compiled>,
     stimuli: MadeOnce<String, Stimulus>,
 }
 
@@ -144,29 +135,14 @@ impl Runner {
         })
     }
 
-    /// A network of a variant on its cores, which are those of one that is mapped alike where
-    /// there is one.
+    /// The network of a variant on its cores.
     fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Compiled>, Error> {
-        let options = &job.options;
-        shapes::check(network, target, options.copies)?;
-        let front = integers(network, USUAL)?;
-        let key = shared_by(job);
-        let known = self.mappings.get(key, || Ok::<_, Error>(Mappings::default()))?;
-        // Who finds none makes one, while others wait for it.
-        let mut known = held(&known);
-        let alike = |known: &&Arc<Compiled>| is_mapped_alike(&known.one, front.quantised());
-        if let Some(alike) = known.iter().rev().find(alike).cloned() {
-            drop(known);
-            return Ok(Arc::new(with_neurons_of(&alike, front.into_quantised(), target)?));
-        }
-        Form::require_written("running it on cores", front.quantised(), options.copies)?;
-        let mapping = explore::map(front, target, options, &Rates::assumed(DEFAULT_RATE), Form::Written)?;
-        let compiled = Arc::new(mapping.into_compiled()?);
-        if known.len() == MOST_ALIKE {
-            known.remove(0);
-        }
-        known.push(Arc::clone(&compiled));
-        Ok(compiled)
+        self.mappings.get(shared_by(job), || {
+            shapes::check(network, target, job.options.copies)?;
+            let front = integers(network, USUAL)?;
+            Form::require_written("running it on cores", front.quantised(), job.options.copies)?;
+            Ok(explore::map(front, target, &job.options, &Rates::assumed(DEFAULT_RATE), Form::Written)?.into_compiled()?)
+        })
     }
 
     fn stimulus(&self, job: &Job, network: &Quantised, scene: Option<&str>) -> Result<Arc<Stimulus>, Error> {
