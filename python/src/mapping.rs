@@ -74,7 +74,7 @@ impl MappingRequest {
             None => {
                 Form::require_written("running it on cores", front.quantised(), copies)?;
                 let rates = Rates::assumed(DEFAULT_RATE);
-                explore::map(front, &target, &options, &rates, Form::Written)?.into_compiled()?
+                explore::map(front, &target, &options, &rates)?
             }
         };
         Ok((compiled, target))

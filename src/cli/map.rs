@@ -129,7 +129,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         relayed => relayed?,
     };
     let relays = front.relays().cloned();
-    let form = Form::for_network(front.quantised(), options.copies);
+    let form = front.form(options.copies);
     if !args.profile.is_empty() {
         Form::require_written("--profile", front.quantised(), options.copies)?;
     }
@@ -139,7 +139,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     };
     let (compiled, pruned) = match mapping.as_ref() {
         Some(file) => {
-            let mapped = compile::load(front, &target, &options, file, form);
+            let mapped = compile::load(front, &target, &options, file);
             // A stored mapping stays what it is; what it costs follows the rates that are asked
             // for.
             let mapped = mapped.map(|mapped| Mapping { rates: rates.copies(options.copies), ..mapped });
@@ -151,9 +151,9 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             let one = front.quantised().clone();
             if args.pareto.is_some() {
                 let _busy = output::busy("mapping in several ways");
-                candidates = explore::candidates(&front, &target, &options, &rates, form).unwrap_or_default();
+                candidates = explore::candidates(&front, &target, &options, &rates).unwrap_or_default();
             }
-            let mapped = jobs::mapped(front, &target, &options, &rates, form);
+            let mapped = jobs::mapped(front, &target, &options, &rates);
             if let Err(CompileError::DoesNotFit(_)) = &mapped
                 && form == Form::Written
             {

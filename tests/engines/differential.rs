@@ -2,7 +2,7 @@
 //! partitions, with skipping on and off, in 1, 2 and 8 shares run by as many threads.
 
 use crate::common::{Net, format, neuron, random};
-use nsim::compile::{Compiled, DEFAULT_RATE, Form, Options, compile, compile_saved, with_program};
+use nsim::compile::{Compiled, DEFAULT_RATE, Form, Front, Options, compile, compile_saved};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::model::load_model;
@@ -148,9 +148,9 @@ fn random_convolutions_are_the_same_in_both_engines() {
         let small = Options { place: false, ..Options::default() };
         for (name, target) in [("boxes", board.clone()), ("small boxes", board.clone().with_limits(limits))] {
             let rates = Rates::assumed(DEFAULT_RATE);
-            let symbolic = nsim::compile::map(network.clone().into(), &target, &small, &rates, Form::Symbolic);
-            if let Ok(symbolic) = symbolic {
-                mapped.push((name, with_program(symbolic, &target).unwrap()));
+            let front = Front::from(network.clone()).by_kernels();
+            if let Ok(by_kernels) = nsim::compile::map(front, &target, &small, &rates) {
+                mapped.push((name, by_kernels));
                 boxes += 1;
             }
         }

@@ -85,13 +85,9 @@ pub enum Difference {
 /// One synapse as both sides encode it, in one number, so that sorting is quick: port (1 bit),
 /// target (27), exponent (5), sign mode (2), bits (4), delay (6), weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct SynapseCode(u64);
+struct SynapseCode(u64);
 
 impl SynapseCode {
-    pub(super) fn new(target: CompartmentId, format: SynapseFormat, weight: i16, delay: Delay) -> Self {
-        Self::of_format(format).with(target, weight, delay)
-    }
-
     /// What synapses of a format have in common.
     fn of_format(format: SynapseFormat) -> Self {
         let sign = match format.sign {

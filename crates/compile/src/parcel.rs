@@ -23,9 +23,9 @@
 //! Errors: [`CompileError::Fault`] for bytes that are no parcel; [`CompileError::DoesNotFit`] where
 //! the first rank has said so.
 
-use crate::mapping::Compiled;
+use crate::mapping::Mapping;
 use crate::place;
-use crate::stages::{Placed, PlacedPart};
+use crate::stages::{Partitioned, Placed};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CoreId, IdVec};
 use nsim_ir::dealt::{Dealt, Share};
@@ -37,22 +37,31 @@ use nsim_ir::quantised::{Parts, Pruned, Quantised, Units};
 use nsim_partition::error::{CompileError, Result};
 use nsim_partition::form::Form;
 use nsim_partition::options::Options;
+use nsim_partition::strategy::boxes::Lattices;
 use nsim_partition::strategy::members::Members;
 use nsim_quantise::copies::copies;
 use serde::Serialize;
 
 /// Begins every parcel; another layout of the bytes begins otherwise.
-const MAGIC: u32 = 0x6e73_0002;
+const MAGIC: u32 = 0x6e73_0003;
 const PLACEMENTS: [&str; 3] = [place::SEQUENTIAL, place::ANNEALED, place::SAVED];
 
 /// Where a synapse of a list takes as much as two weights of an all-to-all projection and more, the
 /// part of the targets from which on the latter is shorter.
 const LISTED_COSTS: usize = 3;
 
-/// What a parcel says besides the network: a note, the form, which of [`PLACEMENTS`], the number of
-/// copies; by core its compartments, what it uses, its site and its rank.
-type Places =
-    (Option<String>, Form, u32, u32, Members, IdVec<CoreId, CoreUsage>, IdVec<CoreId, Site>, IdVec<CoreId, u32>);
+/// What a parcel says besides the network: a note, where layers are cut, which of [`PLACEMENTS`],
+/// the number of copies; by core its compartments, what it uses, its site and its rank.
+type Places = (
+    Option<String>,
+    Option<Lattices>,
+    u32,
+    u32,
+    Members,
+    IdVec<CoreId, CoreUsage>,
+    IdVec<CoreId, Site>,
+    IdVec<CoreId, u32>,
+);
 
 fn bytes(parcel: &impl Serialize) -> Result<Vec<u8>> {
     postcard::to_stdvec(parcel).map_err(CompileError::fault)
@@ -93,12 +102,12 @@ impl Parcel<'_> {
                 members.iter().for_each(|id| own[(id.0 % one.compartments()) as usize] = true);
             }
         }
-        let form = self.placed.form();
+        let lattices = &partitioned.lattices;
         let name = PLACEMENTS.iter().position(|name| *name == self.placed.name).unwrap_or(PLACEMENTS.len()) as u32;
         let (members, usage) = (partition.members(), partition.usage());
-        let places = (self.note, form, name, self.copies, members, usage, placement.sites(), &*self.dealt.owners);
+        let places = (self.note, lattices, name, self.copies, members, usage, placement.sites(), &*self.dealt.owners);
         // Kernels, which networks mapped by them consist of, are short.
-        bytes(&(MAGIC, Some((places, sent(one, (form == Form::Written).then_some(&own))))))
+        bytes(&(MAGIC, Some((places, sent(one, lattices.is_none().then_some(&own))))))
     }
 }
 
@@ -153,7 +162,7 @@ fn list(connectivity: &Connectivity, sources: u32, own: &[bool]) -> Connectivity
 #[derive(Debug)]
 pub struct Opened {
     /// Its part of the program; the network with it has no projections.
-    pub compiled: Compiled,
+    pub compiled: Mapping,
     /// What was passed on.
     pub note: Option<String>,
 }
@@ -164,16 +173,18 @@ pub struct Opened {
 /// [`CompileError::DoesNotFit`], without reasons, where the first rank has found that;
 /// [`CompileError::Fault`].
 pub fn open(parcel: Vec<u8>, target: &Target, options: &Options) -> Result<Opened> {
-    let (part, note) = read(&parcel, target, options.share)?;
+    let (placed, dealt, note) = read(&parcel, target, options.share)?;
     // Writing tables is what takes most memory.
     drop(parcel);
-    let options = &Options { copies: part.copies(), ..*options };
-    let target = &*part.form.counted_on(&part.one, target);
-    Ok(Opened { compiled: part.compiled(target, options)?, note })
+    let Partitioned { all, .. } = &placed.partitioned;
+    let copies = (all.populations().len() / placed.partitioned.one().populations().len().max(1)) as u32;
+    let mapping = placed.emit_dealt(target, &Options { copies, ..*options }, Some(dealt))?.check(target)?;
+    let (one, quantised) = (mapping.one.without_projections(), mapping.quantised.without_projections());
+    Ok(Opened { compiled: Mapping { one, quantised, ..mapping }, note })
 }
 
 /// What a rank has been sent.
-fn read(parcel: &[u8], target: &Target, share: Share) -> Result<(PlacedPart, Option<String>)> {
+fn read(parcel: &[u8], target: &Target, share: Share) -> Result<(Placed, Dealt, Option<String>)> {
     let damaged = || CompileError::fault("what another rank sent is damaged");
     let (magic, rest) = postcard::take_from_bytes::<u32>(parcel).map_err(|_| damaged())?;
     if magic != MAGIC {
@@ -182,8 +193,9 @@ fn read(parcel: &[u8], target: &Target, share: Share) -> Result<(PlacedPart, Opt
     let read = postcard::take_from_bytes::<Option<(Places, Quantised)>>(rest);
     let (sent, []) = read.map_err(CompileError::fault)? else { return Err(damaged()) };
     let (places, one) = sent.ok_or_else(|| CompileError::DoesNotFit(Vec::new()))?;
-    let (note, form, name, number, members, usage, sites, owners) = places;
+    let (note, lattices, name, number, members, usage, sites, owners) = places;
     let name = PLACEMENTS.get(name as usize).copied().ok_or_else(damaged)?;
+    let form = if lattices.is_some() { Form::Symbolic } else { Form::Written };
     let target = &*form.counted_on(&one, target);
     let all = copies(&one, number).map_err(CompileError::fault)?;
     let partition = Partition::new(all.compartments(), members, usage, target.limits()).map_err(CompileError::fault)?;
@@ -192,7 +204,7 @@ fn read(parcel: &[u8], target: &Target, share: Share) -> Result<(PlacedPart, Opt
     if placement.len() != partition.cores() || !dealt.is_of(partition.cores()) {
         return Err(damaged());
     }
-    Ok((PlacedPart { one, all, partition, placement, dealt, name, form }, note))
+    Ok((Partitioned::placed((one, all), lattices, (partition, placement), name), dealt, note))
 }
 
 #[cfg(test)]
@@ -209,7 +221,7 @@ mod tests {
         let share = Share { rank: 0, ranks: 2 + seed as u32 % 3, whole: seed.is_multiple_of(2) };
         let options = Options { copies, share, ..Options::default() };
         let front = Front::from(random_network(seed));
-        let placed = place(front, &board, &options, &Rates::assumed(DEFAULT_RATE), Form::Written).unwrap();
+        let placed = place(front, &board, &options, &Rates::assumed(DEFAULT_RATE)).unwrap();
         (placed, board, options)
     }
 
@@ -222,7 +234,8 @@ mod tests {
             let dealt = placed.dealt(whole).unwrap();
             let parcel = Parcel { placed: &placed, copies: options.copies, dealt: &dealt, note: Some("note") };
             let of_options = Options { share: whole, ..options };
-            let compiled = placed.clone().compiled(&board, &of_options, Some(dealt.clone())).unwrap();
+            let compiled = placed.clone().emit_dealt(&board, &of_options, Some(dealt.clone())).unwrap();
+            let compiled = compiled.check(&board).unwrap();
             let everything = bytes(&sent(&compiled.one, None)).unwrap().len();
             for rank in 1..options.share.ranks {
                 let sent = parcel.of_rank(rank).unwrap();
@@ -233,8 +246,8 @@ mod tests {
                 assert_eq!(opened.note.as_deref(), Some("note"));
                 assert_eq!(opened.compiled.options.copies, options.copies);
                 assert_eq!(opened.compiled.quantised.compartments(), compiled.quantised.compartments());
-                let (part, _) = read(&sent, &board, share).unwrap();
-                fewer += usize::from(bytes(&part.one).unwrap().len() < everything);
+                let (part, ..) = read(&sent, &board, share).unwrap();
+                fewer += usize::from(bytes(part.partitioned.one()).unwrap().len() < everything);
                 // Reading any bytes ends, and allocates no more than there are.
                 for at in 0..20 {
                     let mut damaged = sent.clone();

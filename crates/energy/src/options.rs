@@ -6,7 +6,7 @@ use crate::baseline::{Baseline, SHIPPED};
 use crate::published::scenario::ScenarioFile;
 use nsim_compile as compile;
 use nsim_compile::place::SAVED;
-use nsim_compile::{Compiled, CopyPlacement, Form, Front, Options, mapping_file};
+use nsim_compile::{Compiled, CopyPlacement, Options, mapping_file};
 use nsim_cost::estimate::Convention;
 use nsim_cost::job::Accounting;
 use nsim_cost::job::DeployedCores;
@@ -236,9 +236,7 @@ impl DeploymentSource {
             DeploymentSource::Mapping(path, mapping) => {
                 // A mapping that could not be run is no deployment either.
                 let options = Options { copies, ..Options::default() };
-                let form = Form::for_network(&compiled.one, copies);
-                let front = Front::from(compiled.one.clone());
-                let loaded = compile::load(front, target, &options, mapping, form)
+                let loaded = compile::load(compiled.one.clone(), target, &options, mapping)
                     .map_err(|error| mapping_file::explained(error, path, "MODEL"))?;
                 if loaded.placement.is_empty() {
                     let message = "the mapping has no core, so there is nothing that it could cost";

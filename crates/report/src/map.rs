@@ -14,7 +14,7 @@ use nsim_compile::explore::choice::{Found, front};
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
-use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Form, Mapping, Options, Reason, place};
+use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, place};
 use nsim_files::table::{Column, count, narrowed, table_of, wrapped};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -100,9 +100,9 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "chips_used": mapping.map(|mapping| mapping.placement.chips_used()),
         "cores_per_copy": mapping.map(cores_per_copy),
         "checked": mapping.is_some(),
-        "checked_how": mapping.map(|mapping| mapping.checked.how),
-        "checked_share": mapping.map(|mapping| mapping.checked.share),
-        "described": mapping.is_some_and(|mapping| mapping.form() == Form::Symbolic),
+        "checked_how": mapping.map(|mapping| if mapping.shifts > 0 { "classes" } else { "whole" }),
+        "checked_share": mapping.map(|_| 1.0),
+        "described": mapping.is_some_and(|mapping| mapping.lattices.is_some()),
         "cores": mapping.into_iter().flat_map(rows).collect::<Vec<_>>(),
         "limits": target.limits(),
         "traffic": null,
@@ -266,14 +266,10 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             let (cores, chips) = (compiled.partition.cores(), compiled.placement.chips_used());
             let _ = writeln!(
                 text,
-                "fits on {} of {}\n{:.4} cores a copy; {}",
+                "fits on {} of {}\n{:.4} cores a copy; checked against its network",
                 count(cores as u64, "core"),
                 count(chips, "chip"),
                 cores_per_copy(compiled),
-                match compiled.form() {
-                    Form::Written => "checked against its network",
-                    Form::Symbolic => "counted from its kernels; a core of each kind checked against its synapses",
-                }
             );
             let _ = writeln!(
                 text,
@@ -408,7 +404,7 @@ mod tests {
     }
 
     fn mapped(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
-        explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE), Form::Written)
+        explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE))
     }
 
     fn keys(value: &Value) -> String {
@@ -429,7 +425,7 @@ mod tests {
             (&fits["fits"], &fits["checked"], &fits["cores_per_copy"]),
             (&json!(true), &json!(true), &json!(1.0))
         );
-        assert_eq!((&fits["checked_how"], &fits["checked_share"]), (&json!("pattern"), &json!(1.0)));
+        assert_eq!((&fits["checked_how"], &fits["checked_share"]), (&json!("classes"), &json!(1.0)));
         let core = json!({
             "core": 2, "chip": 0, "x": 0, "y": 0, "compartments": 62, "axons_in": 3366, "axons_out": 60,
             "synapses": 39_420, "synapse_words": 7_452,

@@ -9,7 +9,7 @@
 use nsim_compile as compile;
 use nsim_compile::parcel;
 use nsim_compile::parcel::{Opened, Parcel};
-use nsim_compile::{CompileError, Compiled, DEFAULT_RATE, Form, Front, Options, Placed};
+use nsim_compile::{CompileError, Compiled, DEFAULT_RATE, Front, Options, Placed};
 use nsim_ir::dealt::Dealt;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -33,7 +33,7 @@ pub fn hand_out(
         let sent = parcel.of_rank(rank)?;
         ranks.transport().give(rank, sent);
     }
-    let compiled = placed.compiled(target, options, Some(dealt))?;
+    let compiled = placed.emit_dealt(target, options, Some(dealt))?.check(target)?;
     let written: u64 = ranks.transport().gather(vec![own_synapses(&compiled, 0)]).concat().iter().sum();
     match written == synapses {
         true => Ok(compiled),
@@ -78,9 +78,8 @@ pub fn compile_on(
         return Ok(receive(target, options, ranks)?.compiled);
     }
     let front = network.into();
-    let form = Form::for_network(front.quantised(), options.copies);
-    form.require_program(front.quantised(), options.copies)?;
-    match compile::place(front, target, options, &Rates::assumed(DEFAULT_RATE), form) {
+    front.form(options.copies).require_program(front.quantised(), options.copies)?;
+    match compile::place(front, target, options, &Rates::assumed(DEFAULT_RATE)) {
         Ok(placed) => hand_out(placed, target, options, (ranks, None)),
         Err(error) => {
             refuse(ranks)?;

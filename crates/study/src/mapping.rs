@@ -145,7 +145,7 @@ pub fn map_all(
         // gigabytes.
         let partitioned = match (form, objective) {
             (Form::Written, Objective::Cores) => {
-                match front().and_then(|front| front.partition(target, &options, rates, form)) {
+                match front().and_then(|front| front.partition(target, &options, rates)) {
                     // Layers that only fit in tiles have no row in the order of the file.
                     Err(CompileError::DoesNotFit(_)) if strategy == Strategy::Sequential => continue,
                     partitioned => Some(partitioned.map_err(failed)?),
@@ -164,7 +164,7 @@ pub fn map_all(
                     let unchecked = partitioned.clone().place(target, &options).and_then(|p| p.emit(target, &options));
                     unchecked.and_then(|unchecked| unchecked.check(target))
                 }
-                None => front().and_then(|front| explore::map(front, target, &options, rates, form)),
+                None => front().and_then(|front| explore::map(front, target, &options, rates)),
             };
             let mapping = mapping.map_err(failed)?;
             let seconds = gathered + begin.elapsed().as_secs_f64();
@@ -173,8 +173,7 @@ pub fn map_all(
             let traffic = mapping.traffic();
             let (energy_uj, step_us) = match &expected {
                 Some((meant, sample)) => {
-                    let compiled = mapping.into_compiled().map_err(failed)?;
-                    simulated(case, (&compiled, bench.network.compartments()), target, sample, meant)?
+                    simulated(case, (&mapping, bench.network.compartments()), target, sample, meant)?
                 }
                 None => {
                     let score = mapping.score(&traffic, target);
@@ -208,11 +207,10 @@ pub fn map_all(
 pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result<Refusal, Error> {
     let placement = CopyPlacement::Packed;
     let options = Options { copies: case.copies, placement, ..Options::default() };
-    let form = Form::for_network(&bench.network, case.copies);
     reset_peak();
     let begin = Instant::now();
     let front = Front::from(bench.network.clone());
-    match explore::map(front, target, &options, &Rates::assumed(DEFAULT_RATE), form) {
+    match explore::map(front, target, &options, &Rates::assumed(DEFAULT_RATE)) {
         Ok(_) => Err(fault(case, options.strategy, "it fits, though it is known not to")),
         Err(CompileError::DoesNotFit(reasons)) => Ok(Refusal {
             network: case.name,

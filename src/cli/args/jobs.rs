@@ -361,17 +361,13 @@ pub fn compiled(
         Ok(front) => front,
         Err(error) => return Ok(Err(error)),
     };
-    let form = Form::for_network(front.quantised(), options.copies);
+    front.form(options.copies).require_program(front.quantised(), options.copies)?;
     if let Some(ranks) = ranks::several() {
-        form.require_program(front.quantised(), options.copies)?;
         let placed = match mapping {
-            Some(file) => {
-                let target = &*form.counted_on(front.quantised(), target);
-                front.place_as(target, options, file, form).map_err(|error| args.with_mapping_file(error))
-            }
+            Some(file) => front.place_as(target, options, file).map_err(|error| args.with_mapping_file(error)),
             None => {
                 let _busy = output::busy("mapping");
-                compile::place(front, target, options, &Rates::assumed(DEFAULT_RATE), form)
+                compile::place(front, target, options, &Rates::assumed(DEFAULT_RATE))
             }
         };
         let scene = network.file().scene.as_deref();
@@ -382,11 +378,7 @@ pub fn compiled(
             let _busy = output::busy("checking the mapping");
             compile::compile_saved(front, target, options, file).map_err(|error| args.with_mapping_file(error))
         }
-        None => {
-            form.require_program(front.quantised(), options.copies)?;
-            let mapped = mapped(front, target, options, &Rates::assumed(DEFAULT_RATE), form);
-            mapped.and_then(|mapping| compile::with_program(mapping, target))
-        }
+        None => mapped(front, target, options, &Rates::assumed(DEFAULT_RATE)),
     })
 }
 
@@ -394,15 +386,9 @@ pub fn compiled(
 ///
 /// # Errors
 /// As [`explore::map`].
-pub fn mapped(
-    front: Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-    form: Form,
-) -> Result<Mapping, CompileError> {
+pub fn mapped(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Mapping, CompileError> {
     let _busy = output::busy("mapping");
-    explore::map(front, target, options, rates, form)
+    explore::map(front, target, options, rates)
 }
 
 fn say_notes(quantised: &Quantised) {

@@ -15,12 +15,13 @@ use std::sync::Arc;
 
 use self::kinds::{Expected, KINDS};
 use crate::common::random::{self, Draw};
-use nsim::check::equivalence::{Difference, check};
+use nsim::check::equivalence::{Difference, check_copies};
 use nsim::check::verify::verify;
-use nsim::compile::{Compiled, Options, compile};
+use nsim::compile::{Compiled, DEFAULT_RATE, Front, Options, compile, map};
 use nsim::files::target::load_target;
 use nsim::ir::base::fixed::Delay;
 use nsim::ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim::ir::firing_rates::Rates;
 use nsim::ir::hardware::Target;
 use nsim::ir::program::{AxonTarget, Compartment, Parts, Program};
 use nsim::ir::quantised::Quantised;
@@ -28,7 +29,7 @@ use nsim::ir::quantised::connectivity::SynapseFormat;
 use nsim::ir::resource::{Packing, Resource};
 use rayon::prelude::*;
 
-/// Random networks; each is mapped in three ways, and each program is mutated once by every kind.
+/// Random networks; each is mapped in five ways, and each program is mutated once by every kind.
 const NETWORKS: u64 = 60;
 
 /// A synapse as its source's spike reaches it.
@@ -127,8 +128,12 @@ struct Tally {
 }
 
 /// Mutates a program once by every kind.
-fn mutate(network: &Quantised, target: &Target, program: Program, seed: u64, tallies: &mut [Tally]) {
-    assert_eq!((verify(&program, target), check(network, &program)), (Ok(()), Ok(())), "seed {seed}");
+fn mutate(mapping: Compiled, target: &Target, seed: u64, tallies: &mut [Tally]) {
+    let Compiled { quantised: network, program, options, .. } = mapping;
+    let program = Arc::unwrap_or_clone(program);
+    // Cores that are shifts of the first of their class are proven from it.
+    let check = |network: &Quantised, program: &Program| check_copies(network, program, options.copies).map(drop);
+    assert_eq!((verify(&program, target), check(&network, &program)), (Ok(()), Ok(())), "seed {seed}");
     let good = program.into_parts();
     let meant = Meaning::decoded(&good);
     for (number, ((name, kind), tally)) in KINDS.iter().zip(tallies).enumerate() {
@@ -150,7 +155,7 @@ fn mutate(network: &Quantised, target: &Target, program: Program, seed: u64, tal
                 "Program::new"
             }
             Ok(mutated) => {
-                let (verified, checked) = (verify(&mutated, target), check(network, &mutated));
+                let (verified, checked) = (verify(&mutated, target), check(&network, &mutated));
                 let difference = difference(&good, &meant, mutated.parts());
                 if checked != difference {
                     wrong(format!("the checker says {checked:?}, which should be {difference:?}"));
@@ -176,6 +181,7 @@ fn mutate(network: &Quantised, target: &Target, program: Program, seed: u64, tal
 #[test]
 fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
     let targets = [roomy(1024, Packing::Nengo), roomy(5, Packing::Nengo), roomy(9, Packing::Nxtf)];
+    let boxes_of = roomy(12, Packing::Nengo);
     // Where cores stand is drawn by a mutation, not searched for.
     let options = Options { place: false, ..Options::default() };
     let tallies = (0..NETWORKS)
@@ -184,8 +190,14 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
             let network = if seed % 2 == 0 { random::network(seed) } else { random::mixed(seed) };
             let mut tallies = vec![Tally::default(); KINDS.len()];
             for target in &targets {
-                let Compiled { program, .. } = compile(network.clone(), target, &options).unwrap();
-                mutate(&network, target, Arc::unwrap_or_clone(program), seed, &mut tallies);
+                mutate(compile(network.clone(), target, &options).unwrap(), target, seed, &mut tallies);
+            }
+            // Cores in classes: copies, and boxes of kernels.
+            let copies = Options { copies: 2, ..options };
+            mutate(compile(network, &targets[2], &copies).unwrap(), &targets[2], seed, &mut tallies);
+            let boxes = Front::from(random::convolutional(seed)).by_kernels();
+            if let Ok(boxes) = map(boxes, &boxes_of, &options, &Rates::assumed(DEFAULT_RATE)) {
+                mutate(boxes, &boxes_of, seed, &mut tallies);
             }
             tallies
         })

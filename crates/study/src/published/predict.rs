@@ -6,7 +6,7 @@
 //! that price a user's network.
 
 use super::network::{COUNTED, Rates, build, warm_up};
-use nsim_compile::{CompileError, Compiled, Front, Options, with_program};
+use nsim_compile::{CompileError, Compiled, Front, Options};
 use nsim_cost::estimate::{Case, JobPower};
 use nsim_cost::job::DeployedCores;
 use nsim_cost::job::Mode;
@@ -67,8 +67,7 @@ fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Co
     let (options, rates) = (Options::default(), firing_rates::Rates::assumed(nsim_compile::DEFAULT_RATE));
     let placed =
         Front::from(network).place_on(target, &options, &rates, (members, sites), "printed").map_err(failed)?;
-    let checked = placed.emit(target, &options).and_then(|unchecked| unchecked.check(target)).map_err(failed)?;
-    with_program(checked, target).map_err(failed)
+    placed.emit(target, &options).and_then(|unchecked| unchecked.check(target)).map_err(failed)
 }
 
 /// The numbers of cores that a workload ran on.

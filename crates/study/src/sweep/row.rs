@@ -141,7 +141,7 @@ impl Runner {
             shapes::check(network, target, job.options.copies)?;
             let front = integers(network, USUAL)?;
             Form::require_written("running it on cores", front.quantised(), job.options.copies)?;
-            Ok(explore::map(front, target, &job.options, &Rates::assumed(DEFAULT_RATE), Form::Written)?.into_compiled()?)
+            Ok(explore::map(front, target, &job.options, &Rates::assumed(DEFAULT_RATE))?)
         })
     }
 
