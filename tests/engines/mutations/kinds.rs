@@ -135,9 +135,10 @@ pub const KINDS: &[(&str, Kind)] = &[
     // Classes.
     ("class of another core", |p, d| {
         let [(core, _), (other, _)] = [0, 1].map(|_| compartment(p, d));
-        p.cores[core].class = p.cores[other].class;
-        // No core is of its class now.
-        Some(NotClosed)
+        let (own, new) = (p.cores[core].class, p.cores[other].class);
+        p.cores[core].class = new;
+        let left = p.cores.iter().any(|image| image.class == own);
+        Some(if left { Anything } else { NotClosed })
     }),
     ("a class that does not exist", |p, d| {
         let (core, _) = compartment(p, d);
