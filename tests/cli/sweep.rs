@@ -5,36 +5,25 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use crate::common::command::{object, said};
+use crate::common::compare::roomy;
 use crate::common::random;
 use nsim::compile::reuse::{is_mapped_alike, with_neurons_of};
 use nsim::compile::{Compiled, Options, compile, compile_saved};
-use nsim::files::target::load_target;
 use nsim::ir::base::fixed::{BiasMantissa, Decay, ThresholdMantissa};
 use nsim::ir::graph::PerCompartment;
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
-use nsim::ir::resource::Resource;
 use nsim::ir::spikes::Sample;
 use nsim::session::priced::{Metered, SampleRun};
 use nsim::session::samples::Run;
-use serde_json::Value;
-
-fn nsim(folder: &Path, line: &str) -> Command {
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    command.args(line.split(' ')).current_dir(folder);
-    command
-}
 
 /// What a command prints.
 fn ran(folder: &Path, line: &str) -> String {
-    let output = nsim(folder, line).output().unwrap();
-    assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn json(folder: &Path, line: &str) -> Value {
-    serde_json::from_str(&ran(folder, &format!("{line} --format json"))).unwrap()
+    let (status, out, err) = said(folder, line);
+    assert_eq!(status, 0, "{line}: {err}");
+    out
 }
 
 /// The rows of a table, by column.
@@ -108,7 +97,7 @@ fn rows_are_those_of_the_single_commands() {
                 continue;
             }
             let copies = if line.contains("--copies") { "" } else { " --copies 1" };
-            let energy = json(folder, &format!("energy {line}{copies} --baseline rtx-2080-ti --samples 0..2"));
+            let energy = object(folder, &format!("energy {line}{copies} --baseline rtx-2080-ti --samples 0..2"), 0);
             let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
             for figure in ["static_mw", "dynamic_mw", "total_mw", "latency_us", "energy_uj", "edp_pjs"] {
                 let number = cell(row, figure).parse::<f64>().ok();
@@ -117,7 +106,7 @@ fn rows_are_those_of_the_single_commands() {
             let line: Vec<&str> = line.split(" --copies 3 --mode realtime").collect();
             let line = line.concat().replace(" --constants davies2018", "");
             // The reference engine is what runs spike response neurons otherwise.
-            let run = json(folder, &format!("run {line} --engine fast --samples 0..2"));
+            let run = object(folder, &format!("run {line} --engine fast --samples 0..2"), 0);
             for (column, value) in [
                 ("digest", &run["digest"]),
                 ("accuracy", &run["accuracy"]),
@@ -153,7 +142,9 @@ fn threads_shards_and_kills_change_nothing() {
     // Killed at moments that are spread over the run; what was finished is not run again.
     let (mut kept, mut kills) = (0, 0);
     for after in 0..400 {
-        let mut child = nsim(folder, "sweep s.ron -o k.csv --threads 2")
+        let mut child = Command::new(assert_cmd::cargo::cargo_bin("nsim"))
+            .current_dir(folder)
+            .args(["sweep", "s.ron", "-o", "k.csv", "--threads", "2"])
             .stderr(Stdio::null())
             .stdout(Stdio::null())
             .spawn()
@@ -192,13 +183,11 @@ fn threads_shards_and_kills_change_nothing() {
         &part.replacen('7', "8", 1),
     ] {
         std::fs::write(folder.join("bad.csv"), bad).unwrap();
-        let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv bad.csv 3.csv").output().unwrap();
-        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-        assert!(refused.status.code() == Some(3) && said.contains("error[sweep.shard]"), "{bad}: {said}");
+        let (status, _, error) = said(folder, "sweep s.ron -o no.csv --merge 1.csv bad.csv 3.csv");
+        assert!(status == 3 && error.contains("error[sweep.shard]"), "{bad}: {error}");
     }
-    let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv").output().unwrap();
-    assert_eq!(refused.status.code(), Some(3));
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("variant 2 has no row"));
+    let (status, _, error) = said(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv");
+    assert!(status == 3 && error.contains("variant 2 has no row"), "{error}");
     ran(folder, "sweep s.ron -o p.csv --plot p.svg --axes populations.out.vth_mant,energy_uj");
     assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ)"));
 }
@@ -215,10 +204,9 @@ fn what_no_variant_can_be_run_with_ends_the_sweep() {
         (r#"Sweep(input: ["absent.npy"])"#, "io.missing"),
     ] {
         std::fs::write(folder.join("s.ron"), text).unwrap();
-        let output = nsim(folder, "sweep s.ron --format json").output().unwrap();
-        assert!(!output.status.success(), "{text}");
-        let error: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(error["code"], code, "{text}: {error}");
+        let (status, out, _) = said(folder, "sweep s.ron --format json");
+        let error: serde_json::Value = serde_json::from_str(&out).unwrap();
+        assert!(status != 0 && error["code"] == code, "{text}: {status} {error}");
     }
 }
 
@@ -231,12 +219,7 @@ fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
         Random(from: ["in"], to: "out", fan_out: 2, low: 8, high: 64, seed: 1)], output: "out")"#;
     std::fs::write(folder.join("own.ron"), model).unwrap();
     std::fs::write(folder.join("s.ron"), r#"Sweep(model: "own.ron")"#).unwrap();
-    let refused = |line: &str| -> Value {
-        let output = nsim(folder, &format!("{line} --format json")).output().unwrap();
-        assert!(!output.status.success(), "{line}");
-        serde_json::from_slice(&output.stdout).unwrap()
-    };
-    let (sweep, energy) = (refused("sweep s.ron"), refused("energy own.ron"));
+    let (sweep, energy) = (object(folder, "sweep s.ron", 3), object(folder, "energy own.ron", 3));
     assert_eq!((&sweep["code"], &sweep["message"]), (&energy["code"], &energy["message"]));
     assert_eq!(sweep["code"], "energy.input");
     // The printed remedy.
@@ -278,13 +261,7 @@ fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {
 /// does what it does when it is compiled afresh.
 #[test]
 fn a_network_on_the_cores_of_another_runs_as_on_its_own() {
-    let target = load_target("loihi1-chip").unwrap();
-    // Cores hold any mix of parameters.
-    let mut limits = target.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
-        (1024, 1024, 1 << 16);
-    limits[Resource::SynapseFormats] = 64;
-    let target = target.with_limits(limits);
+    let target = roomy("loihi1-chip");
     let (mut reused, mut fired) = (0, 0);
     for seed in 0..100 {
         let network = if seed % 4 == 0 { random::convolutional(seed) } else { random::network(seed) };

@@ -1,18 +1,17 @@
 //! The parts of a run add up to its totals, exactly: populations, inputs, cores and timesteps of
 //! random networks, on the machine with 1, 2 and 8 threads and on the golden interpreter.
 
+use crate::common::compare::small_cores;
 use crate::common::random;
 use nsim::compile::{Compiled, Options, compile};
 use nsim::cost::model::{core_time, energy};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use nsim::files::recorded::steps::{StepFormat, StepWriter};
-use nsim::files::target::load_target;
 use nsim::ir::activity::{Overflow, Totals};
 use nsim::ir::base::id::ChannelId;
 use nsim::ir::base::units::{Femtojoules, Picoseconds};
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Quantised;
-use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Sample};
 use nsim::session::cores::core_rows;
 use nsim::session::populations::ByPopulation;
@@ -22,14 +21,8 @@ use nsim::session::steps::{CELLS, StepLayout, run_recorded};
 use nsim::session::{Keep, Outcome};
 use rayon::ThreadPoolBuilder;
 
-/// A chip whose cores hold few compartments and many kinds of them.
-fn small_cores() -> Target {
-    let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = chip.limits().clone();
-    let kinds = [Resource::CompartmentProfiles, Resource::ThresholdProfiles, Resource::SynapseFormats];
-    kinds.into_iter().for_each(|kind| limits[kind] = 1024);
-    (limits[Resource::Accumulators], limits[Resource::Compartments]) = (1 << 16, 5);
-    chip.with_limits(limits)
+fn target() -> Target {
+    small_cores("loihi1-chip", 5)
 }
 
 fn totals(outcomes: &[Outcome]) -> (Totals, Overflow) {
@@ -59,7 +52,7 @@ fn assert_adds_up(rows: &ByPopulation, network: &Quantised, outcomes: &[Outcome]
 
 #[test]
 fn populations_and_cores_sum_to_the_totals() {
-    let target = small_cores();
+    let target = target();
     let pools: Vec<_> = [1, 2, 8].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap()).into();
     let (mut wrapped, mut clipped, mut spikes) = (0, 0, 0);
     for seed in 0..200 {
@@ -129,7 +122,7 @@ fn copies_count_together() {
     let network = random::network(3);
     let sample = random::sample(&network, 3);
     let samples = [&sample, &sample];
-    let target = small_cores();
+    let target = target();
     let rows = |copies: u32| {
         let options = Options { copies, place: false, ..Options::default() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
@@ -215,7 +208,7 @@ fn assert_rows_add_up(compiled: &Compiled, target: &Target, samples: &[&Sample],
 
 #[test]
 fn rows_of_steps_sum_to_the_totals() {
-    let target = small_cores();
+    let target = target();
     let pools: Vec<_> = [1, 8].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap()).into();
     for seed in 0..60 {
         let network = random::network(seed);
@@ -244,7 +237,7 @@ fn rows_of_a_long_sample_sum_to_its_totals() {
     let late = [(steps - 1, ChannelId(0))];
     let long = Sample::new(steps, &[&events[..], &late].concat(), None).unwrap();
     let short = random::sample(&network, 5);
-    let target = small_cores();
+    let target = target();
     let compiled = compile(network, &target, &Options { place: false, ..Options::default() }).unwrap();
     assert_rows_add_up(&compiled, &target, &[&short, &long, &short], "a long sample between short ones");
 }

@@ -2,6 +2,7 @@
 //! energies, bit for bit; and that no rank holds more than its part. Here ranks are threads;
 //! `tests/cli/jobs.rs` starts them as processes.
 
+use crate::common::compare::small_cores;
 use crate::common::random;
 use nsim::compile::{CompileError, Compiled, Options, compile};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
@@ -24,16 +25,6 @@ use rayon::prelude::*;
 
 const NETWORKS: u64 = 200;
 const MOST_RANKS: u32 = 4;
-
-/// A board of several chips whose cores hold a few compartments of any kind.
-fn small_cores(few: u32) -> Target {
-    let board = load_target("nahuku-32").unwrap();
-    let mut limits = board.limits().clone();
-    limits[Resource::Compartments] = few;
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles]) = (1024, 1024);
-    (limits[Resource::SynapseFormats], limits[Resource::Accumulators]) = (64, 1 << 16);
-    board.with_limits(limits)
-}
 
 /// The share of a rank among several; all of it where there is one.
 fn share(rank: u32, ranks: u32, whole: bool) -> Share {
@@ -77,7 +68,7 @@ impl Case {
         let samples = (0..2).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let copies = if seed % 5 == 4 { 3 } else { 1 };
         let what = format!("network {seed}");
-        Case { network, target: small_cores(few), samples, copies, skip: !seed.is_multiple_of(4), what }
+        Case { network, target: small_cores("nahuku-32", few), samples, copies, skip: !seed.is_multiple_of(4), what }
     }
 
     fn compiled(&self, share: Share) -> Compiled {

@@ -1,12 +1,12 @@
 //! Stepping does what running does, and a copy of a session goes on from the same step.
 
+use crate::common::compare::roomy;
 use crate::common::random;
 use nsim::compile::{Options, compile};
 use nsim::files::target::load_target;
 use nsim::ir::base::fixed::Payload;
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::quantised::Quantised;
-use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::session::Session;
@@ -44,12 +44,7 @@ fn graded_if(graded: bool, network: &Quantised) -> Quantised {
 
 #[test]
 fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
-    let chip = load_target("oheo-gulch").unwrap();
-    let mut limits = chip.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
-        (1024, 1024, 64);
-    limits[Resource::Accumulators] = 1 << 16;
-    let chip = chip.with_limits(limits);
+    let chip = roomy("oheo-gulch");
     let (mut spikes, mut graded) = (0, 0);
     for seed in 0..60u64 {
         let network = graded_if(seed.is_multiple_of(4), &random::network(seed));

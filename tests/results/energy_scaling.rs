@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use crate::common::{Net, neuron, random};
+use crate::common::{Builder, neuron, random};
 use nsim::compile::{CopyPlacement, Options, compile};
 use nsim::cost::CostTable;
 use nsim::cost::model::StepTime;
@@ -28,11 +28,11 @@ const STEPS: u32 = 12;
 
 /// Sixteen channels to eight compartments, some of which spike.
 fn network() -> Quantised {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(CHANNELS));
-    let hidden = net.loihi(Shape::Line(8), &[neuron(1024, 512, 40, 1); 8], 0);
+    let mut net = Builder::new();
+    let input = net.input("input", CHANNELS);
+    let hidden = net.each("hidden", Shape::Line(8), &[neuron(1024, 512, 40, 1); 8], 0);
     let weights: Vec<i64> = (0..8 * i64::from(CHANNELS)).map(|k| 10 + k % 5 * 20).collect();
-    net.dense(input, hidden, 0, &weights);
+    net.matrix(input, hidden, 0, &weights);
     net.build()
 }
 
