@@ -5,8 +5,6 @@
 //! network's by code that shares nothing with the stages that made it. [`map()`] makes one mapping;
 //! [`explore::map`] compares several for an objective.
 
-#[cfg(test)]
-mod copies_tests;
 pub mod emit;
 pub mod explore;
 pub mod groups;

@@ -147,18 +147,18 @@ fn small(seed: u64) -> Limits {
     Limits { packing, ..all.with(Resource::Compartments, 24 + (seed % 40) as u32).with(Resource::SynapseWords, 2_000) }
 }
 
+/// A mapping in boxes, its board, and how it was made.
+fn saved(seed: u64, copies: u32) -> (Mapping, Target, Options) {
+    let board = target(8, 4, small(seed));
+    let options = Options { copies, place: !seed.is_multiple_of(4), effort: Effort::Work(0), ..Options::default() };
+    (symbolic(layered(seed), &board, &options).unwrap(), board, options)
+}
+
 #[test]
-fn counts_traffic_and_cost_are_those_of_the_written_program() {
+fn counts_traffic_and_cost_are_those_of_the_written_program_and_of_the_saved_mapping() {
     let (mut several, mut fewer) = (0, 0);
     for seed in 0..90 {
-        let board = target(8, 4, small(seed));
-        let options = Options {
-            copies: 1 + (seed % 3) as u32,
-            place: seed % 4 > 0,
-            effort: Effort::Work(0),
-            ..Options::default()
-        };
-        let made = symbolic(layered(seed), &board, &options).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
+        let (made, board, options) = saved(seed, 1 + (seed % 3) as u32);
         let network = &made.quantised;
         let chips = row_of_chips(made.partition.cores(), &board);
         let (members, seats) = (made.partition.members(), made.partition.seats());
@@ -168,7 +168,10 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         assert_eq!(made.partition.usage().as_slice(), exact.as_slice(), "seed {seed}");
         let slots = exact.iter().map(|used| used[Resource::AxonsOut]);
         fewer += slots.zip(&each).filter(|(slots, each)| *slots < each[Resource::AxonsOut]).count();
-        let written = compile_saved(layered(seed), &board, &options, &made.mapping_file()).unwrap();
+        // A network that can be written out takes the same file.
+        let file: MappingFile = ron::from_str(&ron::to_string(&made.mapping_file()).unwrap()).unwrap();
+        let written = compile_saved(layered(seed), &board, &options, &file).unwrap();
+        assert_eq!((&written.partition, &written.placement), (&made.partition, &made.placement), "seed {seed}");
         let of_program = traffic(&written.program, &written.rates);
         assert_eq!(made.traffic(), of_program, "seed {seed}");
         assert_eq!(
@@ -186,10 +189,23 @@ fn counts_traffic_and_cost_are_those_of_the_written_program() {
         let (first, population) = (first_source(network, &network.populations()[id]), &network.populations()[id]);
         spikes[first as usize..(first + population.shape.len()) as usize].fill(1);
         let (channels, compartments) = spikes.split_at(network.channels() as usize);
-        let meant = of_written(&Rates::profile(channels, compartments, 1));
+        let together = Rates::profile(channels, compartments, 1);
+        let meant = of_written(&together);
         let counted = score_of(&made, &only(network, id, &Rates::assumed(1.0)), &board);
         assert_eq!(counted, meant, "seed {seed} {}", population.name);
         several += usize::from(written.partition.cores() > 8);
+        if seed >= 24 {
+            continue;
+        }
+        let again = load_symbolic(layered(seed), &board, &options, &file).unwrap();
+        assert_eq!(again.partition, made.partition, "seed {seed}");
+        assert_eq!((&again.placement, again.placed), (&made.placement, place::SAVED), "seed {seed}");
+        assert_eq!((again.mapping_file(), again.traffic()), (file.clone(), of_program), "seed {seed}");
+        assert_eq!(again.score(&of_program, &board).unwrap(), of_written(&written.rates), "seed {seed}");
+        let one = Options { copies: 1, ..options };
+        let first = compile_saved(layered(seed), &board, &one, &one_copy(&file)).unwrap();
+        let of_first = written.placement.sites().as_slice();
+        assert_eq!(first.placement.sites().as_slice(), &of_first[..first.partition.cores()], "seed {seed}");
     }
     assert!(several > 30, "{several} networks take several cores");
     assert!(fewer > 100, "{fewer} cores have fewer output axons by position");
@@ -230,9 +246,7 @@ fn sample_of(mapping: &Mapping, cores: &[CoreId], limits: &Limits) -> Vec<Sample
 
 #[test]
 fn a_wrong_count_is_found() {
-    let board = target(8, 4, small(2));
-    let options = Options { effort: Effort::Work(0), ..Options::default() };
-    let made = symbolic(layered(2), &board, &options).unwrap();
+    let (made, board, options) = saved(2, 1);
     let chips = row_of_chips(made.partition.cores(), &board);
     let every: Vec<CoreId> = made.partition.usage().ids().collect();
     let network = &made.quantised;
@@ -289,35 +303,6 @@ fn a_wrong_count_is_found() {
     assert!(wrong(&|one| one.sources.swap(0, 1)).contains("or other ones"));
     assert!(wrong(&|one| one.sources.truncate(1)).contains("input axons"));
     assert!(wrong(&|one| one.class.compartments[0].start_step += 1).contains("other compartments"));
-}
-
-/// A mapping in boxes, its board, and how it was made.
-fn saved(seed: u64, copies: u32) -> (Mapping, Target, Options) {
-    let board = target(8, 4, small(seed));
-    let options = Options { copies, place: !seed.is_multiple_of(4), effort: Effort::Work(0), ..Options::default() };
-    (symbolic(layered(seed), &board, &options).unwrap(), board, options)
-}
-
-#[test]
-fn a_saved_mapping_is_made_again_and_also_written_out() {
-    for seed in 0..24 {
-        let (made, board, options) = saved(seed, 1 + (seed % 3) as u32);
-        let file: MappingFile = ron::from_str(&ron::to_string(&made.mapping_file()).unwrap()).unwrap();
-        let again = load_symbolic(layered(seed), &board, &options, &file).unwrap();
-        assert_eq!(again.partition, made.partition, "seed {seed}");
-        assert_eq!((&again.placement, again.placed), (&made.placement, place::SAVED), "seed {seed}");
-        assert_eq!(again.mapping_file(), file, "seed {seed}");
-        let traffic = made.traffic();
-        assert_eq!(again.traffic(), traffic, "seed {seed}");
-        assert_eq!(again.score(&traffic, &board).unwrap(), made.score(&traffic, &board).unwrap(), "seed {seed}");
-        // A network that can be written out takes the same file.
-        let written = compile_saved(layered(seed), &board, &options, &file).unwrap();
-        assert_eq!((&written.partition, &written.placement), (&made.partition, &made.placement), "seed {seed}");
-        let one = Options { copies: 1, ..options };
-        let first = compile_saved(layered(seed), &board, &one, &one_copy(&file)).unwrap();
-        let of_first = written.placement.sites().as_slice();
-        assert_eq!(first.placement.sites().as_slice(), &of_first[..first.partition.cores()], "seed {seed}");
-    }
 }
 
 #[test]
@@ -420,20 +405,15 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
         // The cores of a real chip, and nothing spent on places: what differs is the size of boxes.
         let board = target(8, 8, limits());
         let options = Options { effort: Effort::Work(1), place: false, ..Options::default() };
-        let found =
-            explore::candidates(&layered(seed).into(), &board, &options, &Rates::assumed(DEFAULT_RATE), Form::Symbolic)
-                .unwrap();
+        let candidates = |options: &Options| {
+            let rates = Rates::assumed(DEFAULT_RATE);
+            explore::candidates(&layered(seed).into(), &board, options, &rates, Form::Symbolic).unwrap()
+        };
+        let found = candidates(&options);
         assert!(found.len() > 2 && !found[0].candidate.placed && found[0].candidate.divisor == 1, "seed {seed}");
         for (which, objective) in [Objective::Energy, Objective::Latency].into_iter().enumerate() {
             let options = Options { objective, ..options };
-            let found = explore::candidates(
-                &layered(seed).into(),
-                &board,
-                &options,
-                &Rates::assumed(DEFAULT_RATE),
-                Form::Symbolic,
-            )
-            .unwrap();
+            let found = candidates(&options);
             let made = symbolic(layered(seed), &board, &options).unwrap();
             let score = made.score(&made.traffic(), &board).unwrap();
             assert!(found.iter().any(|one| one.score == score), "seed {seed}: the mapping is one of the candidates");
