@@ -16,7 +16,7 @@ trap 'rm -rf "$folder"' EXIT
             vtsnn-slip-srm) shown=(--input 'scene:slip?samples=200&seed=7') calibrated=() ;;
             *) shown=(--input "$data/ev-containers/test") calibrated=(--calibrate "$data/ev-containers/train") ;;
         esac
-        for copies in 1 4 8 12 15; do
+        for copies in 1 4 15; do
             file="$folder/$model-$copies.ron"
             "$nsim" convert "$model" --delayed-copies "$copies" "${shown[@]}" "${calibrated[@]}" -o "$file" >/dev/null 2>&1
             cores=$("$nsim" map "$file" --format json 2>/dev/null | jq -r .cores_used)

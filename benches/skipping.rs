@@ -115,7 +115,7 @@ fn measure(scene: &Scene) {
         .iter()
         .map(|row| {
             let early_exit = row.rule.map(|rule| EarlyExit::new(rule, &row.network));
-            Keep { output: row.program.output(), probes: Vec::new(), early_exit }
+            Keep { early_exit, ..Keep::new(row.program.output()) }
         })
         .collect();
     let mut times: Vec<Vec<f64>> = vec![Vec::new(); rows.len()];

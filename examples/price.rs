@@ -21,7 +21,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
 
     let spikes: Vec<_> = (0..100).map(|step| (step, ChannelId(step % compiled.program.channels()))).collect();
-    let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+    let keep = Keep::new(compiled.program.output());
     run_sample(&mut machine, &Sample::new(100, &spikes, None)?, &keep, |_, _| ());
 
     // The machine counts; energy is a function of the counts and the constants.

@@ -25,7 +25,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
 
     let image = Image::new(program, 1)?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
-    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+    let keep = Keep::new(program.output());
     let outcome = run_sample(&mut machine, &sample, &keep, |_, _| ());
 
     println!("class {:?}, spikes of each output {:?}", outcome.class(), outcome.counts);

@@ -16,7 +16,7 @@ use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
-use crate::error::{Problem, raised};
+use crate::error::raised;
 
 /// Numbers of an array that are compared together.
 const TOGETHER: usize = 32;
@@ -117,7 +117,7 @@ impl<'py> Array<'py> {
     }
 
     /// Calls `read` with the index in C order and the value of every number.
-    pub fn each(&self, mut read: impl FnMut(usize, f64) -> Result<(), Problem>) -> PyResult<()> {
+    pub fn each(&self, mut read: impl FnMut(usize, f64) -> Result<(), nsim::Error>) -> PyResult<()> {
         let mut index = 0;
         parts(&self.array, "f8", |part: &[f64]| {
             for &number in part {
@@ -150,7 +150,7 @@ impl<'py> Array<'py> {
     /// not whole, as the reader of files does.
     ///
     /// Most numbers of recordings are zero, this many are compared at a time.
-    pub fn each_non_zero(&self, mut add: impl FnMut(usize) -> Result<(), Problem>) -> PyResult<()> {
+    pub fn each_non_zero(&self, mut add: impl FnMut(usize) -> Result<(), nsim::Error>) -> PyResult<()> {
         let mut index = 0;
         if self.array.dtype().itemsize() == 1 {
             let bytes = self.array.call_method1("view", ("u1",))?.cast_into::<PyUntypedArray>()?;
@@ -199,7 +199,7 @@ impl<'py> Array<'py> {
 fn parts<T: Element>(
     array: &Bound<'_, PyUntypedArray>,
     dtype: &str,
-    mut read: impl FnMut(&[T]) -> Result<(), Problem>,
+    mut read: impl FnMut(&[T]) -> Result<(), nsim::Error>,
 ) -> PyResult<()> {
     let py = array.py();
     if array.is_empty() {
@@ -260,7 +260,7 @@ impl Array<'_> {
     }
 
     /// The value of an entry that counts something from 0.
-    pub fn counted(&self, index: usize, value: f64, of: Counted) -> Result<u32, Problem> {
+    pub fn counted(&self, index: usize, value: f64, of: Counted) -> Result<u32, nsim::Error> {
         if value >= 0.0 && value < of.limit as f64 && value.fract() == 0.0 {
             return Ok(value as u32);
         }

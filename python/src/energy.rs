@@ -19,7 +19,7 @@ use nsim::report::page::{Origin, Provenance, html};
 use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 
-use crate::error::{Problem, raised, warn};
+use crate::error::{raised, warn};
 use crate::html::{frame, table};
 use crate::keywords::Keywords;
 use crate::run::{is_long, rule};
@@ -73,7 +73,7 @@ fn priced<T: Send>(
     (shared, plan): (&Shared, &Plan),
     shown: Shown,
     keywords: &Keywords<'_>,
-    then: impl FnOnce(&Workload<'_>, Evaluated, (Transport, Progress<'_>)) -> Result<T, Problem> + Send,
+    then: impl FnOnce(&Workload<'_>, Evaluated, (Transport, Progress<'_>)) -> Result<T, nsim::Error> + Send,
 ) -> PyResult<T> {
     let compiled = shared.compiled();
     let options = options(py, keywords)?;

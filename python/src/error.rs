@@ -2,9 +2,7 @@
 
 use std::ffi::CString;
 
-use nsim::compile::CompileError;
 use nsim::ir::base::diagnostic::{Diagnostic, Position};
-use nsim::partition::reason::Reason;
 use nsim::report::map::reason_json;
 use pyo3::exceptions::{PyException, PyUserWarning};
 use pyo3::prelude::*;
@@ -28,35 +26,6 @@ pyo3::create_exception!(
     "What stands out in a run, such as a population that never spikes, and what would change it."
 );
 
-/// What ends a call.
-pub enum Problem {
-    /// An error of the library.
-    Error(nsim::Error),
-    /// All reasons why a network does not fit its target.
-    DoesNotFit(Vec<Reason>),
-}
-
-impl From<Diagnostic> for Problem {
-    fn from(problem: Diagnostic) -> Self {
-        Problem::Error(problem.into())
-    }
-}
-
-impl From<nsim::Error> for Problem {
-    fn from(error: nsim::Error) -> Self {
-        Problem::Error(error)
-    }
-}
-
-impl From<CompileError> for Problem {
-    fn from(error: CompileError) -> Self {
-        match error {
-            CompileError::DoesNotFit(reasons) => Problem::DoesNotFit(reasons),
-            other => Problem::Error(other.into()),
-        }
-    }
-}
-
 /// Warns of what stands out in a run.
 pub fn warn(py: Python<'_>, found: &[nsim::session::warnings::Warning]) -> PyResult<()> {
     for warning in found {
@@ -77,49 +46,32 @@ pub fn warn_of(py: Python<'_>, message: &str) -> PyResult<()> {
 
 /// The exception for an error. Its text has every problem, and the help, which Python would not
 /// print.
-pub fn raised(py: Python<'_>, problem: impl Into<Problem>) -> PyErr {
-    let problem = problem.into();
-    let reasons = match &problem {
-        Problem::DoesNotFit(reasons) => reasons.iter().map(reason_json).collect(),
-        Problem::Error(nsim::Error::Input(first)) => {
-            std::iter::once(&**first).chain(first.others()).map(shown).collect()
-        }
-        Problem::Error(other) => {
-            vec![json!({ "code": code(other), "message": other.to_string(), "place": null, "help": null })]
-        }
-    };
-    let error = match problem {
-        Problem::Error(error) => error,
-        Problem::DoesNotFit(reasons) => CompileError::DoesNotFit(reasons).into(),
+pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
+    let error = error.into();
+    let diagnostic = error.diagnostic();
+    let reasons = match (&error, &diagnostic) {
+        (nsim::Error::DoesNotFit(reasons), _) => reasons.iter().map(reason_json).collect(),
+        (_, Some(first)) => std::iter::once(&**first).chain(first.others()).map(shown).collect(),
+        (_, None) => vec![json!({ "code": error.code(), "message": error.to_string(), "place": null, "help": null })],
     };
     let mut text = error.to_string();
-    let (place, help) = match &error {
-        nsim::Error::Input(first) => {
-            first.help.iter().for_each(|help| text += &format!("\n  help: {help}"));
-            first.others().iter().for_each(|other| text += &format!("\n{other}"));
-            (place(first), first.help.clone())
-        }
-        nsim::Error::Usage(_) | nsim::Error::Fault(_) => (None, None),
-    };
+    let (mut problem, mut help) = (None, None);
+    if let Some(first) = &diagnostic {
+        first.help.iter().for_each(|help| text += &format!("\n  help: {help}"));
+        first.others().iter().for_each(|other| text += &format!("\n{other}"));
+        (problem, help) = (place(first), first.help.clone());
+    }
     let raised = Error::new_err(text);
     let value = raised.value(py);
     let set = || {
-        value.setattr("code", code(&error))?;
-        value.setattr("place", place)?;
+        value.setattr("code", error.code())?;
+        value.setattr("place", problem)?;
         value.setattr("help", help.as_deref())?;
         value.setattr("reasons", to_python(py, &Value::Array(reasons))?)
     };
     match set() {
         Ok(()) => raised,
         Err(other) => other,
-    }
-}
-
-fn code(error: &nsim::Error) -> &'static str {
-    match error {
-        nsim::Error::Input(diagnostic) => diagnostic.code,
-        nsim::Error::Usage(_) => "usage",
-        nsim::Error::Fault(_) => "fault",
     }
 }
 

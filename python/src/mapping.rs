@@ -1,19 +1,16 @@
 //! A network on the cores of a target, laid out and ready to run again and again.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use nsim::compile;
-use nsim::compile::explore;
-use nsim::compile::{CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Objective, Options, Strategy};
-use nsim::files::mapping::{load_mapping, mapping_text};
+use nsim::compile::{Compiled, CopyPlacement, Objective, Options, Strategy};
+use nsim::files::mapping::mapping_text;
 use nsim::files::network::Network;
-use nsim::ir::firing_rates::Rates;
 use nsim::ir::graph::Shape;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Population;
-use nsim::session::shapes;
+use nsim::session::obtain::{Job, Request, TargetChoice, obtain};
 use nsim::train::convert::copies::USUAL;
 use nsim::train::convert::prepare::integers;
 use pyo3::prelude::*;
@@ -21,7 +18,7 @@ use pyo3::types::PyDict;
 
 use crate::bench::bench;
 use crate::energy::{self, Energy};
-use crate::error::{Problem, raised};
+use crate::error::raised;
 use crate::keywords::Keywords;
 use crate::projections;
 use crate::run::Run;
@@ -58,33 +55,19 @@ impl MappingRequest {
         Ok(MappingRequest { target, file, copies, options: Options { placement, strategy, objective, seed, ..usual } })
     }
 
-    fn compiled(&self, network: &Network) -> Result<(Compiled, Target), Problem> {
-        let target = nsim::load_target(network.file().target_or_usual(self.target.as_deref()))?;
-        let file = self.file.as_deref().map(|path| load_mapping(path).map(|file| (path, file))).transpose()?;
-        let copies = file.as_ref().map_or(self.copies, |(_, file)| file.copies);
-        let options = Options { copies, ..self.options };
-        if file.is_none() {
-            shapes::check(network, &target, copies)?;
-        }
-        let front = integers(network, USUAL)?;
-        let compiled = match &file {
-            Some((path, file)) => {
-                compile::compile_saved(front, &target, &options, file).map_err(|error| in_file(error, path))?
-            }
-            None => {
-                Form::require_written("running it on cores", front.quantised(), copies)?;
-                let rates = Rates::assumed(DEFAULT_RATE);
-                explore::map(front, &target, &options, &rates, Form::Written)?.into_compiled()?
-            }
+    fn obtained(&self, model: &str, network: &Network) -> Result<(Compiled, Target), nsim::Error> {
+        let integers = |network: &Network| integers(network, USUAL);
+        let request = Request {
+            target: TargetChoice::Named(self.target.as_deref()),
+            mapping: self.file.as_deref(),
+            copies: self.file.is_none().then_some(self.copies),
+            options: self.options,
+            ..Request::new(model, network, &integers)
         };
-        Ok((compiled, target))
-    }
-}
-
-fn in_file(error: CompileError, path: &Path) -> CompileError {
-    match error {
-        CompileError::Input(diagnostic) => CompileError::Input(diagnostic.or_in_file(path)),
-        other => other,
+        match obtain(&request)? {
+            Job::Mapped(compiled, target, _) => Ok((*compiled, *target)),
+            Job::Quantised(..) | Job::Real(..) => Err(nsim::Error::Fault("a mapped job was asked for".to_string())),
+        }
     }
 }
 
@@ -96,10 +79,10 @@ impl Mapping {
     /// Maps a network.
     pub fn new(py: Python<'_>, model: &str, network: &Arc<Network>, request: &MappingRequest) -> PyResult<Self> {
         let made = detached(py, || {
-            let (compiled, target) = request.compiled(network)?;
+            let (compiled, target) = request.obtained(model, network)?;
             Ok(Shared::new(model, network, compiled, target))
         });
-        made.map(|shared| Mapping(Arc::new(shared))).map_err(|problem: Problem| raised(py, problem))
+        made.map(|shared| Mapping(Arc::new(shared))).map_err(|problem: nsim::Error| raised(py, problem))
     }
 
     /// What runs and energies share.

@@ -91,7 +91,7 @@ fn simulated(
     let compiled = mapping.compiled();
     // Copies share no input channels: each sees the whole sample.
     let copies = Copies { copies: compiled.options.copies, channels: compiled.one.channels() };
-    let running = Running { keep, copies, skip: true, per_step: false, progress, ranks: None };
+    let running = Running { copies, progress, ..Running::new(keep) };
     let division = Division::new(&compiled.program, samples.len());
     match mapping.image(division) {
         Some(image) => Ok(fast_on(image, division, samples, running, || ())),
@@ -244,7 +244,7 @@ impl Run {
         let mapping = &self.mapping;
         let metrics = work(py, is_long(mapping, &self.shown), |progress| {
             let measured = NeuroBench::measure(&mapping.compiled().one, &self.shown.samples(), |samples, keep| {
-                simulated(mapping, samples, keep, progress).map(|run| (run.outcomes, run.counts))
+                simulated(mapping, samples, keep, progress)
             });
             Ok(measured?)
         })?;

@@ -5,11 +5,10 @@
 
 use std::path::PathBuf;
 
-use nsim::files::text::read_text;
 use nsim::ir::base::diagnostic::SourceText;
 use nsim::report::train::{TrainReport, history_csv};
 use nsim::train::fit::{Example, Plan, TrainingState};
-use nsim::train::job::{Checkpoint, Data, Job, Part, Trained, train as trained_to_the_end, with_fields};
+use nsim::train::job::{Checkpoint, Data, Job, Part, Trained, train as trained_to_the_end, training_text, with_fields};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use serde_json::{Value, json};
@@ -83,7 +82,7 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
     let text = config.to_string_lossy();
     let source = match text.contains("Training(") {
         true => SourceText::new(memory::place("training"), text.into_owned()),
-        false => read_text(&config).map_err(|problem| raised(py, problem))?,
+        false => training_text(&text).map_err(|problem| raised(py, problem))?,
     };
     let mut fields: Vec<(String, String)> = Vec::new();
     for (key, value) in keywords.take::<Bound<'_, PyDict>>("set")?.into_iter().flatten() {

@@ -18,7 +18,7 @@ use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::error::{Problem, raised};
+use crate::error::raised;
 
 /// How often signals are looked for.
 const LOOK: Duration = Duration::from_millis(50);
@@ -72,7 +72,7 @@ pub fn detached<T: Send>(py: Python<'_>, job: impl FnOnce() -> T + Send) -> T {
 pub fn work<T: Send>(
     py: Python<'_>,
     long: bool,
-    job: impl FnOnce(Progress<'_>) -> Result<T, Problem> + Send,
+    job: impl FnOnce(Progress<'_>) -> Result<T, nsim::Error> + Send,
 ) -> PyResult<T> {
     if !long {
         return detached(py, || job(&|| ())).map_err(|error| raised(py, error));
@@ -81,7 +81,9 @@ pub fn work<T: Send>(
     done.map_err(|error| raised(py, error))
 }
 
-fn watched<T: Send>(job: impl FnOnce(Progress<'_>) -> Result<T, Problem> + Send) -> PyResult<Result<T, Problem>> {
+fn watched<T: Send>(
+    job: impl FnOnce(Progress<'_>) -> Result<T, nsim::Error> + Send,
+) -> PyResult<Result<T, nsim::Error>> {
     let stop = AtomicBool::new(false);
     let after_sample = || {
         if stop.load(Ordering::Relaxed) {

@@ -85,16 +85,17 @@ pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
 }
 
 fn object(error: &Error) -> serde_json::Value {
-    let (code, help, place) = match error {
-        Error::Input(d) => (d.code, d.advice().map(with_owners), Some(d)),
-        Error::Usage(_) => ("usage", Some("for more information, try '--help'".to_string()), None),
-        Error::Fault(_) => ("fault", None, None),
+    let diagnostic = error.diagnostic();
+    let place = diagnostic.as_deref();
+    let help = match error {
+        Error::Usage(_) => Some("for more information, try '--help'".to_string()),
+        _ => place.and_then(Diagnostic::advice).map(with_owners),
     };
-    let position = place.and_then(|d| d.position());
+    let position = place.and_then(Diagnostic::position);
     let others = place.map_or(&[][..], |d| d.others()).iter().map(|other| object(&other.clone().into()));
     json!({
         "schema": "nsim.error/1",
-        "code": code,
+        "code": error.code(),
         "message": error.to_string(),
         "help": help,
         "file": place.and_then(|d| d.file()).map(|file| file.display().to_string()),
@@ -105,15 +106,15 @@ fn object(error: &Error) -> serde_json::Value {
 }
 
 fn text(error: &Error, colour: bool) -> String {
+    if let Some(diagnostic) = error.diagnostic() {
+        let all = std::iter::once(&*diagnostic).chain(diagnostic.others());
+        return all.map(|one| drawn(one, colour)).collect::<Vec<_>>().join("\n");
+    }
     match error {
-        Error::Input(diagnostic) => {
-            let all = std::iter::once(&**diagnostic).chain(diagnostic.others());
-            all.map(|one| drawn(one, colour)).collect::<Vec<_>>().join("\n")
-        }
         Error::Usage(message) => {
             format!("error: {}\n\nFor more information, try '--help'.\n", printable(&with_owners(message)))
         }
-        Error::Fault(_) => format!("error[fault]: {}\n", printable(&error.to_string())),
+        _ => format!("error[fault]: {}\n", printable(&error.to_string())),
     }
 }
 

@@ -2,30 +2,28 @@
 
 use std::path::PathBuf;
 
-use crate::cli::args::jobs;
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use nsim_compile as compile;
 use nsim_compile::explore;
 use nsim_compile::explore::remedy;
-use nsim_compile::{
-    CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Mapping, Objective, Options, Reason, Strategy,
-};
+use nsim_compile::{CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Objective, Options, Strategy};
 use nsim_files as io;
+use nsim_files::network::Network;
 use nsim_files::shipped;
-use nsim_ir::dealt::Share;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
-use nsim_ir::mapping::MappingFile;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::map as report;
 use nsim_report::map::{Outcome, Question};
-use nsim_session::error::Result;
+use nsim_session::error::{Error, Result};
 use nsim_session::inputs;
+use nsim_session::obtain;
+use nsim_session::obtain::{Goal, Request};
 use nsim_session::samples::firing_rates;
+use nsim_train::convert::prepare::integers;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -111,25 +109,26 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
     let network = args.job.timestep.load(&args.job.model)?;
-    let target = io::target::load_target(network.file().target_or_usual(args.job.target.as_deref()))?;
-    let mapping = args.job.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
-    let options = options(args, mapping.as_ref());
-    let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
-    args.job.prune.not_with_mapping(mapping.is_some())?;
-    if mapping.is_none()
-        && !args.job.prune.asked()
-        && let Err(CompileError::DoesNotFit(reasons)) = nsim_session::shapes::check(&network, &target, options.copies)
-    {
-        return refuse(&network.file().name, &target, &options, &reasons, context);
-    }
-    let front = match jobs::with_relays(&args.job, jobs::front(&args.job, &network, &[])?, &target) {
-        Err(CompileError::DoesNotFit(reasons)) => {
-            return refuse(&network.file().name, &target, &options, &reasons, context);
+    let most_copies = args.job.copies.most();
+    let integers = |network: &Network| integers(network, most_copies);
+    let request = Request { copies: args.copies, options: options(args), ..args.job.request(&network, &integers) };
+    let model = &network.file().name;
+    let (front, goal) = match obtain::begin(&request) {
+        Err(Error::DoesNotFit(reasons)) => {
+            let target = io::target::load_target(network.file().target_or_usual(args.job.target.as_deref()))?;
+            let options = Options { copies: args.copies.unwrap_or(1), ..request.options };
+            let question =
+                Question { model, target: &target, options: &options, pruned: &[], remedies: &[], relays: None };
+            let outcome = Outcome::DoesNotFit(&reasons);
+            let json = || report::json(question, outcome);
+            output::print(context.format, || report::text(question, outcome), json, || report::csv(outcome))?;
+            return Ok(Answer::No);
         }
-        relayed => relayed?,
+        begun => begun?,
     };
+    let Goal { target, options, .. } = &goal;
+    let form = front.form(options.copies);
     let relays = front.relays().cloned();
-    let form = Form::for_network(front.quantised(), options.copies);
     if !args.profile.is_empty() {
         Form::require_written("--profile", front.quantised(), options.copies)?;
     }
@@ -137,39 +136,25 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         [] => Rates::assumed(DEFAULT_RATE),
         inputs => profile(front.quantised(), inputs, network.file().scene.as_deref())?,
     };
-    let (compiled, pruned) = match mapping.as_ref() {
-        Some(file) => {
-            let mapped = compile::load(front, &target, &options, file, form);
-            // A stored mapping stays what it is; what it costs follows the rates that are asked
-            // for.
-            let mapped = mapped.map(|mapped| Mapping { rates: rates.copies(options.copies), ..mapped });
-            let mapped = mapped.map_err(|error| args.job.with_mapping_file(error));
-            let pruned = mapped.as_ref().ok().and_then(|mapped| mapped.one.pruned().cloned());
-            (mapped, pruned)
-        }
-        None => {
-            let one = front.quantised().clone();
-            if args.pareto.is_some() {
-                let _busy = output::busy("mapping in several ways");
-                candidates = explore::candidates(&front, &target, &options, &rates, form).unwrap_or_default();
-            }
-            let mapped = jobs::mapped(front, &target, &options, &rates, form);
-            if let Err(CompileError::DoesNotFit(_)) = &mapped
-                && form == Form::Written
-            {
-                remedies = remedy::remedies(&one, &target, &options, &larger(&target));
-            }
-            (mapped, one.pruned().cloned())
-        }
-    };
-    let mapped = match compiled {
+    let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
+    let one = front.quantised().clone();
+    if args.pareto.is_some() {
+        let _busy = output::busy("mapping in several ways");
+        candidates = explore::candidates(&front, target, options, &rates).unwrap_or_default();
+    }
+    let busy = output::busy(if goal.saved.is_some() { "checking the mapping" } else { "mapping" });
+    let mapped = match goal.mapped(front, &rates) {
         Ok(mapped) => Ok(mapped),
         Err(CompileError::DoesNotFit(reasons)) => Err(reasons),
         Err(other) => return Err(other.into()),
     };
+    drop(busy);
+    if mapped.is_err() && goal.saved.is_none() && form == Form::Written {
+        remedies = remedy::remedies(&one, target, options, &larger(target));
+    }
+    let pruned = mapped.as_ref().map_or(one.pruned(), |mapped| mapped.one.pruned()).cloned();
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
-    let model = &network.file().name;
-    let (target, options, remedies, relays) = (&target, &options, &remedies[..], relays.as_ref());
+    let (remedies, relays) = (&remedies[..], relays.as_ref());
     let question = Question { model, target, options, pruned, remedies, relays };
     let outcome = match &mapped {
         Ok(mapped) => {
@@ -202,15 +187,6 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
 }
 
-/// Prints why a network does not fit, where that is known before it is mapped.
-fn refuse(model: &str, target: &Target, options: &Options, reasons: &[Reason], context: Context) -> Result<Answer> {
-    let question = Question { model, target, options, pruned: &[], remedies: &[], relays: None };
-    let outcome = Outcome::DoesNotFit(reasons);
-    let json = || report::json(question, outcome);
-    output::print(context.format, || report::text(question, outcome), json, || report::csv(outcome))?;
-    Ok(Answer::No)
-}
-
 /// Samples of a profile run at most.
 const MOST_SAMPLES: usize = 64;
 
@@ -233,26 +209,19 @@ fn larger(target: &Target) -> Vec<Target> {
     boards
 }
 
-fn strategy(name: &str) -> Option<Strategy> {
-    Strategy::ALL.into_iter().find(|strategy| strategy.name() == name)
-}
-
-/// How to compile; what a mapping was made with counts unless it is said otherwise.
-fn options(args: &MapArgs, mapping: Option<&MappingFile>) -> Options {
+/// How to compile.
+fn options(args: &MapArgs) -> Options {
     Options {
-        copies: args.copies.or(mapping.map(|file| file.copies)).unwrap_or(1),
         placement: args.deployment,
-        // A file may have been made by other hands than any of these.
-        strategy: mapping.and_then(|file| strategy(&file.strategy)).unwrap_or(args.strategy),
+        strategy: args.strategy,
         objective: args.objective,
-        seed: mapping.map_or(args.seed, |file| file.seed),
+        seed: args.seed,
         place: !args.unplaced,
         effort: match args.time_budget {
             Some(budget_ms) => Effort::within_ms(budget_ms),
             None => Options::default().effort,
         },
-        most_synapses: None,
-        share: Share::ALL,
+        ..Options::default()
     }
 }
 
@@ -261,9 +230,7 @@ mod tests {
     use clap::Parser;
 
     use crate::cli::map::*;
-    use nsim_compile::compile;
     use nsim_ir::resource::Resource;
-    use nsim_testing::{limits, slip, target};
 
     #[derive(Parser)]
     struct Typed {
@@ -279,10 +246,10 @@ mod tests {
     fn what_is_typed_becomes_options() {
         let args = typed(&[]).unwrap();
         assert_eq!((args.job.model.as_str(), args.job.target.as_deref()), ("vtsnn-slip", None));
-        assert_eq!(options(&args, None), Options::default());
-        let args = typed(&["m.ron", "--copies", "7", "--objective", "latency", "--seed", "5"]).unwrap();
-        let expected = Options { copies: 7, objective: Objective::Latency, seed: 5, ..Options::default() };
-        assert_eq!(options(&args, None), expected);
+        assert_eq!(options(&args), Options::default());
+        let args = typed(&["m.ron", "--objective", "latency", "--seed", "5"]).unwrap();
+        let expected = Options { objective: Objective::Latency, seed: 5, ..Options::default() };
+        assert_eq!(options(&args), expected);
         for wrong in [["--copies", "0"], ["--objective", "speed"], ["--strategy", "best"], ["--seed", "x"]] {
             assert!(typed(&wrong).is_err(), "{wrong:?}");
         }
@@ -291,27 +258,19 @@ mod tests {
     }
 
     #[test]
-    fn a_mapping_brings_its_copies() {
-        let made = Options { copies: 2, seed: 9, ..Options::default() };
-        let compiled = compile(slip(20), &target(1, 1, limits()), &made).unwrap();
-        let file = compiled.mapping_file();
-        assert_eq!(options(&typed(&[]).unwrap(), Some(&file)), made);
-        assert_eq!(options(&typed(&["--copies", "3"]).unwrap(), Some(&file)).copies, 3);
-    }
-
-    #[test]
     fn the_shipped_model_fits_a_core_and_too_many_copies_say_why_not() {
         let network = nsim_import::model::load_model("vtsnn-slip").unwrap();
-        let asked = |target: &str, copies| {
-            let target = io::target::load_target(target).unwrap();
-            let (args, options) = (typed(&[]).unwrap(), Options { copies, ..Options::default() });
-            jobs::compiled(&args.job, &network, &target, &options, None, &[]).unwrap()
+        let asked = |target: &str, copies: u32| {
+            let copies = copies.to_string();
+            let args = typed(&["vtsnn-slip", "--target", target, "--copies", &copies]).unwrap();
+            let integers = |network: &Network| integers(network, 1);
+            obtain::obtain(&Request { copies: args.copies, ..args.job.request(&network, &integers) })
         };
-        let compiled = asked("nahuku-32", 1).unwrap();
-        let used = compiled.partition.usage().as_slice();
+        let cores = |job: obtain::Job| job.mapped().unwrap().0.partition.usage().as_slice().to_vec();
+        let used = cores(asked("nahuku-32", 1).unwrap());
         assert_eq!((used.len(), used[0][Resource::AxonsIn], used[0][Resource::SynapseWords]), (1, 3_366, 7_452));
-        assert_eq!(asked("nahuku-32", 32).unwrap().partition.cores(), 32);
-        let Err(CompileError::DoesNotFit(reasons)) = asked("tiny", 4096) else { panic!("it fits") };
+        assert_eq!(cores(asked("nahuku-32", 32).unwrap()).len(), 32);
+        let Err(Error::DoesNotFit(reasons)) = asked("tiny", 4096) else { panic!("it fits") };
         assert!(reasons.iter().any(|r| r.population.is_some()) && reasons.iter().any(|r| r.population.is_none()));
     }
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::cli::args::input::{InputArgs, check_pruned, select};
 use crate::cli::args::jobs;
-use crate::cli::args::jobs::{Job, Prepared, Wanted};
+use crate::cli::args::jobs::Prepared;
 use crate::cli::args::steps;
 use crate::cli::args::steps::recorded;
 use crate::cli::args::values::{Switch, one_of_named};
@@ -15,7 +15,7 @@ use crate::cli::process::ranks;
 use nsim_files as io;
 use nsim_ir::activity::Activity;
 use nsim_ir::source_counts::SourceCounts;
-use nsim_ir::spikes::{Copies, Sample};
+use nsim_ir::spikes::Sample;
 use nsim_reference as reference;
 use nsim_reference::{Kernel, Model};
 use nsim_report::run::RunReport;
@@ -24,11 +24,12 @@ use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::detail::Detail;
 use nsim_session::error::Error;
 use nsim_session::neurobench::NeuroBench;
+use nsim_session::obtain::{Job, Wanted};
 use nsim_session::populations::ByPopulation;
 use nsim_session::priced::Metered;
 use nsim_session::ranks::RankRow;
 use nsim_session::samples;
-use nsim_session::samples::{Interpreted, Progress, Run, Running, Traces, fast, golden};
+use nsim_session::samples::{Progress, Run, Running, Traces, fast, golden};
 use nsim_session::warnings::{Finished, Ran, warnings};
 use nsim_session::{Keep, Outcome, Quantity, inputs};
 
@@ -119,7 +120,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         ranks::price();
     }
     let wanted = EngineChoice::wanted(args.engine);
-    let job = match jobs::prepare_probed(&args.job, wanted, Some(1), &args.probes.populations())? {
+    let job = match jobs::prepare(&args.job, wanted, Some(1), &args.probes.populations())? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => return refusal.say(nsim_report::run::nothing("fast"), context),
     };
@@ -189,14 +190,11 @@ fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<Neur
     let measured = match job {
         Job::Mapped(compiled, ..) => NeuroBench::measure(&compiled.one, samples, |samples, keep| {
             let skip = args.skip == Switch::On;
-            let running = Running { keep, copies: Copies::ONE, skip, per_step: false, progress: &|| (), ranks: None };
-            let run = fast(&compiled.program, samples, running, || ())?;
-            Ok((run.outcomes, run.counts))
+            fast(&compiled.program, samples, Running { skip, ..Running::new(keep) }, || ())
         }),
-        Job::Quantised(quantised, _) => NeuroBench::measure(quantised, samples, |samples, keep| {
-            let run = golden(quantised, samples, keep, &|| ());
-            Ok((run.outcomes, run.counts))
-        }),
+        Job::Quantised(quantised, _) => {
+            NeuroBench::measure(quantised, samples, |samples, keep| Ok(golden(quantised, samples, keep, &|| ())))
+        }
         Job::Real(..) => return Ok(None),
     };
     Ok(Some(measured?))
@@ -219,7 +217,6 @@ fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &job
 }
 
 /// What an engine did with the samples.
-#[derive(Default)]
 struct Done {
     engine: &'static str,
     outcomes: Vec<Outcome>,
@@ -274,8 +271,7 @@ fn ran(
     Ok(match job {
         Job::Mapped(compiled, target, _) => {
             let skip = args.skip == Switch::On;
-            let running =
-                Running { keep, copies: Copies::ONE, skip, per_step: false, progress, ranks: ranks::several() };
+            let running = Running { skip, progress, ranks: ranks::several(), ..Running::new(keep) };
             match &args.steps {
                 Some(path) => {
                     let metered = Metered::new(compiled);
@@ -286,8 +282,7 @@ fn ran(
             }
         }
         Job::Quantised(quantised, _) => {
-            let Interpreted { outcomes, counts, wall_s } = golden(quantised, samples, keep, progress);
-            Done { engine: "golden", outcomes, counts, wall_s, ..Done::default() }
+            Done { engine: "golden", activity: None, ..golden(quantised, samples, keep, progress).into() }
         }
         Job::Real(graph, quantised, _) => {
             let registers = [Quantity::VRegister, Quantity::Message];
@@ -297,9 +292,9 @@ fn ran(
             }
             let model = Model::<f64>::new(graph, reference::Options { kernel: args.kernel })?;
             let units = (quantised.channels(), quantised.compartments());
-            let (Interpreted { outcomes, counts, wall_s }, traces) =
-                samples::reference(&model, units, samples, keep, progress);
-            Done { engine: "reference", outcomes, traces: Some(traces), counts, wall_s, ..Done::default() }
+            let mut run = samples::reference(&model, units, samples, keep, progress);
+            let traces = Some(std::mem::take(&mut run.meter));
+            Done { engine: "reference", activity: None, traces, ..run.into() }
         }
     })
 }

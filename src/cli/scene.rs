@@ -79,9 +79,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     write::check_all_free(args.output.as_ref().map(|folder| folder.join(MANIFEST)), context.force)?;
     let taken = output::check_files(None, &args.plot, context)?;
     if args.plot.is_some()
-        && let Some(sample) = args.plot_sample.filter(|&sample| sample >= scene.samples())
+        && let Some(sample) = args.plot_sample.filter(|&sample| sample >= scene.samples)
     {
-        return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples() - 1)));
+        return Err(Error::Usage(format!("--plot-sample {sample}: samples are 0 to {}", scene.samples - 1)));
     }
     let folder = args.output.as_ref().map(|path| write::Folder::begin(path, MANIFEST, context.force)).transpose()?;
     let make = |sample: u32| {
@@ -96,8 +96,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Ok((Facts::from_recording(&recording), entry))
     };
     let made: Vec<Result<(Facts, SampleEntry), Diagnostic>> =
-        output::with_progress(context, scene.samples() as usize, "scenes", |done| {
-            (0..scene.samples()).into_par_iter().map(make).inspect(|_| done()).collect()
+        output::with_progress(context, scene.samples as usize, "scenes", |done| {
+            (0..scene.samples).into_par_iter().map(make).inspect(|_| done()).collect()
         });
     let (facts, entries): (Vec<Facts>, Vec<SampleEntry>) =
         made.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
@@ -130,13 +130,13 @@ fn by_polarity(planes: Vec<(u32, u32)>) -> Vec<(String, Vec<(u32, u32)>)> {
 /// A sample as a picture.
 fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
     let recording = scene.recording(sample);
-    let class = scene.classes().into_iter().nth(recording.label as usize).unwrap_or_default();
+    let class = scene.classes.get(recording.label as usize).cloned().unwrap_or_default();
     let (rises, falls) = recording.touch.iter().copied().partition(|&(_, channel)| channel % 2 == 1);
     Panels {
         what: String::new(),
         title: format!("{}, sample {sample}: {class}", argument.spelled()),
         steps: recording.steps,
-        timestep_ms: scene.timestep_ms(),
+        timestep_ms: scene.timestep_ms,
         onset_ms: recording.onset_ms,
         panels: vec![
             Panel {
@@ -216,34 +216,34 @@ fn store(
             bytes[channel as usize * steps + step as usize] = 1;
         }
         let shape = [shape, vec![steps as u64]].concat();
-        folder.member(name, |out| npy::write_bytes(out, &shape, &bytes))?;
+        folder.member(name, |out| npy::write(out, &shape, bytes.iter().copied()))?;
     }
     Ok(names)
 }
 
 fn data_set(scene: &Recorded, argument: &SceneArg, entries: Vec<SampleEntry>) -> DataSet {
     let labels: Vec<u32> = entries.iter().filter_map(|entry| entry.label).collect();
-    let folds = if labels.len() >= FOLDS { stratified_folds(&labels, FOLDS, scene.seed()) } else { Vec::new() };
+    let folds = if labels.len() >= FOLDS { stratified_folds(&labels, FOLDS, scene.seed) } else { Vec::new() };
     DataSet {
-        name: scene.name().to_string(),
+        name: scene.name.to_string(),
         populations: [TOUCH.0, VISION.0].map(|name| (name.to_string(), name.to_string())).into(),
-        steps: Some(scene.steps()),
+        steps: Some(scene.steps),
         options: BTreeMap::new(),
         recordings: BTreeMap::new(),
         splits: Vec::new(),
-        classes: scene.classes(),
+        classes: scene.classes.clone(),
         samples: entries.into_iter().map(Spanned::from).collect(),
         folds: folds
             .into_iter()
             .map(|fold| Spanned::from(fold.into_iter().map(|sample| sample as u32).collect::<Vec<_>>()))
             .collect(),
-        seed: Some(scene.seed()),
+        seed: Some(scene.seed),
         provenance: Some(format!("nsim {} scene, {}", env!("CARGO_PKG_VERSION"), argument.spelled())),
     }
 }
 
 fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Option<PathBuf>) -> SceneReport {
-    let cells = |samples: usize, channels: u32| samples as f64 * f64::from(channels) * f64::from(scene.steps());
+    let cells = |samples: usize, channels: u32| samples as f64 * f64::from(channels) * f64::from(scene.steps);
     let class = |(label, name): (usize, String)| {
         let of: Vec<&Facts> = facts.iter().filter(|fact| fact.label as usize == label).collect();
         let spikes = |sense: usize| of.iter().map(|fact| fact.spikes[sense] as u64).sum::<u64>();
@@ -266,11 +266,11 @@ fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Opti
     };
     SceneReport {
         scene: argument.spelled(),
-        seed: scene.seed(),
+        seed: scene.seed,
         samples: facts.len(),
-        steps: scene.steps(),
-        timestep_ms: scene.timestep_ms(),
-        classes: scene.classes().into_iter().enumerate().map(class).collect(),
+        steps: scene.steps,
+        timestep_ms: scene.timestep_ms,
+        classes: scene.classes.iter().cloned().enumerate().map(class).collect(),
         wire: facts.iter().filter_map(|fact| fact.wire).reduce(|mut sum, wire| {
             sum += wire;
             sum

@@ -13,12 +13,13 @@ use nsim_report::train::{TrainReport, history_csv};
 use nsim_session::error::{Error, Result};
 use nsim_train::fit::{Example, Plan, TrainingState};
 use nsim_train::job;
-use nsim_train::job::{Checkpoint, Data, Job, with_fields};
+use nsim_train::job::{Checkpoint, Data, Job, training_text, with_fields};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
-  nsim train models/train/vtsnn-slip.ron -o my-slip.ron    train the slip network on synthetic scenes
-  nsim train models/train/container-tactile.ron --train ev-containers/train --test ev-containers/test -o m.ron
+  nsim train vtsnn-slip -o my-slip.ron               train the slip network on synthetic scenes
+  nsim train vtsnn-slip --set layers.touch.size=64 -o h64.ron    with 64 hidden units for touch
+  nsim train container-tactile --train ev-containers/train --test ev-containers/test -o m.ron
   nsim train c.ron --folds 5 --log history.csv             with the accuracy of a cross-validation
   nsim train c.ron --epochs 500 --checkpoint state.safetensors -o m.ron    resumes an interrupted training";
 
@@ -26,9 +27,9 @@ EXAMPLES:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// A training file
-    #[arg(value_name = "CONFIG.ron")]
-    config: PathBuf,
+    /// A training file or the name of a shipped one, such as vtsnn-slip
+    #[arg(value_name = "CONFIG.ron|NAME")]
+    config: String,
     /// Training samples, as `nsim run --input` takes them [default: what the training file names]
     #[arg(long, value_name = "SOURCE")]
     train: Vec<String>,
@@ -128,7 +129,7 @@ fn folds(args: &Args, examples: &[Example]) -> Vec<Vec<usize>> {
 /// # Errors
 /// [`Error`] when the training file or a source cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer> {
-    let source = io::text::read_text(&args.config)?;
+    let source = training_text(&args.config)?;
     let fields = args
         .set
         .iter()

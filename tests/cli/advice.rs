@@ -6,6 +6,7 @@ use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::{Group, Item, Numbers};
 use serde_json::Value;
 
+use crate::common::command;
 use crate::{MODEL, SRM, nsim, object, said, write};
 
 /// A NIR file whose neurons imply no timestep.
@@ -306,42 +307,43 @@ fn options_in_advice_are_those_of_the_command_or_of_one_that_it_names() {
 #[test]
 fn what_is_advised_is_what_helps() {
     let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str| folder.path().join(name).display().to_string();
-    let model = write(folder.path(), "m.ron", MODEL);
-    let spikes = write(folder.path(), "s.csv", "timestep,channel\n0,0\n1,1\n3,2\n");
-    let seconds = write(folder.path(), "t.csv", "t,x\n0.001,1\n0.002,2\n");
-    let (saved, two) = (at("one.ron"), at("two.ron"));
-    assert_eq!(said(&["map", &model, "-o", &saved]).0, 0);
-    assert_eq!(said(&["map", &model, "--copies", "2", "-o", &two]).0, 0);
-    let unit = format!("{seconds}?unit=s");
-    let spikes_of_unit = format!("{unit}&size=3,1&polarity=on");
-    for (wrong, advice, right) in [
-        (&["inspect", &seconds][..], "?unit=s", &["inspect", &unit][..]),
-        (&["run", &model, "--input", &seconds], "?unit=s", &["run", &model, "--input", &spikes_of_unit]),
-        (&["map", &model, "-o", &saved], "--force", &["map", &model, "-o", &saved, "--force"]),
+    let here = folder.path();
+    write(here, "m.ron", MODEL);
+    write(here, "s.csv", "timestep,channel\n0,0\n1,1\n3,2\n");
+    write(here, "t.csv", "t,x\n0.001,1\n0.002,2\n");
+    let whole = std::fs::read(array(here, "whole.npy", &[3, 9], &[1.0; 27])).unwrap();
+    std::fs::write(here.join("cut.npy"), &whole[..whole.len() - 8]).unwrap();
+    for line in ["map m.ron -o one.ron", "map m.ron --copies 2 -o two.ron"] {
+        assert_eq!(command::said(here, line).0, 0, "{line}");
+    }
+    // A line, what its error advises, and a line that does so.
+    for (line, advice, then) in [
+        ("inspect t.csv", "?unit=s", "inspect t.csv?unit=s"),
+        ("run m.ron --input t.csv", "?unit=s", "run m.ron --input t.csv?unit=s&size=3,1&polarity=on"),
+        ("map m.ron -o one.ron", "--force", "map m.ron -o one.ron --force"),
         (
-            &["energy", &model, "--mapping", &two, "--copies", "3", "--input", &spikes],
+            "energy m.ron --mapping two.ron --copies 3 --input s.csv",
             "--copies 2",
-            &["energy", &model, "--mapping", &two, "--copies", "2", "--input", &spikes],
+            "energy m.ron --mapping two.ron --copies 2 --input s.csv",
         ),
-        (
-            &["agree", &model, "--against", "srm", "--input", &spikes],
-            "use cuba or golden",
-            &["agree", &model, "--against", "golden", "--input", &spikes],
-        ),
-        (&["import", &spikes], "nsim run MODEL --input FILE", &["run", &model, "--input", &spikes]),
-        (&["run", &spikes], "nsim run MODEL --input FILE", &["run", &model, "--input", &spikes]),
-        (&["scene", "noise"], "--input scene:noise", &["run", &model, "--input", "scene:noise"]),
-        (
-            &["run", &model, "--mapping", &saved, "--target", "loihi1-chip"],
-            "nsim map",
-            &["run", &model, "--mapping", &saved],
-        ),
+        ("agree m.ron --against srm --input s.csv", "use cuba or golden", "agree m.ron --against golden --input s.csv"),
+        ("import s.csv", "nsim run MODEL --input FILE", "run m.ron --input s.csv"),
+        ("run s.csv", "nsim run MODEL --input FILE", "run m.ron --input s.csv"),
+        ("scene noise", "--input scene:noise", "run m.ron --input scene:noise"),
+        ("run m.ron --mapping one.ron --target loihi1-chip", "nsim map", "run m.ron --mapping one.ron"),
+        ("inspect absent.ron", "check the path", "inspect m.ron"),
+        ("run .", "name a file in it", "run ./m.ron --input whole.npy"),
+        ("run m.ron --input cut.npy", "write the array again with numpy.save", "run m.ron --input whole.npy"),
+        ("run m.ron --input whole.npy?unit=s", "leave the option out", "run m.ron --input whole.npy"),
+        ("map m.ron -o m.ron/x.ron", "name another file", "map m.ron -o x.ron"),
+        ("map m.ron --mapping m.ron", "nsim map MODEL -o FILE", "map m.ron --mapping x.ron"),
+        ("run m.ron --set populations.out.du=5000", "nsim show NAME prints a shipped one", "show vtsnn-slip"),
+        ("sweep m.ron -o u.csv", "nsim inspect FILE says what a file is", "inspect m.ron"),
     ] {
-        let (code, _, stderr) = said(wrong);
-        assert!(code != 0 && stderr.contains(advice), "{wrong:?}: {code} {stderr}");
-        let (code, _, stderr) = said(right);
-        assert_eq!(code, 0, "{right:?}: {stderr}");
+        let (status, _, error) = command::said(here, line);
+        assert!([2, 3].contains(&status) && error.replace("\n  ", " ").contains(advice), "{line}: {status} {error}");
+        let (status, _, error) = command::said(here, then);
+        assert_eq!(status, 0, "{then}: {error}");
     }
 }
 

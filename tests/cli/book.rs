@@ -156,18 +156,18 @@ fn commands() -> Vec<String> {
         String::from_utf8(command.args(words).arg("--help").output().unwrap().stdout).unwrap()
     };
     let listed = |text: &str| -> Vec<String> {
-        let lines = text.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-        let first = |line: &str| line.split_whitespace().next().map(str::to_string);
-        lines.filter(|line| !line.starts_with("      ")).filter_map(first).filter(|name| name != "help").collect()
+        let lines = text.lines().take_while(|line| !line.starts_with("Options") && !line.starts_with("Arguments"));
+        let names = lines.filter_map(|line| line.strip_prefix("  ")?.split("  ").next());
+        let is_name = |name: &&str| name.starts_with(|c: char| c.is_ascii_lowercase()) && *name != "help";
+        names.filter(is_name).map(str::to_string).collect()
     };
-    let all = listed(&help(&[]));
-    all.iter()
-        .flat_map(|name| {
-            let below = listed(&help(&[name]));
-            let below: Vec<String> = below.iter().map(|other| format!("{name} {other}")).collect();
-            if below.is_empty() { vec![name.clone()] } else { below }
-        })
-        .collect()
+    let all = listed(&help(&[])).into_iter().filter(|name| !name.contains(' '));
+    all.flat_map(|name| {
+        let below = listed(&help(&[&name]));
+        let below: Vec<String> = below.iter().map(|other| format!("{name} {other}")).collect();
+        if below.is_empty() { vec![name.clone()] } else { below }
+    })
+    .collect()
 }
 
 #[test]

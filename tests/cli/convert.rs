@@ -3,14 +3,13 @@
 
 use std::path::Path;
 
-use crate::common::data;
-use assert_cmd::Command;
+use crate::common::command::{object, said};
+use crate::common::{data, noise};
 use nsim::dynamics::synapses::Enumerate;
 use nsim::files::lower::lower;
 use nsim::files::training::TrainingFile;
 use nsim::golden::Golden;
 use nsim::ir::base::diagnostic::SourceText;
-use nsim::ir::base::id::ChannelId;
 use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
 use nsim::ir::quantised::{Quantised, Units};
@@ -64,12 +63,7 @@ fn choices(most_copies: usize) -> Choices {
 }
 
 fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
-    let one = |seed: u64| {
-        let all = (0..120).flat_map(|t| (0..30).map(move |c| (t, ChannelId(c))));
-        let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < 0.06).collect();
-        Sample::new(120, &events, None).unwrap()
-    };
-    seeds.map(one).collect()
+    seeds.map(|seed| noise((30, 120), seed, |_| 0.06, None)).collect()
 }
 
 /// Every number of a network in integers.
@@ -156,10 +150,7 @@ const TRAINING: &str = "Training(name: \"n\", timestep_ms: 1.0, inputs: [(name: 
 fn labelled(seeds: std::ops::Range<u64>) -> Vec<Sample> {
     let one = |seed: u64| {
         let class = (seed % 3) as u32;
-        let all = (0..120).flat_map(|t| (0..30).map(move |c| (t, ChannelId(c))));
-        let rate = |c: u32| if c / 10 == class { 0.07 } else { 0.05 };
-        let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate(c.0)).collect();
-        Sample::new(120, &events, Some(class)).unwrap()
+        noise((30, 120), seed, |c| if c / 10 == class { 0.07 } else { 0.05 }, Some(class))
     };
     seeds.map(one).collect()
 }
@@ -235,7 +226,7 @@ fn fine_tuning_refuses_what_the_training_file_does_not_describe() {
 }
 
 /// 20 seeded inputs of 15 %, as [samples, channels, steps] of bytes.
-fn noise(path: &Path) {
+fn write_noise(path: &Path) {
     let shape = "{'descr': '|u1', 'fortran_order': False, 'shape': (20, 12, 256), }";
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     let header = format!("{shape:<117}\n");
@@ -249,17 +240,11 @@ fn noise(path: &Path) {
 fn an_imported_recurrent_network_coincides_without_an_exponent_by_hand() {
     let Some(data) = data("nir") else { return };
     let folder = tempfile::tempdir().unwrap();
-    let input = folder.path().join("x.npy");
-    noise(&input);
-    let network = data.join("braille_noDelay_bias_zero.nir");
-    let run = |arguments: &[&str]| -> serde_json::Value {
-        let mut command = Command::cargo_bin("nsim").unwrap();
-        let out = command.args(arguments).arg("--input").arg(&input).args(["--format", "json"]).output().unwrap();
-        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
-        serde_json::from_slice(&out.stdout).unwrap()
-    };
+    write_noise(&folder.path().join("x.npy"));
+    let network = data.join("braille_noDelay_bias_zero.nir").canonicalize().unwrap();
+    let run = |line: &str| object(folder.path(), &format!("{line} --input x.npy"), 0);
     let network = network.to_str().unwrap();
-    let agreed = run(&["agree", network, "--against", "cuba", "--attribution", "off"]);
+    let agreed = run(&format!("agree {network} --against cuba --attribution off"));
     let coincidence = |object: &serde_json::Value, name: &str| {
         let layers = object["layers"].as_array().unwrap();
         layers.iter().find(|layer| layer["name"] == name).unwrap()["coincidence"].as_f64().unwrap()
@@ -267,11 +252,20 @@ fn an_imported_recurrent_network_coincides_without_an_exponent_by_hand() {
     assert_eq!(agreed["class_agreement"], 1.0);
     assert!(coincidence(&agreed, "lif1_lif") >= 0.9 && coincidence(&agreed, "lif2") >= 0.7, "{agreed:#}");
     // What is kept is compared as it is, and answers the same.
-    let kept = folder.path().join("kept.ron");
-    let kept = kept.to_str().unwrap();
-    let converted = run(&["convert", network, "-o", kept]);
+    let converted = run(&format!("convert {network} -o kept.ron"));
     assert_eq!(converted["schema"], "nsim.convert/1");
     assert!(converted["stages"].as_array().unwrap().len() >= 2, "{converted:#}");
-    let again = run(&["agree", network, "--against", kept]);
+    let again = run(&format!("agree {network} --against kept.ron"));
     assert_eq!(coincidence(&again, "lif2"), coincidence(&agreed, "lif2"));
+}
+
+/// Nothing to compare by is no reason to stop.
+#[test]
+fn a_layer_that_no_spikes_reach_is_converted_by_analysis() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("srm.ron"), crate::SRM).unwrap();
+    let line =
+        "convert srm.ron --input scene:noise?samples=4&steps=20 --calibrate scene:noise?samples=4&steps=20 -o c.ron";
+    let (status, _, err) = said(folder.path(), line);
+    assert!(status < 2 && err.contains("no spikes reach it"), "{status}: {err}");
 }

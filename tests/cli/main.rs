@@ -22,32 +22,28 @@ mod remedies;
 mod results;
 mod runs;
 mod saved_mappings;
+mod screens;
 mod side_by_side;
 mod sweep;
 mod training;
 
 use assert_cmd::Command;
+use common::command;
 use serde_json::Value;
 use std::path::Path;
 
 fn nsim(arguments: &[&str]) -> Command {
-    let mut command = Command::cargo_bin("nsim").unwrap();
-    command.args(arguments);
-    command
+    command::nsim(Path::new("."), arguments)
 }
 
 /// Runs and returns exit status, stdout and stderr.
 fn said(arguments: &[&str]) -> (i32, String, String) {
-    let output = nsim(arguments).output().unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
+    command::said(Path::new("."), arguments)
 }
 
 /// The result object of a command that should end with this status.
 fn object(arguments: &[&str], status: i32) -> Value {
-    let (code, stdout, stderr) = said(&[arguments, &["--format", "json"]].concat());
-    assert_eq!(code, status, "{arguments:?}: {stderr}");
-    serde_json::from_str(&stdout).unwrap_or_else(|e| panic!("{arguments:?}: {e}: {stdout}"))
+    command::object(Path::new("."), arguments, status)
 }
 
 fn has_keys(object: &Value, keys: &[&str]) {

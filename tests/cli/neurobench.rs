@@ -3,15 +3,14 @@
 
 use std::collections::BTreeMap;
 
+use crate::common::compare::roomy;
 use crate::common::random;
 use nsim::compile::{Options, compile};
 use nsim::dynamics::synapses::Enumerate;
-use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::ir::base::id::{CompartmentId, Id};
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Quantised, Units};
-use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Engine, Sample};
 use nsim::session::neurobench::NeuroBench;
 use nsim::session::samples::{Running, fast, golden};
@@ -85,30 +84,22 @@ fn counted(network: &Quantised, samples: &[&Sample]) -> Sums {
 
 #[test]
 fn metrics_are_those_of_a_count_over_matrices() {
-    let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = chip.limits().clone();
-    let kinds = [Resource::CompartmentProfiles, Resource::ThresholdProfiles, Resource::SynapseFormats];
-    kinds.into_iter().for_each(|kind| limits[kind] = 1024);
-    limits[Resource::Accumulators] = 1 << 16;
-    let target = chip.with_limits(limits);
+    let target = roomy("loihi1-chip");
     let mut all = Sums::default();
     for seed in 0..60 {
         let network = if seed % 2 == 0 { random::network(seed) } else { random::convolutional(seed) };
         let given: Vec<Sample> = (0..3).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let samples: Vec<&Sample> = given.iter().collect();
         let expected = counted(&network, &samples);
-        let interpreted = NeuroBench::measure(&network, &samples, |samples, keep| {
-            let run = golden(&network, samples, keep, &|| ());
-            Ok((run.outcomes, run.counts))
-        })
-        .unwrap();
+        let interpreted =
+            NeuroBench::measure(&network, &samples, |samples, keep| Ok(golden(&network, samples, keep, &|| ())))
+                .unwrap();
         let options = Options { place: false, copies: 2, ..Options::default() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
         let copies = Copies { copies: 2, channels: network.channels() };
         let simulated = NeuroBench::measure(&network, &samples, |samples, keep| {
-            let running = Running { keep, copies, skip: seed % 4 < 2, per_step: false, progress: &|| (), ranks: None };
-            let run = fast(&compiled.program, samples, running, || ())?;
-            Ok((run.outcomes, run.counts))
+            let running = Running { copies, skip: seed % 4 < 2, ..Running::new(keep) };
+            fast(&compiled.program, samples, running, || ())
         })
         .unwrap();
         assert_eq!(interpreted, simulated, "network {seed}");

@@ -1,9 +1,10 @@
 //! `--time-budget`, and the changes that `--set` makes, from the command line.
 
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
+
+use crate::common::command::said;
 
 const MODEL: &str = r#"Network(name: "m", timestep_ms: 1.0, populations: [
     Input(name: "in", shape: [300]),
@@ -24,11 +25,8 @@ fn folder() -> tempfile::TempDir {
 
 /// Exit status, JSON and what is said of a command.
 fn ran(folder: &Path, line: &str) -> (i32, Value, String) {
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    command.args(line.split(' ')).args(["--format", "json"]).current_dir(folder);
-    let output = command.output().unwrap();
-    let printed = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
-    (output.status.code().unwrap(), printed, String::from_utf8_lossy(&output.stderr).into_owned())
+    let (status, printed, error) = said(folder, &format!("{line} --format json"));
+    (status, serde_json::from_str(&printed).unwrap_or(Value::Null), error)
 }
 
 #[test]

@@ -6,22 +6,16 @@
 //! page is still tested.
 
 use crate::common;
+use crate::common::command::{nsim, object, said};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
 
-fn nsim(folder: &Path, line: &[&str]) -> (i32, String) {
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    let output = command.args(line).current_dir(folder).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-    (output.status.code().unwrap_or(-1), said)
-}
-
 fn page(folder: &Path, name: &str, line: &[&str]) -> PathBuf {
     let path = folder.join(name);
-    let (status, said) = nsim(folder, &[&["report"], line, &["-o", name, "--force"]].concat());
-    assert_eq!(status, 0, "{line:?}: {said}");
+    let (status, _, error) = said(folder, &[&["report"], line, &["-o", name, "--force"]].concat());
+    assert_eq!(status, 0, "{line:?}: {error}");
     path
 }
 
@@ -63,8 +57,8 @@ fn pages(folder: &Path) -> Vec<(&'static str, PathBuf)> {
     let slip = page(folder, "slip.html", &["vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti"]);
     let trained = page(folder, "trained.html", &["vtsnn-slip-srm", "--samples", "0..4", "--baseline"]);
     std::fs::write(folder.join("conv.ron"), convolutions()).unwrap();
-    let (status, said) = nsim(folder, &["export", "conv.ron", "-o", "conv.nir"]);
-    assert_eq!(status, 0, "{said}");
+    let (status, _, err) = said(folder, &["export", "conv.ron", "-o", "conv.nir"]);
+    assert_eq!(status, 0, "{err}");
     let noise = "scene:noise?samples=2&steps=60&seed=2&rate=0.1";
     let conv = page(folder, "conv.html", &["conv.nir", "--input", noise, "--baseline"]);
     let many = ["vtsnn-slip", "--copies", "1024", "--target", "pohoiki-springs", "--samples", "0..2", "--baseline"];
@@ -173,10 +167,7 @@ fn a_page_holds_what_energy_prints_and_loads_nothing() {
             assert_eq!(diagonal, (accuracy * result["samples"].as_f64().unwrap()).round(), "{name}");
         }
     }
-    let energy = ["energy", "vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti", "--format", "json"];
-    let (status, said) = nsim(here, &energy);
-    assert_eq!(status, 0, "{said}");
-    let printed: Value = serde_json::from_str(&said[..=said.rfind('}').unwrap()]).unwrap();
+    let printed = object(here, "energy vtsnn-slip --samples 0..6 --baseline rtx-2080-ti", 0);
     assert_eq!(data(&here.join("slip.html"))["results"][0], printed);
 }
 
@@ -184,13 +175,9 @@ fn a_page_holds_what_energy_prints_and_loads_nothing() {
 fn results_are_compared_and_other_files_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let save = |line: &[&str], name: &str| {
-        let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-        let output = command.args(line).args(["--format", "json"]).output().unwrap();
-        std::fs::write(here.join(name), output.stdout).unwrap();
-    };
-    save(&["energy", "--samples", "0..1", "--baseline"], "a.json");
-    save(&["run", "--samples", "0..1"], "b.json");
+    let save = |line: &str, name: &str| std::fs::write(here.join(name), said(here, line).1).unwrap();
+    save("energy --samples 0..1 --baseline --format json", "a.json");
+    save("run --samples 0..1 --format json", "b.json");
     std::fs::write(here.join("c.json"), "{\"schema\": \"nsim.map/1\"}").unwrap();
     std::fs::write(here.join("d.json"), "{\"schema\": ").unwrap();
     let both = data(&page(here, "both.html", &["a.json", "b.json"]));
@@ -207,8 +194,8 @@ fn results_are_compared_and_other_files_are_refused() {
         (&["vtsnn-slip", "-o", "d.html", "--format", "csv"], 2, "page"),
         (&["a.json", "b.json", "-o", "both.html"], 3, "--force"),
     ] {
-        let (found, said) = nsim(here, &[&["report"], line].concat());
-        assert!(found == status && said.contains(word), "{line:?}: {found} {said}");
+        let (found, _, error) = said(here, &[&["report"], line].concat());
+        assert!(found == status && error.contains(word), "{line:?}: {found} {error}");
     }
     assert!(!here.join("c.html").exists() && !here.join("d.html").exists());
 }
@@ -216,15 +203,11 @@ fn results_are_compared_and_other_files_are_refused() {
 #[test]
 fn a_model_comes_through_a_pipe() {
     let folder = tempfile::tempdir().unwrap();
-    let model = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join("models/slip-tactile.ron")).unwrap();
-    std::fs::copy(
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("models/slip-tactile.safetensors"),
-        folder.path().join("slip-tactile.safetensors"),
-    )
-    .unwrap();
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    let line = ["report", "-", "--samples", "0..1", "--baseline", "-o", "piped.html"];
-    let output = command.args(line).current_dir(folder.path()).stdin(model).output().unwrap();
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    let weights = "slip-tactile.safetensors";
+    std::fs::copy(models.join(weights), folder.path().join(weights)).unwrap();
+    let mut command = nsim(folder.path(), "report - --samples 0..1 --baseline -o piped.html");
+    let output = command.pipe_stdin(models.join("slip-tactile.ron")).unwrap().output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let data = data(&folder.path().join("piped.html"));
     assert_eq!((&data["network"]["name"], data["origins"].as_array().unwrap().len()), (&"slip-tactile".into(), 0));
@@ -338,7 +321,7 @@ fn a_browser_draws_every_section_without_an_error_or_a_network() {
         let (_, rest) = document.split_once("<pre id=\"found\">").unwrap_or_else(|| panic!("{name}: not drawn: {log}"));
         let found: Value = serde_json::from_str(rest.split_once("</pre>").unwrap().0).unwrap();
         let sections: Vec<&str> = found["sections"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
-        let common = ["network", "fit", "spikes", "potentials", "steps", "goes", "hardware"];
+        let common = ["hardware", "network", "fit", "spikes", "potentials", "steps", "goes"];
         let expected: Vec<&str> = match name {
             "two" => vec!["compared", "origin"],
             _ => {

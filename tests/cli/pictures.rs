@@ -1,8 +1,7 @@
 //! Pictures as the command line draws them: each kind in each format, from models and from saved
 //! results.
 
-use std::path::Path;
-use std::process::{Command, Stdio};
+use crate::common::command::said;
 
 const MODEL: &str = "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]),
     Loihi(name: \"hidden\", shape: [5], du: 2048, dv: 512, vth_mant: 8),
@@ -11,15 +10,6 @@ const MODEL: &str = "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(
     Dense(from: [\"hidden\"], to: \"out\", weights: Uniform(low: 10, high: 60, step: 2, seed: 2))], output: \"out\")";
 
 const INPUT: &str = "scene:noise?samples=3&steps=40&rate=0.2&seed=5";
-
-/// Runs a line in a folder: status, stdout, stderr.
-fn nsim(folder: &Path, line: &str) -> (i32, String, String) {
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    command.args(line.split(' ')).current_dir(folder).stdin(Stdio::null());
-    let out = command.output().unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (out.status.code().unwrap(), text(out.stdout), text(out.stderr))
-}
 
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -36,17 +26,17 @@ fn a_run_is_drawn_in_every_format() {
             let line = format!("plot {what} m.ron --input {INPUT} -o {what}.{ending}");
             if ending != "svg" && cfg!(not(feature = "pictures")) {
                 // The name that is offered has just been written.
-                let (status, said, error) = nsim(here, &line);
+                let (status, printed, error) = said(here, &line);
                 let offered = format!("name it {what}.svg");
-                assert!(status == 2 && said.is_empty() && error.contains("'pictures'"), "{line}: {error}");
+                assert!(status == 2 && printed.is_empty() && error.contains("'pictures'"), "{line}: {error}");
                 assert!(error.contains(&offered) && here.join(format!("{what}.svg")).exists(), "{line}: {error}");
                 continue;
             }
-            let (status, said, error) = nsim(here, &line);
-            assert_eq!((status, said), (0, format!("{what}.{ending}\n")), "{line}: {error}");
+            let (status, printed, error) = said(here, &line);
+            assert_eq!((status, printed), (0, format!("{what}.{ending}\n")), "{line}: {error}");
             let bytes = std::fs::read(here.join(format!("{what}.{ending}"))).unwrap();
             assert!(bytes.starts_with(magic) && bytes.len() > 2000, "{line}");
-            assert_eq!(nsim(here, &line).0, 3, "{line}: what is there is kept");
+            assert_eq!(said(here, &line).0, 3, "{line}: what is there is kept");
         }
     }
     let read = |name: &str| std::fs::read_to_string(here.join(name)).unwrap();
@@ -63,11 +53,11 @@ fn probes_choose_what_is_drawn() {
     let folder = folder();
     let here = folder.path();
     let line = format!("plot raster m.ron --input {INPUT} --samples 2..3 --probe h* -o r.svg");
-    assert_eq!(nsim(here, &line).0, 0);
+    assert_eq!(said(here, &line).0, 0);
     let raster = std::fs::read_to_string(here.join("r.svg")).unwrap();
     assert!(raster.contains(">hidden</text>") && !raster.contains(">in</text>") && raster.contains("sample 2"));
     let line = format!("plot voltage m.ron --input {INPUT} --probe hidden[4] --probe out -o -");
-    let (status, svg, _) = nsim(here, &line);
+    let (status, svg, _) = said(here, &line);
     assert_eq!((status, svg.matches("<polyline").count()), (0, 3), "{svg}");
     assert!(svg.contains(">hidden[4]</text>"));
     for (wrong, why) in [
@@ -79,8 +69,8 @@ fn probes_choose_what_is_drawn() {
         ("pareto m.ron -o a.svg", "nsim bench pareto m.ron --format json"),
         ("raster m.ron -o a.svg --format json", "--format is for results"),
     ] {
-        let (status, said, error) = nsim(here, &format!("plot {wrong} --input {INPUT}"));
-        assert!(status == 2 && (said + &error).contains(why), "{wrong}: {error}");
+        let (status, printed, error) = said(here, &format!("plot {wrong} --input {INPUT}"));
+        assert!(status == 2 && (printed + &error).contains(why), "{wrong}: {error}");
     }
     assert!(!here.join("a.svg").exists());
 }
@@ -90,9 +80,9 @@ fn saved_results_are_drawn_as_the_commands_draw_them() {
     let folder = folder();
     let here = folder.path();
     let save = |line: &str, name: &str| {
-        let (status, said, error) = nsim(here, line);
+        let (status, printed, error) = said(here, line);
         assert_eq!(status, 0, "{line}: {error}");
-        std::fs::write(here.join(name), said).unwrap();
+        std::fs::write(here.join(name), printed).unwrap();
     };
     save(&format!("energy m.ron --baseline --input {INPUT} --plot own.svg --format json"), "e.json");
     save("map m.ron --time-budget 0 --pareto front.svg --format json", "m.json");
@@ -100,15 +90,15 @@ fn saved_results_are_drawn_as_the_commands_draw_them() {
     for (what, json, own) in
         [("hardware", "e.json", "own.svg"), ("pareto", "m.json", "front.svg"), ("agreement", "a.json", "causes.svg")]
     {
-        let (status, _, error) = nsim(here, &format!("plot {what} {json} -o again-{own}"));
+        let (status, _, error) = said(here, &format!("plot {what} {json} -o again-{own}"));
         assert_eq!(status, 0, "{what}: {error}");
         let read = |name: &str| std::fs::read_to_string(here.join(name)).unwrap();
         assert!(read(own) == read(&format!("again-{own}")), "{what}");
     }
-    assert_eq!(nsim(here, "plot time e.json -o t.svg").0, 0);
-    assert_eq!(nsim(here, "plot energy e.json -o e.svg").0, 0);
-    let (status, _, error) = nsim(here, "plot agreement e.json -o x.svg");
+    assert_eq!(said(here, "plot time e.json -o t.svg").0, 0);
+    assert_eq!(said(here, "plot energy e.json -o e.svg").0, 0);
+    let (status, _, error) = said(here, "plot agreement e.json -o x.svg");
     assert!(status == 3 && error.contains("nsim agree"), "{error}");
-    let (status, _, error) = nsim(here, "plot raster e.json -o x.svg");
+    let (status, _, error) = said(here, "plot raster e.json -o x.svg");
     assert!(status == 2 && error.contains("runs a model"), "{error}");
 }

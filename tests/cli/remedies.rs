@@ -459,46 +459,6 @@ fn each_way_out_of_a_refusal_is_one() {
     }
 }
 
-/// A file of NumPy: 4 channels in 9 steps, of which this many bytes are there.
-fn array(bytes: usize) -> Vec<u8> {
-    let fields = format!("{:<117}\n", "{'descr': '|u1', 'fortran_order': False, 'shape': (4, 9), }");
-    [&b"\x93NUMPY\x01\x00\x76\x00"[..], fields.as_bytes(), &vec![1; bytes]].concat()
-}
-
-#[test]
-fn the_usual_advice_is_followed() {
-    let folder = tempfile::tempdir().unwrap();
-    let here = folder.path();
-    let text = "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), Loihi(name: \
-                \"out\", shape: [2], du: 2048, dv: 512, vth_mant: 8)], projections: [Dense(from: [\"in\"], to: \
-                \"out\", weights: Uniform(low: 10, high: 60, step: 2, seed: 1))], output: \"out\")";
-    write(here, "m.ron", text);
-    std::fs::write(here.join("cut.npy"), array(20)).unwrap();
-    std::fs::write(here.join("whole.npy"), array(36)).unwrap();
-    // A line, what its error advises, and a line that does so.
-    let rows = [
-        ("inspect absent.ron", "check the path", "inspect m.ron"),
-        ("run .", "name a file in it", "run ./m.ron --input whole.npy"),
-        ("run m.ron --input cut.npy", "write the array again with numpy.save", "run m.ron --input whole.npy"),
-        ("run m.ron --input whole.npy?unit=s", "leave the option out", "run m.ron --input whole.npy"),
-        ("map m.ron -o m.ron/x.ron", "name another file", "map m.ron -o x.ron"),
-        ("map m.ron --mapping m.ron", "nsim map MODEL -o FILE", "map m.ron --mapping x.ron"),
-        ("run m.ron --set populations.out.du=5000", "nsim show NAME prints a shipped one", "show vtsnn-slip"),
-        ("sweep m.ron -o t.csv", "nsim inspect FILE says what a file is", "inspect m.ron"),
-    ];
-    for (line, advice, then) in rows {
-        let ran = |line: &str| {
-            let mut command = assert_cmd::Command::cargo_bin("nsim").unwrap();
-            let output = command.args(line.split(' ')).current_dir(here).output().unwrap();
-            (output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).replace("\n  ", " "))
-        };
-        let (status, error) = ran(line);
-        assert!(status == 3 && error.contains(advice), "{line}: {status} {error}");
-        let (status, error) = ran(then);
-        assert_eq!(status, 0, "{then}: {error}");
-    }
-}
-
 /// The texts of a source file that a user may see: its strings, without tests and comments.
 fn strings(text: &str) -> String {
     let text = text.split("#[cfg(test)]").next().unwrap_or_default();
@@ -545,7 +505,8 @@ fn messages_name_options_commands_and_values_that_exist() {
     // Values that this file's tests, or tests/cli/advice.rs, take from the message and set.
     let tried = ["timestep_ms=", "decision=GreatestV", "populations.NAME.start_step=0", "constants.{path}="];
     // Examples of help texts.
-    let tried = [&tried[..], &["PATH=VALUE", "constants.injection_time=", "weight_decay="]].concat();
+    let tried =
+        [&tried[..], &["PATH=VALUE", "constants.injection_time=", "weight_decay=", "layers.touch.size="]].concat();
     let mut wrong = Vec::new();
     let (mut options, mut sets) = (0, 0);
     // A command of the feature ann, which the program under test lacks, and names that are gone,

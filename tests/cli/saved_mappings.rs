@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::common::{Net, format, neuron};
+use crate::common::{Builder, format, neuron};
 use nsim::compile::explore::traffic::traffic;
 use nsim::compile::{Compiled, CopyPlacement, Effort, Objective, Options, Strategy, compile, compile_saved};
 use nsim::dynamics::synapses::Enumerate;
@@ -19,11 +19,11 @@ use nsim::ir::hardware::Target;
 use nsim::ir::placement::Mesh;
 use nsim::ir::program::Program;
 use nsim::ir::quantised::Quantised;
-use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::resource::{Limits, Resource};
 use nsim::session::front::front;
 use nsim::study::mapping::{MeasuredMapping, map_all};
 use nsim::study::suite::cases;
+use nsim_testing::sparse;
 
 /// Those of the suite that a test has time for.
 const SMALL: [&str; 9] = [
@@ -108,23 +108,19 @@ fn the_number_of_threads_changes_no_mapping() {
 /// A recurrent network of `n` compartments, some with an input, and synapses to a few of those that
 /// follow on a ring.
 fn small(n: u32, seed: u64) -> Quantised {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(n));
-    let all = net.loihi(Shape::Line(n), &vec![neuron(1024, 128, 80, 1); n as usize], 0);
+    let mut net = Builder::new();
+    let input = net.input("input", n);
+    let all = net.each("all", Shape::Line(n), &vec![neuron(1024, 128, 80, 1); n as usize], 0);
     let draw = |s: u32, k: u64, m: u64| rng::below(m, seed, u64::from(s), 1_000 + k);
     let listed = |lists: Vec<Vec<u32>>| {
-        let (mut first, mut targets) = (vec![0u64], Vec::new());
-        for mut list in lists {
+        sparse(lists.into_iter().map(|mut list| {
             list.sort_unstable();
             list.dedup();
-            targets.extend(list);
-            first.push(targets.len() as u64);
-        }
-        let weights: Arc<[i16]> = vec![2; targets.len()].into();
-        Connectivity::Sparse { first: first.into(), targets: targets.into(), weights }
+            list.into_iter().map(|target| (target, 2)).collect()
+        }))
     };
     let inputs = (0..n).map(|s| if draw(s, 0, 3) == 0 { vec![s] } else { Vec::new() }).collect();
-    net.project(input, all, format(SignMode::Mixed, 0), 0, listed(inputs));
+    net.connect((input, all), format(SignMode::Mixed, 0), 0, listed(inputs));
     // Numbered across the ring, so that the order of the file is not the order in space.
     let at = |place: u32| place * 5 % n;
     let mut near = vec![Vec::new(); n as usize];
@@ -133,7 +129,7 @@ fn small(n: u32, seed: u64) -> Quantised {
         let targets = (1..=2 + draw(source, 1, 2) as u32).map(|d| at((place + d) % n));
         near[source as usize] = targets.filter(|&t| draw(source, 10 + u64::from(t), 5) > 0).collect();
     }
-    net.project(all, all, format(SignMode::Mixed, 0), 0, listed(near));
+    net.connect((all, all), format(SignMode::Mixed, 0), 0, listed(near));
     net.build()
 }
 

@@ -5,36 +5,13 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::common::random;
-use nsim::compile::reuse::{is_mapped_alike, with_neurons_of};
-use nsim::compile::{Compiled, Options, compile, compile_saved};
-use nsim::files::target::load_target;
-use nsim::ir::base::fixed::{BiasMantissa, Decay, ThresholdMantissa};
-use nsim::ir::graph::PerCompartment;
-use nsim::ir::neurons::NeuronKind;
-use nsim::ir::placement::Mesh;
-use nsim::ir::quantised::{Neuron, Quantised, Units};
-use nsim::ir::resource::Resource;
-use nsim::ir::spikes::Sample;
-use nsim::session::priced::{Metered, SampleRun};
-use nsim::session::samples::Run;
-use serde_json::Value;
-
-fn nsim(folder: &Path, line: &str) -> Command {
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));
-    command.args(line.split(' ')).current_dir(folder);
-    command
-}
+use crate::common::command::{object, said};
 
 /// What a command prints.
 fn ran(folder: &Path, line: &str) -> String {
-    let output = nsim(folder, line).output().unwrap();
-    assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn json(folder: &Path, line: &str) -> Value {
-    serde_json::from_str(&ran(folder, &format!("{line} --format json"))).unwrap()
+    let (status, out, err) = said(folder, line);
+    assert_eq!(status, 0, "{line}: {err}");
+    out
 }
 
 /// The rows of a table, by column.
@@ -108,7 +85,7 @@ fn rows_are_those_of_the_single_commands() {
                 continue;
             }
             let copies = if line.contains("--copies") { "" } else { " --copies 1" };
-            let energy = json(folder, &format!("energy {line}{copies} --baseline rtx-2080-ti --samples 0..2"));
+            let energy = object(folder, &format!("energy {line}{copies} --baseline rtx-2080-ti --samples 0..2"), 0);
             let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
             for figure in ["static_mw", "dynamic_mw", "total_mw", "latency_us", "energy_uj", "edp_pjs"] {
                 let number = cell(row, figure).parse::<f64>().ok();
@@ -117,7 +94,7 @@ fn rows_are_those_of_the_single_commands() {
             let line: Vec<&str> = line.split(" --copies 3 --mode realtime").collect();
             let line = line.concat().replace(" --constants davies2018", "");
             // The reference engine is what runs spike response neurons otherwise.
-            let run = json(folder, &format!("run {line} --engine fast --samples 0..2"));
+            let run = object(folder, &format!("run {line} --engine fast --samples 0..2"), 0);
             for (column, value) in [
                 ("digest", &run["digest"]),
                 ("accuracy", &run["accuracy"]),
@@ -153,7 +130,9 @@ fn threads_shards_and_kills_change_nothing() {
     // Killed at moments that are spread over the run; what was finished is not run again.
     let (mut kept, mut kills) = (0, 0);
     for after in 0..400 {
-        let mut child = nsim(folder, "sweep s.ron -o k.csv --threads 2")
+        let mut child = Command::new(assert_cmd::cargo::cargo_bin("nsim"))
+            .current_dir(folder)
+            .args(["sweep", "s.ron", "-o", "k.csv", "--threads", "2"])
             .stderr(Stdio::null())
             .stdout(Stdio::null())
             .spawn()
@@ -192,13 +171,11 @@ fn threads_shards_and_kills_change_nothing() {
         &part.replacen('7', "8", 1),
     ] {
         std::fs::write(folder.join("bad.csv"), bad).unwrap();
-        let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv bad.csv 3.csv").output().unwrap();
-        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-        assert!(refused.status.code() == Some(3) && said.contains("error[sweep.shard]"), "{bad}: {said}");
+        let (status, _, error) = said(folder, "sweep s.ron -o no.csv --merge 1.csv bad.csv 3.csv");
+        assert!(status == 3 && error.contains("error[sweep.shard]"), "{bad}: {error}");
     }
-    let refused = nsim(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv").output().unwrap();
-    assert_eq!(refused.status.code(), Some(3));
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("variant 2 has no row"));
+    let (status, _, error) = said(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv");
+    assert!(status == 3 && error.contains("variant 2 has no row"), "{error}");
     ran(folder, "sweep s.ron -o p.csv --plot p.svg --axes populations.out.vth_mant,energy_uj");
     assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ)"));
 }
@@ -215,10 +192,9 @@ fn what_no_variant_can_be_run_with_ends_the_sweep() {
         (r#"Sweep(input: ["absent.npy"])"#, "io.missing"),
     ] {
         std::fs::write(folder.join("s.ron"), text).unwrap();
-        let output = nsim(folder, "sweep s.ron --format json").output().unwrap();
-        assert!(!output.status.success(), "{text}");
-        let error: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(error["code"], code, "{text}: {error}");
+        let (status, out, _) = said(folder, "sweep s.ron --format json");
+        let error: serde_json::Value = serde_json::from_str(&out).unwrap();
+        assert!(status != 0 && error["code"] == code, "{text}: {status} {error}");
     }
 }
 
@@ -231,12 +207,7 @@ fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
         Random(from: ["in"], to: "out", fan_out: 2, low: 8, high: 64, seed: 1)], output: "out")"#;
     std::fs::write(folder.join("own.ron"), model).unwrap();
     std::fs::write(folder.join("s.ron"), r#"Sweep(model: "own.ron")"#).unwrap();
-    let refused = |line: &str| -> Value {
-        let output = nsim(folder, &format!("{line} --format json")).output().unwrap();
-        assert!(!output.status.success(), "{line}");
-        serde_json::from_slice(&output.stdout).unwrap()
-    };
-    let (sweep, energy) = (refused("sweep s.ron"), refused("energy own.ron"));
+    let (sweep, energy) = (object(folder, "sweep s.ron", 3), object(folder, "energy own.ron", 3));
     assert_eq!((&sweep["code"], &sweep["message"]), (&energy["code"], &energy["message"]));
     assert_eq!(sweep["code"], "energy.input");
     // The printed remedy.
@@ -247,72 +218,44 @@ fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
     assert_eq!(cell(&table[0], "error"), "");
 }
 
-/// The network with other neurons in the populations whose spikes go nowhere, which are alike where
-/// they were.
-fn with_other_last_neurons(network: &Quantised, variant: i64) -> Quantised {
-    let last = |id| network.outgoing(id).is_empty();
-    let mut parts = network.parts().clone();
-    for (id, population) in parts.populations.ids().zip(parts.populations.clone().iter()) {
-        let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
-        if !last(id) {
-            continue;
-        }
-        let other = |index| {
-            let old = neurons.get(index);
-            let turned = |field: i64, by: i64, size: i64| (field + by * variant) % size;
-            let vth = ThresholdMantissa::new(turned(old.vth.get().into(), 37, 1 << 17)).unwrap();
-            let bias = BiasMantissa::new(turned(i64::from(old.bias_mant.get()) + 4096, 11, 8192) - 4096).unwrap();
-            let decay = |field: Decay, by| Decay::new(turned(field.get().into(), by, 4097)).unwrap();
-            match old.kind {
-                NeuronKind::If => Neuron { vth, bias_mant: bias, ..old },
-                _ => Neuron { vth, bias_mant: bias, du: decay(old.du, 97), dv: decay(old.dv, 1201), ..old },
-            }
-        };
-        let each = PerCompartment::Each((0..population.shape.len()).map(other).collect());
-        parts.populations[id].units = Units::Compartments { first: *first, neurons: each, start_step: *start_step };
-    }
-    Quantised::new(parts).unwrap()
-}
-
-/// Random networks on random cores of a chip: a network on the cores of one that is mapped alike
-/// does what it does when it is compiled afresh.
+/// Hidden sizes are trained, mapped and priced in one table, as the single commands do it.
 #[test]
-fn a_network_on_the_cores_of_another_runs_as_on_its_own() {
-    let target = load_target("loihi1-chip").unwrap();
-    // Cores hold any mix of parameters.
-    let mut limits = target.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
-        (1024, 1024, 1 << 16);
-    limits[Resource::SynapseFormats] = 64;
-    let target = target.with_limits(limits);
-    let (mut reused, mut fired) = (0, 0);
-    for seed in 0..100 {
-        let network = if seed % 4 == 0 { random::convolutional(seed) } else { random::network(seed) };
-        let mapping = random::mapping(&network, &Mesh::for_target(&target), seed);
-        let compiled_afresh = |network: &Quantised| match network.compartments() {
-            0..=1024 => compile_saved(network.clone(), &target, &Options::default(), &mapping),
-            _ => compile(network.clone(), &target, &Options::default()),
-        };
-        let compiled = compiled_afresh(&network).unwrap_or_else(|error| panic!("{seed}: {error}"));
-        let samples = [random::sample(&network, seed), random::sample(&network, seed + 1_000)];
-        let samples: Vec<&Sample> = samples.iter().collect();
-        let ran = |compiled: &Compiled| {
-            let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
-            let metered = Metered::new(compiled);
-            let settings = metered.offline(&target).unwrap().0;
-            let Run { outcomes, activity, meter, .. } = metered.run(settings, run).unwrap();
-            (outcomes, activity, meter.hops(), meter.lanes().to_vec())
-        };
-        for variant in 1..3 {
-            let other = with_other_last_neurons(&network, variant);
-            if !is_mapped_alike(&compiled.one, &other) {
-                continue;
-            }
-            let on_its_cores = ran(&with_neurons_of(&compiled, other.clone(), &target).unwrap());
-            assert_eq!(on_its_cores, ran(&compiled_afresh(&other).unwrap()), "seed {seed}, variant {variant}");
-            reused += 1;
-            fired += on_its_cores.0.iter().map(|outcome| outcome.totals.spikes).sum::<u64>();
-        }
+fn variants_train_networks_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = r#"Sweep(
+        train: "slip-tactile",
+        set: {
+            "train.epochs": 6,
+            "train.train": "[\"scene:slip?samples=60&seed=1\"]",
+            "train.test": "[\"scene:slip?samples=10&seed=2\"]",
+        },
+        grid: [
+            (name: "hidden", paths: ["train.layers.touch.size"], values: [30, 50]),
+            (name: "copies", paths: ["options.copies"], values: [1, 2]),
+        ],
+    )"#;
+    std::fs::write(folder.path().join("sweep.ron"), sweep).unwrap();
+    let table = rows(&ran(folder.path(), "sweep sweep.ron"));
+    assert_eq!(table.len(), 4);
+    let set = "--set layers.touch.size=50 --set epochs=6 --set train=[\"scene:slip?samples=60&seed=1\"] \
+               --set test=[\"scene:slip?samples=10&seed=2\"]";
+    let trained = object(folder.path(), &format!("train slip-tactile {set} -o h50.ron"), 0);
+    let run = object(folder.path(), "run h50.ron --input scene:slip?samples=10&seed=2", 0);
+    assert_eq!(cell(&table[2], "digest"), run["digest"].as_str().unwrap());
+    assert_eq!(run["digest"], trained["digest"]);
+    let energy = object(folder.path(), "energy h50.ron --input scene:slip?samples=10&seed=2 --baseline --copies 2", 0);
+    let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
+    assert_eq!(cell(&table[3], "energy_uj"), total["energy_uj"].to_string());
+    assert_ne!(cell(&table[0], "digest"), cell(&table[2], "digest"));
+    for (text, code) in [
+        (r#"Sweep(train: "slip-tactile", model: "slip-tactile")"#, "sweep.value"),
+        (r#"Sweep(train: "slip-tactile", set: {"populations.out.du": 1})"#, "sweep.path"),
+        (r#"Sweep(set: {"train.epochs": 1})"#, "sweep.path"),
+        (r#"Sweep(train: "slip")"#, "train.unknown"),
+        (r#"Sweep(train: "slip-tactile", set: {"train.layers.nothing.size": 1})"#, "set.path"),
+    ] {
+        std::fs::write(folder.path().join("wrong.ron"), text).unwrap();
+        let (status, _, err) = said(folder.path(), "sweep wrong.ron");
+        assert!(status == 3 && err.contains(code), "{text}: {err}");
     }
-    assert!(reused > 50 && fired > 2_000, "{reused} variants, {fired} spikes");
 }

@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used)]
 
+use crate::common::command::{object, said as ran};
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
 
@@ -60,19 +60,7 @@ fn samples(folder: &Path) {
 }
 
 fn nsim(folder: &Path, arguments: &[&str]) -> Value {
-    let run = Command::new(env!("CARGO_BIN_EXE_nsim"))
-        .current_dir(folder)
-        .args(arguments)
-        .args(["--format", "json"])
-        .output()
-        .unwrap();
-    assert!(
-        run.status.success(),
-        "{arguments:?}: {}{}",
-        String::from_utf8_lossy(&run.stdout),
-        String::from_utf8_lossy(&run.stderr)
-    );
-    serde_json::from_slice(&run.stdout).unwrap()
+    object(folder, arguments, 0)
 }
 
 fn weights(folder: &Path, model: &str) -> Vec<u8> {
@@ -97,13 +85,8 @@ fn threads_and_interruptions_change_nothing() {
     let again = nsim(folder, &["train", "config.ron", "-o", "again.ron", "--checkpoint", "state"]);
     assert_eq!(again["epochs"], 12);
     assert_eq!(weights(folder, "one.ron"), weights(folder, "again.ron"));
-    let other = Command::new(env!("CARGO_BIN_EXE_nsim"))
-        .current_dir(folder)
-        .args(["train", "config.ron", "--seed", "4", "--checkpoint", "state"])
-        .output()
-        .unwrap();
-    assert_eq!(other.status.code(), Some(3));
-    assert!(String::from_utf8_lossy(&other.stderr).contains("other settings"));
+    let (status, _, error) = ran(folder, "train config.ron --seed 4 --checkpoint state");
+    assert!(status == 3 && error.contains("other settings"), "{error}");
 }
 
 /// A checkpoint without what a version without checksums did not write.
@@ -128,15 +111,10 @@ fn a_damaged_checkpoint_is_refused() {
     let good = std::fs::read(folder.join("state")).unwrap();
     let resumed = |file: &[u8]| {
         std::fs::write(folder.join("damaged"), file).unwrap();
-        let run = Command::new(env!("CARGO_BIN_EXE_nsim"))
-            .current_dir(folder)
-            .args(line)
-            .args(["-o", "again.ron", "--force", "--checkpoint", "damaged"])
-            .output()
-            .unwrap();
-        let said = String::from_utf8_lossy(&run.stderr).into_owned();
-        assert!(run.status.success() || said.contains("error[train.checkpoint]") && said.contains("help"), "{said}");
-        run.status.success()
+        let again = ["-o", "again.ron", "--force", "--checkpoint", "damaged"];
+        let (status, _, error) = ran(folder, &[&line[..], &again].concat());
+        assert!(status == 0 || error.contains("error[train.checkpoint]") && error.contains("help"), "{error}");
+        status == 0
     };
     assert!(resumed(&good));
     let old = without_checksum(&good);
@@ -203,13 +181,9 @@ fn outputs_are_read_out_by_their_potential_as_they_were_trained() {
 /// What `nsim train` says of a training file that it refuses.
 fn refused(folder: &Path, config: &str) -> String {
     std::fs::write(folder.join("refused.ron"), config).unwrap();
-    let run = Command::new(env!("CARGO_BIN_EXE_nsim"))
-        .current_dir(folder)
-        .args(["train", "refused.ron", "--epochs", "1"])
-        .output()
-        .unwrap();
-    assert_eq!(run.status.code(), Some(3), "{run:?}");
-    String::from_utf8_lossy(&run.stderr).into_owned()
+    let (status, _, error) = ran(folder, "train refused.ron --epochs 1");
+    assert_eq!(status, 3, "{error}");
+    error
 }
 
 #[test]

@@ -10,10 +10,9 @@
 
 use nsim::ir::base::fixed::SignMode;
 use nsim::ir::base::id::{ChannelId, PopulationId};
-use nsim::ir::graph::Shape;
-use nsim::ir::quantised::connectivity::Connectivity;
+use nsim_testing::sparse;
 
-use super::{Net, format};
+use super::{Builder, format};
 
 /// Channels of a compartment and a sign with exponent 0: the bits 0 to 6.
 const FINE: u32 = 7;
@@ -28,31 +27,29 @@ pub struct Drive {
 
 impl Drive {
     /// Adds the channels to a network that has no input yet.
-    pub fn new(net: &mut Net, compartments: u32) -> Drive {
+    pub fn new(net: &mut Builder, compartments: u32) -> Drive {
         let groups =
             [SignMode::Excitatory, SignMode::Inhibitory].into_iter().flat_map(|sign| [(sign, FINE), (sign, COARSE)]);
         let populations = groups
-            .map(|(sign, channels)| (sign, channels, net.input(Shape::Line(compartments * channels))))
+            .map(|(sign, channels)| {
+                (sign, channels, net.input(&format!("{sign:?}{channels}"), compartments * channels))
+            })
             .collect::<Vec<_>>();
         assert_eq!(populations[0].2, PopulationId(0), "channels are counted from the drive's first");
         Drive { compartments, populations }
     }
 
     /// Connects them to the population that they drive.
-    pub fn connect(&self, net: &mut Net, target: PopulationId) {
+    pub fn connect(&self, net: &mut Builder, target: PopulationId) {
         for &(sign, channels, source) in &self.populations {
             let synapses = self.compartments * channels;
             let weight = |channel: u32| {
                 let magnitude = 1i16 << (channel % channels).min(7);
                 if sign == SignMode::Inhibitory { -magnitude } else { magnitude }
             };
-            let connectivity = Connectivity::Sparse {
-                first: (0..=u64::from(synapses)).collect(),
-                targets: (0..synapses).map(|channel| channel / channels).collect(),
-                weights: (0..synapses).map(weight).collect(),
-            };
+            let connectivity = sparse((0..synapses).map(|channel| vec![(channel / channels, weight(channel))]));
             let exponent = if channels == COARSE { 7 } else { 0 };
-            net.project(source, target, format(sign, exponent), 0, connectivity);
+            net.connect((source, target), format(sign, exponent), 0, connectivity);
         }
     }
 

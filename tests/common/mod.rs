@@ -5,27 +5,24 @@
 // they do.
 #![allow(dead_code, clippy::unwrap_used)]
 
+pub mod command;
+pub mod compare;
 pub mod drive;
 pub mod random;
 
+pub use nsim_testing::Builder;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use nsim::compile::{Options, compile};
-use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::spikes::read_source;
-use nsim::ir::arithmetic::Semantics;
-use nsim::ir::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
-};
-use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
-use nsim::ir::graph::{PerCompartment, Shape};
-use nsim::ir::neurons::Port;
-use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
-use nsim::ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Reset, Units};
-use nsim::ir::resource::Resource;
+use nsim::ir::base::fixed::{BiasExponent, BiasMantissa, Decay, Refractory, SignMode, ThresholdMantissa};
+use nsim::ir::base::id::ChannelId;
+use nsim::ir::base::rng;
+use nsim::ir::quantised::connectivity::SynapseFormat;
+use nsim::ir::quantised::{Neuron, Quantised};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 
@@ -33,27 +30,18 @@ use nsim::machine::{Image, Machine, Settings};
 /// on as few cores as possible, with every core limit but the number of compartments out of the
 /// way.
 pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
-    let chip = load_target("oheo-gulch").unwrap();
-    let mut limits = chip.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
-        (1024, 1024, 64);
-    (limits[Resource::Accumulators], limits[Resource::AxonsIn]) = (1 << 16, 1 << 16);
-    let compiled = compile(network.clone(), &chip.with_limits(limits), &Options::default()).unwrap();
+    let compiled = compile(network.clone(), &compare::roomy("oheo-gulch"), &Options::default()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();
     let machine = |skip| Box::new(Machine::new(&image, Settings { skip, per_step: false }));
     vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]
 }
 
-/// Where recorded data lies: `$NSIM_DATA`, or `../shared/data` beside the repository.
-pub fn data_root() -> PathBuf {
-    std::env::var_os("NSIM_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from)
-}
-
-/// A folder of recorded data; without it a message and nothing, or a failure where
-/// `NSIM_REQUIRE_DATA` is 1.
+/// A folder of recorded data, in `$NSIM_DATA` or `../shared/data` beside the repository; without it
+/// a message and nothing, or a failure where `NSIM_REQUIRE_DATA` is 1.
 pub fn data(folder: &str) -> Option<PathBuf> {
-    let path = data_root().join(folder);
+    let root = std::env::var_os("NSIM_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let path = root.join(folder);
     if path.is_dir() {
         return Some(path);
     }
@@ -72,6 +60,13 @@ pub fn recordings(folder: &Path, parts: &[&str]) -> Vec<Sample> {
             Sample::new(sample.steps, &events, sample.label).unwrap()
         })
         .collect()
+}
+
+/// Spikes by chance: of each channel with its own probability in every step.
+pub fn noise((channels, steps): (u32, u32), seed: u64, rate: impl Fn(u32) -> f64, label: Option<u32>) -> Sample {
+    let all = (0..steps).flat_map(|t| (0..channels).map(move |c| (t, ChannelId(c))));
+    let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate(c.0)).collect();
+    Sample::new(steps, &events, label).unwrap()
 }
 
 /// Says something that is seen even when the test passes: the harness keeps what `println!` prints
@@ -137,84 +132,5 @@ pub fn biased(neuron: Neuron, mantissa: i64, exponent: i64) -> Neuron {
 
 /// Eight bits of this sign mode with this exponent.
 pub fn format(sign: SignMode, exponent: i64) -> SynapseFormat {
-    let (exponent, bits) = (WeightExponent::new(exponent).unwrap(), WeightBits::new(8).unwrap());
-    SynapseFormat { exponent, sign, bits, port: Port::First }
-}
-
-/// A network in the making; the population added last is the output.
-pub struct Net {
-    pub parts: Parts,
-    channels: u32,
-    compartments: u32,
-}
-
-impl Net {
-    /// An empty network with the semantics of the chip.
-    pub fn new() -> Net {
-        let parts = Parts { name: "by hand".to_string(), ..Parts::default() };
-        Net { parts, channels: 0, compartments: 0 }
-    }
-
-    /// The same with other semantics.
-    pub fn with(semantics: Semantics) -> Net {
-        let mut net = Net::new();
-        net.parts.semantics = semantics;
-        net
-    }
-
-    /// Adds input channels.
-    pub fn input(&mut self, shape: Shape) -> PopulationId {
-        let units = Units::Input(ChannelId(self.channels));
-        self.channels += shape.len();
-        self.add(shape, units)
-    }
-
-    /// Adds compartments with their parameters.
-    pub fn loihi(&mut self, shape: Shape, neurons: &[Neuron], start_step: u32) -> PopulationId {
-        assert_eq!(shape.len() as usize, neurons.len());
-        let neurons = PerCompartment::Each(neurons.to_vec());
-        let first = CompartmentId(self.compartments);
-        self.compartments += shape.len();
-        self.parts.output = PopulationId(self.parts.populations.len() as u32);
-        self.add(shape, Units::Compartments { first, neurons, start_step })
-    }
-
-    fn add(&mut self, shape: Shape, units: Units) -> PopulationId {
-        let name = format!("p{}", self.parts.populations.len());
-        self.parts.populations.push(Population { name, shape, units, message: nsim::ir::spikes::Message::Spike })
-    }
-
-    /// Connects two populations.
-    pub fn project(
-        &mut self,
-        source: PopulationId,
-        target: PopulationId,
-        format: SynapseFormat,
-        delay: i64,
-        connectivity: Connectivity,
-    ) {
-        let name = format!("{source} -> {target}");
-        let delay = Delay::new(delay).unwrap();
-        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
-    }
-
-    /// Connects all to all with mixed 8-bit weights `[target][source]`, as model files have them.
-    pub fn dense(&mut self, source: PopulationId, target: PopulationId, delay: i64, weights: &[i64]) {
-        let (sources, targets) =
-            (self.parts.populations[source].shape.len() as usize, self.parts.populations[target].shape.len() as usize);
-        assert_eq!(weights.len(), sources * targets);
-        let by_source = (0..sources).flat_map(|s| (0..targets).map(move |t| weights[t * sources + s] as i16)).collect();
-        let connectivity = Connectivity::Dense { targets: targets as u32, weights: by_source };
-        self.project(source, target, format(SignMode::Mixed, 0), delay, connectivity);
-    }
-
-    /// Resets every population periodically.
-    pub fn reset(&mut self, interval: u32, offset: u32) {
-        self.parts.reset = Some(Reset { interval, offset });
-    }
-
-    /// The network.
-    pub fn build(self) -> Quantised {
-        Quantised::new(self.parts).unwrap()
-    }
+    nsim_testing::format(exponent, sign, 8)
 }

@@ -3,19 +3,21 @@
 
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
 use nsim::ir::base::fixed::{
-    MessageBits, Payload, SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits, WeightExponent,
+    MessageBits, Payload, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits,
+    WeightExponent,
 };
 use nsim::ir::base::id::{ChannelId, IdVec, PopulationId};
 use nsim::ir::base::rng;
 use nsim::ir::graph::{PerCompartment, Shape, Window};
 use nsim::ir::mapping::{MappedCore, MappingFile, Run};
-use nsim::ir::neurons::{Emits, Kept, NeuronKind, ParameterField, Port};
+use nsim::ir::neurons::{Emits, NeuronKind, ParameterField, Port, Storage};
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::spikes::{Message, Sample};
+use nsim_testing::sparse;
 
-use super::{Net, biased, neuron};
+use super::{Builder, biased, neuron};
 
 /// A stream of draws from a seed.
 pub struct Draw {
@@ -137,16 +139,13 @@ fn connectivity(draw: &mut Draw, format: SynapseFormat, source: Shape, target: S
     match draw.from(0, 2) {
         0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| weight(draw, format)).collect() },
         1 => {
-            let (mut first, mut to, mut weights) = (vec![0u64], Vec::new(), Vec::new());
-            for _ in 0..sources {
+            let list = |_| {
                 let mut reached: Vec<u32> =
                     (0..draw.from(0, 6)).map(|_| draw.from(0, i64::from(targets) - 1) as u32).collect();
                 reached.sort_unstable();
-                weights.extend(reached.iter().map(|_| weight(draw, format)));
-                to.extend(reached);
-                first.push(to.len() as u64);
-            }
-            Connectivity::Sparse { first: first.into(), targets: to.into(), weights: weights.into() }
+                reached.into_iter().map(|target| (target, weight(draw, format))).collect()
+            };
+            sparse((0..sources).map(list))
         }
         _ => {
             let (a, b) = (weight(draw, format), weight(draw, format));
@@ -167,7 +166,7 @@ fn connectivity(draw: &mut Draw, format: SynapseFormat, source: Shape, target: S
 pub fn network(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed);
     let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
-    let mut net = Net::with(semantics);
+    let mut net = Builder::with(semantics);
     if draw.chance(20) {
         net.parts.threshold = ThresholdTest::Inclusive;
     }
@@ -178,7 +177,7 @@ pub fn network(seed: u64) -> Quantised {
     let mut ids: Vec<PopulationId> = Vec::new();
     for _ in 0..draw.from(1, 2) {
         let shape = random_shape(draw);
-        ids.push(net.input(shape));
+        ids.push(net.input_shape(&format!("p{}", ids.len()), shape));
         shapes.push(shape);
     }
     let inputs = ids.len();
@@ -188,7 +187,7 @@ pub fn network(seed: u64) -> Quantised {
         let neurons: Vec<Neuron> =
             (0..shape.len()).map(|_| same.unwrap_or_else(|| random_neuron(draw, semantics))).collect();
         let start = if draw.chance(20) { draw.from(0, 12) as u32 } else { 0 };
-        ids.push(net.loihi(shape, &neurons, start));
+        ids.push(net.each(&format!("p{}", ids.len()), shape, &neurons, start));
         shapes.push(shape);
     }
     // Every population of compartments is reached; some twice, some by themselves or by later ones.
@@ -204,7 +203,7 @@ pub fn network(seed: u64) -> Quantised {
                 _ => 0,
             };
             let connectivity = connectivity(draw, format, shapes[source], shapes[target]);
-            net.project(ids[source], ids[target], format, delay, connectivity);
+            net.connect((ids[source], ids[target]), format, delay, connectivity);
         }
     }
     net.build()
@@ -213,7 +212,7 @@ pub fn network(seed: u64) -> Quantised {
 /// A neuron of a kind with random parameters; thresholds are low enough to be reached.
 fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
     let value = |parameter: &ParameterField| {
-        let most = if parameter.kept == Kept::Threshold { 500 } else { 1 << 16 };
+        let most = if parameter.storage == Storage::Threshold { 500 } else { 1 << 16 };
         draw.from(parameter.field.low.max(-most), parameter.field.high.min(most))
     };
     let values: Vec<i64> = kind.parameters().iter().map(value).collect();
@@ -237,6 +236,13 @@ pub fn mixed(seed: u64) -> Quantised {
             Units::Input(_) if draw.chance(50) => {
                 let bits = MessageBits::new(draw.from(2, 24)).unwrap();
                 population.message = Message::Value(bits);
+            }
+            Units::Compartments { neurons, .. } if draw.chance(20) => {
+                let soft = |_, neuron| {
+                    Ok::<_, ()>(Neuron { kind: NeuronKind::SoftReset, refractory: Refractory::ONE, ..neuron })
+                };
+                *neurons = neurons.try_map(soft).unwrap();
+                kinds[id] = NeuronKind::SoftReset;
             }
             Units::Compartments { neurons, .. } if draw.chance(70) => {
                 let kind = draw.one_of(&NeuronKind::ALL[3..]);
@@ -321,13 +327,13 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
 pub fn convolutional(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0xc0_4401);
     let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
-    let mut net = Net::with(semantics);
+    let mut net = Builder::with(semantics);
     if draw.chance(20) {
         net.reset(draw.from(1, 20) as u32, draw.from(0, 5) as u32);
     }
     let mut shape = (draw.from(1, 3) as u32, draw.from(5, 11) as u32, draw.from(5, 11) as u32);
     let volume = |(c, h, w): (u32, u32, u32)| Shape::Volume(c, h, w);
-    let mut layers: Vec<(PopulationId, (u32, u32, u32))> = vec![(net.input(volume(shape)), shape)];
+    let mut layers: Vec<(PopulationId, (u32, u32, u32))> = vec![(net.input_shape("in", volume(shape)), shape)];
     for _ in 0..draw.from(1, 3) {
         let (from, source) = layers[layers.len() - 1];
         let pool = layers.len() > 1 && draw.chance(20);
@@ -346,24 +352,30 @@ pub fn convolutional(seed: u64) -> Quantised {
         let channels = if pool { source.0 } else { groups * draw.from(1, if groups > 1 { 2 } else { 7 }) as u32 };
         shape = (channels, height, width);
         let neuron = ready_neuron(draw, semantics);
-        let to = net.loihi(volume(shape), &vec![neuron; (channels * height * width) as usize], 0);
+        let to = net.each(
+            &format!("layer{}", layers.len()),
+            volume(shape),
+            &vec![neuron; (channels * height * width) as usize],
+            0,
+        );
         let window = Window { source, target: shape, kernel, stride, padding, dilation, groups };
         let format = random_format(draw);
         let connectivity = match pool {
             true => Connectivity::SumPool2d { window, weight: weight(draw, format) },
             false => convolution(draw, window, format),
         };
-        net.project(from, to, format, draw.one_of(&[0, 0, 1, 17, 62]), connectivity);
+        net.connect((from, to), format, draw.one_of(&[0, 0, 1, 17, 62]), connectivity);
         layers.push((to, shape));
     }
     let (last, shape) = layers[layers.len() - 1];
     if layers.len() == 1 {
         let neuron = ready_neuron(draw, semantics);
-        let to = net.loihi(volume(shape), &vec![neuron; volume(shape).len() as usize], 0);
+        let to =
+            net.each(&format!("layer{}", layers.len()), volume(shape), &vec![neuron; volume(shape).len() as usize], 0);
         let window = recurrent(shape, 1);
         let format = random_format(draw);
         let connectivity = convolution(draw, window, format);
-        net.project(last, to, format, 0, connectivity);
+        net.connect((last, to), format, 0, connectivity);
         layers.push((to, shape));
     }
     if draw.chance(40) {
@@ -371,7 +383,7 @@ pub fn convolutional(seed: u64) -> Quantised {
         let window = recurrent(shape, draw.from(1, 3) as u32);
         let format = random_format(draw);
         let connectivity = convolution(draw, window, format);
-        net.project(to, to, format, draw.from(0, 9), connectivity);
+        net.connect((to, to), format, draw.from(0, 9), connectivity);
     }
     net.build()
 }

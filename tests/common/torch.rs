@@ -1,15 +1,16 @@
 //! Checkpoints as torch writes them.
 
 // Each test file is a crate of its own; a helper of tests may unwrap as they do.
-#![allow(clippy::unwrap_used)]
+#![allow(dead_code, clippy::unwrap_used)]
 
 use std::io::Write as _;
 
 /// A tensor of a file.
 pub type Entry = (&'static str, Vec<usize>, Vec<f32>);
 
-/// A checkpoint in torch's zip container.
-pub fn checkpoint(entries: &[Entry]) -> Vec<u8> {
+/// A pickled dictionary of tensors of 32 bits: name, key of its storage, shape (opcodes: CPython
+/// `pickletools.py`).
+pub fn pickle(tensors: impl Iterator<Item = (String, String, Vec<usize>)>) -> Vec<u8> {
     let text = |out: &mut Vec<u8>, text: &str| {
         out.push(b'X');
         out.extend((text.len() as u32).to_le_bytes());
@@ -20,15 +21,14 @@ pub fn checkpoint(entries: &[Entry]) -> Vec<u8> {
         out.extend((number as u32).to_le_bytes());
     };
     let mut pickle = b"\x80\x02}".to_vec();
-    for (key, (name, shape, numbers)) in entries.iter().enumerate() {
-        assert_eq!(shape.iter().product::<usize>(), numbers.len(), "{name}");
-        text(&mut pickle, name);
+    for (name, storage, shape) in tensors {
+        text(&mut pickle, &name);
         pickle.extend(b"ctorch._utils\n_rebuild_tensor_v2\n((");
         text(&mut pickle, "storage");
         pickle.extend(b"ctorch\nFloatStorage\n");
-        text(&mut pickle, &key.to_string());
+        text(&mut pickle, &storage);
         text(&mut pickle, "cpu");
-        number(&mut pickle, numbers.len());
+        number(&mut pickle, shape.iter().product());
         pickle.extend(b"tQ");
         number(&mut pickle, 0);
         pickle.push(b'(');
@@ -38,13 +38,28 @@ pub fn checkpoint(entries: &[Entry]) -> Vec<u8> {
         pickle.extend(b"t\x89ccollections\nOrderedDict\n)RtRs");
     }
     pickle.push(b'.');
+    pickle
+}
+
+/// A checkpoint in torch's zip container: a pickle, and the bytes of its storages by key.
+pub fn archive(pickle: &[u8], storages: impl Iterator<Item = Vec<u8>>) -> Vec<u8> {
     let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
     archive.start_file("a/data.pkl", options).unwrap();
-    archive.write_all(&pickle).unwrap();
-    for (key, (_, _, numbers)) in entries.iter().enumerate() {
+    archive.write_all(pickle).unwrap();
+    for (key, bytes) in storages.enumerate() {
         archive.start_file(format!("a/data/{key}"), options).unwrap();
-        archive.write_all(&numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>()).unwrap();
+        archive.write_all(&bytes).unwrap();
     }
     archive.finish().unwrap().into_inner()
+}
+
+/// A checkpoint of these tensors, each in a storage of its own.
+pub fn checkpoint(entries: &[Entry]) -> Vec<u8> {
+    let tensor = |(key, (name, shape, numbers)): (usize, &Entry)| {
+        assert_eq!(shape.iter().product::<usize>(), numbers.len(), "{name}");
+        ((*name).to_string(), key.to_string(), shape.clone())
+    };
+    let bytes = |(.., numbers): &Entry| numbers.iter().flat_map(|x| x.to_le_bytes()).collect();
+    archive(&pickle(entries.iter().enumerate().map(tensor)), entries.iter().map(bytes))
 }

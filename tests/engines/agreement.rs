@@ -1,10 +1,10 @@
 //! The ladder from a trained network to the machine: both ends are what they claim, and every rung
 //! is real.
 
-use std::path::Path;
+use std::process::Command;
 
-use crate::common::data;
-use assert_cmd::Command;
+use crate::common::command::{object, said};
+use crate::common::{data, noise};
 use nsim::agree::attribution::{as_trained, attribute, distances};
 use nsim::agree::causes::{Cause, Rung};
 use nsim::agree::ladder::{Ladder, layers};
@@ -13,7 +13,6 @@ use nsim::compile::{Options, compile};
 use nsim::files::lower::lower;
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
-use nsim::ir::base::id::ChannelId;
 use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
 use nsim::ir::spikes::{Engine, Sample};
@@ -74,9 +73,7 @@ fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
             class if class == other => weak,
             _ => 0.03,
         };
-        let all = (0..150).flat_map(|t| (0..30).map(move |c| (t, ChannelId(c))));
-        let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate(c.0)).collect();
-        Sample::new(150, &events, Some((seed % 4) as u32)).unwrap()
+        noise((30, 150), seed, rate, Some((seed % 4) as u32))
     };
     seeds.map(one).collect()
 }
@@ -234,12 +231,8 @@ fn with_every_cause_it_is_the_machine_bit_for_bit() {
     let real = graph(REAL);
     is_the_machine(&real, &analytic::starts(&real), &samples(0..6), 500);
     let shipped = lower(&nsim::import::model::load_model("vtsnn-slip").unwrap()).unwrap();
-    let noise = |seed: u64| {
-        let all = (0..150).flat_map(|t| (0..3306).map(move |c| (t, ChannelId(c))));
-        Sample::new(150, &all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < 0.03).collect::<Vec<_>>(), None)
-            .unwrap()
-    };
-    is_the_machine(&shipped, &analytic::starts(&shipped), &[noise(1), noise(2)], 0);
+    let shown = [1, 2].map(|seed| noise((3306, 150), seed, |_| 0.03, None));
+    is_the_machine(&shipped, &analytic::starts(&shipped), &shown, 0);
 }
 
 #[test]
@@ -326,44 +319,24 @@ const SILICON: &str = r#"Network(name: "silicon", timestep_ms: 1.0, populations:
         Dense(from: ["hidden"], to: "out", weights: Npy("DATA/weights_2.npy"))],
     output: "out")"#;
 
-fn agree(folder: &Path, data: &Path, recorded: [&str; 2], steps: &str) -> (Option<i32>, serde_json::Value) {
-    let model = folder.join("silicon.ron");
-    std::fs::write(&model, SILICON.replace("DATA", data.to_str().unwrap())).unwrap();
-    let mut command = Command::cargo_bin("nsim").unwrap();
-    command.arg("agree").arg(&model).arg("--input").arg(data.join("input.npy"));
-    for (population, file) in ["hidden", "out"].iter().zip(recorded) {
-        command.arg("--against").arg(format!("{population}={}", data.join(file).display()));
-    }
-    let out = command.args(["--steps", steps, "--require-exact", "--format", "json"]).output().unwrap();
-    (out.status.code(), serde_json::from_slice(&out.stdout).unwrap())
-}
-
 #[test]
 fn the_recorded_spikes_of_the_chip_agree_exactly() {
     let Some(data) = data("silicon") else { return };
     let data = data.canonicalize().unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let (status, json) = agree(folder.path(), &data, ["hidden_spikes.npy", "output_spikes.npy"], "499");
-    assert_eq!(status, Some(0), "{json:#}");
+    let (folder, at) = (tempfile::tempdir().unwrap(), |file: &str| data.join(file).display().to_string());
+    let input = at("input.npy");
+    std::fs::write(folder.path().join("silicon.ron"), SILICON.replace("DATA", data.to_str().unwrap())).unwrap();
+    let [hidden, out] = [("hidden", "hidden_spikes.npy"), ("out", "output_spikes.npy")]
+        .map(|(population, file)| format!("{population}={}", at(file)));
+    let line = ["agree", "silicon.ron", "--input", &input, "--require-exact", "--against", &hidden];
+    let json = object(folder.path(), &[&line[..], &["--against", &out, "--steps", "499"]].concat(), 0);
     assert_eq!((&json["class_agreement"], &json["layers"][0]["spikes_a"]), (&1.0.into(), &639.into()));
     assert_eq!(
         (&json["layers"][0]["shift"], &json["layers"][1]["first_divergence"]),
         (&0.into(), &serde_json::Value::Null)
     );
-    // A population held against another's recording does not.
-    let model = folder.path().join("silicon.ron");
-    let run = Command::cargo_bin("nsim")
-        .unwrap()
-        .arg("agree")
-        .arg(&model)
-        .arg("--input")
-        .arg(data.join("input.npy"))
-        .arg("--against")
-        .arg(format!("hidden={}", data.join("hidden_spikes.npy").display()))
-        .args(["--require-exact"])
-        .output()
-        .unwrap();
-    assert_eq!(run.status.code(), Some(1), "the recording ends before step 499, in which the chip spiked");
+    // The recording ends before step 499, in which the chip spiked.
+    assert_eq!(said(folder.path(), &line).0, 1);
 }
 
 /// A matrix of multiples of a step.
@@ -374,13 +347,6 @@ fn integers((rows, columns): (u32, u32), step: i64, (low, high): (i64, i64), see
         format!("[{}]", weights.collect::<Vec<_>>().join(", "))
     };
     format!("[{}]", (0..rows).map(row).collect::<Vec<_>>().join(", "))
-}
-
-/// Runs a command of `nsim` in a folder and reads its JSON.
-fn said(folder: &Path, words: &[&str]) -> serde_json::Value {
-    let out = Command::cargo_bin("nsim").unwrap().current_dir(folder).args(words).output().unwrap();
-    assert!(out.status.code() == Some(0), "{words:?}: {}", String::from_utf8_lossy(&out.stderr));
-    serde_json::from_slice(&out.stdout).unwrap()
 }
 
 /// The words of the command that a result names, as a shell splits them.
@@ -423,17 +389,19 @@ fn each_command_that_is_named_does_what_it_says() {
         ("srm.ron", &decided(), None, &["--delayed-copies", "1"]),
     ] {
         std::fs::write(folder.join(name), text).unwrap();
-        let words = [&["agree", name, "--input", NOISE, "--format", "json"], options].concat();
-        let before = said(folder, &words);
+        let words = [&["agree", name, "--input", NOISE], options].concat();
+        let before = object(folder, &words, 0);
         let what = format!("{name} {options:?}: {before:#}");
         assert!(cause.is_none_or(|cause| before["next"]["cause"] == cause), "{what}");
         let words = next_words(&before);
-        let after = said(folder, &words.iter().map(String::as_str).collect::<Vec<_>>());
+        let (status, out, error) = said(folder, &words.join(" "));
+        assert_eq!(status, 0, "{words:?}: {error}");
+        let after: serde_json::Value = serde_json::from_str(&out).unwrap();
         assert!(disagreement(&after) < disagreement(&before) - 0.005, "{words:?}: {what}");
         // The picture is drawn where no option helps.
         if after["next"]["cause"].is_null() && after["next"].is_object() {
             let words = next_words(&after);
-            said(folder, &words.iter().map(String::as_str).collect::<Vec<_>>());
+            assert_eq!(said(folder, &words.join(" ")).0, 0, "{words:?}");
             assert!(std::fs::remove_file(folder.join("first.svg")).is_ok(), "{words:?}");
         }
     }
@@ -445,9 +413,8 @@ fn agree_and_convert_blame_the_same_cause() {
     let folder = folder.path();
     for (name, text) in [("srm.ron", &decided()[..]), ("real.ron", REAL)] {
         std::fs::write(folder.join(name), text).unwrap();
-        let input = ["--input", NOISE, "--format", "json"];
-        let agree = said(folder, &[&["agree", name, "--calibrate", NOISE][..], &input].concat());
-        let convert = said(folder, &[&["convert", name, "--calibrate", NOISE][..], &input].concat());
+        let [agree, convert] = ["agree", "convert"]
+            .map(|command| object(folder, &format!("{command} {name} --calibrate {NOISE} --input {NOISE}"), 0));
         let blamed = |result: &serde_json::Value| -> Vec<(String, serde_json::Value)> {
             let rows = result["lost"].as_array().unwrap().iter();
             rows.map(|row| (row["name"].as_str().unwrap().to_string(), row["cause"].clone())).collect()
@@ -462,7 +429,7 @@ fn agree_and_convert_blame_the_same_cause() {
         projections: [Dense(from: ["in"], to: "h", weights: Uniform(low: -0.2, high: 0.5, seed: 1)),
             Dense(from: ["h"], to: "o", weights: Uniform(low: -0.3, high: 0.8, seed: 2))], output: "o", drain: 1)"#;
     std::fs::write(folder.join("soft.ron"), soft).unwrap();
-    let convert = said(folder, &["convert", "soft.ron", "--input", NOISE, "--format", "json"]);
+    let convert = object(folder, &format!("convert soft.ron --input {NOISE}"), 0);
     let lost = convert["lost"].as_array().unwrap();
     assert!(lost[0]["disagreement"].as_f64().unwrap() > 0.1, "{convert:#}");
     for row in lost.iter().filter(|row| !row["cause"].is_null()) {
@@ -470,40 +437,6 @@ fn agree_and_convert_blame_the_same_cause() {
     }
     assert_eq!(lost[0]["cause"], "hard-reset", "{convert:#}");
     assert!(convert["next"].is_null(), "{convert:#}");
-}
-
-#[test]
-fn a_negative_voltage_that_is_clipped_is_no_reason_to_warn() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    let text = |limits: &str, weights: (i64, i64)| {
-        format!(
-            r#"Network(name: "low", timestep_ms: 1.0, populations: [Input(name: "in", shape: [30]),
-            Loihi(name: "h", shape: [3], du: 1000, dv: 20, vth_mant: 6000, {limits}),
-            Loihi(name: "o", shape: [2], du: 1000, dv: 137, vth_mant: 20)],
-            projections: [Dense(from: ["in"], to: "h", weights: {}, weight_exp: 2),
-                Dense(from: ["h"], to: "o", weights: [[40, 40, 40], [20, 20, 40]])], output: "o")"#,
-            integers((3, 30), 2, weights, 1)
-        )
-    };
-    let words = ["run", "low.ron", "--input", NOISE, "--format", "json"];
-    let clipped = |run: &serde_json::Value| run["populations"][0]["clipped"].as_u64().unwrap();
-    let codes = |run: &serde_json::Value| -> Vec<String> {
-        let rows = run["warnings"].as_array().unwrap().iter();
-        rows.filter(|row| row["population"] == "h").map(|row| row["code"].as_str().unwrap().to_string()).collect()
-    };
-    std::fs::write(folder.join("low.ron"), text("vmin_exp: 10", (-50, 20))).unwrap();
-    let low = said(folder, &words);
-    assert!(clipped(&low) > 100, "{low:#}");
-    assert!(!codes(&low).contains(&"clipped".to_string()), "{low:#}");
-    // Below its threshold a voltage is missed, and more room brings it back.
-    std::fs::write(folder.join("low.ron"), text("vmax_exp: 4", (0, 20))).unwrap();
-    let high = said(folder, &words);
-    let message = high["warnings"].to_string();
-    assert!(codes(&high).contains(&"clipped".to_string()) && message.contains("raise vmax_exp"), "{high:#}");
-    let wide = said(folder, &[&words[..], &["--set", "populations.h.vmax_exp=7"]].concat());
-    assert!(!codes(&wide).contains(&"clipped".to_string()), "{wide:#}");
-    assert!(wide["populations"][0]["spikes"].as_u64() > high["populations"][0]["spikes"].as_u64(), "{wide:#}");
 }
 
 #[test]

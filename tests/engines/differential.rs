@@ -1,14 +1,17 @@
 //! The fast machine against the golden interpreter, bit for bit, on random networks: under three
 //! partitions, with skipping on and off, in 1, 2 and 8 shares run by as many threads.
 
-use crate::common::{Net, format, neuron, random};
-use nsim::compile::{Compiled, DEFAULT_RATE, Form, Options, compile, compile_saved, with_program};
+use std::sync::LazyLock;
+
+use crate::common::compare::{Trace, assert_on_machine, roomy, trace};
+use crate::common::{Builder, format, neuron, random};
+use nsim::compile::{Compiled, DEFAULT_RATE, Form, Front, Options, compile, compile_saved};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::model::load_model;
-use nsim::ir::activity::{Activity, Overflow, Totals};
+use nsim::ir::activity::Activity;
 use nsim::ir::base::fixed::SignMode;
-use nsim::ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim::ir::base::id::ChannelId;
 use nsim::ir::base::rng;
 use nsim::ir::firing_rates::Rates;
 use nsim::ir::graph::{Shape, Window};
@@ -27,134 +30,67 @@ use rayon::prelude::*;
 
 const NETWORKS: u64 = 1000;
 const CONVOLUTIONS: u64 = 500;
-
-/// What an engine showed: after each step the spikes and all of u, v and the probed register.
-#[derive(Debug, PartialEq)]
-struct Trace {
-    steps: Vec<(Vec<CompartmentId>, Vec<[i32; 3]>)>,
-    totals: Totals,
-    overflow: Overflow,
-}
-
-fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> Trace {
-    engine.begin(sample.steps());
-    let mut steps = Vec::new();
-    let mut step = 0;
-    while step < sample.steps() {
-        let next = sample.next_spike(step);
-        if next > step && engine.rest(next - step) {
-            for _ in step..next {
-                steps.push((Vec::new(), registers(engine, compartments)));
-            }
-            step = next;
-            continue;
-        }
-        engine.step(sample.input(step));
-        steps.push((engine.ascending_spikes(), registers(engine, compartments)));
-        step += 1;
-    }
-    Trace { steps, totals: engine.totals(), overflow: engine.overflow() }
-}
-
-fn registers(engine: &dyn Engine, compartments: u32) -> Vec<[i32; 3]> {
-    (0..compartments).map(CompartmentId).map(|c| [engine.u(c), engine.v(c), engine.v_register(c)]).collect()
-}
-
-fn assert_same(golden: &Trace, fast: &Trace, what: &str) {
-    for (step, (g, f)) in golden.steps.iter().zip(&fast.steps).enumerate() {
-        assert_eq!(g.0, f.0, "{what}: spikes of step {step}");
-        if let Some(at) = g.1.iter().zip(&f.1).position(|(g, f)| g != f) {
-            let id = CompartmentId::new(at);
-            panic!("{what}: step {step}, {id}: golden [u, v, register] {:?}, fast {:?}", g.1[at], f.1[at]);
-        }
-    }
-    // Not the traces as a whole: a failure would print them.
-    assert_eq!(golden.steps.len(), fast.steps.len(), "{what}: steps");
-    assert_eq!((golden.totals, golden.overflow), (fast.totals, fast.overflow), "{what}: counts");
-}
+static CHIP: LazyLock<Target> = LazyLock::new(|| roomy("loihi1-chip"));
 
 /// Three partitions: as few cores as possible, at most this many compartments a core, dealt out at
 /// random.
-fn partitions(network: &Quantised, chip: &Target, few: u32, seed: u64) -> Vec<(&'static str, Compiled)> {
+fn partitions(network: &Quantised, few: u32, seed: u64) -> Vec<(&'static str, Compiled)> {
     // Searching for places takes most of the time and decides nothing here; dealt out, cores stand
     // anywhere.
     let options = Options { place: seed.is_multiple_of(8), ..Options::default() };
-    let mut compiled = Vec::new();
-    let mut limits = chip.limits().clone();
-    // Mixed parameters and long delays are not what this test is about: let them share a core.
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
-        (1024, 1024, 1 << 16);
-    limits[Resource::SynapseFormats] = 64;
-    let roomy = chip.clone().with_limits(limits.clone());
-    compiled.push(("sequential", compile(network.clone(), &roomy, &options)));
-    limits[Resource::Compartments] = few;
-    compiled.push(("small cores", compile(network.clone(), &chip.clone().with_limits(limits), &options)));
+    let few = CHIP.limits().clone().with(Resource::Compartments, few);
+    let mut compiled = vec![
+        ("sequential", compile(network.clone(), &CHIP, &options)),
+        ("small cores", compile(network.clone(), &CHIP.clone().with_limits(few), &options)),
+    ];
     // More might be dealt to one core than it holds.
-    if network.compartments() <= chip.limits()[Resource::Compartments] {
-        let mapping = random::mapping(network, &Mesh::for_target(chip), seed);
-        compiled.push(("dealt out", compile_saved(network.clone(), &roomy, &options, &mapping)));
+    if network.compartments() <= CHIP.limits()[Resource::Compartments] {
+        let mapping = random::mapping(network, &Mesh::for_target(&CHIP), seed);
+        compiled.push(("dealt out", compile_saved(network.clone(), &CHIP, &options, &mapping)));
     }
     compiled.into_iter().map(|(name, result)| (name, result.unwrap_or_else(|e| panic!("{seed} {name}: {e}")))).collect()
 }
 
 /// One network on every partition and setting; returns how many spikes it made.
-fn compare(seed: u64, chip: &Target) -> u64 {
+fn compare(seed: u64) -> u64 {
     let network = random::network(seed);
     let sample = random::sample(&network, seed);
-    let n = network.compartments();
-    let golden = trace(&mut Golden::new(&network), n, &sample);
-    compare_on(&golden, &sample, partitions(&network, chip, 5, seed), seed);
+    let golden = trace(&mut Golden::new(&network), &network, &sample);
+    compare_on(&golden, &network, &sample, partitions(&network, 5, seed), seed);
     golden.totals.spikes
 }
 
 /// A golden trace against the machine's on every mapping and setting; returns how many chunks of
 /// shared weights it added.
-fn compare_on(golden: &Trace, sample: &Sample, mapped: Vec<(&'static str, Compiled)>, seed: u64) -> usize {
-    let mut shared = 0;
-    for (name, compiled) in mapped {
-        let n = compiled.program.compartments();
-        let mut counts: Option<Activity> = None;
-        for shares in [1, 2, 8] {
-            let image = Image::new(&compiled.program, shares).unwrap();
-            shared += image.shared_chunks();
-            for (skip, per_step) in [(true, false), (false, true)] {
-                let mut machine = Machine::new(&image, Settings { skip, per_step });
-                let fast = trace(&mut machine, n, sample);
-                let what = format!("network {seed}, {name}, {shares} shares, skip {skip}");
-                assert_same(golden, &fast, &what);
-                let activity = machine.take_activity();
-                assert_eq!(activity.totals(), golden.totals, "{what}: counts by core add up");
-                let expected = counts.get_or_insert_with(|| activity.clone());
-                assert_eq!(&activity, expected, "{what}: counts by core are the program's");
-            }
-        }
-    }
-    shared
+fn compare_on(golden: &Trace, network: &Quantised, sample: &Sample, mapped: Vec<(&str, Compiled)>, seed: u64) -> usize {
+    let compared = |(name, compiled): (&str, Compiled)| {
+        assert_on_machine(network, &compiled.program, sample, golden, &format!("network {seed}, {name}")).1
+    };
+    mapped.into_iter().map(compared).sum()
 }
 
 /// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles,
 /// compartments dealt out, and the program that is written box by box where kernels stay kernels.
 #[test]
 fn random_convolutions_are_the_same_in_both_engines() {
-    let chip = load_target("loihi1-chip").unwrap();
     let board = load_target("nahuku-32").unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
     let compare = |seed: u64| {
         let network = random::convolutional(seed);
         let sample = random::sample(&network, seed);
-        let golden = trace(&mut Golden::new(&network), network.compartments(), &sample);
-        let (mut mapped, mut boxes) = (partitions(&network, &chip, 32, seed), 0);
+        let golden = trace(&mut Golden::new(&network), &network, &sample);
+        let (mut mapped, mut boxes) = (partitions(&network, 32, seed), 0);
         let limits = board.limits().clone().with(Resource::Compartments, 30);
         let small = Options { place: false, ..Options::default() };
         for (name, target) in [("boxes", board.clone()), ("small boxes", board.clone().with_limits(limits))] {
             let rates = Rates::assumed(DEFAULT_RATE);
-            let symbolic = nsim::compile::map(network.clone().into(), &target, &small, &rates, Form::Symbolic);
-            if let Ok(symbolic) = symbolic {
-                mapped.push((name, with_program(symbolic, &target).unwrap()));
+            let front = Front::from(network.clone()).by_kernels();
+            if let Ok(by_kernels) = nsim::compile::map(front, &target, &small, &rates) {
+                mapped.push((name, by_kernels));
                 boxes += 1;
             }
         }
-        (golden.totals.spikes, compare_on(&golden, &sample, mapped, seed), boxes)
+        (golden.totals.spikes, compare_on(&golden, &network, &sample, mapped, seed), boxes)
     };
     let found: Vec<_> = pool.install(|| (0..CONVOLUTIONS).into_par_iter().map(compare).collect());
     let (spiking, shared) = (found.iter().filter(|found| found.0 > 0), found.iter().filter(|found| found.1 > 0));
@@ -164,24 +100,19 @@ fn random_convolutions_are_the_same_in_both_engines() {
 
 #[test]
 fn random_networks_are_the_same_in_both_engines() {
-    let chip = load_target("loihi1-chip").unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
-    let spikes: Vec<u64> = pool.install(|| (0..NETWORKS).into_par_iter().map(|seed| compare(seed, &chip)).collect());
+    let spikes: Vec<u64> = pool.install(|| (0..NETWORKS).into_par_iter().map(compare).collect());
     let silent = spikes.iter().filter(|&&spikes| spikes == 0).count();
     assert!(silent < NETWORKS as usize / 3, "{silent} of {NETWORKS} networks never spike: they test too little");
 }
 
-/// Networks large enough that their lists of synapses take the form of three bytes each, and shares
-/// of them that do not.
 /// What spikes near the ends of samples lose is summed by source over all samples.
 #[test]
 fn counts_taken_after_many_samples_are_those_taken_after_each() {
-    let chip = load_target("loihi1-chip").unwrap();
     let mut shortened = 0;
     for seed in 0..40 {
         let network = random::network(seed);
-        let n = network.compartments();
-        let (_, compiled) = partitions(&network, &chip, 5, seed).swap_remove(1);
+        let (_, compiled) = partitions(&network, 5, seed).swap_remove(1);
         let image = Image::new(&compiled.program, 2).unwrap();
         let machine = || Machine::new(&image, Settings::default());
         let (mut once, mut each, mut golden) = (machine(), machine(), Golden::new(&network));
@@ -190,11 +121,11 @@ fn counts_taken_after_many_samples_are_those_taken_after_each() {
         for k in 0..4 {
             let whole = random::sample(&network, 7 * seed + k);
             let sample = whole.beginning(whole.steps() / (1 + k as u32));
-            let expected = trace(&mut golden, n, &sample);
+            let expected = trace(&mut golden, &network, &sample);
             events += expected.totals.synaptic_events;
             shortened += u64::from(sample.steps() < 20);
             for engine in [&mut once, &mut each] {
-                assert_same(&expected, &trace(engine, n, &sample), &format!("network {seed}, sample {k}"));
+                expected.assert_same(&trace(engine, &network, &sample), &format!("network {seed}, sample {k}"));
             }
             let activity = each.take_activity();
             match &mut sum {
@@ -209,21 +140,16 @@ fn counts_taken_after_many_samples_are_those_taken_after_each() {
     assert!(shortened > 10, "{shortened} short samples");
 }
 
+/// Lists of synapses that take the form of three bytes each, and shares of them that do not.
 #[test]
 fn a_large_random_network_is_the_same_in_both_engines() {
     let sizes = Random { compartments: 4_500, background: 4, driven: 100, period: 30 };
     let bench = random_network("large", sizes, &[0]).unwrap();
-    let n = bench.network.compartments();
-    let golden = trace(&mut Golden::new(&bench.network), n, &bench.period);
+    let network = bench.network;
+    let golden = trace(&mut Golden::new(&network), &network, &bench.period);
     assert!(golden.totals.spikes > 1_000 && golden.totals.synaptic_events > 64_000);
-    let compiled = compile(bench.network, &load_target(bench.target).unwrap(), &Options::default()).unwrap();
-    for shares in [1, 2, 8] {
-        let image = Image::new(&compiled.program, shares).unwrap();
-        for skip in [true, false] {
-            let mut machine = Machine::new(&image, Settings { skip, per_step: false });
-            assert_same(&golden, &trace(&mut machine, n, &bench.period), &format!("{shares} shares, skip {skip}"));
-        }
-    }
+    let compiled = compile(network.clone(), &load_target(bench.target).unwrap(), &Options::default()).unwrap();
+    assert_on_machine(&network, &compiled.program, &bench.period, &golden, "large");
 }
 
 /// Where channels with rows have different numbers of synapses, steps count by a mean, and what
@@ -260,15 +186,15 @@ fn events_of_uneven_rows_are_right_after_every_step() {
 /// One convolution, 3 x 3 over 64 channels to 64, of a square side of inputs, without a border.
 fn wide_convolution(side: u32) -> Quantised {
     let (from, to) = ((64, side, side), (64, side - 2, side - 2));
-    let mut net = Net::new();
-    let input = net.input(Shape::Volume(from.0, from.1, from.2));
+    let mut net = Builder::new();
+    let input = net.input_shape("input", Shape::Volume(from.0, from.1, from.2));
     let neurons = vec![neuron(1024, 128, 300, 2); (to.0 * to.1 * to.2) as usize];
-    let out = net.loihi(Shape::Volume(to.0, to.1, to.2), &neurons, 0);
+    let out = net.each("out", Shape::Volume(to.0, to.1, to.2), &neurons, 0);
     let once = (1, 1);
     let window =
         Window { source: from, target: to, kernel: (3, 3), stride: once, padding: (0, 0), dilation: once, groups: 1 };
     let kernel = (0..64 * 64 * 9).map(|k| rng::below(101, 7, k, 0) as i16 * 2 - 90).collect();
-    net.project(input, out, format(SignMode::Mixed, 0), 0, Connectivity::Conv2d { window, kernel });
+    net.connect((input, out), format(SignMode::Mixed, 0), 0, Connectivity::Conv2d { window, kernel });
     net.build()
 }
 

@@ -2,19 +2,17 @@
 //! steps of the whole sample for every rule, the same on every engine; and what the command line
 //! says of it.
 
-use crate::common;
 use std::num::NonZeroU32;
+use std::path::Path;
 
-use assert_cmd::Command;
+use crate::common;
+use crate::common::command::{self, said};
 use nsim::compile::{Options, compile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::model::load_model;
 use nsim::ir::activity::Activity;
-use nsim::ir::base::id::{ChannelId, CompartmentId};
-use nsim::ir::graph::Shape;
 use nsim::ir::quantised::Quantised;
-use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::front::front;
@@ -87,27 +85,6 @@ fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
 }
 
 #[test]
-fn certainty_that_comes_in_silence_is_found_in_the_same_step_when_silence_is_skipped() {
-    let mut net = common::Net::new();
-    let input = net.input(Shape::Line(2));
-    let out = net.loihi(Shape::Line(2), &[common::neuron(4096, 4096, 10, 1); 2], 0);
-    net.dense(input, out, 0, &[20, 0, 0, 20]);
-    let network = net.build();
-    // Output 1 spikes in steps 2 to 5, then nothing happens until step 15 of 20. Output 0 could
-    // tie, and so win, with four spikes: that is over when three steps are left, after step 16, in
-    // which both stand as they did.
-    let events: Vec<_> = (2..6).map(|step| (step, ChannelId(1))).collect();
-    let sample = Sample::new(20, &events, None).unwrap();
-    for (name, mut engine) in common::engines(&network) {
-        let outcome = run_sample(engine.as_mut(), &sample, &keep(&network, Some(Rule::Certain)), |_, _| ());
-        assert_eq!((outcome.decided_at, outcome.steps, outcome.steps_saved), (Some(16), 17, 3), "{name}");
-        assert_eq!((outcome.class(), outcome.totals.compartment_updates), (Some(1), 2 * 17), "{name}");
-        // At rest from step 7 on: the update of step 6 is the one that forgets.
-        assert_eq!(outcome.skipped_steps, if name == "fast" { 2 + 10 } else { 0 }, "{name}");
-    }
-}
-
-#[test]
 fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
     let Some(data) = common::data("ev-containers") else { return };
     let samples = common::recordings(&data, &["train", "test"]);
@@ -157,15 +134,11 @@ fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
 }
 
 fn nsim(arguments: &[&str]) -> (i32, String, String) {
-    let output = Command::cargo_bin("nsim").unwrap().args(arguments).output().unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
+    said(Path::new("."), arguments)
 }
 
 fn object(arguments: &[&str]) -> Value {
-    let (code, stdout, stderr) = nsim(&[arguments, &["--format", "json"]].concat());
-    assert_eq!(code, 0, "{arguments:?}: {stderr}");
-    serde_json::from_str(&stdout).unwrap()
+    command::object(Path::new("."), arguments, 0)
 }
 
 fn numbers(list: &Value) -> Vec<Option<u64>> {
@@ -205,15 +178,6 @@ fn a_run_says_when_samples_were_decided() {
         assert!(early["activity"]["spikes"].as_u64() < whole["activity"]["spikes"].as_u64());
         if rule == "certain" {
             assert_eq!(early["predicted"], whole["predicted"]);
-        }
-        for more in [["--threads", "2"], ["--skip", "off"], ["--engine", "golden"]] {
-            let other = run(&[&["--early-exit", rule][..], &more].concat());
-            for key in ["digest", "decided_at", "predicted", "output_counts", "timesteps"] {
-                assert_eq!(early[key], other[key], "{rule} {more:?} {key}");
-            }
-            for key in ["spikes_in", "spikes", "synaptic_events", "compartment_updates", "active_updates"] {
-                assert_eq!(early["activity"][key], other["activity"][key], "{rule} {more:?} {key}");
-            }
         }
         let text = nsim(&["run", "container-tactile", "--samples", "0..6", "--early-exit", rule]).1;
         assert!(text.contains(&format!("early exit {rule}: ")), "{text}");
@@ -255,24 +219,4 @@ fn the_energy_saved_is_that_of_the_steps_left_off() {
     assert!(text.contains("early exit 1: ") && text.lines().count() <= 20, "{text}");
     let text = nsim(&["energy", "container-tactile", "--samples", "0..2", "--early-exit", "1", "--full"]).1;
     assert!(text.contains("Early exit 1: "), "{text}");
-}
-
-#[test]
-fn a_compartment_of_another_population_is_no_output() {
-    // The hidden compartment spikes often; only the output's spikes decide.
-    let mut net = common::Net::new();
-    let input = net.input(Shape::Line(1));
-    let hidden = net.loihi(Shape::Line(1), &[common::neuron(4096, 4096, 10, 1)], 0);
-    let out = net.loihi(Shape::Line(1), &[common::neuron(4096, 0, 50, 1)], 0);
-    net.dense(input, hidden, 0, &[20]);
-    net.dense(hidden, out, 0, &[20]);
-    let network = net.build();
-    let sample = Sample::new(12, &(0..12).map(|step| (step, ChannelId(0))).collect::<Vec<_>>(), None).unwrap();
-    for (name, mut engine) in common::engines(&network) {
-        // v = 20, 40, 60 > 50 in steps 1, 2, 3.
-        let outcome = run_sample(engine.as_mut(), &sample, &keep(&network, Some(margin(1))), |engine, _| {
-            assert!(engine.spikes().contains(&CompartmentId(0)));
-        });
-        assert_eq!((outcome.decided_at, outcome.counts), (Some(3), vec![1]), "{name}");
-    }
 }

@@ -3,80 +3,44 @@
 
 use std::path::Path;
 
+use crate::common::compare::{assert_on_machine, roomy, trace, with_neurons};
 use crate::common::random;
 use nsim::compile::{Options, compile};
 use nsim::files::lower::lower;
 use nsim::files::shipped::Origin;
-use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::model::network;
+use nsim::ir::arithmetic::Semantics;
 use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::base::fixed::Decay;
-use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Graph;
 use nsim::ir::neurons::NeuronKind;
-use nsim::ir::quantised::{Neuron, Quantised, Units};
-use nsim::ir::resource::Resource;
-use nsim::ir::spikes::{Engine, Sample};
-use nsim::machine::{Image, Machine, Settings};
+use nsim::ir::quantised::{Neuron, Parts, Quantised, Units};
 use nsim::quantise::prune::{Plan, prune};
 use nsim::quantise::quantise::quantise;
 use nsim::reference::{Model, Options as RealOptions, Reference};
 use nsim::session::decision::Pace;
 
-/// The network with every population of this kind, without memory of currents and without leaks.
+/// The network with every compartment of this kind, without memory of currents and without leaks.
 fn with_kind(network: &Quantised, kind: NeuronKind) -> Quantised {
-    let mut parts = network.parts().clone();
-    parts.semantics = nsim::ir::arithmetic::Semantics::Hardware;
-    for population in parts.populations.iter_mut() {
-        if let Units::Compartments { neurons, .. } = &mut population.units {
-            let neuron = |_, neuron| Ok::<_, ()>(Neuron { kind, du: Decay::MAX, dv: Decay::MIN, ..neuron });
-            *neurons = neurons.try_map(neuron).unwrap();
-        }
-    }
-    Quantised::new(parts).unwrap()
-}
-
-/// Spikes and registers of every step, then the counts.
-fn trace(engine: &mut dyn Engine, compartments: u32, sample: &Sample) -> String {
-    engine.begin(sample.steps());
-    let mut trace = String::new();
-    for step in 0..sample.steps() {
-        engine.step(sample.input(step));
-        let registers = |c| [engine.u(c), engine.v(c), engine.v_register(c)];
-        let all: Vec<[i32; 3]> = (0..compartments).map(CompartmentId).map(registers).collect();
-        trace += &format!("{:?} {all:?}\n", engine.ascending_spikes());
-    }
-    trace + &format!("{:?} {:?}", engine.totals(), engine.overflow())
+    let hardware = Parts { semantics: Semantics::Hardware, ..network.parts().clone() };
+    let simple = |neuron| Neuron { kind, du: Decay::MAX, dv: Decay::MIN, ..neuron };
+    with_neurons(&Quantised::new(hardware).unwrap(), simple)
 }
 
 #[test]
 fn it_equals_a_loihi_compartment_that_forgets_all_current_and_no_voltage() {
-    let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = chip.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
-        (1024, 1024, 1 << 16);
-    limits[Resource::SynapseFormats] = 64;
-    let chip = chip.clone().with_limits(limits);
+    let chip = roomy("loihi1-chip");
     let mut spikes = 0;
     for seed in 0..100 {
         let drawn = random::network(seed);
         let sample = random::sample(&drawn, seed);
         let (loihi, simple) = (with_kind(&drawn, NeuronKind::Loihi), with_kind(&drawn, NeuronKind::If));
-        let n = loihi.compartments();
-        let mut golden = Golden::new(&loihi);
-        let expected = trace(&mut golden, n, &sample);
-        spikes += golden.totals().spikes;
-        assert_eq!(trace(&mut Golden::new(&simple), n, &sample), expected, "golden, network {seed}");
-        let compiled = compile(simple, &chip, &Options::default()).unwrap();
-        for shares in [1, 2, 8] {
-            let image = Image::new(&compiled.program, shares).unwrap();
-            for skip in [true, false] {
-                let mut machine = Machine::new(&image, Settings { skip, per_step: false });
-                let fast = trace(&mut machine, n, &sample);
-                assert_eq!(fast, expected, "network {seed}, {shares} shards, skip {skip}");
-            }
-        }
+        let expected = trace(&mut Golden::new(&loihi), &loihi, &sample);
+        spikes += expected.totals.spikes;
+        expected.assert_same(&trace(&mut Golden::new(&simple), &simple, &sample), &format!("network {seed}, golden"));
+        let program = compile(simple.clone(), &chip, &Options::default()).unwrap().program;
+        assert_on_machine(&simple, &program, &sample, &expected, &format!("network {seed}"));
     }
     assert!(spikes > 10_000, "{spikes}");
 }
@@ -121,13 +85,13 @@ fn a_model_file_names_it_and_every_stage_follows() {
         }
     }
     let sample = random::sample(&a, 3);
-    assert_eq!(trace(&mut Golden::new(&a), 5, &sample), trace(&mut Golden::new(&b), 5, &sample));
+    assert_eq!(trace(&mut Golden::new(&a), &a, &sample), trace(&mut Golden::new(&b), &b, &sample));
     // In real numbers, with bounds for pruning and for early exit.
     let [x, y] = [
         Model::<f64>::new(&loihi, RealOptions::default()).unwrap(),
         Model::<f64>::new(&simple, RealOptions::default()).unwrap(),
     ];
-    assert_eq!(trace(&mut Reference::new(&x), 5, &sample), trace(&mut Reference::new(&y), 5, &sample));
+    assert_eq!(trace(&mut Reference::new(&x), &a, &sample), trace(&mut Reference::new(&y), &b, &sample));
     let [p, q] = [prune(&a, &Plan::fixed()).unwrap(), prune(&b, &Plan::fixed()).unwrap()];
     assert_eq!(p.compartments(), 4, "the third hidden compartment has no positive weight and no bias");
     assert_eq!((p.compartments(), p.synapses()), (q.compartments(), q.synapses()));

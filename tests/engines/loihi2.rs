@@ -4,15 +4,16 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use crate::common::compare::{assert_on_machine, roomy, small_cores, trace};
 use crate::common::random::{self, Draw};
-use crate::common::{Array, Net, data, engines, format};
+use crate::common::{Array, Builder, data, engines, format};
 use nsim::compile::{Options, compile};
 use nsim::dynamics;
 use nsim::files::network::Network;
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::foreign;
-use nsim::ir::activity::{Overflow, Totals};
+use nsim::ir::activity::Overflow;
 use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::base::fixed::{MessageBits, SignMode};
 use nsim::ir::base::id::{ChannelId, CompartmentId};
@@ -20,27 +21,23 @@ use nsim::ir::graph::Shape;
 use nsim::ir::neurons::{Emits, NeuronKind, Port};
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Quantised, Units};
-use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
+use nsim_testing::sparse;
 use rayon::prelude::*;
 use serde_json::Value;
 
 /// Neurons of a kind, each with the inputs of its own as they are.
 fn alone(kind: NeuronKind, rows: &[Vec<i64>]) -> Quantised {
-    let mut net = Net::new();
+    let mut net = Builder::new();
     let count = rows.len() as u32;
     let neurons: Vec<Neuron> = rows.iter().map(|row| dynamics::neuron(kind, row).unwrap()).collect();
-    let inputs: Vec<_> = (0..kind.table().ports).map(|_| net.input(Shape::Line(count))).collect();
-    let target = net.loihi(Shape::Line(count), &neurons, 0);
+    let inputs: Vec<_> = (0..kind.table().ports).map(|port| net.input(&format!("in{port}"), count)).collect();
+    let target = net.each("target", Shape::Line(count), &neurons, 0);
     for (input, port) in inputs.into_iter().zip([Port::First, Port::Second]) {
-        let own = Connectivity::Sparse {
-            first: (0..=u64::from(count)).collect(),
-            targets: (0..count).collect(),
-            weights: vec![1; count as usize].into(),
-        };
-        net.project(input, target, SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, own);
+        let own = sparse((0..count).map(|unit| vec![(unit, 1)]));
+        net.connect((input, target), SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, own);
     }
     for population in net.parts.populations.iter_mut() {
         let values = matches!(population.units, Units::Input(_)) || kind.table().emits == Emits::Values;
@@ -159,24 +156,20 @@ fn recorded_layers_of_resonators_match_bit_for_bit() {
     let [input, direct, behind] = ["s_in", "rf_iz_out", "rf_out"].map(read);
     let [real, imag] = ["weight_real", "weight_imag"].map(read);
     let steps = input.shape[1];
-    let mut net = Net::new();
+    let mut net = Builder::new();
     let neurons = |kind, row: &[i64], count| vec![dynamics::neuron(kind, row).unwrap(); count];
-    let source = net.input(Shape::Line(200));
-    let mut own = net.loihi(Shape::Line(200), &neurons(NeuronKind::RfIz, &[3042, 2426, 70, 6, 12], 200), 0);
+    let source = net.input("source", 200);
+    let mut own = net.each("direct", Shape::Line(200), &neurons(NeuronKind::RfIz, &[3042, 2426, 70, 6, 12], 200), 0);
     for port in [Port::First, Port::Second] {
-        let one = Connectivity::Sparse {
-            first: (0..=200).collect(),
-            targets: (0..200).collect(),
-            weights: vec![1; 200].into(),
-        };
-        net.project(source, own, SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, one);
+        let one = sparse((0..200).map(|unit| vec![(unit, 1)]));
+        net.connect((source, own), SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, one);
     }
-    own = net.loihi(Shape::Line(256), &neurons(NeuronKind::Rf, &[2103, 3273, 1600, 6, 12], 256), 0);
+    own = net.each("behind", Shape::Line(256), &neurons(NeuronKind::Rf, &[2103, 3273, 1600, 6, 12], 256), 0);
     for (port, weights) in [(Port::First, &real), (Port::Second, &imag)] {
         let by_source = (0..200).flat_map(|s| (0..256).map(move |t| weights.at([t, s]) as i16)).collect();
         // Entry t of the input is sent in step t and arrives a step later.
         let dense = Connectivity::Dense { targets: 256, weights: by_source };
-        net.project(source, own, SynapseFormat { port, ..format(SignMode::Mixed, 0) }, 1, dense);
+        net.connect((source, own), SynapseFormat { port, ..format(SignMode::Mixed, 0) }, 1, dense);
     }
     let events: Vec<_> = (0..input.values.len())
         .filter(|&at| input.values[at] != 0)
@@ -248,50 +241,9 @@ fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
     }
 }
 
-/// A message: its source, and what it carries.
-type Sent = (CompartmentId, i32);
-
-/// Everything that an engine shows: after each step its messages and all words; then counts.
-#[derive(Debug, PartialEq)]
-struct Trace {
-    steps: Vec<(Vec<Sent>, Vec<i32>)>,
-    totals: Totals,
-    overflow: Overflow,
-}
-
-fn trace(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> Trace {
-    engine.begin(sample.steps());
-    let mut steps = Vec::new();
-    for step in 0..sample.steps() {
-        if !(sample.at(step).is_empty() && step % 3 == 0 && engine.rest(1)) {
-            engine.step(sample.input(step));
-        }
-        let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
-        let mut sent: Vec<_> = engine.spikes().iter().copied().zip(payloads).collect();
-        sent.sort_unstable();
-        let mut words = Vec::new();
-        for population in network.populations() {
-            let Units::Compartments { first, neurons, .. } = &population.units else { continue };
-            for index in 0..population.shape.len() {
-                let columns = 0..neurons.get(index).kind.table().state.len();
-                words.extend(columns.map(|column| engine.state(CompartmentId(first.0 + index), column)));
-            }
-        }
-        steps.push((sent, words));
-    }
-    Trace { steps, totals: engine.totals(), overflow: engine.overflow() }
-}
-
 #[test]
 fn mixed_networks_are_the_same_in_both_engines() {
-    let chip = load_target("oheo-gulch").unwrap();
-    let mut limits = chip.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
-        (1024, 1024, 64);
-    limits[Resource::AxonsIn] = 1 << 16;
-    let roomy = chip.clone().with_limits(limits.clone());
-    limits[Resource::Compartments] = 7;
-    let small = chip.with_limits(limits);
+    let targets = [("roomy", roomy("oheo-gulch")), ("small cores", small_cores("oheo-gulch", 7))];
     let seen: Vec<(u64, bool)> = (0..1_000u64)
         .into_par_iter()
         .map(|seed| {
@@ -303,21 +255,9 @@ fn mixed_networks_are_the_same_in_both_engines() {
             let sample = Sample::with_values(bare.steps(), &valued, None).unwrap();
             let golden = trace(&mut Golden::new(&network), &network, &sample);
             let options = Options { place: false, ..Options::default() };
-            for (target, what) in [(&roomy, "roomy"), (&small, "small cores")] {
-                let compiled = compile(network.clone(), target, &options).unwrap();
-                for shares in [1, 2, 8] {
-                    let image = Image::new(&compiled.program, shares).unwrap();
-                    for (skip, per_step) in [(true, false), (false, true)] {
-                        let mut machine = Machine::new(&image, Settings { skip, per_step });
-                        let fast = trace(&mut machine, &network, &sample);
-                        for (step, (meant, found)) in golden.steps.iter().zip(&fast.steps).enumerate() {
-                            assert!(meant == found, "{seed}, {what}, {shares} shares, skip {skip}, step {step}");
-                        }
-                        let counts = ((golden.totals, golden.overflow), (fast.totals, fast.overflow));
-                        assert_eq!(counts.0, counts.1, "{seed}, {what}, {shares} shares, skip {skip}");
-                        assert_eq!(machine.take_activity().totals(), golden.totals, "{seed}, {what}");
-                    }
-                }
+            for (what, target) in &targets {
+                let program = compile(network.clone(), target, &options).unwrap().program;
+                assert_on_machine(&network, &program, &sample, &golden, &format!("network {seed}, {what}"));
             }
             let skipped = golden.totals.active_updates < golden.totals.compartment_updates;
             (golden.totals.spikes, skipped && golden.overflow != Overflow::default())

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use crate::common::drive::Drive;
-use crate::common::{Array, Net, biased, data, engines, neuron};
+use crate::common::{Array, Builder, biased, data, engines, neuron};
 use nsim::ir::arithmetic::Semantics;
 use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Shape;
@@ -42,9 +42,9 @@ fn matches_recording(folder: &Path, semantics: Semantics, prefix: &str) {
         })
         .collect();
 
-    let mut net = Net::with(semantics);
+    let mut net = Builder::with(semantics);
     let drive = Drive::new(&mut net, compartments as u32);
-    let target = net.loihi(Shape::Line(compartments as u32), &neurons, 0);
+    let target = net.each("target", Shape::Line(compartments as u32), &neurons, 0);
     drive.connect(&mut net, target);
     for (name, mut engine) in engines(&net.build()) {
         engine.begin(steps as u32);

@@ -1,35 +1,28 @@
 //! The parts of a run add up to its totals, exactly: populations, inputs, cores and timesteps of
 //! random networks, on the machine with 1, 2 and 8 threads and on the golden interpreter.
 
+use crate::common::compare::small_cores;
 use crate::common::random;
 use nsim::compile::{Compiled, Options, compile};
 use nsim::cost::model::{core_time, energy};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
-use nsim::files::recorded::steps::{StepFormat, StepWriter};
-use nsim::files::target::load_target;
+use nsim::files::steps::{StepFormat, StepWriter};
 use nsim::ir::activity::{Overflow, Totals};
 use nsim::ir::base::id::ChannelId;
 use nsim::ir::base::units::{Femtojoules, Picoseconds};
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Quantised;
-use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Sample};
 use nsim::session::cores::core_rows;
 use nsim::session::populations::ByPopulation;
-use nsim::session::priced::{Metered, SampleRun};
+use nsim::session::priced::Metered;
 use nsim::session::samples::{Run, Running, golden};
 use nsim::session::steps::{CELLS, StepLayout, run_recorded};
 use nsim::session::{Keep, Outcome};
 use rayon::ThreadPoolBuilder;
 
-/// A chip whose cores hold few compartments and many kinds of them.
-fn small_cores() -> Target {
-    let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = chip.limits().clone();
-    let kinds = [Resource::CompartmentProfiles, Resource::ThresholdProfiles, Resource::SynapseFormats];
-    kinds.into_iter().for_each(|kind| limits[kind] = 1024);
-    (limits[Resource::Accumulators], limits[Resource::Compartments]) = (1 << 16, 5);
-    chip.with_limits(limits)
+fn target() -> Target {
+    small_cores("loihi1-chip", 5)
 }
 
 fn totals(outcomes: &[Outcome]) -> (Totals, Overflow) {
@@ -59,7 +52,7 @@ fn assert_adds_up(rows: &ByPopulation, network: &Quantised, outcomes: &[Outcome]
 
 #[test]
 fn populations_and_cores_sum_to_the_totals() {
-    let target = small_cores();
+    let target = target();
     let pools: Vec<_> = [1, 2, 8].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap()).into();
     let (mut wrapped, mut clipped, mut spikes) = (0, 0, 0);
     for seed in 0..200 {
@@ -67,7 +60,7 @@ fn populations_and_cores_sum_to_the_totals() {
         let given: Vec<Sample> = (0..5).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let samples: Vec<&Sample> = given.iter().collect();
         let compiled = compile(network.clone(), &target, &Options { place: false, ..Options::default() }).unwrap();
-        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+        let keep = Keep::new(compiled.program.output());
         let expected = pools[1].install(|| golden(&network, &samples, &keep, &|| ()));
         let rows = ByPopulation::new(&network, &expected.counts);
         assert_adds_up(&rows, &network, &expected.outcomes, &format!("network {seed}, golden"));
@@ -98,8 +91,7 @@ fn compare(compiled: &Compiled, target: &Target, samples: &[&Sample], expected: 
         distribution: None,
         by_step: None,
     };
-    let sweep = SampleRun { samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
-    let run = metered.run(settings, sweep).unwrap();
+    let run = metered.run(settings, samples, Running::new(&Keep::new(program.output()))).unwrap();
     let rows = ByPopulation::of_copies(&compiled.one, &run.counts, compiled.options.copies);
     assert_eq!(&rows, expected, "{what}: as the golden interpreter counts");
 
@@ -129,17 +121,16 @@ fn copies_count_together() {
     let network = random::network(3);
     let sample = random::sample(&network, 3);
     let samples = [&sample, &sample];
-    let target = small_cores();
+    let target = target();
     let rows = |copies: u32| {
         let options = Options { copies, place: false, ..Options::default() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
-        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
-        let shown = Copies { copies, channels: network.channels() };
-        let running =
-            Running { keep: &keep, copies: shown, skip: true, per_step: false, progress: &|| (), ranks: None };
+        let keep = Keep::new(compiled.program.output());
+        let copies = Copies { copies, channels: network.channels() };
+        let running = Running { copies, ..Running::new(&keep) };
         let run = nsim::session::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
         let rows = ByPopulation::new(&compiled.one, &run.counts);
-        compare(&compiled, &target, &samples, &rows, &format!("{copies} copies"));
+        compare(&compiled, &target, &samples, &rows, &format!("{} copies", copies.copies));
         rows
     };
     let (one, three) = (rows(1), rows(3));
@@ -163,13 +154,11 @@ fn recorded(
     let metered = Metered::new(compiled);
     let (settings, _) = metered.offline(target).unwrap();
     let layout = StepLayout::new(&compiled.one);
-    let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
-    let running =
-        Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| (), ranks: None };
+    let keep = Keep::new(compiled.program.output());
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let mut file = Vec::new();
     let table = StepWriter::new(&mut file, format, layout.columns(), Some(rows)).unwrap();
-    let (run, written) = run_recorded(&metered, settings, (samples, running), &layout, table).unwrap();
+    let (run, written) = run_recorded(&metered, settings, (samples, Running::new(&keep)), &layout, table).unwrap();
     written.unwrap();
     (run, layout, file)
 }
@@ -215,7 +204,7 @@ fn assert_rows_add_up(compiled: &Compiled, target: &Target, samples: &[&Sample],
 
 #[test]
 fn rows_of_steps_sum_to_the_totals() {
-    let target = small_cores();
+    let target = target();
     let pools: Vec<_> = [1, 8].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap()).into();
     for seed in 0..60 {
         let network = random::network(seed);
@@ -244,7 +233,7 @@ fn rows_of_a_long_sample_sum_to_its_totals() {
     let late = [(steps - 1, ChannelId(0))];
     let long = Sample::new(steps, &[&events[..], &late].concat(), None).unwrap();
     let short = random::sample(&network, 5);
-    let target = small_cores();
+    let target = target();
     let compiled = compile(network, &target, &Options { place: false, ..Options::default() }).unwrap();
     assert_rows_add_up(&compiled, &target, &[&short, &long, &short], "a long sample between short ones");
 }

@@ -5,21 +5,21 @@ use crate::common;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use crate::common::compare::small_cores;
 use crate::common::random::{self, Draw};
-use crate::common::{Net, biased, format, neuron};
+use crate::common::{Builder, biased, format, neuron};
 use nsim::compile::Strategy;
 use nsim::compile::{Options, compile};
-use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
-use nsim::ir::base::fixed::{SignMode, ThresholdMantissa, VmaxExponent, VminExponent};
+use nsim::ir::base::fixed::{Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent};
 use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::ir::graph::{PerCompartment, Shape};
 use nsim::ir::hardware::Target;
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::pruned::Kind;
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
-use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample, Stimulus};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::bound::may_fire;
@@ -47,6 +47,16 @@ fn network(seed: u64) -> Quantised {
                 Neuron { vth, ..neurons.get(index) }
             };
             *neurons = PerCompartment::Each((0..n).map(&mut raised).collect());
+        }
+    }
+    // A reset by subtraction is the chip's arithmetic only.
+    for population in parts.populations.iter_mut().filter(|_| parts.semantics == Semantics::Hardware) {
+        if let Units::Compartments { neurons, .. } = &mut population.units
+            && draw.chance(20)
+        {
+            let soft =
+                |_, neuron| Ok::<_, ()>(Neuron { kind: NeuronKind::SoftReset, refractory: Refractory::ONE, ..neuron });
+            *neurons = neurons.try_map(soft).unwrap();
         }
     }
     for projection in parts.projections.iter_mut() {
@@ -156,15 +166,9 @@ fn count(pruned: &Quantised, counts: &mut Counts) {
     }
 }
 
-/// Everything in its way: the limits are not what these tests are about.
-fn roomy() -> Target {
-    let chip = load_target("loihi1-chip").unwrap();
-    let mut limits = chip.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
-        (1024, 1024, 1 << 16);
-    // A few compartments a core, so that there is something to share out.
-    (limits[Resource::SynapseFormats], limits[Resource::Compartments]) = (64, 5);
-    chip.with_limits(limits)
+/// A few compartments a core, so that there is something to share out.
+fn chip() -> Target {
+    small_cores("oheo-gulch", 5)
 }
 
 /// Mapped in order: how well does not matter here.
@@ -219,14 +223,14 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
             assert_eq!(check_stimulus(&pruned, &[&loud], 0).unwrap_err().code, "input.pruned");
         }
     }
-    let keep = Keep { output: whole.output(), probes: Vec::new(), early_exit: None };
+    let keep = Keep::new(whole.output());
     let outcome = run_sample(&mut golden, &shown, &keep, |_, _| ());
     (fixed, scene, [outcome.totals.spikes, outcome.spikes.len() as u64])
 }
 
 #[test]
 fn pruned_random_networks_spike_as_the_whole_ones() {
-    let chip = roomy();
+    let chip = chip();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
     let results: Vec<_> = pool.install(|| (0..NETWORKS).into_par_iter().map(|seed| compare(seed, &chip)).collect());
     let audible = results.iter().filter(|(.., [_, output])| *output > 0).count();
@@ -255,14 +259,14 @@ fn recorded_touch_is_told_apart_the_same() {
     let Some(data) = common::data("ev-containers") else { return };
     let model = nsim::import::model::load_model("container-tactile").unwrap();
     let whole = nsim::session::front::front(&model).unwrap().into_quantised();
-    let chip = roomy();
+    let chip = chip();
     let samples = common::recordings(&data, &["train", "test"]);
     let digest_of = |network: &Quantised, shares, skip| {
         let compiled = compile(network.clone(), &chip, &plain()).unwrap();
         assert!(compiled.program.cores().len() > 8, "one core or more for each of eight shares");
         let image = Image::new(&compiled.program, shares).unwrap();
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });
-        let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
+        let keep = Keep::new(compiled.program.output());
         let run = || samples.iter().map(|s| run_sample(&mut machine, s, &keep, |_, _| ())).collect();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(shares).build().unwrap();
         let outcomes: Vec<_> = pool.install(run);
@@ -288,7 +292,7 @@ fn recorded_touch_is_told_apart_the_same() {
 fn single(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0xb0bd);
     let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
-    let mut net = Net::with(semantics);
+    let mut net = Builder::with(semantics);
     if draw.chance(30) {
         net.parts.threshold = ThresholdTest::Inclusive;
     }
@@ -296,7 +300,7 @@ fn single(seed: u64) -> Quantised {
         net.reset(draw.from(1, 40) as u32, draw.from(0, 3) as u32);
     }
     let (channels, exponent) = (draw.from(1, 12) as u32, draw.one_of(&[-6, -2, 0, 0, 2, 5, 7]));
-    let inputs = [net.input(Shape::Line(channels)), net.input(Shape::Line(channels))];
+    let inputs = ["up", "down"].map(|name| net.input(name, channels));
     let decay = |draw: &mut Draw| match draw.from(0, 3) {
         0 => draw.one_of(&[0, 1, 4095, 4096]),
         1 => draw.from(1, 40),
@@ -314,13 +318,13 @@ fn single(seed: u64) -> Quantised {
         neuron.vmin = VminExponent::new(draw.from(0, 23)).unwrap();
         neuron.vmax = VmaxExponent::new(draw.from(0, 7)).unwrap();
     }
-    let out = net.loihi(Shape::Line(1), &[neuron], 0);
+    let out = net.each("out", Shape::Line(1), &[neuron], 0);
     for (input, sign) in inputs.into_iter().zip([SignMode::Excitatory, SignMode::Inhibitory]) {
         let most = draw.one_of(&[0, 8, 255]);
         let sign_of = if sign == SignMode::Inhibitory { -1 } else { 1 };
         let weights = (0..channels).map(|_| sign_of * draw.from(0, most) as i16).collect();
         let delay = draw.one_of(&[0, 0, 3]);
-        net.project(input, out, format(sign, exponent), delay, Connectivity::Dense { targets: 1, weights });
+        net.connect((input, out), format(sign, exponent), delay, Connectivity::Dense { targets: 1, weights });
     }
     net.build()
 }
@@ -389,10 +393,10 @@ fn the_bound_is_the_highest_that_v_can_be_driven() {
     // 1 = 7677, v at (7677 - 1) * 4096 / 128 + 1 = 245,633. A threshold of 3,838 * 64 = 245,632 is
     // passed, one of 3,839 * 64 is not.
     for (vth, silent) in [(3838, false), (3839, true)] {
-        let mut net = Net::new();
-        let input = net.input(Shape::Line(2));
-        let out = net.loihi(Shape::Line(1), &[neuron(1024, 128, vth, 1)], 0);
-        net.dense(input, out, 0, &[10, 20]);
+        let mut net = Builder::new();
+        let input = net.input("input", 2);
+        let out = net.each("out", Shape::Line(1), &[neuron(1024, 128, vth, 1)], 0);
+        net.matrix(input, out, 0, &[10, 20]);
         let network = net.build();
         assert_eq!(!may_fire(&network, &vec![false; 2].into())[CompartmentId(0)], silent);
         let mut golden = Golden::new(&network);
@@ -412,11 +416,11 @@ fn what_may_wrap_is_claimed_by_nobody() {
         (Semantics::Hardware, -100, 7, 0, 4096),
         (Semantics::Lava, -100, 7, 0, 4096),
     ] {
-        let mut net = Net::with(semantics);
-        let input = net.input(Shape::Line(2));
-        let out = net.loihi(Shape::Line(1), &[neuron(du, dv, 1, 1)], 0);
+        let mut net = Builder::with(semantics);
+        let input = net.input("input", 2);
+        let out = net.each("out", Shape::Line(1), &[neuron(du, dv, 1, 1)], 0);
         let weights = Connectivity::Dense { targets: 1, weights: [weight; 2].into() };
-        net.project(input, out, format(SignMode::Inhibitory, exponent), 0, weights);
+        net.connect((input, out), format(SignMode::Inhibitory, exponent), 0, weights);
         let network = net.build();
         assert!(may_fire(&network, &vec![false; 2].into())[CompartmentId(0)], "{semantics:?} {weight}");
         let mut golden = Golden::new(&network);

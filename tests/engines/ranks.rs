@@ -2,8 +2,9 @@
 //! energies, bit for bit; and that no rank holds more than its part. Here ranks are threads;
 //! `tests/cli/jobs.rs` starts them as processes.
 
+use crate::common::compare::small_cores;
 use crate::common::random;
-use nsim::compile::{CompileError, Compiled, Options, compile};
+use nsim::compile::{Compiled, Options, compile};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use nsim::files::target::load_target;
 use nsim::ir::arithmetic::ReadOut;
@@ -11,29 +12,17 @@ use nsim::ir::base::units::Picoseconds;
 use nsim::ir::dealt::Share;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::{Output, Parts, Quantised};
-use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Sample};
 use nsim::machine::ranks::threads::ranks;
 use nsim::machine::ranks::transport::Ranks;
 use nsim::session::decision::{EarlyExit, Rule};
-use nsim::session::handed::compile_on;
-use nsim::session::priced::{Metered, SampleRun};
+use nsim::session::priced::Metered;
 use nsim::session::samples::{Run, Running, fast};
 use nsim::session::{Keep, Outcome, Probe, Quantity};
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 200;
 const MOST_RANKS: u32 = 4;
-
-/// A board of several chips whose cores hold a few compartments of any kind.
-fn small_cores(few: u32) -> Target {
-    let board = load_target("nahuku-32").unwrap();
-    let mut limits = board.limits().clone();
-    limits[Resource::Compartments] = few;
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles]) = (1024, 1024);
-    (limits[Resource::SynapseFormats], limits[Resource::Accumulators]) = (64, 1 << 16);
-    board.with_limits(limits)
-}
 
 /// The share of a rank among several; all of it where there is one.
 fn share(rank: u32, ranks: u32, whole: bool) -> Share {
@@ -77,7 +66,7 @@ impl Case {
         let samples = (0..2).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let copies = if seed % 5 == 4 { 3 } else { 1 };
         let what = format!("network {seed}");
-        Case { network, target: small_cores(few), samples, copies, skip: !seed.is_multiple_of(4), what }
+        Case { network, target: small_cores("nahuku-32", few), samples, copies, skip: !seed.is_multiple_of(4), what }
     }
 
     fn compiled(&self, share: Share) -> Compiled {
@@ -85,18 +74,11 @@ impl Case {
         compile(self.network.clone(), &self.target, &options).unwrap_or_else(|e| panic!("{}: {e}", self.what))
     }
 
-    /// As ranks do: the first maps and tells the others.
-    fn handed(&self, share: Share, ranks: Option<&Ranks>) -> Compiled {
-        let options = Options { copies: self.copies, place: false, share, ..Options::default() };
-        let made = compile_on(ranks, self.network.clone(), &self.target, &options);
-        made.unwrap_or_else(|e| panic!("{}: {e}", self.what))
-    }
-
     /// With probes, on parts that are written as such.
     fn plain(&self, count: u32) -> Run<()> {
         let samples: Vec<&Sample> = self.samples.iter().collect();
         on_ranks(count, |rank, ranks| {
-            let compiled = self.handed(share(rank, count, false), ranks);
+            let compiled = self.compiled(share(rank, count, false));
             let program = &compiled.program;
             if count > 1 {
                 let whole = self.compiled(share(rank, count, true));
@@ -106,9 +88,9 @@ impl Case {
             let Output { first, count, .. } = program.output();
             let probe = |quantity| Probe { first, count, quantity };
             let probes = Quantity::ALL.iter().map(|(quantity, _)| probe(*quantity)).collect();
-            let keep = Keep { output: program.output(), probes, early_exit: None };
+            let keep = Keep { probes, ..Keep::new(program.output()) };
             let copies = Copies { copies: self.copies, channels: self.network.channels() };
-            let running = Running { keep: &keep, copies, skip: self.skip, per_step: false, progress: &|| (), ranks };
+            let running = Running { copies, skip: self.skip, ranks, ..Running::new(&keep) };
             fast(program, &samples, running, || ()).unwrap()
         })
     }
@@ -117,7 +99,7 @@ impl Case {
     fn metered(&self, count: u32, rule: Option<Rule>) -> Run<StepMeter> {
         let samples: Vec<&Sample> = self.samples.iter().collect();
         on_ranks(count, |rank, ranks| {
-            let compiled = self.handed(share(rank, count, rank == 0), ranks);
+            let compiled = self.compiled(share(rank, count, rank == 0));
             let metered = Metered::new(&compiled);
             let deployment = Deployment::from_placement(
                 "mapped",
@@ -138,8 +120,9 @@ impl Case {
                 Some(rule) => EarlyExit::new(rule, &compiled.one),
                 None => EarlyExit::watched(Rule::Certain, &compiled.one),
             });
-            let sweep = SampleRun { samples: &samples, early_exit, skip: self.skip, progress: &|| (), ranks };
-            metered.run(settings, sweep).unwrap()
+            let keep = Keep { early_exit, ..Keep::new(compiled.program.output()) };
+            let running = Running { skip: self.skip, ranks, ..Running::new(&keep) };
+            metered.run(settings, &samples, running).unwrap()
         })
     }
 }
@@ -208,11 +191,9 @@ fn threads_of_a_rank_change_nothing() {
         on_ranks(count, |rank, ranks| {
             pool(rank).install(|| {
                 let options = Options { share: share(rank, count, false), ..Options::default() };
-                let compiled = compile_on(ranks, bench.network.clone(), &target, &options).unwrap();
-                let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
-                let running =
-                    Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks };
-                fast(&compiled.program, &samples, running, || ()).unwrap()
+                let compiled = compile(bench.network.clone(), &target, &options).unwrap();
+                let keep = Keep::new(compiled.program.output());
+                fast(&compiled.program, &samples, Running { ranks, ..Running::new(&keep) }, || ()).unwrap()
             })
         })
     };
@@ -224,20 +205,4 @@ fn threads_of_a_rank_change_nothing() {
             several.ranks.iter().fold((0, 0), |(most, all), row| (row.synapses.max(most), all + row.synapses));
         assert!(most * u64::from(count) <= all * 12 / 10, "{most} of {all} synapses on one of {count} ranks");
     }
-}
-
-/// What the first rank finds out is the others' answer too.
-#[test]
-fn what_does_not_fit_is_refused_on_every_rank() {
-    let case = Case::new(1);
-    let board = load_target("loihi1-chip").unwrap();
-    let mut limits = board.limits().clone();
-    limits[Resource::AxonsIn] = 1;
-    let board = board.with_limits(limits);
-    on_ranks(3, |rank, ranks| {
-        let options = Options { share: share(rank, 3, false), ..Options::default() };
-        let refused = compile_on(ranks, case.network.clone(), &board, &options);
-        let Err(CompileError::DoesNotFit(reasons)) = refused else { panic!("rank {rank}: it fits") };
-        assert_eq!(reasons.is_empty(), rank > 0, "the first rank alone says why");
-    });
 }

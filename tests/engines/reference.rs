@@ -1,6 +1,7 @@
 //! The reference engine over whole networks: against SLAYER's own order of operations, and against
 //! the machine where both mean the same.
 
+use crate::common::noise;
 use nsim::files::lower::lower;
 use nsim::golden::Golden;
 use nsim::ir::base::id::{ChannelId, CompartmentId};
@@ -22,9 +23,7 @@ const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [
     output: "o")"#;
 
 fn sample(channels: u32, steps: u32, rate: f64, seed: u64) -> Sample {
-    let all = (0..steps).flat_map(|t| (0..channels).map(move |c| (t, ChannelId(c))));
-    let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate).collect();
-    Sample::new(steps, &events, None).unwrap()
+    noise((channels, steps), seed, |_| rate, None)
 }
 
 /// SLAYER's way: a layer at a time over all steps, kernels before weights (`spike(fc(psp(x)))`).

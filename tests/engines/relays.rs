@@ -4,10 +4,10 @@
 use crate::common;
 use std::collections::BTreeSet;
 
+use crate::common::compare::small_cores;
 use crate::common::random::{self, Draw};
 use nsim::check::relays::check;
 use nsim::compile::{Options, compile};
-use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::ir::base::fixed::{Decay, Delay, Payload, Refractory};
 use nsim::ir::base::id::{CompartmentId, Id, PopulationId, ProjectionId};
@@ -57,16 +57,11 @@ fn with_relays() -> impl Iterator<Item = (u64, Quantised, u32, Relayed)> {
 
 #[test]
 fn original_compartments_spike_as_without_relays() {
-    let chip = load_target("nahuku-32").unwrap();
+    let chip = small_cores("nahuku-32", 7);
     let (mut compared, mut padded, mut spiking, mut deep) = (0, 0, 0, 0);
     for (seed, network, most, Relayed { network: with, later, .. }) in with_relays() {
         check(&network, &with, &later).unwrap_or_else(|error| panic!("{seed}: {error}"));
-        let mut limits = chip.limits().clone();
-        (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::Accumulators]) =
-            (1024, 1024, 1 << 16);
-        limits[Resource::SynapseFormats] = 64;
-        limits[Resource::Compartments] = 7;
-        limits[Resource::AxonsOutPerCompartment] = most;
+        let limits = chip.limits().clone().with(Resource::AxonsOutPerCompartment, most);
         let options = Options { place: false, ..Options::default() };
         let compiled = compile(with.clone(), &chip.clone().with_limits(limits), &options);
         let compiled = compiled.unwrap_or_else(|error| panic!("{seed}, {most} axons: {error}"));
@@ -186,24 +181,25 @@ fn what_relays_cannot_do_is_said() {
     use nsim::ir::graph::Shape;
     let neuron = common::neuron(4096, 4096, 10, 1);
     // All to all among eight, without delay: a circle.
-    let mut net = common::Net::new();
-    let all = net.loihi(Shape::Line(8), &[neuron; 8], 0);
-    net.dense(all, all, 0, &[2; 64]);
+    let mut net = common::Builder::new();
+    let all = net.each("all", Shape::Line(8), &[neuron; 8], 0);
+    net.matrix(all, all, 0, &[2; 64]);
     let refused = relayed(&net.build(), 4).unwrap_err();
     assert_eq!(refused.code, "map.relays");
     assert!(refused.message.contains("(delay 0) needs a delay of 1"), "{}", refused.message);
     // The same with a step of delay.
-    let mut net = common::Net::new();
-    let all = net.loihi(Shape::Line(8), &[neuron; 8], 0);
-    net.dense(all, all, 1, &[2; 64]);
+    let mut net = common::Builder::new();
+    let all = net.each("all", Shape::Line(8), &[neuron; 8], 0);
+    net.matrix(all, all, 1, &[2; 64]);
     let network = net.build();
     let found = relayed(&network, 4).unwrap();
     assert_eq!((found.relays, found.later.as_slice()), (8 * 2, &[0][..]));
     check(&network, &found.network, &found.later).unwrap();
     // A chain is padded.
-    let mut net = common::Net::new();
-    let (from, to) = (net.loihi(Shape::Line(1), &[neuron], 0), net.loihi(Shape::Line(8), &[neuron; 8], 0));
-    net.dense(from, to, 0, &[2; 8]);
+    let mut net = common::Builder::new();
+    let from = net.each("from", Shape::Line(1), &[neuron], 0);
+    let to = net.each("to", Shape::Line(8), &[neuron; 8], 0);
+    net.matrix(from, to, 0, &[2; 8]);
     let network = net.build();
     let found = relayed(&network, 4).unwrap();
     assert_eq!((found.relays, found.later.as_slice()), (2, &[0, 1][..]));

@@ -1,16 +1,22 @@
 //! Stepping does what running does, and a copy of a session goes on from the same step.
 
+use crate::common::compare::roomy;
 use crate::common::random;
 use nsim::compile::{Options, compile};
+use nsim::files::network::Network;
 use nsim::files::target::load_target;
+use nsim::import::model::load_model;
 use nsim::ir::base::fixed::Payload;
 use nsim::ir::base::id::{ChannelId, CompartmentId};
-use nsim::ir::quantised::Quantised;
-use nsim::ir::resource::Resource;
+use nsim::ir::quantised::{Output, Quantised};
 use nsim::ir::spikes::{Copies, Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
+use nsim::session::front::front;
+use nsim::session::inputs::stimulus;
+use nsim::session::obtain::{Request, obtain};
+use nsim::session::samples::{Running, fast};
 use nsim::session::session::Session;
-use nsim::session::{Keep, Probe, Quantity, run_copies};
+use nsim::session::{Keep, Outcome, Probe, Quantity, digest, run_copies};
 
 /// Spikes, u and v of the first copy after a step.
 type Seen = (Vec<(u32, i32)>, Vec<(i32, i32)>);
@@ -44,12 +50,7 @@ fn graded_if(graded: bool, network: &Quantised) -> Quantised {
 
 #[test]
 fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
-    let chip = load_target("oheo-gulch").unwrap();
-    let mut limits = chip.limits().clone();
-    (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
-        (1024, 1024, 64);
-    limits[Resource::Accumulators] = 1 << 16;
-    let chip = chip.with_limits(limits);
+    let chip = roomy("oheo-gulch");
     let (mut spikes, mut graded) = (0, 0);
     for seed in 0..60u64 {
         let network = graded_if(seed.is_multiple_of(4), &random::network(seed));
@@ -60,7 +61,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
         // The obvious way: a run with probes.
         let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
         let probes = [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into();
-        let keep = Keep { output: network.output(), probes, early_exit: None };
+        let keep = Keep { probes, ..Keep::new(network.output()) };
         let mut machine = Machine::new(&image, Settings::default());
         let channels = network.channels();
         let ran = run_copies(&mut machine, &sample, Copies { copies, channels }, &keep, |_, _| ());
@@ -111,4 +112,41 @@ fn a_channel_that_is_not_there_changes_nothing() {
     let mut session = Session::open(&Image::new(&mapped.program, 1).unwrap(), &mapped.one, 1);
     let refused = session.step([(ChannelId(network.channels()), 1)]).unwrap_err();
     assert_eq!((refused.code, session.steps()), ("session.channel", 0));
+}
+
+/// Output spikes of steps in a sample, in the order of the digest.
+fn outputs(session: &mut Session, sample: &Sample, output: Output, steps: std::ops::Range<u32>) -> Vec<(u32, u32)> {
+    let mut spikes = Vec::new();
+    for t in steps {
+        step(session, sample, t);
+        spikes.extend(session.spikes(output.first, output.count).iter().map(|&(unit, _)| (t, unit)));
+    }
+    spikes
+}
+
+#[test]
+fn stepping_is_running_for_every_shipped_model_and_a_snapshot_goes_on_as_before() {
+    let source = ["scene:noise?samples=1&steps=100&seed=1&rate=0.05".to_string()];
+    let mut fired = 0;
+    for model in nsim::files::shipped::MODELS {
+        let network = load_model(model.name).unwrap();
+        let integers = |network: &Network| Ok(front(network)?);
+        let job = obtain(&Request::new(model.name, &network, &integers)).unwrap();
+        let (mapped, _) = job.mapped().unwrap();
+        let sample = &stimulus(&mapped.one, &source, None, None).unwrap().samples[0];
+        let output = mapped.program.output();
+        let ran = fast(&mapped.program, &[sample], Running::new(&Keep::new(output)), || ()).unwrap().outcomes;
+
+        let mut session = Session::open(&Image::new(&mapped.program, 1).unwrap(), &mapped.one, 1);
+        let mut spikes = outputs(&mut session, sample, output, 0..50);
+        let middle = session.clone();
+        let rest = outputs(&mut session, sample, output, 50..sample.steps());
+        session = middle;
+        assert_eq!(outputs(&mut session, sample, output, 50..sample.steps()), rest, "{}: after going back", model.name);
+        spikes.extend(rest);
+        fired += usize::from(!spikes.is_empty());
+        let stepped = Outcome { spikes, ..Outcome::default() };
+        assert_eq!(digest(&[stepped]), digest(&ran), "{}", model.name);
+    }
+    assert!(fired > 10, "{fired} models have output spikes");
 }

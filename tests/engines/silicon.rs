@@ -2,7 +2,7 @@
 //! register.
 
 use crate::common::drive::Drive;
-use crate::common::{Array, Net, data, engines, neuron};
+use crate::common::{Array, Builder, data, engines, neuron};
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
 
@@ -10,10 +10,10 @@ use nsim::ir::graph::Shape;
 /// register after each step. The figures are from slayerPytorch 01beeeb,
 /// `test/test_files/Loihi/LoihiData/LoihiVth05.txt`.
 fn register_trace(vth_mant: i64, refractory: i64, expected: &[i32]) {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(1));
-    let target = net.loihi(Shape::Line(1), &[neuron(1024, 128, vth_mant, refractory)], 0);
-    net.dense(input, target, 0, &[2]);
+    let mut net = Builder::new();
+    let input = net.input("input", 1);
+    let target = net.each("target", Shape::Line(1), &[neuron(1024, 128, vth_mant, refractory)], 0);
+    net.matrix(input, target, 0, &[2]);
     for (name, mut engine) in engines(&net.build()) {
         engine.begin(expected.len() as u32);
         for (step, &register) in expected.iter().enumerate() {
@@ -63,12 +63,12 @@ fn the_recorded_network_equals_the_chip() {
     let steps = 499;
     assert_eq!((input.shape[0], hidden.shape[0], output.shape[0], voltage.shape[0]), (250, 25, 1, steps));
 
-    let mut net = Net::new();
-    let source = net.input(Shape::Line(250));
-    let first = net.loihi(Shape::Line(25), &[neuron(1024, 128, 80, 1); 25], 0);
-    let second = net.loihi(Shape::Line(1), &[neuron(1024, 128, 80, 1)], 0);
-    net.dense(source, first, 0, &read("weights_1.npy").values);
-    net.dense(first, second, 0, &read("weights_2.npy").values);
+    let mut net = Builder::new();
+    let source = net.input("source", 250);
+    let first = net.each("first", Shape::Line(25), &[neuron(1024, 128, 80, 1); 25], 0);
+    let second = net.each("second", Shape::Line(1), &[neuron(1024, 128, 80, 1)], 0);
+    net.matrix(source, first, 0, &read("weights_1.npy").values);
+    net.matrix(first, second, 0, &read("weights_2.npy").values);
 
     for (name, mut engine) in engines(&net.build()) {
         let mut spikes = vec![vec![false; steps]; 26];
@@ -97,9 +97,9 @@ fn a_number_that_is_driven_is_the_number_that_arrives() {
     // The other tests lean on `Drive`; with du and dv 4096 the current is what arrives, so here it
     // is held to itself.
     let numbers = [0, 1, -1, 127, 128, -129, 16_383, 16_384, -16_385, 32_767, -32_768];
-    let mut net = Net::new();
+    let mut net = Builder::new();
     let drive = Drive::new(&mut net, 1);
-    let target = net.loihi(Shape::Line(1), &[neuron(4096, 4096, 131_071, 1)], 0);
+    let target = net.each("target", Shape::Line(1), &[neuron(4096, 4096, 131_071, 1)], 0);
     drive.connect(&mut net, target);
     for (name, mut engine) in engines(&net.build()) {
         engine.begin(numbers.len() as u32);

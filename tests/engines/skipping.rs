@@ -6,7 +6,7 @@ use crate::common;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
 
-use crate::common::{Net, biased, engines, neuron};
+use crate::common::{Builder, biased, engines, neuron};
 use nsim::compile::{Compiled, Options, compile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
@@ -161,11 +161,11 @@ fn spikes_at(steps: u32, at: &[u32]) -> Sample {
 
 /// One channel to one compartment, by a weight of 8 over this delay; thresholds are far above
 /// unless given.
-fn one(neuron: nsim::ir::quantised::Neuron, start_step: u32, delay: i64) -> Net {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(1));
-    let out = net.loihi(Shape::Line(1), &[neuron], start_step);
-    net.dense(input, out, delay, &[8]);
+fn one(neuron: nsim::ir::quantised::Neuron, start_step: u32, delay: i64) -> Builder {
+    let mut net = Builder::new();
+    let input = net.input("input", 1);
+    let out = net.each("out", Shape::Line(1), &[neuron], start_step);
+    net.matrix(input, out, delay, &[8]);
     net
 }
 
@@ -220,12 +220,12 @@ fn a_spike_in_flight_is_waited_for() {
     let (outcome, skipped) = agreed(&one(neuron(4096, 4096, 80, 1), 0, 62).build(), &spikes_at(50, &[3]));
     assert_eq!((skipped, outcome.totals.synaptic_events), (50 - 1, 0));
     // Between compartments: a spike in step 0 arrives in step 6 and is forgotten in step 7.
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(1));
-    let first = net.loihi(Shape::Line(1), &[neuron(4096, 4096, 5, 1)], 0);
-    let second = net.loihi(Shape::Line(1), &[neuron(4096, 4096, 5, 1)], 0);
-    net.dense(input, first, 0, &[8]);
-    net.dense(first, second, 5, &[8]);
+    let mut net = Builder::new();
+    let input = net.input("input", 1);
+    let first = net.each("first", Shape::Line(1), &[neuron(4096, 4096, 5, 1)], 0);
+    let second = net.each("second", Shape::Line(1), &[neuron(4096, 4096, 5, 1)], 0);
+    net.matrix(input, first, 0, &[8]);
+    net.matrix(first, second, 5, &[8]);
     let (outcome, skipped) = agreed(&net.build(), &spikes_at(40, &[0]));
     assert_eq!((skipped, outcome.spikes), (40 - 8, vec![(6, 0)]));
 }

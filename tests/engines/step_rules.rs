@@ -1,7 +1,7 @@
 //! The rules of a timestep that are not arithmetic: when a spike arrives, who is held, what is
 //! reset, what is counted.
 
-use crate::common::{Net, biased, engines, format, neuron};
+use crate::common::{Builder, biased, engines, format, neuron};
 use nsim::ir::activity::Totals;
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
 use nsim::ir::base::fixed::SignMode;
@@ -53,12 +53,12 @@ fn spikes(network: &Quantised, steps: u32, input: &[(u32, u32)]) -> (Vec<(usize,
 fn a_spike_takes_its_delay_and_one_step_more_between_compartments() {
     let relay = neuron(4096, 4096, 1, 1);
     for (d, e) in [(0, 0), (1, 0), (0, 5), (62, 62)] {
-        let mut net = Net::new();
-        let input = net.input(Shape::Line(1));
-        let a = net.loihi(Shape::Line(1), &[relay], 0);
-        let b = net.loihi(Shape::Line(1), &[relay], 0);
-        net.dense(input, a, d, &[2]);
-        net.dense(a, b, e, &[2]);
+        let mut net = Builder::new();
+        let input = net.input("input", 1);
+        let a = net.each("a", Shape::Line(1), &[relay], 0);
+        let b = net.each("b", Shape::Line(1), &[relay], 0);
+        net.matrix(input, a, d, &[2]);
+        net.matrix(a, b, e, &[2]);
         let network = net.build();
         let (d, e) = (d as usize, e as usize);
         let (seen, totals) = spikes(&network, 200, &[(3, 0), (5, 0)]);
@@ -72,23 +72,23 @@ fn a_spike_takes_its_delay_and_one_step_more_between_compartments() {
 
 #[test]
 fn a_loop_sustains_itself_through_the_longest_delay() {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(1));
-    let relay = net.loihi(Shape::Line(1), &[neuron(4096, 4096, 1, 1)], 0);
-    net.dense(input, relay, 0, &[2]);
-    net.dense(relay, relay, 62, &[2]);
+    let mut net = Builder::new();
+    let input = net.input("input", 1);
+    let relay = net.each("relay", Shape::Line(1), &[neuron(4096, 4096, 1, 1)], 0);
+    net.matrix(input, relay, 0, &[2]);
+    net.matrix(relay, relay, 62, &[2]);
     let (seen, _) = spikes(&net.build(), 200, &[(0, 0)]);
     assert_eq!(seen, [(0, 0), (63, 0), (126, 0), (189, 0)]);
 }
 
 #[test]
 fn deliveries_after_the_last_step_are_not_counted() {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(1));
-    let a = net.loihi(Shape::Line(1), &[neuron(4096, 4096, 1, 1)], 0);
-    let b = net.loihi(Shape::Line(3), &[neuron(4096, 4096, 1, 1); 3], 0);
-    net.dense(input, a, 2, &[2]);
-    net.dense(a, b, 0, &[2, 2, 0]);
+    let mut net = Builder::new();
+    let input = net.input("input", 1);
+    let a = net.each("a", Shape::Line(1), &[neuron(4096, 4096, 1, 1)], 0);
+    let b = net.each("b", Shape::Line(3), &[neuron(4096, 4096, 1, 1); 3], 0);
+    net.matrix(input, a, 2, &[2]);
+    net.matrix(a, b, 0, &[2, 2, 0]);
     // Enters a in step 5; its spike would enter b in step 6.
     let network = net.build();
     let events = |steps| spikes(&network, steps, &[(3, 0)]).1.synaptic_events;
@@ -97,10 +97,10 @@ fn deliveries_after_the_last_step_are_not_counted() {
 
 #[test]
 fn a_population_is_held_at_zero_before_its_start() {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(1));
-    let late = net.loihi(Shape::Line(1), &[biased(neuron(4096, 0, 131_071, 1), 10, 0)], 3);
-    net.dense(input, late, 0, &[2]);
+    let mut net = Builder::new();
+    let input = net.input("input", 1);
+    let late = net.each("late", Shape::Line(1), &[biased(neuron(4096, 0, 131_071, 1), 10, 0)], 3);
+    net.matrix(input, late, 0, &[2]);
     let (v, totals) = watch(&net.build(), 6, &[(2, 0), (4, 0)], |engine| engine.v(FIRST));
     // What arrives in step 2 is lost, and so is the bias of three steps.
     assert_eq!(v, [0, 0, 0, 10, 148, 158]);
@@ -109,12 +109,12 @@ fn a_population_is_held_at_zero_before_its_start() {
 
 #[test]
 fn a_reset_zeroes_current_voltage_and_refractory_period_before_the_update() {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(1));
+    let mut net = Builder::new();
+    let input = net.input("input", 1);
     let counting = biased(neuron(0, 0, 131_071, 1), 10, 0);
     let silent = neuron(4096, 4096, 1, 60);
-    let target = net.loihi(Shape::Line(2), &[counting, silent], 2);
-    net.dense(input, target, 0, &[2, 4]);
+    let target = net.each("target", Shape::Line(2), &[counting, silent], 2);
+    net.matrix(input, target, 0, &[2, 4]);
     net.reset(4, 1);
     let input = [(2, 0), (3, 0), (4, 0), (7, 0), (8, 0)];
     let (seen, _) = watch(&net.build(), 10, &input, |engine| {
@@ -140,10 +140,10 @@ fn a_reset_zeroes_current_voltage_and_refractory_period_before_the_update() {
 fn a_refractory_period_of_zero_is_one_on_the_chip_and_for_ever_in_slayer() {
     let input: Vec<_> = (0..8).map(|step| (step, 0)).collect();
     let run = |semantics, refractory| {
-        let mut net = Net::with(semantics);
-        let source = net.input(Shape::Line(1));
-        let target = net.loihi(Shape::Line(1), &[neuron(4096, 77, 1, refractory)], 0);
-        net.dense(source, target, 0, &[2]);
+        let mut net = Builder::with(semantics);
+        let source = net.input("source", 1);
+        let target = net.each("target", Shape::Line(1), &[neuron(4096, 77, 1, refractory)], 0);
+        net.matrix(source, target, 0, &[2]);
         let (seen, _) = watch(&net.build(), 8, &input, |engine| {
             (engine.spikes().len() == 1, engine.v(FIRST), engine.v_register(FIRST))
         });
@@ -167,23 +167,23 @@ fn a_voltage_on_the_threshold_spikes_only_when_the_test_includes_it() {
     for (threshold, expected) in
         [(ThresholdTest::Strict, vec![(2, 0)]), (ThresholdTest::Inclusive, vec![(1, 0), (2, 0)])]
     {
-        let mut net = Net::new();
+        let mut net = Builder::new();
         net.parts.threshold = threshold;
-        let source = net.input(Shape::Line(2));
-        let target = net.loihi(Shape::Line(1), &[neuron(4096, 4096, 2, 1)], 0);
-        net.dense(source, target, 0, &[2, 4]);
+        let source = net.input("source", 2);
+        let target = net.each("target", Shape::Line(1), &[neuron(4096, 4096, 2, 1)], 0);
+        net.matrix(source, target, 0, &[2, 4]);
         assert_eq!(spikes(&net.build(), 4, &[(1, 0), (2, 1)]).0, expected, "{threshold:?}");
     }
 }
 
 #[test]
 fn a_compartment_is_active_unless_nothing_can_move_it() {
-    let mut net = Net::new();
-    let source = net.input(Shape::Line(2));
+    let mut net = Builder::new();
+    let source = net.input("source", 2);
     let plain = neuron(4096, 4096, 131_071, 1);
     let refractory = neuron(4096, 4096, 0, 4);
-    let target = net.loihi(Shape::Line(3), &[plain, refractory, biased(plain, 1, 0)], 0);
-    net.dense(source, target, 0, &[2, -2, 2, -2, 0, 0]);
+    let target = net.each("target", Shape::Line(3), &[plain, refractory, biased(plain, 1, 0)], 0);
+    net.matrix(source, target, 0, &[2, -2, 2, -2, 0, 0]);
     let network = net.build();
     let totals = |input: &[(u32, u32)]| spikes(&network, 10, input).1;
     // A bias keeps its compartment active in all ten steps.
@@ -210,11 +210,11 @@ fn a_convolution_does_not_flip_its_kernel() {
         dilation: (1, 1),
         groups: 1,
     };
-    let mut net = Net::new();
-    let source = net.input(Shape::Volume(1, 2, 3));
-    let target = net.loihi(Shape::Volume(1, 1, 2), &[neuron(4096, 4096, 131_071, 1); 2], 0);
+    let mut net = Builder::new();
+    let source = net.input_shape("source", Shape::Volume(1, 2, 3));
+    let target = net.each("target", Shape::Volume(1, 1, 2), &[neuron(4096, 4096, 131_071, 1); 2], 0);
     let connectivity = Connectivity::Conv2d { window, kernel: [2, 4, 8, 16].into() };
-    net.project(source, target, format(SignMode::Mixed, 0), 0, connectivity);
+    net.connect((source, target), format(SignMode::Mixed, 0), 0, connectivity);
     let input: Vec<_> = (0..6).map(|channel| (channel, channel)).collect();
     let (u, totals) = watch(&net.build(), 6, &input, |engine| [engine.u(FIRST) / 64, engine.u(CompartmentId(1)) / 64]);
     // Channels in order: (0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2).

@@ -1,7 +1,7 @@
 //! The two-modality network of the VT-SNN paper with random weights: every spike of ten samples, as
 //! nengo-loihi, lava and brian2-loihi all give them.
 
-use crate::common::{Array, Net, data, engines, neuron};
+use crate::common::{Array, Builder, data, engines, neuron};
 use nsim::ir::base::id::ChannelId;
 use nsim::ir::graph::Shape;
 
@@ -16,21 +16,21 @@ fn every_spike_equals_that_of_three_other_emulators() {
     assert_eq!((tactile.shape[1], vision.shape[1], hidden.shape[1], output.shape[1]), (156, 3150, 60, 2));
 
     let cuba = neuron(1024, 128, 80, 1);
-    let mut net = Net::new();
-    let touch = net.input(Shape::Line(156));
-    let sight = net.input(Shape::Line(3150));
-    let touched = net.loihi(Shape::Line(50), &[cuba; 50], 0);
-    let seen = net.loihi(Shape::Line(10), &[cuba; 10], 0);
-    let decision = net.loihi(Shape::Line(2), &[cuba; 2], 0);
-    net.dense(touch, touched, 0, &read("weights_tactile.npy").values);
-    net.dense(sight, seen, 0, &read("weights_vision.npy").values);
+    let mut net = Builder::new();
+    let touch = net.input("touch", 156);
+    let sight = net.input("sight", 3150);
+    let touched = net.each("touched", Shape::Line(50), &[cuba; 50], 0);
+    let seen = net.each("seen", Shape::Line(10), &[cuba; 10], 0);
+    let decision = net.each("decision", Shape::Line(2), &[cuba; 2], 0);
+    net.matrix(touch, touched, 0, &read("weights_tactile.npy").values);
+    net.matrix(sight, seen, 0, &read("weights_vision.npy").values);
     // The output's sources are both hidden populations, the tactile one first.
     let weights = read("weights_output.npy");
     let columns = |from: std::ops::Range<usize>| -> Vec<i64> {
         (0..2).flat_map(|t| from.clone().map(move |s| (t, s))).map(|(t, s)| weights.at([t, s])).collect()
     };
-    net.dense(touched, decision, 0, &columns(0..50));
-    net.dense(seen, decision, 0, &columns(50..60));
+    net.matrix(touched, decision, 0, &columns(0..50));
+    net.matrix(seen, decision, 0, &columns(50..60));
 
     for (name, mut engine) in engines(&net.build()) {
         for sample in 0..samples {

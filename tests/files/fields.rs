@@ -1,10 +1,12 @@
-//! The tables of fields in `docs/import.md`: a field that is changed to a value that means
+//! The table of fields in `tests/files/fields.md`: a field that is changed to a value that means
 //! something else changes the model or is refused, and a field without meaning changes nothing.
+//! `docs/import.md` has each field in a row of its layer.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
 use crate::torch::{Entry, checkpoint};
+use crate::tree;
 use nsim::files::lower::lower;
 use nsim::files::network::NetworkFile;
 use nsim::import::foreign;
@@ -21,7 +23,7 @@ struct Row {
 }
 
 fn rows() -> Vec<Row> {
-    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
+    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/files/fields.md")).unwrap();
     let table = text.split("\n## Fields").nth(1).unwrap().split("\n## ").next().unwrap();
     let plain = |cell: &str| cell.trim().trim_matches('`').to_string();
     let cells = table.lines().filter_map(|line| line.strip_prefix('|')).map(|line| line.split('|').collect::<Vec<_>>());
@@ -71,46 +73,38 @@ fn model(root: &Group, options: &Options) -> Option<NetworkFile> {
     Some(model)
 }
 
-const LIF: [(&str, &str); 5] = [
-    ("type", "LIF"),
-    ("tau", "[0.008, 0.008, 0.008]"),
-    ("r", "[8, 8, 8]"),
-    ("v_leak", "[0, 0, 0]"),
-    ("v_threshold", "[1, 1, 1]"),
-];
+const LIF: [(&str, f64); 4] = [("tau", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)];
+const CUBA: [(&str, f64); 5] = [("tau_syn", 0.004), ("tau_mem", 0.008), ("w_in", 4.0), ("r", 8.0), ("v_leak", 0.0)];
 const LINEAR: [(&str, &str); 2] = [("type", "Linear"), ("weight", "[[1, 2, 3, 4], [2, 3, 4, 5], [3, 4, 5, 6]]")];
 
 /// A graph with a node of this type, `x`, that has this field if nodes of the type may have it.
 fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
     let line = |nodes: Vec<(&'static str, Group)>| nodes;
-    let lif = |units: usize| {
-        let list = |x: f64| Numbers::f64(&[units], &vec![x; units]);
-        let node = Group::default().with("type", "LIF").with("tau", list(0.008)).with("r", list(8.0));
-        node.with("v_leak", list(0.0)).with("v_threshold", list(1.0))
-    };
+    let lif = |units: usize| tree::node("LIF", &[units], &LIF);
     // Neurons whose one set of parameters fits any shape.
-    let any = || group(&[("type", "LIF"), ("tau", "[0.008]"), ("r", "[8]"), ("v_leak", "[0]"), ("v_threshold", "[1]")]);
+    let any = || lif(1);
     let (input, output) =
         (|| group(&[("type", "Input"), ("shape", "[4]")]), || group(&[("type", "Output"), ("shape", "[3]")]));
     let image = || group(&[("type", "Input"), ("shape", "[1, 4, 4]")]);
     let end = || group(&[("type", "Output")]);
-    let neuron = |members: &[(&str, &str)]| {
-        line(vec![("i", input()), ("w", group(&LINEAR)), ("x", group(members)), ("o", output())])
+    let neuron = |fields: &[(&str, f64)]| {
+        let node = tree::node(kind, &[3], fields);
+        line(vec![("i", input()), ("w", group(&LINEAR)), ("x", node), ("o", output())])
     };
     let nodes = match kind {
-        "Input" => line(vec![("x", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
-        "Output" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("x", output())]),
-        "Linear" => line(vec![("i", input()), ("x", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
+        "Input" => line(vec![("x", input()), ("w", group(&LINEAR)), ("n", lif(3)), ("o", output())]),
+        "Output" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", lif(3)), ("x", output())]),
+        "Linear" => line(vec![("i", input()), ("x", group(&LINEAR)), ("n", lif(3)), ("o", output())]),
         "Affine" => {
             let affine = group(&[("bias", "[0, 0, 1]"), ("weight", LINEAR[1].1), ("type", "Affine")]);
-            line(vec![("i", input()), ("x", affine), ("n", group(&LIF)), ("o", output())])
+            line(vec![("i", input()), ("x", affine), ("n", lif(3)), ("o", output())])
         }
         "Scale" | "Delay" => {
             let node = match kind {
                 "Scale" => group(&[("type", "Scale"), ("scale", "[1, 2, 3]")]),
                 _ => group(&[("type", "Delay"), ("delay", "[0.001, 0.002, 0]")]),
             };
-            line(vec![("i", input()), ("w", group(&LINEAR)), ("x", node), ("n", group(&LIF)), ("o", output())])
+            line(vec![("i", input()), ("w", group(&LINEAR)), ("x", node), ("n", lif(3)), ("o", output())])
         }
         "Conv2d" => {
             let conv = group(&[
@@ -149,47 +143,29 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
             line(vec![("i", image()), ("x", flatten), ("w", weights), ("n", lif(2)), ("o", end())])
         }
         "LIF" => neuron(&LIF),
-        "CubaLIF" => neuron(&[
-            ("type", "CubaLIF"),
-            ("tau_syn", "[0.004, 0.004, 0.004]"),
-            ("tau_mem", "[0.008, 0.008, 0.008]"),
-            ("w_in", "[4, 4, 4]"),
-            ("r", "[8, 8, 8]"),
-            ("v_leak", "[0, 0, 0]"),
-            ("v_threshold", "[1, 1, 1]"),
-        ]),
-        "IF" => neuron(&[("type", "IF"), ("r", "[1, 1, 1]"), ("v_threshold", "[1, 1, 1]")]),
-        "Threshold" => neuron(&[("type", "Threshold"), ("threshold", "[1, 1, 1]")]),
-        "LI" => {
-            neuron(&[("type", "LI"), ("tau", "[0.008, 0.008, 0.008]"), ("r", "[8, 8, 8]"), ("v_leak", "[0, 0, 0]")])
-        }
-        "CubaLI" => neuron(&[
-            ("type", "CubaLI"),
-            ("tau_syn", "[0.004, 0.004, 0.004]"),
-            ("tau_mem", "[0.008, 0.008, 0.008]"),
-            ("w_in", "[4, 4, 4]"),
-            ("r", "[8, 8, 8]"),
-            ("v_leak", "[0, 0, 0]"),
-        ]),
-        "NIRGraph" | "file" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", group(&LIF)), ("o", output())]),
-        "I" => neuron(&[("type", "I"), ("r", "[1, 1, 1]")]),
+        "CubaLIF" => neuron(&[&CUBA[..], &[("v_threshold", 1.0)]].concat()),
+        "IF" => neuron(&[("r", 1.0), ("v_threshold", 1.0)]),
+        "Threshold" => neuron(&[("threshold", 1.0)]),
+        "LI" => neuron(&LIF[..3]),
+        "CubaLI" => neuron(&CUBA),
+        "I" => neuron(&[("r", 1.0)]),
+        "NIRGraph" | "file" => line(vec![("i", input()), ("w", group(&LINEAR)), ("n", lif(3)), ("o", output())]),
         other => panic!("no graph with a node {other}"),
     };
-    let edges: Vec<String> = nodes.windows(2).flat_map(|pair| [pair[0].0.to_string(), pair[1].0.to_string()]).collect();
-    let mut all = Group::default();
-    for (name, mut node) in nodes {
+    let edges: Vec<(&str, &str)> = nodes.windows(2).map(|pair| (pair[0].0, pair[1].0)).collect();
+    let changed = |(name, mut node): (&'static str, Group)| {
         if let Some((field, value)) = change.filter(|_| name == "x") {
-            node.items.insert((*field).to_string(), value.clone());
+            node.insert(field, value.clone());
         }
-        all = all.with(name, node);
+        (name, node)
+    };
+    let mut root = tree::nir(nodes.into_iter().map(changed), edges);
+    match (change, root.items.get_mut("node")) {
+        (Some((field, value)), Some(Item::Group(graph))) if kind == "NIRGraph" => graph.insert(field, value.clone()),
+        (Some((field, value)), _) if kind == "file" => root.insert(field, value.clone()),
+        _ => {}
     }
-    let edges = Item::Texts(vec![edges.len() / 2, 2], edges);
-    let graph = Group::default().with("type", "NIRGraph").with("nodes", all).with("edges", edges);
-    match change {
-        Some((field, value)) if kind == "NIRGraph" => Group::default().with("node", graph.with(field, value.clone())),
-        Some((field, value)) if kind == "file" => Group::default().with("node", graph).with(field, value.clone()),
-        _ => Group::default().with("node", graph),
-    }
+    root
 }
 
 /// A netx file of an input, a convolution and a dense layer, with a field of one of them, or of the
@@ -197,7 +173,7 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
 fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     let changed = |mut group: Group, name: &str| {
         if let Some((field, value)) = change.filter(|_| owner == name) {
-            group.items.insert((*field).to_string(), value.clone());
+            group.insert(field, value.clone());
         }
         group
     };
@@ -280,17 +256,6 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     }
     let simulation = changed(group(&[("Ts", "1")]), "simulation");
     Group::default().with("layer", layers).with("simulation", simulation)
-}
-
-/// A 3 x 3 image of 32-bit reals.
-fn npy_image() -> Vec<u8> {
-    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }";
-    let mut file = b"\x93NUMPY\x01\0".to_vec();
-    file.extend((header.len() as u16 + 1).to_le_bytes());
-    file.extend(header.bytes());
-    file.push(b'\n');
-    file.extend((0..9u8).flat_map(|i| (f32::from(i) / 9.0).to_le_bytes()));
-    file
 }
 
 /// A set of weights as VT_SNN saves them, or a state dict for neurons of real numbers, with a
@@ -392,6 +357,20 @@ fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<NetworkFi
     Some(model)
 }
 
+/// Tensors of state dicts have names of their own; the page lists them by tool.
+#[test]
+fn each_field_is_described_in_the_row_of_its_layer() {
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
+    let described: Vec<(&str, &str)> =
+        page.lines().filter_map(|line| line.strip_prefix("| ")?.split_once(" | ")).collect();
+    for Row { owner, field, .. } in rows() {
+        let (format, kind) = owner.split_once(' ').unwrap();
+        let of_layer = |layers: &str| layers.split(", ").any(|layer| layer == kind);
+        let found = described.iter().any(|(layers, fields)| of_layer(layers) && fields.contains(&format!("`{field}`")));
+        assert!(format == "torch" || found, "docs/import.md has no `{field}` in a row of {owner}");
+    }
+}
+
 #[test]
 fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
     let rows = rows();
@@ -401,7 +380,8 @@ fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
     let options = Options { dt_ms: Some(1.0), ..Options::default() };
     let folder = tempfile::tempdir().unwrap();
     let image = folder.path().join("image.npy");
-    std::fs::write(&image, npy_image()).unwrap();
+    let pixels = (0..9u8).map(|i| f64::from(i) / 9.0);
+    nsim::files::npy::write(std::fs::File::create(&image).unwrap(), &[3, 3], pixels).unwrap();
     for Row { owner, field, other } in &rows {
         let (format, kind) = owner.split_once(' ').unwrap();
         let value = if other == "-" { "7" } else { other };

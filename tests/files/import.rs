@@ -2,6 +2,7 @@
 //! tools recorded.
 
 use crate::common;
+use crate::tree::{int, ints, typed};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -109,18 +110,9 @@ fn an_image_drives_the_input_layer_as_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("image.npy");
     let pixel = |y: usize, x: usize, c: usize| (drive.real((x * 16 + y) * 3 + c) + 2.0 + 0.25) / 72.0;
-    let mut text = String::from("{'descr': '<f8', 'fortran_order': False, 'shape': (16, 16, 3), }");
-    while (10 + text.len() + 1) % 64 != 0 {
-        text.push(' ');
-    }
-    text.push('\n');
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((text.len() as u16).to_le_bytes());
-    bytes.extend(text.bytes());
-    for (y, x, c) in (0..16).flat_map(|y| (0..16).flat_map(move |x| (0..3).map(move |c| (y, x, c)))) {
-        bytes.extend(pixel(y, x, c).to_le_bytes());
-    }
-    std::fs::write(&path, bytes).unwrap();
+    let places = (0..16).flat_map(|y| (0..16).flat_map(move |x| (0..3).map(move |c| (y, x, c))));
+    let pixels = places.map(|(y, x, c)| pixel(y, x, c));
+    npy::write(std::fs::File::create(&path).unwrap(), &[16, 16, 3], pixels).unwrap();
     let network = import(&data.join("network.net"), &Options { image: Some(path), ..Options::default() });
     assert_eq!(spikes(&network, "input", 16, []), of_array(&data.join("input.npy"), 0));
     assert_eq!(spikes(&network, "layer1", 17, []), of_array(&data.join("layer1.npy"), 1));
@@ -183,31 +175,18 @@ fn a_set_of_weights_of_vtsnn_gives_what_three_emulators_gave() {
     }
 }
 
-/// Members of a group in a row.
-fn group<const N: usize>(members: [(&str, Item); N]) -> Group {
-    members.into_iter().fold(Group::default(), |group, (name, item)| group.with(name, item))
+fn floats(shape: &[usize], x: &[i64]) -> Numbers {
+    Numbers::f32(shape, &x.iter().map(|&x| x as f32).collect::<Vec<_>>())
 }
 
-fn int(x: i64) -> Item {
-    Numbers::i64(&[], &[x]).into()
+fn cuba(du: i64, dv: i64, vth: i64) -> Group {
+    let decays = typed("CUBA").with("iDecay", int(du)).with("vDecay", int(dv));
+    decays.with("vThMant", int(vth)).with("refDelay", int(1))
 }
 
-fn ints(x: &[i64]) -> Item {
-    Numbers::i64(&[x.len()], x).into()
-}
-
-fn floats(shape: &[usize], x: &[i64]) -> Item {
-    Numbers::f32(shape, &x.iter().map(|&x| x as f32).collect::<Vec<_>>()).into()
-}
-
-fn cuba(du: i64, dv: i64, vth: i64) -> Item {
-    let kind: Item = "CUBA".into();
-    group([("type", kind), ("iDecay", int(du)), ("vDecay", int(dv)), ("vThMant", int(vth)), ("refDelay", int(1))])
-        .into()
-}
-
-fn typed(kind: &str) -> Item {
-    Item::Texts(vec![1], vec![kind.to_string()])
+/// A layer whose type is an array of one text, as h5py writes some.
+fn layer(kind: &str) -> Group {
+    Group::default().with("type", Item::Texts(vec![1], vec![kind.to_string()]))
 }
 
 /// Small numbers that look random, even ones.
@@ -307,46 +286,37 @@ fn a_deep_network_with_an_image_and_resets_gives_what_its_equations_give() {
     // The last is dense and has a bare 1-D shape and 1-D weights.
     assert_eq!([from[1], from[2]], [4, 3]);
     let dense = noise(5 * from[0] * 12, 50, 12);
-    let mut file = Group::default().with(
-        "0",
-        group([
-            ("type", typed("input")),
-            ("shape", ints(&input.map(|axis| axis as i64))),
-            ("neuron", cuba(2048, 512, 40)),
-            ("weight", int(20)),
-            ("bias", Numbers::f64(&[1], &[22.0]).into()),
-        ]),
-    );
-    for (k, layer) in layers.iter().enumerate() {
+    let first = layer("input")
+        .with("shape", ints(&input.map(|axis| axis as i64)))
+        .with("neuron", cuba(2048, 512, 40))
+        .with("weight", int(20))
+        .with("bias", Numbers::f64(&[1], &[22.0]));
+    let mut file = Group::default().with("0", first);
+    for (k, one) in layers.iter().enumerate() {
         let inner = if k == 0 { input[0] } else { layers[k - 1].shape[0] };
         let pair = |x: usize| ints(&[x as i64, x as i64]);
-        let kernel = [layer.shape[0], inner, 3, 3];
-        let conv = group([
-            ("type", typed("conv")),
-            ("shape", ints(&layer.shape.map(|axis| axis as i64))),
-            ("inChannels", int(inner as i64)),
-            ("outChannels", int(layer.shape[0] as i64)),
-            ("kernelSize", pair(3)),
-            ("stride", pair(layer.stride)),
-            ("padding", pair(1)),
-            ("dilation", pair(1)),
-            ("groups", int(1)),
-            ("weight", floats(&kernel, &layer.kernel)),
-            ("bias", floats(&[layer.shape[0]], &layer.bias)),
-            ("neuron", cuba(2048, 512, 40)),
-        ]);
-        file = file.with(&(k + 1).to_string(), conv);
+        let conv = layer("conv")
+            .with("shape", ints(&one.shape.map(|axis| axis as i64)))
+            .with("inChannels", int(inner as i64))
+            .with("outChannels", int(one.shape[0] as i64))
+            .with("kernelSize", pair(3))
+            .with("stride", pair(one.stride))
+            .with("padding", pair(1))
+            .with("dilation", pair(1))
+            .with("groups", int(1))
+            .with("weight", floats(&[one.shape[0], inner, 3, 3], &one.kernel))
+            .with("bias", floats(&[one.shape[0]], &one.bias))
+            .with("neuron", cuba(2048, 512, 40));
+        file.insert(&(k + 1).to_string(), conv);
     }
-    file = file.with("12", group([("type", typed("flatten")), ("shape", ints(&[(from[0] * 12) as i64]))]));
-    let last = group([
-        ("type", typed("dense")),
-        ("shape", ints(&[5])),
-        ("inFeatures", int((from[0] * 12) as i64)),
-        ("outFeatures", int(5)),
-        ("weight", floats(&[dense.len()], &dense)),
-        ("neuron", cuba(2048, 512, 40)),
-    ]);
-    file = file.with("13", last);
+    file.insert("12", layer("flatten").with("shape", ints(&[(from[0] * 12) as i64])));
+    let last = layer("dense")
+        .with("shape", ints(&[5]))
+        .with("inFeatures", int((from[0] * 12) as i64))
+        .with("outFeatures", int(5))
+        .with("weight", floats(&[dense.len()], &dense))
+        .with("neuron", cuba(2048, 512, 40));
+    file.insert("13", last);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("deep.net");
     std::fs::write(&path, hdf5::write(&Group::default().with("layer", file)).unwrap()).unwrap();

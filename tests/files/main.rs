@@ -22,3 +22,4 @@ mod recordings;
 mod state_dicts;
 #[path = "../common/torch.rs"]
 mod torch;
+mod tree;

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use crate::real::{STEPS, input, spikes, total};
+use crate::tree::{int, ints, nir, node, reals, typed};
 use nsim::files::lower::lower;
 use nsim::files::network::{NetworkFile, Parameter, ProjectionKind};
 use nsim::import::foreign;
@@ -15,18 +16,6 @@ use nsim::ir::arithmetic::ThresholdTest;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::rng;
 
-fn typed(kind: &str) -> Group {
-    Group::default().with("type", kind)
-}
-
-fn ints(numbers: &[i64]) -> Numbers {
-    Numbers::i64(&[numbers.len()], numbers)
-}
-
-fn reals(numbers: &[f64]) -> Numbers {
-    Numbers::f64(&[numbers.len()], numbers)
-}
-
 /// Numbers from -0.5 to 1.5 in steps of 1/64.
 fn noise(count: usize, seed: u64) -> Vec<f64> {
     (0..count as u64).map(|i| (rng::below(129, seed, i, 0) as f64 - 32.0) / 64.0).collect()
@@ -36,14 +25,15 @@ fn weights(shape: &[usize], seed: u64) -> Numbers {
     Numbers::f64(shape, &noise(shape.iter().product(), seed))
 }
 
-/// A file of these nodes in a row, and edges beside.
-fn file(nodes: &[(&str, Group)], more: &[(&str, &str)]) -> Group {
+/// A file of these nodes in a row.
+fn file(nodes: &[(&str, Group)]) -> Group {
+    file_with(nodes, &[], &[])
+}
+
+/// A file of these nodes in a row, and more nodes and edges.
+fn file_with(nodes: &[(&str, Group)], others: &[(&str, Group)], more: &[(&str, &str)]) -> Group {
     let row = nodes.windows(2).map(|pair| (pair[0].0, pair[1].0));
-    let edges: Vec<(&str, &str)> = row.chain(more.iter().copied()).collect();
-    let texts = edges.iter().flat_map(|(from, to)| [(*from).to_string(), (*to).to_string()]).collect();
-    let all = nodes.iter().fold(Group::default(), |all, (name, node)| all.with(name, node.clone()));
-    let graph = typed("NIRGraph").with("nodes", all).with("edges", Item::Texts(vec![edges.len(), 2], texts));
-    Group::default().with("node", graph)
+    nir(nodes.iter().chain(others).cloned(), row.chain(more.iter().copied()))
 }
 
 fn read(root: &Group, options: &Options) -> Result<Imported, Diagnostic> {
@@ -61,28 +51,16 @@ fn import(root: &Group) -> NetworkFile {
     read(root, &step()).unwrap().model
 }
 
-fn shaped(axes: &[usize], value: f64) -> Numbers {
-    Numbers::f64(axes, &vec![value; axes.iter().product()])
-}
-
 /// Leaky neurons of which a step takes an eighth, with weights that count as they are.
 fn lif(axes: &[usize]) -> Group {
-    typed("LIF")
-        .with("tau", shaped(axes, 0.008))
-        .with("r", shaped(axes, 8.0))
-        .with("v_leak", shaped(axes, 0.0))
-        .with("v_threshold", shaped(axes, 1.0))
+    node("LIF", axes, &[("tau", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)])
 }
 
 /// The same with a current of which a step takes a quarter.
 fn cuba(axes: &[usize]) -> Group {
-    typed("CubaLIF")
-        .with("tau_syn", shaped(axes, 0.004))
-        .with("w_in", shaped(axes, 4.0))
-        .with("tau_mem", shaped(axes, 0.008))
-        .with("r", shaped(axes, 8.0))
-        .with("v_leak", shaped(axes, 0.0))
-        .with("v_threshold", shaped(axes, 1.0))
+    let fields =
+        [("tau_syn", 0.004), ("w_in", 4.0), ("tau_mem", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)];
+    node("CubaLIF", axes, &fields)
 }
 
 fn source(axes: &[i64]) -> Group {
@@ -121,9 +99,9 @@ fn same_padding_of_even_kernels_puts_the_greater_half_behind() {
     let conv = typed("Conv2d")
         .with("weight", Numbers::f64(&[1, 1, kh, kw], &kernel))
         .with("padding", "same")
-        .with("stride", i64_scalar(1))
+        .with("stride", int(1))
         .with("input_shape", ints(&[3, 5]));
-    let root = file(&[("i", source(&[1, 3, 5])), ("c", conv), ("n", lif(&[1, 3, 5])), ("o", output())], &[]);
+    let root = file(&[("i", source(&[1, 3, 5])), ("c", conv), ("n", lif(&[1, 3, 5])), ("o", output())]);
     let model = import(&root);
     let currents: Vec<Vec<f64>> = (0..STEPS)
         .map(|step| {
@@ -146,10 +124,6 @@ fn same_padding_of_even_kernels_puts_the_greater_half_behind() {
     assert_eq!(spikes(&model, "n", height * width), right);
     // In NIR, which has one padding an axis, a kernel with zeros does the same.
     assert_eq!(spikes(&bare(&model), "n", height * width), right);
-}
-
-fn i64_scalar(x: i64) -> Numbers {
-    Numbers::i64(&[], &[x])
 }
 
 /// What another tool keeps of an export: the nodes.
@@ -190,7 +164,7 @@ fn delays_of_sources_and_of_targets_become_those_of_synapses() {
             ("b", lif(&[3])),
             ("o", output()),
         ];
-        file(&nodes, &[])
+        file(&nodes)
     };
     let model = import(&graph(delay(&before), delay(&behind)));
     let hear = |weights: &[f64], target: usize, sources: usize, spike: &dyn Fn(usize) -> bool| -> f64 {
@@ -217,9 +191,9 @@ fn delays_of_sources_and_of_targets_become_those_of_synapses() {
 fn a_kernel_whose_sources_have_delays_of_their_own_is_listed() {
     let delay = typed("Delay").with("delay", Numbers::f64(&[1, 2, 2], &[0.0, 0.001, 0.002, 0.003]));
     let kernel = [0.5, 0.75, -0.25, 1.0];
-    let conv = typed("Conv2d").with("weight", Numbers::f64(&[1, 1, 2, 2], &kernel)).with("stride", i64_scalar(1));
+    let conv = typed("Conv2d").with("weight", Numbers::f64(&[1, 1, 2, 2], &kernel)).with("stride", int(1));
     let nodes = [("i", source(&[1, 2, 2])), ("d", delay), ("c", conv), ("n", lif(&[1, 1, 1])), ("o", output())];
-    let model = import(&file(&nodes, &[]));
+    let model = import(&file(&nodes));
     let current = |t: usize| (0..4).filter(|&s| t.checked_sub(s).is_some_and(|t| input(t, s))).map(|s| kernel[s]).sum();
     let right = leaky(&(0..STEPS).map(|t| vec![current(t)]).collect::<Vec<_>>());
     assert!(total(&right) > 5);
@@ -232,8 +206,7 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
         let options = Options { reset, ..step() };
         read(root, &options).map(|imported| imported.notes.iter().any(|note| note.contains("does not say how")))
     };
-    let with =
-        |neuron: Group| file(&[("i", source(&[2])), ("w", linear(3, 2, 5)), ("n", neuron), ("o", output())], &[]);
+    let with = |neuron: Group| file(&[("i", source(&[2])), ("w", linear(3, 2, 5)), ("n", neuron), ("o", output())]);
     let said = with(lif(&[3]).with("v_reset", reals(&[0.0; 3])));
     assert!(!says(&said, None).unwrap() && !says(&said, Some(ResetMode::Zero)).unwrap());
     for reset in [ResetMode::Subtract, ResetMode::SubtractLater] {
@@ -256,15 +229,8 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
 fn subtraction_a_step_later_is_snntorchs_rule_with_and_without_a_current() {
     let w = noise(4 * 3, 21);
     for (neuron, alpha) in [(lif(&[4]), 0.0), (cuba(&[4]), 0.75)] {
-        let root = file(
-            &[
-                ("i", source(&[3])),
-                ("w", typed("Linear").with("weight", Numbers::f64(&[4, 3], &w))),
-                ("n", neuron),
-                ("o", output()),
-            ],
-            &[],
-        );
+        let weights = typed("Linear").with("weight", Numbers::f64(&[4, 3], &w));
+        let root = file(&[("i", source(&[3])), ("w", weights), ("n", neuron), ("o", output())]);
         let options = Options { reset: Some(ResetMode::SubtractLater), ..step() };
         let model = read(&root, &options).unwrap().model;
         let (mut syn, mut mem) = ([0.0; 4], [0.0; 4]);
@@ -305,17 +271,17 @@ fn every_kind_of_node_keeps_its_spikes_over_an_export_that_another_tool_rewrote(
             .with("stride", ints(&[1, 1]))
             .with("padding", ints(&[1, 0]))
             .with("dilation", ints(&[1, 1]))
-            .with("groups", i64_scalar(groups))
+            .with("groups", int(groups))
     };
     let line = typed("Conv1d")
         .with("weight", weights(&[3, 2, 3], 33))
         .with("bias", reals(&[0.25, 0.0, 0.125]))
-        .with("stride", i64_scalar(1))
-        .with("padding", i64_scalar(1))
-        .with("dilation", i64_scalar(1))
-        .with("groups", i64_scalar(1));
-    let integrate = typed("IF").with("r", shaped(&[3], 1.0)).with("v_threshold", shaped(&[3], 2.0));
-    let threshold = typed("Threshold").with("threshold", shaped(&[3], 0.5));
+        .with("stride", int(1))
+        .with("padding", int(1))
+        .with("dilation", int(1))
+        .with("groups", int(1));
+    let integrate = node("IF", &[3], &[("r", 1.0), ("v_threshold", 2.0)]);
+    let threshold = node("Threshold", &[3], &[("threshold", 0.5)]);
     let back = [("n", "r"), ("r", "n")];
     type Chain = (&'static str, Vec<i64>, Vec<Group>, bool);
     let chains: Vec<Chain> = vec![
@@ -345,15 +311,10 @@ fn every_kind_of_node_keeps_its_spikes_over_an_export_that_another_tool_rewrote(
         let mut all = vec![("i", source(&axes))];
         all.extend(names.iter().map(String::as_str).zip(nodes));
         all.push(("o", output()));
-        let mut root = file(&all, &[]);
-        if recurrent {
-            all.push(("r", affine(3, 3, 9)));
-            let edges: Vec<(&str, &str)> = all[..all.len() - 1].windows(2).map(|pair| (pair[0].0, pair[1].0)).collect();
-            let texts = edges.iter().chain(&back).flat_map(|(a, b)| [(*a).to_string(), (*b).to_string()]).collect();
-            let nodes = all.iter().fold(Group::default(), |nodes, (name, node)| nodes.with(name, node.clone()));
-            let edges = Item::Texts(vec![edges.len() + 2, 2], texts);
-            root = Group::default().with("node", typed("NIRGraph").with("nodes", nodes).with("edges", edges));
-        }
+        let root = match recurrent {
+            true => file_with(&all, &[("r", affine(3, 3, 9))], &back),
+            false => file(&all),
+        };
         let model = import(&root);
         let channels = axes.iter().product::<i64>() as usize;
         let right = spikes(&model, "n", channels);
@@ -365,16 +326,15 @@ fn every_kind_of_node_keeps_its_spikes_over_an_export_that_another_tool_rewrote(
     }
     // Integrators stay what they are: no neuron that never spikes.
     for kind in ["LI", "CubaLI", "I"] {
-        let with = |node: Group, key: &str, value: f64| node.with(key, shaped(&[3], value));
         let node = match kind {
-            "LI" => with(with(with(typed(kind), "tau", 0.016), "r", 16.0), "v_leak", 0.0),
-            "CubaLI" => {
-                let current = with(with(typed(kind), "tau_syn", 0.004), "w_in", 4.0);
-                with(with(with(current, "tau_mem", 0.016), "r", 16.0), "v_leak", 0.0)
+            "LI" => node(kind, &[3], &[("tau", 0.016), ("r", 16.0), ("v_leak", 0.0)]),
+            "I" => node(kind, &[3], &[("r", 1.0)]),
+            _ => {
+                let fields = [("tau_syn", 0.004), ("w_in", 4.0), ("tau_mem", 0.016), ("r", 16.0), ("v_leak", 0.0)];
+                node(kind, &[3], &fields)
             }
-            _ => with(typed(kind), "r", 1.0),
         };
-        let model = import(&file(&[("i", source(&[4])), ("w", affine(3, 4, 41)), ("n", node), ("o", output())], &[]));
+        let model = import(&file(&[("i", source(&[4])), ("w", affine(3, 4, 41)), ("n", node), ("o", output())]));
         let (tree, _) = nir_export::export(&model).unwrap();
         assert_eq!(tree.group("node/nodes/n").unwrap().text("type"), Some("CubaLI"), "{kind}");
         let again = bare(&model);
@@ -387,10 +347,10 @@ fn a_pool_of_slayer_has_silent_rows_behind_where_the_file_says_so() {
     let layer = |shape: [i64; 3]| {
         let neuron = |vth: i64| {
             typed("CUBA")
-                .with("iDecay", i64_scalar(4096))
-                .with("vDecay", i64_scalar(4096))
-                .with("vThMant", i64_scalar(vth))
-                .with("refDelay", i64_scalar(1))
+                .with("iDecay", int(4096))
+                .with("vDecay", int(4096))
+                .with("vThMant", int(vth))
+                .with("refDelay", int(1))
         };
         let input = typed("input").with("shape", ints(&[1, 6, 7]));
         let pool = typed("pool")
@@ -422,11 +382,7 @@ fn a_bias_reaches_a_current_from_the_first_step_on_and_layers_wait_for_it() {
     // The second layer receives the input, too.
     let nodes =
         [("i", source(&[4])), ("w", affine), ("n", cuba(&[3])), ("x", second), ("m", lif(&[2])), ("o", output())];
-    let mut root = file(&nodes, &[("i", "s"), ("s", "m")]);
-    let Some(Item::Group(graph)) = root.items.get_mut("node") else { panic!() };
-    let Some(Item::Group(all)) = graph.items.get_mut("nodes") else { panic!() };
-    all.items.insert("s".to_string(), more.into());
-    let model = import(&root);
+    let model = import(&file_with(&nodes, &[("s", more)], &[("i", "s"), ("s", "m")]));
     let (mut current, mut v) = ([0.0; 3], [0.0; 3]);
     let right: Vec<Vec<bool>> = (0..STEPS)
         .map(|t| {
@@ -455,7 +411,7 @@ fn delays_that_are_no_whole_steps_are_rounded_with_a_note() {
     let notes = |delays: &[f64]| {
         let delay = typed("Delay").with("delay", reals(delays));
         let nodes = [("i", source(&[2])), ("w", linear(2, 2, 5)), ("d", delay), ("n", lif(&[2])), ("o", output())];
-        let imported = read(&file(&nodes, &[]), &step()).unwrap();
+        let imported = read(&file(&nodes), &step()).unwrap();
         imported.notes.iter().filter(|note| note.contains("no whole number of steps")).cloned().collect::<Vec<_>>()
     };
     assert!(notes(&[0.003, 0.0]).is_empty());
@@ -466,7 +422,7 @@ fn delays_that_are_no_whole_steps_are_rounded_with_a_note() {
 #[test]
 fn options_are_used_or_refused() {
     let nodes = [("i", source(&[4])), ("w", linear(3, 4, 61)), ("n", lif(&[3])), ("o", output())];
-    let root = file(&nodes, &[]);
+    let root = file(&nodes);
     for (options, name) in [
         (Options { neuron: Some("n.yml".into()), ..step() }, "--neuron"),
         (Options { image: Some("i.npy".into()), ..step() }, "--image"),
@@ -492,7 +448,7 @@ fn a_threshold_of_zero_is_a_mantissa_of_zero() {
     let root = |thresholds: &[f64]| {
         let neuron = lif(&[3]).with("v_threshold", reals(thresholds));
         let weights = typed("Linear").with("weight", Numbers::f64(&[3, 2], &[2.0, -4.0, 6.0, 8.0, -10.0, 12.0]));
-        file(&[("i", source(&[2])), ("w", weights), ("n", neuron), ("o", output())], &[])
+        file(&[("i", source(&[2])), ("w", weights), ("n", neuron), ("o", output())])
     };
     let model = import(&root(&[0.0; 3]));
     assert_eq!(model.population("n").unwrap().parameter("vth_mant"), Some(&Parameter::Same(0.0)));

@@ -3,12 +3,14 @@
 //! last step of the input.
 
 use crate::common;
+use crate::tree::{self, ints, nir, typed};
 use std::path::Path;
 
 use crate::common::random;
 use assert_cmd::Command;
+use nsim::files::npy;
 use nsim::import::foreign::hdf5;
-use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::import::foreign::hdf5::Numbers;
 use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::rng;
 use nsim::ir::quantised::{Parts, Quantised};
@@ -102,50 +104,28 @@ fn write_input(folder: &Path, name: &str, empty: usize) {
     write_array(folder, name, [SAMPLES, CHANNELS, steps], &bytes);
 }
 
-fn write_array(folder: &Path, name: &str, [samples, channels, steps]: [usize; 3], bytes: &[u8]) {
-    let shape = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({samples}, {channels}, {steps}), }}");
-    let head = format!("{shape:<117}\n");
-    let file = [b"\x93NUMPY\x01\x00", &(head.len() as u16).to_le_bytes()[..], head.as_bytes(), bytes].concat();
-    std::fs::write(folder.join(name), file).unwrap();
-}
-
-fn group<const N: usize>(members: [(&str, Item); N]) -> Group {
-    members.into_iter().fold(Group::default(), |group, (name, item)| group.with(name, item))
-}
-
-fn reals(shape: &[usize], values: &[f64]) -> Item {
-    Numbers::f64(shape, values).into()
+fn write_array(folder: &Path, name: &str, shape: [usize; 3], bytes: &[u8]) {
+    let shape = shape.map(|axis| axis as u64);
+    let file = std::fs::File::create(folder.join(name)).unwrap();
+    npy::write(file, &shape, bytes.iter().copied()).unwrap();
 }
 
 const WEIGHTS: [f64; 12] = [0.5, -0.25, 0.125, 0.25, -0.5, 0.75, 0.25, -0.125, 0.25, 0.5, -0.75, 0.125];
 
 /// A NIR file: an input, weights, and this node as its output.
 fn write_nir(folder: &Path, node: Option<(&str, &[(&str, f64)])>) {
-    let weights = group([("type", "Linear".into()), ("weight", reals(&[3, CHANNELS], &WEIGHTS))]);
-    let shape = |n: i64| Item::from(Numbers::i64(&[1], &[n]));
-    let mut nodes = group([
-        ("in", group([("type", "Input".into()), ("shape", shape(CHANNELS as i64))]).into()),
-        ("w", weights.into()),
-        ("out", group([("type", "Output".into()), ("shape", shape(3))]).into()),
-    ]);
-    let mut edges = vec!["in", "w"];
-    if let Some((kind, fields)) = node {
-        let neuron = fields
-            .iter()
-            .fold(group([("type", kind.into())]), |group, (key, value)| group.with(key, reals(&[3], &[*value; 3])));
-        nodes = nodes.with("o", neuron);
-        edges.extend(["w", "o", "o", "out"]);
-    } else {
-        let fields = [("r", reals(&[CHANNELS], &[1.0; 4])), ("v_threshold", reals(&[CHANNELS], &[0.5; 4]))];
-        let spiking =
-            fields.into_iter().fold(group([("type", "IF".into())]), |group, (key, item)| group.with(key, item));
-        nodes = nodes.with("h", spiking);
-        edges = vec!["in", "h", "h", "w", "w", "out"];
-    }
-    let edges = Item::Texts(vec![edges.len() / 2, 2], edges.into_iter().map(str::to_string).collect());
-    let graph = group([("type", "NIRGraph".into()), ("nodes", nodes.into()), ("edges", edges)]);
-    let root = Group::default().with("version", "1.0.8").with("node", graph);
-    std::fs::write(folder.join("net.nir"), hdf5::write(&root).unwrap()).unwrap();
+    let weights = typed("Linear").with("weight", Numbers::f64(&[3, CHANNELS], &WEIGHTS));
+    let input = typed("Input").with("shape", ints(&[CHANNELS as i64]));
+    let own = match node {
+        Some((kind, fields)) => tree::node(kind, &[3], fields),
+        None => tree::node("IF", &[CHANNELS], &[("r", 1.0), ("v_threshold", 0.5)]),
+    };
+    let nodes = [("in", input), ("w", weights), ("out", typed("Output").with("shape", ints(&[3]))), ("own", own)];
+    let edges = match node {
+        Some(_) => [("in", "w"), ("w", "own"), ("own", "out")],
+        None => [("in", "own"), ("own", "w"), ("w", "out")],
+    };
+    std::fs::write(folder.join("net.nir"), hdf5::write(&nir(nodes, edges)).unwrap()).unwrap();
 }
 
 const LEAKY: (&str, &[(&str, f64)]) = ("LI", &[("tau", 5e-3), ("r", 5.0), ("v_leak", 0.0)]);
@@ -172,8 +152,8 @@ fn an_output_that_never_spikes_is_read_out_by_its_potential() {
     write_input(folder, "in.npy", 0);
     let integrator: (&str, &[(&str, f64)]) = ("I", &[("r", 1.0)]);
     for (node, output, decision, name) in [
-        (Some(LEAKY), ("o", 0), ReadOut::GreatestV, "greatest_v"),
-        (Some(integrator), ("o", 0), ReadOut::LastV, "last_v"),
+        (Some(LEAKY), ("own", 0), ReadOut::GreatestV, "greatest_v"),
+        (Some(integrator), ("own", 0), ReadOut::LastV, "last_v"),
         // A layer behind the first: a step more, from step 1 on.
         (None, ("output", 1), ReadOut::SumOfV, "sum_of_v"),
     ] {
@@ -228,12 +208,14 @@ fn samples_without_a_decision_are_no_agreement() {
     assert_eq!((&agree["compared"], &agree["class_agreement"]), (&0.into(), &Value::Null));
     let (code, text, _) = nsim(folder, "agree silent.ron --input in.npy");
     assert_eq!(code, 0);
-    assert!(text.contains("not compared: 6 neither decides"), "{text}");
+    let in_one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(in_one_line(&text).contains("not compared: 6 neither decides"), "{text}");
     // Two networks, each by its own decision.
     object(folder, "import net.nir --dt 1 -o decided.ron", 0);
     let line = "agree decided.ron --input in.npy --against silent.ron";
     assert_eq!(object(folder, line, 0)["compared"], 0);
-    assert!(nsim(folder, line).1.contains("not compared: 5 a decides alone, 1 neither decides"));
+    let text = in_one_line(&nsim(folder, line).1);
+    assert!(text.contains("not compared: 5 a decides alone, 1 neither decides"), "{text}");
     let several = format!("{line} --against decided.ron --require-class-agreement 1");
     let both = object(folder, &several, 1);
     assert_eq!(both["networks"][0]["compared"], 0);
@@ -282,29 +264,18 @@ fn weights(from: usize, to: usize) -> Vec<f64> {
 /// the input.
 fn write_layered(folder: &Path, ways: &[(usize, usize)]) {
     let names = ["in", "a", "b", "c"];
-    let shape = |n: usize| Item::from(Numbers::i64(&[1], &[n as i64]));
-    let mut nodes = group([
-        ("in", group([("type", "Input".into()), ("shape", shape(CHANNELS))]).into()),
-        ("out", group([("type", "Output".into()), ("shape", shape(3))]).into()),
-    ]);
-    for (name, n) in names.into_iter().zip(SIZES).skip(1) {
-        let field = |value: f64| reals(&[n], &vec![value; n]);
-        let tau = 1e-3 / FRACTION;
-        let fields = [("tau", tau), ("r", 1.0 / FRACTION), ("v_leak", 0.4), ("v_threshold", 1.0)];
-        let neuron =
-            fields.into_iter().fold(group([("type", "LIF".into())]), |group, (key, x)| group.with(key, field(x)));
-        nodes = nodes.with(name, neuron);
-    }
-    let mut edges = vec!["c".to_string(), "out".to_string()];
-    for &(from, to) in ways {
-        let name = format!("w{from}{to}");
-        let weight = reals(&[SIZES[to], SIZES[from]], &weights(from, to));
-        nodes = nodes.with(&name, group([("type", "Linear".into()), ("weight", weight)]));
-        edges.extend([names[from].to_string(), name.clone(), name, names[to].to_string()]);
-    }
-    let edges = Item::Texts(vec![edges.len() / 2, 2], edges);
-    let graph = group([("type", "NIRGraph".into()), ("nodes", nodes.into()), ("edges", edges)]);
-    let root = Group::default().with("version", "1.0.8").with("node", graph);
+    let shaped = |kind, n: usize| typed(kind).with("shape", ints(&[n as i64]));
+    let fields = [("tau", 1e-3 / FRACTION), ("r", 1.0 / FRACTION), ("v_leak", 0.4), ("v_threshold", 1.0)];
+    let neurons = names.into_iter().zip(SIZES).skip(1).map(|(name, n)| (name, tree::node("LIF", &[n], &fields)));
+    let linear = |&(from, to): &(usize, usize)| {
+        typed("Linear").with("weight", Numbers::f64(&[SIZES[to], SIZES[from]], &weights(from, to)))
+    };
+    let ends = |&(from, to): &(usize, usize)| (names[from], format!("w{from}{to}"), names[to]);
+    let ends: Vec<_> = ways.iter().map(ends).collect();
+    let linear = ends.iter().map(|(_, name, _)| name.as_str()).zip(ways.iter().map(linear));
+    let nodes = [("in", shaped("Input", CHANNELS)), ("out", shaped("Output", 3))].into_iter().chain(neurons);
+    let edges = ends.iter().flat_map(|(from, way, to)| [(*from, way.as_str()), (way.as_str(), *to)]);
+    let root = nir(nodes.chain(linear), edges.chain([("c", "out")]));
     std::fs::write(folder.join("net.nir"), hdf5::write(&root).unwrap()).unwrap();
 }
 

@@ -69,7 +69,7 @@ fn one_recording_and_ten() {
 }
 
 /// A recording, the options that it is read with, and what is changed of it for each field of
-/// `docs/import.md`.
+/// `tests/files/fields.md`.
 struct Format {
     name: &'static str,
     extension: &'static str,
@@ -439,8 +439,9 @@ fn every_field_of_a_recording_is_used_checked_or_listed_as_without_meaning() {
         let units = if extension == "tact" { 156 } else { 512 };
         read_spikes(&path, "in", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &options)
     };
-    let documented = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
-    let section = documented.split("### Fields of recordings").nth(1).unwrap().split("\n## ").next().unwrap();
+    let documented =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/files/fields.md")).unwrap();
+    let section = documented.split("\n## Fields of recordings").nth(1).unwrap().split("\n## ").next().unwrap();
     let rows: BTreeMap<(String, String), bool> = section
         .lines()
         .filter(|line| line.starts_with("| ") && !line.starts_with("| format"))
@@ -457,7 +458,7 @@ fn every_field_of_a_recording_is_used_checked_or_listed_as_without_meaning() {
         for (field, changed) in fields {
             let key = (name.to_string(), field.to_string());
             let Some(&has_meaning) = rows.get(&key) else {
-                wrong.push(format!("{name}, {field}: not in docs/import.md"));
+                wrong.push(format!("{name}, {field}: not in tests/files/fields.md"));
                 continue;
             };
             assert_ne!(changed, bytes, "{name}, {field}");

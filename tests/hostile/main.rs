@@ -5,3 +5,5 @@
 
 mod input;
 mod lines;
+#[path = "../common/torch.rs"]
+mod torch;

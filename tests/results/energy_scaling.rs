@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use crate::common::{Net, neuron, random};
+use crate::common::{Builder, neuron, random};
 use nsim::compile::{CopyPlacement, Options, compile};
 use nsim::cost::CostTable;
 use nsim::cost::model::StepTime;
@@ -19,7 +19,7 @@ use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Copies, Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::Keep;
-use nsim::session::priced::{Metered, SampleRun, run_priced};
+use nsim::session::priced::{Metered, run_priced};
 use nsim::session::samples;
 use nsim::session::samples::Running;
 
@@ -28,11 +28,11 @@ const STEPS: u32 = 12;
 
 /// Sixteen channels to eight compartments, some of which spike.
 fn network() -> Quantised {
-    let mut net = Net::new();
-    let input = net.input(Shape::Line(CHANNELS));
-    let hidden = net.loihi(Shape::Line(8), &[neuron(1024, 512, 40, 1); 8], 0);
+    let mut net = Builder::new();
+    let input = net.input("input", CHANNELS);
+    let hidden = net.each("hidden", Shape::Line(8), &[neuron(1024, 512, 40, 1); 8], 0);
     let weights: Vec<i64> = (0..8 * i64::from(CHANNELS)).map(|k| 10 + k % 5 * 20).collect();
-    net.dense(input, hidden, 0, &weights);
+    net.matrix(input, hidden, 0, &weights);
     net.build()
 }
 
@@ -210,10 +210,9 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
                 distribution: None,
                 by_step: Some(0),
             };
+            let keep = Keep::new(compiled.program.output());
             let run = |metered: &Metered<'_>| {
-                let run =
-                    SampleRun { samples: &[&sample], early_exit: None, skip: true, progress: &|| (), ranks: None };
-                metered.run(settings(&metered.routes), run).unwrap()
+                metered.run(settings(&metered.routes), &[&sample], Running::new(&keep)).unwrap()
             };
             let (fast, obvious) = (run(&fast), run(&obvious));
             assert_eq!(fast.activity, obvious.activity, "seed {seed}");
@@ -223,10 +222,7 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
             // Nothing is a group here: the whole program on its own cores.
             let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
             let settings = Arc::new(settings(&routes));
-            let keep = Keep { output: compiled.program.output(), probes: Vec::new(), early_exit: None };
-            let shown = Copies { copies, channels };
-            let running =
-                Running { keep: &keep, copies: shown, skip: true, per_step: true, progress: &|| (), ranks: None };
+            let running = Running { copies: Copies { copies, channels }, per_step: true, ..Running::new(&keep) };
             let whole =
                 samples::fast(&compiled.program, &[&sample], running, || StepMeter::new(settings.clone())).unwrap();
             assert_eq!(fast.activity, whole.activity, "seed {seed}");

@@ -48,7 +48,7 @@ fn printed(table: &MeasurementsFile, unit: &str, figure: &str) -> (f64, f64) {
 }
 
 fn hold(name: &str, mode: &str, limit: f64) {
-    let table = nsim::energy::published::files::measurement::load_measurements(name).unwrap();
+    let table = nsim::energy::published::measurement::load_measurements(name).unwrap();
     assert_eq!(table.cells.len(), 14);
     // As printed: power, latency, and energy by the paper's arithmetic.
     let published = reproduced(mode, "published");
@@ -92,7 +92,7 @@ fn the_real_time_table_is_predicted_within_six_percent() {
 #[test]
 fn both_tables_are_predicted_by_constants_of_several_works() {
     for (name, mode) in [("vtsnn-offline", "offline"), ("vtsnn-realtime", "realtime")] {
-        let table = nsim::energy::published::files::measurement::load_measurements(name).unwrap();
+        let table = nsim::energy::published::measurement::load_measurements(name).unwrap();
         let report = energy(&["--deployment", "paper", "--mode", mode, "--baseline"]);
         let rows = report["rows"].as_array().unwrap();
         for (quantity, limit) in [("total_mw", 0.1), ("latency_us", 0.15), ("static_mw", 0.12)] {
@@ -113,7 +113,7 @@ fn nothing_is_fitted_to_the_real_time_table() {
 /// the constants state, and the page.
 #[test]
 fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() {
-    let workloads = nsim::energy::published::files::workload::shipped().unwrap();
+    let workloads = nsim::energy::published::workload::shipped().unwrap();
     let constants = io::target::load_constants("loihi1-evidence").unwrap();
     let target = |name: &str| Ok(io::target::load_target(name)?);
     let rows = rows(&workloads, &constants, target, || ()).unwrap();

@@ -15,7 +15,7 @@ use super::causes::{Cause, Rung};
 use super::classes::ClassTally;
 use super::ladder::Ladder;
 use super::metrics::TrainSums;
-use super::trace::{Comparison, Layer};
+use super::trace::{Comparison, Layer, Trace};
 use nsim_ir::spikes::Sample;
 
 /// How far a rung is from the trained network.
@@ -69,8 +69,7 @@ pub struct LayerLoss {
     pub spikes: (u64, u64),
     /// 1 minus the coincidence of the machine's layer with the trained one's.
     pub disagreement: f64,
-    /// What each cause adds to that, the mean of climbing forward and reversed, in the order of the
-    /// forward ladder.
+    /// What each cause adds: the mean of forward and reversed, in forward order.
     pub causes: Vec<(Cause, f64)>,
     /// What the machine's layer would gain without each cause.
     pub alone: Vec<(Cause, f64)>,
@@ -83,8 +82,7 @@ const BLAMED: f64 = 0.1;
 /// Means below zero by less than this share of the whole are noise.
 const NOISE: f64 = 0.02;
 
-/// The cause that brings back most of a loss; `None` where nothing is lost, or no one cause brings
-/// it back.
+/// The cause that brings back most of a loss; `None` where nothing is lost or no cause does.
 fn worst(lost: f64, alone: impl Iterator<Item = (Cause, f64)>) -> Option<(Cause, f64)> {
     let enough = alone.filter(|&(_, back)| lost >= LITTLE && back >= (BLAMED * lost).max(LITTLE));
     enough.reduce(|most, next| if next.1 > most.1 { next } else { most })
@@ -135,8 +133,7 @@ pub struct Attribution {
 }
 
 impl Attribution {
-    /// The cause without which most classes would agree again, and how many more then do, as a
-    /// share.
+    /// The cause without which most classes would agree again, and the share of those.
     #[must_use]
     pub fn worst_of_classes(&self) -> Option<(Cause, f64)> {
         let now = self.machine.class_agreement?;
@@ -160,10 +157,48 @@ pub struct Measured {
     pub distance: Distance,
     /// In the order of the ladder's layers.
     pub layers: Vec<TrainSums>,
+    /// The classes of the samples.
+    pub classes: ClassTally,
 }
 
-/// The class of a sample by the trained network and by a rung.
-type Classes = (Option<u32>, Option<u32>);
+/// One sample by two networks: the sums of each layer, and the class by each.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ComparedSample {
+    layers: Vec<TrainSums>,
+    classes: (Option<u32>, Option<u32>),
+}
+
+impl ComparedSample {
+    /// Compares the traces of a sample, of which the second answers `shift` steps later.
+    #[must_use]
+    pub fn new(layers: &[Layer], output: &Layer, (a, b): (&Trace, &Trace), shift: i32) -> Self {
+        let sums = layers.iter().map(|layer| {
+            let mut comparison = Comparison::default();
+            comparison.add(0, layer, a, b, shift);
+            comparison.tally
+        });
+        ComparedSample { layers: sums.collect(), classes: (a.class(output), b.class(output)) }
+    }
+}
+
+impl Measured {
+    /// The samples of a network of this many layers together.
+    pub fn new<'s>(layers: usize, samples: impl Iterator<Item = &'s ComparedSample>) -> Self {
+        let (mut by_layer, mut all) = (vec![TrainSums::default(); layers], TrainSums::default());
+        let mut classes = ClassTally::default();
+        for sample in samples {
+            by_layer.iter_mut().zip(&sample.layers).for_each(|(sum, tally)| sum.merge(tally));
+            classes.add(sample.classes.0, sample.classes.1);
+        }
+        by_layer.iter().for_each(|tally| all.merge(tally));
+        let distance = Distance {
+            class_agreement: classes.agreement(),
+            coincidence: all.coincidence(),
+            potential_rmse: all.potential_rmse(),
+        };
+        Measured { distance, layers: by_layer, classes }
+    }
+}
 
 /// Compares rungs with one of them over samples, all rungs of a sample at once.
 #[must_use]
@@ -186,31 +221,12 @@ pub fn measured(
         let one = |&(ladder, rung): &(&Ladder, Rung)| {
             // What a network does not answer that is cut off, it answers with silence.
             let trace = ladder.run(rung, sample, true).silent_until(trained.steps);
-            let sums = layers.iter().map(|layer| {
-                let mut comparison = Comparison::default();
-                comparison.add(0, layer, &trained, &trace, ladder.shift(rung) - first.shift(from));
-                comparison.tally
-            });
-            (sums.collect(), (trained.class(output), trace.class(output)))
+            ComparedSample::new(&layers, output, (&trained, &trace), ladder.shift(rung) - first.shift(from))
         };
-        to.iter().map(one).collect::<Vec<(Vec<TrainSums>, Classes)>>()
+        to.iter().map(one).collect()
     };
-    let each: Vec<Vec<(Vec<TrainSums>, Classes)>> = samples.par_iter().map(of_sample).collect();
-    let of_rung = |rung: usize| {
-        let mut by_layer = vec![TrainSums::default(); layers.len()];
-        for sample in &each {
-            by_layer.iter_mut().zip(&sample[rung].0).for_each(|(sum, tally)| sum.merge(tally));
-        }
-        let mut sum = TrainSums::default();
-        by_layer.iter().for_each(|tally| sum.merge(tally));
-        let distance = Distance {
-            class_agreement: ClassTally::new(each.iter().map(|sample| sample[rung].1)).agreement(),
-            coincidence: sum.coincidence(),
-            potential_rmse: sum.potential_rmse(),
-        };
-        Measured { distance, layers: by_layer }
-    };
-    (0..to.len()).map(of_rung).collect()
+    let each: Vec<Vec<ComparedSample>> = samples.par_iter().map(of_sample).collect();
+    (0..to.len()).map(|rung| Measured::new(layers.len(), each.iter().map(|sample| &sample[rung]))).collect()
 }
 
 /// The network as its tool runs it: kernels without end, as the reference engine has them, and

@@ -6,20 +6,17 @@ use nsim_ir::base::names::named_variants;
 /// Something in which the machine differs from the trained network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cause {
-    /// Layers that answer a step later each, in samples that end with their input, instead of
-    /// layers that all answer to every step.
+    /// Layers that answer a step later each, in samples that end with their input.
     Pipeline,
     /// The response and refractory kernels without end instead of cut.
     Untruncated,
-    /// Decaying current and voltage instead of the alpha kernel: one step earlier, and a step
-    /// longer at the end.
+    /// Decaying current and voltage instead of the alpha kernel: a step earlier, a step longer.
     Kernel,
     /// A hard reset and a refractory period instead of the refractory kernel, or of a subtraction.
     HardReset,
     /// Decays in 4096ths.
     Decays,
-    /// The thresholds and synapses onto itself that a search chose instead of those of the
-    /// analysis.
+    /// Thresholds and synapses onto itself as searched instead of as analysed.
     Calibration,
     /// Integer weights, thresholds and biases.
     Weights,

@@ -45,8 +45,7 @@ impl ClassTally {
         (self.compared > 0).then(|| self.same as f64 / self.compared as f64)
     }
 
-    /// Share of the samples that the first decides for which the second decides the same; 1 where
-    /// it decides none.
+    /// Share of the first's decided samples that the second decides alike; 1 without any.
     #[must_use]
     pub fn kept(&self) -> f64 {
         let decided = self.compared + self.only_a;

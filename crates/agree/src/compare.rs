@@ -94,8 +94,7 @@ pub struct Agreement {
     pub layers: Vec<LayerRow>,
     /// The classes of the two; `None` when those of the first are not known.
     pub classes: Option<ClassTally>,
-    /// Share of right classes of the counterpart and of the deployed network, when samples have
-    /// labels.
+    /// Share of right classes of counterpart and deployed network, when samples have labels.
     pub accuracy: Option<(f64, f64)>,
 }
 
@@ -138,8 +137,7 @@ fn recorded_trace(
     trace
 }
 
-/// What a network in real numbers, whose integers are these, does in a sample, potentials in
-/// thresholds.
+/// Traces of the network in real numbers with these integers, potentials in thresholds.
 ///
 /// # Errors
 /// `model.no-real-form`.
@@ -176,12 +174,6 @@ pub struct Side<'a> {
     pub layers: &'a [Layer],
     /// What it does.
     pub trace: &'a (dyn Fn(&Sample) -> Trace + Sync),
-}
-
-impl std::fmt::Debug for Side<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Side").field("layers", &self.layers).finish_non_exhaustive()
-    }
 }
 
 /// Compares two networks whose populations of compartments have the same names and sizes, in
@@ -227,17 +219,12 @@ pub fn compare_networks(
         out
     };
     let limit = steps.unwrap_or(u32::MAX);
-    let both = |sample: &&Sample| {
+    let both = |_, sample: &Sample| {
         let traces = ((a.trace)(sample).until(limit), placed((b.trace)(sample)).until(limit));
         progress();
         traces
     };
-    let mut tally = Tally { layers: a.layers.to_vec(), output: output.clone(), ..Tally::default() };
-    for (batch, some) in samples.chunks(BATCH).enumerate() {
-        let traces: Vec<(Trace, Trace)> = some.par_iter().map(both).collect();
-        tally.add(batch * BATCH, &traces, some, &|layer, pairs| measured_shift(layer, pairs));
-    }
-    Ok(tally.agreement(samples))
+    Ok(Tally::of_samples(a.layers.to_vec(), output, samples, &both, &measured_shift))
 }
 
 /// Comparisons of layers and classes so far.
@@ -254,6 +241,23 @@ struct Tally {
 type ShiftOf<'a> = &'a dyn Fn(&Layer, &[(&Trace, &Trace)]) -> i32;
 
 impl Tally {
+    /// Compares the two traces that `both` has of each sample, given its number and itself.
+    fn of_samples(
+        layers: Vec<Layer>,
+        output: &Layer,
+        samples: &[&Sample],
+        both: &(dyn Fn(usize, &Sample) -> (Trace, Trace) + Sync),
+        shift: ShiftOf<'_>,
+    ) -> Agreement {
+        let mut tally = Tally { layers, output: output.clone(), ..Tally::default() };
+        for (batch, some) in samples.chunks(BATCH).enumerate() {
+            let first = batch * BATCH;
+            let traces = some.par_iter().enumerate().map(|(i, sample)| both(first + i, sample));
+            tally.add(first, &traces.collect::<Vec<_>>(), some, shift);
+        }
+        tally.agreement(samples)
+    }
+
     fn add(&mut self, first: usize, traces: &[(Trace, Trace)], samples: &[&Sample], shift: ShiftOf<'_>) {
         if self.comparisons.is_empty() {
             let pairs: Vec<(&Trace, &Trace)> = traces.iter().map(|(a, b)| (a, b)).collect();
@@ -283,6 +287,9 @@ impl Tally {
     }
 }
 
+/// The trace of a sample by its number.
+type TraceOf<'a> = Box<dyn Fn(usize, &Sample) -> Trace + Sync + 'a>;
+
 /// Runs both networks on all samples and compares them.
 ///
 /// # Errors
@@ -290,61 +297,43 @@ impl Tally {
 pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Progress<'_>) -> Result<Agreement> {
     let Deployed { graph, fits, ladder, program, samples, steps } = deployed;
     let network = ladder.deployed();
-    let (compartments, output) = (network.compartments(), output_layer(network));
-    let recorded_of = (compartments, network.output());
-    let thresholds = neuron::thresholds(network);
-    let real = match counterpart {
-        Counterpart::Srm => Some(graph.clone()),
-        Counterpart::Cuba => Some(analytic::with_fits(graph, fits)),
-        Counterpart::Golden | Counterpart::Recorded(_) => None,
+    let machine = machine_trace(network, program)?;
+    let (thresholds, recorded_of) = (neuron::thresholds(network), (network.compartments(), network.output()));
+    let counterpart_trace: TraceOf<'_> = match counterpart {
+        Counterpart::Srm => {
+            let trace = real_trace(graph, network)?;
+            Box::new(move |_, sample| trace(sample))
+        }
+        Counterpart::Cuba => {
+            let trace = real_trace(&analytic::with_fits(graph, fits), network)?;
+            Box::new(move |_, sample| trace(sample))
+        }
+        Counterpart::Golden => Box::new(|_, sample| {
+            Trace::record(&mut Golden::new(network), sample, recorded_of, |g, c| relative(g, c, &thresholds))
+        }),
+        Counterpart::Recorded(recorded) => {
+            if let Some((layer, spikes)) = recorded.iter().find(|(_, spikes)| spikes.len() != samples.len()) {
+                let (name, count) = (&layer.name, spikes.len());
+                let message = format!("'{name}' was recorded in {count} samples, the input has {}", samples.len());
+                return Err(Diagnostic::new("agree.samples", message).help("choose samples with --samples"));
+            }
+            Box::new(|index, sample| recorded_trace(recorded, index, sample, network.compartments()))
+        }
     };
-    let model = real
-        .as_ref()
-        .map(|real| {
-            Ok::<_, Diagnostic>((
-                Model::<f64>::new(real, reference::Options::default())?,
-                neuron::model_thresholds(real),
-            ))
-        })
-        .transpose()?;
-    let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
-    let compared: Vec<Layer> = match counterpart {
+    let compared = match counterpart {
         Counterpart::Recorded(recorded) => recorded.iter().map(|(layer, _)| layer.clone()).collect(),
         _ => layers(network),
     };
-    if let Counterpart::Recorded(recorded) = counterpart
-        && let Some((layer, spikes)) = recorded.iter().find(|(_, spikes)| spikes.len() != samples.len())
-    {
-        let message =
-            format!("'{}' was recorded in {} samples, the input has {}", layer.name, spikes.len(), samples.len());
-        return Err(Diagnostic::new("agree.samples", message).help("choose samples with --samples"));
-    }
-    let counterpart_trace = |index: usize, sample: &Sample| match (counterpart, &model) {
-        (Counterpart::Recorded(recorded), _) => recorded_trace(recorded, index, sample, compartments),
-        (_, Some((model, thresholds))) => {
-            let potential =
-                |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
-            Trace::record(&mut Reference::new(model), sample, recorded_of, potential)
-        }
-        (_, None) => Trace::record(&mut Golden::new(network), sample, recorded_of, |g, c| relative(g, c, &thresholds)),
-    };
     let limit = steps.unwrap_or(u32::MAX);
-    let pair = |(index, sample): (usize, &&Sample)| {
-        let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
-        let second = Trace::record(&mut machine, sample, recorded_of, |m, c| relative(m, c, &thresholds));
-        let first = counterpart_trace(index, sample).until(limit);
+    let both = |index, sample: &Sample| {
+        let traces = (counterpart_trace(index, sample).until(limit), machine(sample).until(limit));
         progress();
-        (first, second.until(limit))
+        traces
     };
-    let mut tally = Tally { layers: compared, output, ..Tally::default() };
-    for (batch, some) in samples.chunks(BATCH).enumerate() {
-        let indexed: Vec<(usize, &&Sample)> = some.iter().enumerate().map(|(i, s)| (batch * BATCH + i, s)).collect();
-        let traces: Vec<(Trace, Trace)> = indexed.into_par_iter().map(pair).collect();
-        tally.add(batch * BATCH, &traces, some, &|layer, pairs| match counterpart {
-            Counterpart::Srm => -1,
-            Counterpart::Cuba | Counterpart::Golden => 0,
-            Counterpart::Recorded(_) => measured_shift(layer, pairs),
-        });
-    }
-    Ok(tally.agreement(samples))
+    let shift = |layer: &Layer, pairs: &[(&Trace, &Trace)]| match counterpart {
+        Counterpart::Srm => -1,
+        Counterpart::Cuba | Counterpart::Golden => 0,
+        Counterpart::Recorded(_) => measured_shift(layer, pairs),
+    };
+    Ok(Tally::of_samples(compared, &output_layer(network), samples, &both, &shift))
 }

@@ -79,8 +79,7 @@ pub struct Ladder {
     test: ThresholdTest,
     reset: Option<Reset>,
     timestep_ms: f64,
-    /// The converted network without what a search chose, made when a rung first needs it, and with
-    /// it.
+    /// The converted network without and with the searched parameters; the first is made lazily.
     rounded: OnceLock<Quantised>,
     calibrated: Quantised,
     causes: Vec<Cause>,
@@ -173,8 +172,7 @@ impl Ladder {
         self
     }
 
-    /// Whether what comes in is copied: an alpha kernel needs no copies, only current and voltage
-    /// with decays of their own do.
+    /// Whether input is copied: only current and voltage with own decays need copies.
     fn copied(&self, rung: Rung) -> bool {
         let single = self.fits.iter().flatten().all(|fit| fit.copies == [(0, 1.0)]);
         single || rung.has(Cause::Kernel) && rung.has(Cause::Decays)
@@ -301,8 +299,7 @@ impl Ladder {
         &self.causes
     }
 
-    /// The steps by which a rung answers later than the trained network: negative, it answers
-    /// earlier.
+    /// Steps by which a rung answers later than the trained network; negative, earlier.
     #[must_use]
     pub fn shift(&self, rung: Rung) -> i32 {
         -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))
@@ -327,7 +324,7 @@ impl Ladder {
     }
 
     /// A compartment as a rung has it.
-    fn neuron(&self, population: usize, index: u32, rung: Rung) -> Neuron {
+    fn neuron(&self, (population, origin): (usize, &Origin), index: u32, rung: Rung) -> Neuron {
         let of = &self.populations[population];
         let network = if rung.has(Cause::Calibration) { &self.calibrated } else { self.rounded() };
         let semantics = network.parts().semantics;
@@ -336,8 +333,8 @@ impl Ladder {
             Units::Input(_) => RealForm::of_neuron(&quantised::Neuron::PLAIN, semantics),
         };
         let clip = if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) };
-        match &of.origin {
-            Some(Origin::Srm(srm, fit)) => {
+        match origin {
+            Origin::Srm(srm, fit) => {
                 // An alpha kernel has one decay; only current and voltage can have two.
                 let keeps = match (rung.has(Cause::Decays), rung.has(Cause::Kernel)) {
                     (true, true) => (analytic::keep(fit.du), analytic::keep(fit.dv)),
@@ -377,7 +374,7 @@ impl Ladder {
                     floors: false,
                 }
             }
-            Some(Origin::Loihi { parameters, subtracts }) => {
+            Origin::Loihi { parameters, subtracts } => {
                 // As the reference engine has it; a real threshold has no registers to clip in.
                 let real = neuron::model(parameters, index, self.timestep_ms, semantics);
                 let pick = |cause: Cause, integer: f64, real: f64| if rung.has(cause) { integer } else { real };
@@ -392,24 +389,15 @@ impl Ladder {
                     floors: rung.has(Cause::Weights) && shift_of(&network.populations().as_slice()[population]) > 0,
                 }
             }
-            None => Neuron {
-                keep_u: 0.0,
-                keep_v: 0.0,
-                threshold: 1.0,
-                bias: 0.0,
-                refractory: 1,
-                subtracts: false,
-                clip,
-                floors: false,
-            },
         }
     }
 
     /// A population of a rung at rest; none for inputs.
     fn state(&self, population: usize, rung: Rung) -> Option<State> {
         let of = &self.populations[population];
-        let neurons = || (0..of.count).map(|index| self.neuron(population, index, rung)).collect();
-        let (response, resets_from) = match of.origin.as_ref()? {
+        let origin = of.origin.as_ref()?;
+        let neurons = (0..of.count).map(|index| self.neuron((population, origin), index, rung)).collect();
+        let (response, resets_from) = match origin {
             Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0),
             Origin::Loihi { parameters, .. } => {
                 let depth = self.in_step(rung).map_or(0, |pipeline| pipeline.start_step(population));
@@ -418,7 +406,7 @@ impl Ladder {
         };
         // SLAYER's loop starts at step 1; its resets are counted from the step as given.
         let first = u32::from(response.is_none() && self.graph.facts().semantics == Semantics::Slayer);
-        let state = State::new(neurons(), response, resets_from.max(first), self.test, rung);
+        let state = State::new(neurons, response, resets_from.max(first), self.test, rung);
         Some(state.resetting_from(resets_from))
     }
 

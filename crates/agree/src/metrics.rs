@@ -41,8 +41,7 @@ pub struct TrainSums {
 }
 
 impl TrainSums {
-    /// Adds a neuron's trains of one sample of this many steps, `b` already shifted onto `a`'s
-    /// steps.
+    /// Adds a neuron's trains of one sample; `b` is already shifted onto `a`'s steps.
     pub fn trains(&mut self, a: &[u32], b: &[u32], steps: u32) {
         self.spikes_a += a.len() as u64;
         self.spikes_b += b.len() as u64;
@@ -97,23 +96,20 @@ impl TrainSums {
         self.victor_purpura / self.pairs.max(1) as f64
     }
 
-    /// Root of the mean squared difference of potentials, in thresholds; none when no potentials
-    /// were compared.
+    /// Root mean squared difference of potentials, in thresholds; none when none were compared.
     #[must_use]
     pub fn potential_rmse(&self) -> Option<f64> {
         (self.potentials > 0).then(|| (self.squares / self.potentials as f64).sqrt())
     }
 
-    /// Differences of counts relative to all spikes: 0 for equal counts, 1 when no neuron of one
-    /// spikes in the other.
+    /// Differences of counts relative to all spikes: 0 for equal counts, 1 for disjoint neurons.
     #[must_use]
     pub fn count_error(&self) -> f64 {
         self.count_differences as f64 / (self.spikes_a + self.spikes_b).max(1) as f64
     }
 }
 
-/// Coincidences beyond chance, and what they could be at most (the factor's numerator and
-/// denominator).
+/// Coincidences beyond chance and their maximum: the factor's numerator and denominator.
 #[must_use]
 pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
     let rate = b.len() as f64 / f64::from(steps.max(1));
@@ -124,8 +120,7 @@ pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
         b.get(from).is_some_and(|&y| y <= x + delta)
     };
     let found = a.iter().filter(near).count() as f64;
-    // A train that spikes in every step leaves nothing to chance and nothing beyond it: count it as
-    // it is.
+    // A train that spikes in every step leaves nothing to chance: it counts as it is.
     let chance = (1.0 - libm::pow(1.0 - rate, window(delta))).min(0.999);
     let mean = (a.len() + b.len()) as f64 / 2.0;
     (found - chance * a.len() as f64, mean * (1.0 - chance))

@@ -51,14 +51,12 @@ pub(super) struct State {
     hard: bool,
     u: Vec<f64>,
     v: Vec<f64>,
-    /// With truncated kernels: the response's taps, the inputs of the past, and what resets and
-    /// biases left.
+    /// With truncated kernels: the response's taps, past inputs, and the rest of resets and biases.
     taps: Vec<f64>,
     past: Vec<Vec<f64>>,
     newest: usize,
     left: Vec<f64>,
-    /// The refractory kernel relative to the threshold: decay, factor, taps when truncated, and its
-    /// state.
+    /// The refractory kernel relative to the threshold: decay, factor, taps, and its state.
     nu: Alpha,
     nu_taps: Vec<f64>,
     nu_first: Vec<f64>,

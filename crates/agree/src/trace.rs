@@ -25,8 +25,7 @@ pub struct Trace {
     pub steps: u32,
     /// For each compartment the steps in which it spiked, ascending.
     pub trains: Vec<Vec<u32>>,
-    /// `[compartment][step]`, the potential after each step in thresholds; empty when none were
-    /// kept.
+    /// `[compartment][step]`: potential after each step in thresholds; may be empty.
     pub potentials: Vec<f32>,
     /// What decides.
     pub decision: ReadOut,
@@ -35,8 +34,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Runs a sample through an engine and keeps what it does; `potential` reads a compartment's in
-    /// thresholds.
+    /// Runs a sample and records it; `potential` reads a compartment's in thresholds.
     pub fn record<E: Engine>(
         engine: &mut E,
         sample: &Sample,
@@ -91,8 +89,7 @@ impl Trace {
         self
     }
 
-    /// The class by what decides: by spikes the output of this layer with most, the lowest index on
-    /// a tie, none when silent.
+    /// The class: by spikes the output with most, the lowest index on a tie, none when silent.
     #[must_use]
     pub fn class(&self, output: &Layer) -> Option<u32> {
         let outputs = self.deciding.first().map_or(0, Vec::len);
@@ -130,8 +127,7 @@ pub struct Divergence {
     pub potential_b: Option<f64>,
 }
 
-/// Both potentials around a divergence, in thresholds, from this many steps before it to this many
-/// after.
+/// Both potentials around a divergence, in thresholds, some steps before and after it.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Around {
     /// The first step, in the first network's time.
@@ -180,8 +176,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Adds a sample: layer `layer` of both, where the second answers `shift` steps later than the
-    /// first.
+    /// Adds a sample of a layer, where the second network answers `shift` steps later.
     pub fn add(&mut self, sample: usize, layer: &Layer, a: &Trace, b: &Trace, shift: i32) {
         let steps = a.steps.min(b.steps);
         // Steps of the first that have a counterpart in the second.

@@ -85,13 +85,9 @@ pub enum Difference {
 /// One synapse as both sides encode it, in one number, so that sorting is quick: port (1 bit),
 /// target (27), exponent (5), sign mode (2), bits (4), delay (6), weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct SynapseCode(u64);
+struct SynapseCode(u64);
 
 impl SynapseCode {
-    pub(super) fn new(target: CompartmentId, format: SynapseFormat, weight: i16, delay: Delay) -> Self {
-        Self::of_format(format).with(target, weight, delay)
-    }
-
     /// What synapses of a format have in common.
     fn of_format(format: SynapseFormat) -> Self {
         let sign = match format.sign {
@@ -118,15 +114,6 @@ impl SynapseCode {
 /// The first [`Difference`]: the frame, then parameters, then synapses by source.
 pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
     check_copies(network, program, 1).map(|_| ())
-}
-
-/// Checks all but synapses, of a program whose synapses have been checked.
-///
-/// # Errors
-/// The first [`Difference`]: the frame, then parameters.
-pub fn check_neurons(network: &Quantised, program: &Program) -> Result<(), Difference> {
-    check_frame(network, program)?;
-    check_parameters(network, program)
 }
 
 /// The same of this many equal copies; how many cores were proven from the first of their class.

@@ -3,7 +3,6 @@
 
 pub mod equivalence;
 pub mod relays;
-pub mod sampled;
 mod shifts;
 pub mod verify;
 mod words;

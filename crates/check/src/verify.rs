@@ -30,9 +30,9 @@ use std::collections::BTreeSet;
 use rayon::prelude::*;
 
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{ClassId, CoreId, IdVec};
+use nsim_ir::base::id::{ClassId, CoreId, Id, IdVec};
 use nsim_ir::hardware::Target;
-use nsim_ir::partition::CoreUsage;
+use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::Mesh;
 use nsim_ir::program::{
     AxonTarget, CoreClass, CoreFormat, CoreImage, InputAxon, PopulationAxon, Program, Stored, Synapse,
@@ -145,6 +145,14 @@ pub enum Violation {
 /// # Errors
 /// The first [`Violation`], by core.
 pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
+    used(program, target).map(drop)
+}
+
+/// Checks every rule; returns what each core uses.
+///
+/// # Errors
+/// The first [`Violation`], by core.
+pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsage>, Violation> {
     let limits = target.limits();
     if *program.mesh() != Mesh::for_target(target) {
         return Err(Violation::Mesh);
@@ -160,16 +168,37 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
     let firsts = program.first_cores();
     let tables = firsts.as_slice().par_iter().map(|&core| verify_tables(core, program.class_of(core), limits));
     let tables: IdVec<ClassId, Result<CoreUsage, Violation>> = tables.collect::<Vec<_>>().into();
-    // Threads may finish in any order; the violation of the lowest core is reported.
     let all: Vec<CoreId> = program.cores().ids().collect();
-    let of_core = |&core: &CoreId| {
-        let class = program.cores()[core].class;
-        match &tables[class] {
-            Ok(usage) => verify_core(program, core, *usage, populations, limits).err(),
-            Err(violation) => (firsts[class] == core).then(|| violation.clone()),
-        }
+    let of_core = |&core: &CoreId| match &tables[program.cores()[core].class] {
+        Ok(usage) => verify_core(program, core, *usage, populations, limits),
+        Err(violation) => Err(violation.clone()),
     };
-    all.par_iter().find_map_first(of_core).map_or(Ok(()), Err)
+    // Threads may finish in any order; the violation of the lowest core is reported.
+    let used: Vec<Result<CoreUsage, Violation>> = all.par_iter().map(of_core).collect();
+    used.into_iter().collect()
+}
+
+/// Whether cores use as many synapses as was counted, and no more of any resource. By position
+/// (`OutputAxons::PerPosition`) fewer output axons may be used than geometry can tell.
+///
+/// # Errors
+/// A sentence about the first core that is wrong.
+pub fn confirm(partition: &Partition, used: &IdVec<CoreId, CoreUsage>) -> Result<(), String> {
+    let holds = |(counted, used): (&CoreUsage, &CoreUsage)| {
+        counted.synapses == used.synapses
+            && Resource::ALL.into_iter().all(|resource| used[resource] <= counted[resource])
+    };
+    if partition.usage().len() != used.len() {
+        return Err(format!("{} cores were counted, and the program has {}", partition.usage().len(), used.len()));
+    }
+    let pairs = || partition.usage().iter().zip(used);
+    match pairs().position(|pair| !holds(pair)) {
+        Some(core) => {
+            let core = CoreId::new(core);
+            Err(format!("{core} was counted to use {:?} and uses {:?}", partition.usage()[core], used[core]))
+        }
+        None => Ok(()),
+    }
 }
 
 fn verify_messages(
@@ -199,7 +228,7 @@ fn verify_messages(
 
 /// Whether a population axon is a pop32 axon: more atoms than a pop16 axon has, or a base that it
 /// cannot have.
-pub(super) fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
+fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
     match limits.output_axons {
         OutputAxons::PerCompartment => false,
         OutputAxons::PerPosition { atoms, .. } => axon.atoms > atoms || !axon.base.is_multiple_of(BASE_STEP),
@@ -294,7 +323,7 @@ fn verify_core(
     mut usage: CoreUsage,
     populations: bool,
     limits: &Limits,
-) -> Result<(), Violation> {
+) -> Result<CoreUsage, Violation> {
     let image = &program.cores()[core];
     for (slot, messages) in image.axons_out.iter().enumerate() {
         verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
@@ -303,7 +332,7 @@ fn verify_core(
     usage[Resource::AxonsOutPerCompartment] = image.axons_out.iter().map(|list| list.len() as u64).max().unwrap_or(0);
     match usage.excesses(limits).next() {
         Some((capacity, need, limit)) => Err(Violation::Excess { core, capacity, need, limit }),
-        None => Ok(()),
+        None => Ok(usage),
     }
 }
 
@@ -342,7 +371,7 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
 ///
 /// # Errors
 /// The first [`Violation`].
-pub(super) fn verify_tables(core: CoreId, class: &CoreClass, limits: &Limits) -> Result<CoreUsage, Violation> {
+fn verify_tables(core: CoreId, class: &CoreClass, limits: &Limits) -> Result<CoreUsage, Violation> {
     let in_table = verify_populations(core, &class.inputs, limits)?;
     let longest = class.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
     let layout = Layout::of_core(class.compartments.len() as u32, longest, limits);

@@ -5,11 +5,11 @@
 
 use petgraph::unionfind::UnionFind;
 
-use crate::mapping::Compiled;
+use crate::mapping::Mapping;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id};
 use nsim_ir::groups::{CoreGroups, OneCopy, Together};
 
-impl Compiled {
+impl Mapping {
     /// Numbers of one copy.
     #[must_use]
     pub fn one_copy(&self) -> OneCopy {

@@ -5,18 +5,14 @@
 //! network's by code that shares nothing with the stages that made it. [`map()`] makes one mapping;
 //! [`explore::map`] compares several for an objective.
 
-#[cfg(test)]
-mod copies_tests;
 pub mod emit;
 pub mod explore;
 pub mod groups;
 pub mod mapping;
 pub mod mapping_file;
-pub mod parcel;
 pub mod place;
 #[cfg(test)]
 mod prune_tests;
-pub mod reuse;
 pub mod stages;
 #[cfg(test)]
 mod tests;
@@ -26,54 +22,33 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;
 
-pub use mapping::{Checked, Compiled, Mapping, Synapses};
+pub use mapping::{Mapping, Mapping as Compiled};
 pub use nsim_partition::error::CompileError;
 pub use nsim_partition::form::Form;
 pub use nsim_partition::options::{
     CopyPlacement, DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy,
 };
 pub use nsim_partition::reason::Reason;
-pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked, with_program};
+pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked};
 
 /// A mapping by one partition and one placement, for sources of one copy that spike this often.
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn map(
-    front: Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-    form: Form,
-) -> Result<Mapping, CompileError> {
-    let target = &*form.counted_on(front.quantised(), target);
-    let placed = place(front, target, options, rates, form)?;
-    let unchecked = placed.emit(target, options)?;
-    unchecked.check(target)
+pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Mapping, CompileError> {
+    place(front, target, options, rates)?.emit(target, options)?.check(target)
 }
 
-/// A network on the cores of a target, by one partition and one placement; the first half of
-/// [`map()`].
-///
-/// # Errors
-/// [`CompileError`].
-pub fn place(
-    front: Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-    form: Form,
-) -> Result<Placed, CompileError> {
-    let target = &*form.counted_on(front.quantised(), target);
+/// The first half of [`map()`].
+fn place(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Placed, CompileError> {
     let one = |front: Front, options: &Options| {
-        let placed = place(front, target, options, rates, form)?;
+        let placed = place(front, target, options, rates)?;
         Ok((placed.partitioned.partition.members().clone(), placed.placement, placed.name))
     };
-    if let Some(spread) = spread(&front, target, options, rates, form, one)? {
+    if let Some(spread) = spread(&front, target, options, rates, one)? {
         return Ok(spread);
     }
-    let partitioned = front.partition(target, options, rates, form)?;
-    partitioned.place(target, options)
+    front.partition(target, options, rates)?.place(target, options)
 }
 
 /// The mapping that a file says, checked as any other. The network is pruned as it was for the
@@ -82,27 +57,22 @@ pub fn place(
 /// # Errors
 /// [`CompileError`].
 pub fn load(
-    front: Front,
+    front: impl Into<Front>,
     target: &Target,
     options: &Options,
     file: &MappingFile,
-    form: Form,
 ) -> Result<Mapping, CompileError> {
-    let target = &*form.counted_on(front.quantised(), target);
-    let placed = front.place_as(target, options, file, form)?;
-    let unchecked = placed.emit(target, options)?;
-    unchecked.check(target)
+    front.into().place_as(target, options, file)?.emit(target, options)?.check(target)
 }
 
 /// A program for a network: [`map`] at the default rate.
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> Result<Compiled, CompileError> {
+pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> Result<Mapping, CompileError> {
     let front = front.into();
-    let form = Form::for_network(front.quantised(), options.copies);
-    form.require_program(front.quantised(), options.copies)?;
-    with_program(map(front, target, options, &Rates::assumed(DEFAULT_RATE), form)?, target)
+    front.form(options.copies).require_program(front.quantised(), options.copies)?;
+    map(front, target, options, &Rates::assumed(DEFAULT_RATE))
 }
 
 /// A program for a network on the cores of a saved mapping: [`load`].
@@ -114,9 +84,8 @@ pub fn compile_saved(
     target: &Target,
     options: &Options,
     file: &MappingFile,
-) -> Result<Compiled, CompileError> {
+) -> Result<Mapping, CompileError> {
     let front = front.into();
-    let form = Form::for_network(front.quantised(), options.copies);
-    form.require_program(front.quantised(), options.copies)?;
-    with_program(load(front, target, options, file, form)?, target)
+    front.form(options.copies).require_program(front.quantised(), options.copies)?;
+    load(front, target, options, file)
 }

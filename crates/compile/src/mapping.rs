@@ -1,9 +1,7 @@
 //! A network on the cores of a target: the compiler's result.
 //!
 //! A [`Mapping`] exists only once its limits have been verified and its synapses compared with the
-//! network's, all of them or those of a sample ([`Checked`]). One with a program is a [`Compiled`]
-//! and can run; one of a network that is mapped by its kernels has boxes instead, from which
-//! everything but single synapses can be counted.
+//! network's.
 
 use std::sync::Arc;
 
@@ -12,33 +10,13 @@ use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
-use nsim_partition::error::CompileError;
 use nsim_partition::form::Form;
 use nsim_partition::options::Options;
-use nsim_partition::strategy::boxes::Boxes;
-
-/// How the synapses of each core are given.
-#[derive(Debug, Clone)]
-pub enum Synapses {
-    /// The tables of every core.
-    Written(Arc<Program>),
-    /// The box of each core.
-    Symbolic(Box<Boxes>),
-}
-
-/// How the checker compared a mapping with its network.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Checked {
-    /// `whole`: every synapse of every core. `pattern`: every synapse of one core of each class,
-    /// and that the others of the class are shifts of it. `sampled`: every synapse of some cores.
-    pub how: &'static str,
-    /// The share of the cores whose synapses are known to be the network's.
-    pub share: f64,
-}
+use nsim_partition::strategy::boxes::Lattices;
 
 /// A network on the cores of a target.
 #[derive(Debug, Clone)]
-pub struct Mapping<P = Synapses> {
+pub struct Mapping {
     /// The network, one copy.
     pub one: Quantised,
     /// The network, all copies.
@@ -47,10 +25,13 @@ pub struct Mapping<P = Synapses> {
     pub partition: Partition,
     /// Cores on the board.
     pub placement: Placement,
-    /// How the synapses of each core are given.
-    pub program: P,
-    /// How it was compared with its network.
-    pub checked: Checked,
+    /// Where layers are cut, of a network that is mapped by its kernels.
+    pub lattices: Option<Lattices>,
+    /// Tables and messages.
+    pub program: Arc<Program>,
+    /// Cores proven to be shifts of the first of their class, all of whose synapses were compared
+    /// with the network's, as were those of all other cores.
+    pub shifts: u32,
     /// Seconds of each stage, in order.
     pub seconds: Vec<(&'static str, f64)>,
     /// The target's name.
@@ -63,29 +44,10 @@ pub struct Mapping<P = Synapses> {
     pub rates: Rates,
 }
 
-/// A mapping with its program.
-pub type Compiled = Mapping<Arc<Program>>;
-
 impl Mapping {
-    /// How far its synapses are expanded.
+    /// How it was mapped.
     #[must_use]
     pub fn form(&self) -> Form {
-        match self.program {
-            Synapses::Written(_) => Form::Written,
-            Synapses::Symbolic(_) => Form::Symbolic,
-        }
-    }
-
-    /// The mapping with its program.
-    ///
-    /// # Errors
-    /// [`CompileError::Fault`] when it is symbolic.
-    pub fn into_compiled(self) -> Result<Compiled, CompileError> {
-        let Mapping { one, quantised, partition, placement, program, checked, seconds, target, options, placed, rates } =
-            self;
-        let Synapses::Written(program) = program else {
-            return Err(CompileError::fault("a symbolic mapping has no program"));
-        };
-        Ok(Mapping { one, quantised, partition, placement, program, checked, seconds, target, options, placed, rates })
+        if self.lattices.is_some() { Form::Symbolic } else { Form::Written }
     }
 }

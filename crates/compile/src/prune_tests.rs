@@ -1,16 +1,13 @@
 //! Each kind of pruning on a network made for it, and what people see of a pruned network.
 
 use crate::{CompileError, Options, compile, compile_saved};
-use nsim_dynamics::{Arrivals, may_spike};
-use nsim_ir::arithmetic::{Semantics, ThresholdTest};
-use nsim_ir::base::fixed::{BiasMantissa, SignMode, ThresholdMantissa};
+use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::{ChannelId, PopulationId};
 use nsim_ir::pruned::Kind;
 use nsim_ir::quantised::Quantised;
-use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::spikes::Sample;
 use nsim_quantise::prune::*;
-use nsim_testing::{Builder, format, limits, neurons, target};
+use nsim_testing::{Builder, format, limits, sparse, target};
 
 /// Counts in the order of `Kind::ALL`.
 fn counts(network: &Quantised) -> [u64; 5] {
@@ -21,12 +18,8 @@ fn counts(network: &Quantised) -> [u64; 5] {
 fn fan(weights: [i16; 4]) -> Builder {
     let mut builder = Builder::new();
     let (input, hidden, out) = (builder.input("in", 4), builder.loihi("hidden", 4), builder.loihi("out", 1));
-    let sparse = |weights: [i16; 4]| Connectivity::Sparse {
-        first: (0..5).collect(),
-        targets: (0..4).collect(),
-        weights: weights.into(),
-    };
-    builder.connect((input, hidden), format(0, SignMode::Mixed, 8), 0, sparse(weights));
+    let weights = sparse((0..4).zip(weights).map(|synapse| vec![synapse]));
+    builder.connect((input, hidden), format(0, SignMode::Mixed, 8), 0, weights);
     builder.dense(hidden, out, |_, _| 100);
     builder
 }
@@ -100,18 +93,4 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
     let whole_file = compile(whole.clone(), &board, &options).unwrap().mapping_file();
     let pruned = prune(&whole, &Plan::fixed()).unwrap();
     assert!(compile_saved(pruned, &board, &options, &whole_file).is_err());
-}
-
-#[test]
-fn a_threshold_that_may_be_met_at_rest_is_no_silence() {
-    let mut neuron = neurons().get(0);
-    neuron.vth = ThresholdMantissa::new(0).unwrap();
-    let none = Arrivals::default();
-    for semantics in [Semantics::Hardware, Semantics::Lava, Semantics::Slayer] {
-        assert!(may_spike(&neuron, semantics, ThresholdTest::Inclusive, none));
-        assert!(!may_spike(&neuron, semantics, ThresholdTest::Strict, none));
-    }
-    neuron.bias_mant = BiasMantissa::new(-1).unwrap();
-    assert!(!may_spike(&neuron, Semantics::Hardware, ThresholdTest::Inclusive, none));
-    assert!(may_spike(&neuron, Semantics::Slayer, ThresholdTest::Inclusive, none), "SLAYER has no bias");
 }

@@ -8,15 +8,13 @@ use std::time::Instant;
 
 use crate::emit::boxes::route_boxes;
 use crate::emit::route::route;
-use crate::emit::sample::sample;
-use crate::mapping::{Checked, Compiled, Mapping, Synapses};
+use crate::mapping::Mapping;
 use crate::mapping_file;
 use crate::mapping_file::pruned::plan;
 use crate::place;
 use crate::place::anneal;
 use crate::place::deal::deal;
-use nsim_check::sampled::SampledCore;
-use nsim_check::{equivalence, relays, sampled, verify};
+use nsim_check::{equivalence, relays, verify};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CoreId, IdVec};
 use nsim_ir::dealt::{Dealt, Share};
@@ -26,7 +24,6 @@ use nsim_ir::mapping::MappingFile;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Mesh, Placement, Site};
-use nsim_ir::program::Program;
 use nsim_ir::quantised::{Note, Parts, Quantised, Units};
 use nsim_ir::resource::Resource;
 use nsim_partition::error::{CompileError, Result};
@@ -36,7 +33,7 @@ use nsim_partition::resources::axon_sharing::Places;
 use nsim_partition::resources::even_draws;
 use nsim_partition::strategy;
 use nsim_partition::strategy::boxes;
-use nsim_partition::strategy::boxes::Boxes;
+use nsim_partition::strategy::boxes::{Boxes, Lattices};
 use nsim_partition::strategy::members::Members;
 use nsim_partition::strategy::{partition, within_bounds};
 use nsim_quantise::copies::copies;
@@ -68,6 +65,7 @@ pub struct Front {
     one: Quantised,
     clock: Clock,
     relays: Option<AddedRelays>,
+    by_kernels: bool,
 }
 
 /// Relays that were added to a network.
@@ -83,7 +81,7 @@ pub struct AddedRelays {
 
 impl From<Quantised> for Front {
     fn from(one: Quantised) -> Self {
-        Front { one, clock: Clock::default(), relays: None }
+        Front::measured(one, Vec::new())
     }
 }
 
@@ -91,7 +89,19 @@ impl Front {
     /// A network in integers, made in stages that took this many seconds each.
     #[must_use]
     pub fn measured(one: Quantised, seconds: Vec<(&'static str, f64)>) -> Self {
-        Front { one, clock: Clock(seconds), relays: None }
+        Front { one, clock: Clock(seconds), relays: None, by_kernels: false }
+    }
+
+    /// The network, to be mapped by its kernels however small it is.
+    #[must_use]
+    pub fn by_kernels(self) -> Self {
+        Front { by_kernels: true, ..self }
+    }
+
+    /// How this many copies of it are mapped.
+    #[must_use]
+    pub fn form(&self, copies: u32) -> Form {
+        if self.by_kernels { Form::Symbolic } else { Form::for_network(&self.one, copies) }
     }
 
     /// The network.
@@ -167,7 +177,7 @@ impl Front {
         }
         for (id, population) in gathered.populations().enumerate() {
             if let Some(axons) = places.positions(&gathered, id) {
-                let message = format!("its spikes go to {axons} population axons of a core, for want of input axons");
+                let message = format!("its spikes go to {axons} population axons of a core, to save input axons");
                 parts.notes.push(Note { entity: population.name.clone(), message, rounded: None });
             }
         }
@@ -178,7 +188,7 @@ impl Front {
     /// Whether output axons are no reason against the network as it is.
     fn fits_without_relays(self, target: &Target) -> bool {
         let options = Options { effort: Effort::Work(0), ..Options::default() };
-        match self.partition(target, &options, &Rates::assumed(DEFAULT_RATE), Form::Written) {
+        match self.partition(target, &options, &Rates::assumed(DEFAULT_RATE)) {
             Err(CompileError::DoesNotFit(reasons)) => !reasons.iter().any(|reason| {
                 reason.resource == Resource::AxonsOut || reason.resource == Resource::AxonsOutPerCompartment
             }),
@@ -190,15 +200,18 @@ impl Front {
     ///
     /// # Errors
     /// [`CompileError`].
-    pub fn partition(self, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Partitioned> {
+    pub fn partition(self, target: &Target, options: &Options, rates: &Rates) -> Result<Partitioned> {
         let search = strategy::Search::new(options, rates);
-        let (front, all) = self.copied(target, options, search, form)?;
+        let form = self.form(options.copies);
+        let target = &*form.counted_on(&self.one, target);
+        let (front, all) = self.copied(target, options, search)?;
         let Front { one, mut clock, .. } = front;
         let (partition, boxes) = clock.stage("partition", || match form {
             Form::Written => Ok((partition(&one, &all, target, search)?, None)),
             Form::Symbolic => boxes::partition(&all, target, options),
         })?;
-        Ok(Partitioned { one, all, partition, boxes, rates: rates.copies(options.copies), clock })
+        let lattices = boxes.as_ref().map(Boxes::lattices);
+        Ok(Partitioned { one, all, partition, lattices, boxes, rates: rates.copies(options.copies), clock })
     }
 
     /// Compartments on the cores that a saved mapping says, of the network pruned as it was for the
@@ -207,21 +220,20 @@ impl Front {
     /// # Errors
     /// [`CompileError::Input`] when the mapping is of another network, target or number of copies;
     /// [`CompileError::DoesNotFit`] when a core exceeds a limit.
-    pub fn place_as(self, target: &Target, options: &Options, file: &MappingFile, form: Form) -> Result<Placed> {
+    pub fn place_as(self, target: &Target, options: &Options, file: &MappingFile) -> Result<Placed> {
         mapping_file::of_copies(file, options.copies)?;
-        let rates = Rates::assumed(DEFAULT_RATE);
+        let (form, rates) = (self.form(options.copies), Rates::assumed(DEFAULT_RATE));
         let pruned = match form {
             Form::Written => self.prune_as(file)?,
             Form::Symbolic => self,
         };
-        let (front, all) = pruned.copied(target, options, strategy::Search::new(options, &rates), form)?;
+        let target = &*form.counted_on(&pruned.one, target);
+        let (front, all) = pruned.copied(target, options, strategy::Search::new(options, &rates))?;
         let Front { one, mut clock, .. } = front;
-        let (partition, placement, boxes) = clock.stage("mapping", || mapping_file::load(file, &all, target, form))?;
-        Ok(Placed {
-            partitioned: Partitioned { one, all, partition, boxes, rates, clock },
-            placement,
-            name: place::SAVED,
-        })
+        let load = || mapping_file::load(file, &all, target, form);
+        let (partition, placement, lattices) = clock.stage("mapping", load)?;
+        let partitioned = Partitioned { one, all, partition, lattices, boxes: None, rates, clock };
+        Ok(Placed { partitioned, placement, name: place::SAVED })
     }
 
     /// Compartments on these cores at these sites, which were found for this network, target and
@@ -238,23 +250,19 @@ impl Front {
         name: &'static str,
     ) -> Result<Placed> {
         let search = strategy::Search::new(options, rates);
-        let (front, all) = self.copied(target, options, search, Form::Written)?;
+        let (front, all) = self.copied(target, options, search)?;
         let Front { one, mut clock, .. } = front;
         let partition = clock.stage("partition", || mapping_file::partition_on(&all, members, &sites, target))?;
         let mesh = Mesh::for_target(target);
         let placement = clock.stage("place", || Placement::new(mesh, sites)).map_err(CompileError::fault)?;
         let rates = rates.copies(options.copies);
-        Ok(Placed { partitioned: Partitioned { one, all, partition, boxes: None, rates, clock }, placement, name })
+        let partitioned = Partitioned { one, all, partition, lattices: None, boxes: None, rates, clock };
+        Ok(Placed { partitioned, placement, name })
     }
 
     /// All copies, if their sizes alone do not exceed the target.
-    fn copied(
-        mut self,
-        target: &Target,
-        options: &Options,
-        search: strategy::Search<'_>,
-        form: Form,
-    ) -> Result<(Self, Quantised)> {
+    fn copied(mut self, target: &Target, options: &Options, search: strategy::Search<'_>) -> Result<(Self, Quantised)> {
+        let form = self.form(options.copies);
         let (one, clock) = (&self.one, &mut self.clock);
         has_kinds_and_messages(one, target)?;
         clock.stage("bounds", || within_bounds(one, target, options.copies, form, search))?;
@@ -326,7 +334,9 @@ pub struct Partitioned {
     pub all: Quantised,
     /// Compartments on cores.
     pub partition: Partition,
-    /// The boxes of a symbolic mapping.
+    /// Where layers are cut, of a network that is mapped by its kernels.
+    pub lattices: Option<Lattices>,
+    /// What their boxes send, where they are still to be placed.
     pub boxes: Option<Boxes>,
     rates: Rates,
     clock: Clock,
@@ -339,11 +349,18 @@ impl Partitioned {
         &self.one
     }
 
+    /// How it is mapped.
+    #[must_use]
+    pub fn form(&self) -> Form {
+        if self.lattices.is_some() { Form::Symbolic } else { Form::Written }
+    }
+
     /// The same for a target with other limits than it was made for.
     ///
     /// # Errors
     /// [`CompileError::Fault`] when a core exceeds them.
     pub fn within(mut self, target: &Target) -> Result<Self> {
+        let target = &*self.form().counted_on(&self.one, target);
         self.partition = self.partition.within(target.limits()).map_err(CompileError::fault)?;
         Ok(self)
     }
@@ -374,144 +391,6 @@ impl Partitioned {
     }
 }
 
-/// The cores dealt out to the processes that run the program together, if there are several.
-fn dealt(network: &Quantised, partition: &Partition, placement: &Placement, share: Share) -> Option<Dealt> {
-    let Share { rank, ranks, whole } = share;
-    (ranks > 1).then(|| {
-        let owners = deal(network, partition, placement, ranks).into();
-        Dealt { ranks, owners, held: (!whole).then_some(rank) }
-    })
-}
-
-/// The mapping with its program, which is written here if it was mapped by its kernels, and then
-/// verified and checked: every synapse of one core of each pattern.
-///
-/// # Errors
-/// [`CompileError::Fault`].
-pub fn with_program(mapping: Mapping, target: &Target) -> Result<Compiled> {
-    let Mapping { quantised: network, partition, placement, options, .. } = &mapping;
-    let dealt = match mapping.form() {
-        Form::Written => None,
-        Form::Symbolic => dealt(network, partition, placement, options.share),
-    };
-    with_program_dealt(mapping, target, dealt)
-}
-
-/// The same of a mapping that has been dealt out, if there are several processes.
-fn with_program_dealt(mapping: Mapping, target: &Target, dealt: Option<Dealt>) -> Result<Compiled> {
-    if mapping.form() == Form::Written {
-        return mapping.into_compiled();
-    }
-    let mut clock = Clock(mapping.seconds.clone());
-    let Mapping { quantised: network, partition, placement, options, .. } = &mapping;
-    let placed = (placement, dealt);
-    let (program, checked) = by_patterns((network, options.copies), partition, placed, target, &mut clock)?;
-    Mapping { program: Synapses::Written(program.into()), checked, seconds: clock.0, ..mapping }.into_compiled()
-}
-
-/// The program of a network that is mapped by its kernels, written, verified and checked.
-fn by_patterns(
-    (network, copies): (&Quantised, u32),
-    partition: &Partition,
-    (placement, dealt): (&Placement, Option<Dealt>),
-    target: &Target,
-    clock: &mut Clock,
-) -> Result<(Program, Checked)> {
-    let target = &*Form::Symbolic.counted_on(network, target);
-    let route = || route_boxes(network, partition, (placement, dealt), target.limits());
-    let (program, sample) = clock.stage("write", route).map_err(CompileError::Fault)?;
-    if program.held_rank().is_none() {
-        let checked = checked_whole(network, &program, target, copies, clock)?;
-        return Ok((program, checked));
-    }
-    clock.stage("verify", || verify::verify(&program, target)).map_err(CompileError::fault)?;
-    let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
-    let check = || sampled::check(network, partition, &chips, &sample, target.limits());
-    clock.stage("check", check).map_err(CompileError::Fault)?;
-    Ok((program, Checked { how: "sampled", share: 0.0 }))
-}
-
-/// A network on the cores of the board that another process has placed, of which this one holds a
-/// part.
-#[derive(Debug)]
-pub struct PlacedPart {
-    /// The network, one copy, with the synapses to compartments that are held.
-    pub one: Quantised,
-    /// The same, all copies.
-    pub all: Quantised,
-    /// Compartments on cores.
-    pub partition: Partition,
-    /// Cores on the board.
-    pub placement: Placement,
-    /// Which process holds which cores.
-    pub dealt: Dealt,
-    /// Name of the placement.
-    pub name: &'static str,
-    /// How it was mapped.
-    pub form: Form,
-}
-
-impl PlacedPart {
-    /// How many copies there are.
-    #[must_use]
-    pub fn copies(&self) -> u32 {
-        (self.all.populations().len() / self.one.populations().len().max(1)) as u32
-    }
-
-    /// The program that is held, verified and checked. The network that is kept with it has no
-    /// projections: they are in the program.
-    ///
-    /// # Errors
-    /// [`CompileError::Fault`].
-    pub fn compiled(self, target: &Target, options: &Options) -> Result<Compiled> {
-        let PlacedPart { one, all, partition, placement, dealt, name: placed, form } = self;
-        let mut clock = Clock::default();
-        let (program, checked) = match form {
-            Form::Written => {
-                let written = || route(&all, &partition, &placement, (options.copies, Some(dealt)), target.limits());
-                let program = clock.stage("route", written).map_err(CompileError::Fault)?;
-                let checked = checked_whole(&all, &program, target, options.copies, &mut clock)?;
-                (program, checked)
-            }
-            Form::Symbolic => {
-                let placed = (&placement, Some(dealt));
-                by_patterns((&all, options.copies), &partition, placed, target, &mut clock)?
-            }
-        };
-        let (one, quantised) = (one.without_projections(), all.without_projections());
-        let (seconds, target, options) = (clock.0, target.name().to_string(), *options);
-        let rates = Rates::assumed(DEFAULT_RATE);
-        Ok(Mapping {
-            one,
-            quantised,
-            partition,
-            placement,
-            program: program.into(),
-            checked,
-            seconds,
-            target,
-            options,
-            placed,
-            rates,
-        })
-    }
-}
-
-/// How a program was compared with its network, once its limits have been verified and all of it
-/// compared.
-fn checked_whole(
-    network: &Quantised,
-    program: &Program,
-    target: &Target,
-    copies: u32,
-    clock: &mut Clock,
-) -> Result<Checked> {
-    clock.stage("verify", || verify::verify(program, target)).map_err(CompileError::fault)?;
-    let check = || equivalence::check_copies(network, program, copies);
-    let proven = clock.stage("check", check).map_err(CompileError::fault)?;
-    Ok(Checked { how: if proven > 0 { "pattern" } else { "whole" }, share: 1.0 })
-}
-
 /// A network on the cores of the board, and the name of how they were placed.
 #[derive(Debug, Clone)]
 pub struct Placed {
@@ -524,99 +403,72 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// How far its synapses are expanded.
-    #[must_use]
-    pub fn form(&self) -> Form {
-        if self.partitioned.boxes.is_some() { Form::Symbolic } else { Form::Written }
-    }
-
-    /// Its cores dealt out to the processes that run the program together, if there are several.
-    #[must_use]
-    pub fn dealt(&self, share: Share) -> Option<Dealt> {
-        let Placed { partitioned: Partitioned { all, partition, .. }, placement, .. } = self;
-        dealt(all, partition, placement, share)
-    }
-
-    /// The program, verified and checked, of a network that has been dealt out, if there are
-    /// several processes.
-    ///
-    /// # Errors
-    /// [`CompileError::Fault`].
-    pub fn compiled(self, target: &Target, options: &Options, dealt: Option<Dealt>) -> Result<Compiled> {
-        let target = &*self.form().counted_on(&self.partitioned.one, target);
-        let of_tables = dealt.clone().filter(|_| self.form() == Form::Written);
-        let mapping = self.emit_dealt(target, options, of_tables)?.check(target)?;
-        with_program_dealt(mapping, target, dealt)
-    }
-
-    /// The tables of all cores; of a symbolic mapping those of one core of each kind.
+    /// The tables of one core of each class, and the messages of all.
     ///
     /// # Errors
     /// [`CompileError::Fault`].
     pub fn emit(self, target: &Target, options: &Options) -> Result<Unchecked> {
-        let dealt = match self.form() {
-            Form::Written => self.dealt(options.share),
-            Form::Symbolic => None,
-        };
-        self.emit_dealt(target, options, dealt)
-    }
-
-    fn emit_dealt(self, target: &Target, options: &Options, dealt: Option<Dealt>) -> Result<Unchecked> {
         let Placed { partitioned, placement, name: placed } = self;
-        let Partitioned { one, all: quantised, partition, boxes, rates, mut clock } = partitioned;
-        let limits = target.limits();
-        let (program, sample) = clock
-            .stage("route", || match boxes {
-                None => {
-                    let program = route(&quantised, &partition, &placement, (options.copies, dealt), limits)?;
-                    Ok((Synapses::Written(program.into()), Vec::new()))
-                }
-                Some(boxes) => {
-                    let sample = sample(&quantised, &partition, &boxes.to_be_checked(), limits)?;
-                    Ok((Synapses::Symbolic(Box::new(boxes)), sample))
-                }
-            })
-            .map_err(CompileError::Fault)?;
+        let form = partitioned.form();
+        let Partitioned { one, all: quantised, partition, lattices, boxes, rates, mut clock } = partitioned;
+        drop(boxes);
+        let limits = form.counted_on(&one, target).limits().clone();
+        let Share { rank, ranks, whole } = options.share;
+        let dealt = (ranks > 1).then(|| {
+            let owners = deal(&quantised, &partition, &placement, ranks).into();
+            Dealt { ranks, owners, held: (!whole).then_some(rank) }
+        });
+        let places = (&placement, dealt);
+        let route = || match form {
+            Form::Written => route(&quantised, &partition, places, options.copies, &limits),
+            Form::Symbolic => route_boxes(&quantised, &partition, places, &limits),
+        };
+        let program = clock.stage("route", route).map_err(CompileError::Fault)?.into();
         let (seconds, target, options) = (clock.0, target.name().to_string(), *options);
-        let checked = Checked { how: "sampled", share: 0.0 };
-        let mapping =
-            Mapping { one, quantised, partition, placement, program, checked, seconds, target, options, placed, rates };
-        Ok(Unchecked { mapping, sample })
+        Ok(Unchecked(Mapping {
+            one,
+            quantised,
+            partition,
+            placement,
+            lattices,
+            program,
+            shifts: 0,
+            seconds,
+            target,
+            options,
+            placed,
+            rates,
+        }))
     }
 }
 
 /// A mapping that has not been verified and checked, for comparing what mappings cost.
 #[derive(Debug, Clone)]
-pub struct Unchecked {
-    mapping: Mapping,
-    /// Tables of one core of each kind, of a symbolic mapping.
-    sample: Vec<SampledCore>,
-}
+pub struct Unchecked(Mapping);
 
 impl Unchecked {
     /// The mapping, which may be wrong.
     #[must_use]
     pub fn mapping(&self) -> &Mapping {
-        &self.mapping
+        &self.0
     }
 
-    /// The mapping once its limits have been verified and its synapses compared with the network's.
+    /// The mapping once its limits have been verified, its counts confirmed, and its synapses
+    /// compared with the network's.
     ///
     /// # Errors
     /// [`CompileError::Fault`].
     pub fn check(self, target: &Target) -> Result<Mapping> {
-        let Unchecked { mut mapping, sample } = self;
+        let mut mapping = self.0;
         let mut clock = Clock(std::mem::take(&mut mapping.seconds));
-        let Mapping { quantised: network, partition, placement, .. } = &mapping;
-        mapping.checked = match &mapping.program {
-            Synapses::Written(program) => checked_whole(network, program, target, mapping.options.copies, &mut clock)?,
-            Synapses::Symbolic(_) => {
-                let chips: IdVec<CoreId, u32> = placement.sites().iter().map(|site| site.chip).collect();
-                let check = || sampled::check(network, partition, &chips, &sample, target.limits());
-                clock.stage("check", check).map_err(CompileError::Fault)?;
-                Checked { how: "sampled", share: sample.len() as f64 / partition.cores().max(1) as f64 }
-            }
-        };
+        let Mapping { quantised: network, partition, program, options, .. } = &mapping;
+        let target = &*mapping.form().counted_on(&mapping.one, target);
+        let used = clock.stage("verify", || verify::used(program, target)).map_err(CompileError::fault)?;
+        if program.held_rank().is_none() {
+            verify::confirm(partition, &used).map_err(CompileError::Fault)?;
+        }
+        let check = || equivalence::check_copies(network, program, options.copies);
+        mapping.shifts = clock.stage("check", check).map_err(CompileError::fault)?;
         mapping.seconds = clock.0;
         Ok(mapping)
     }

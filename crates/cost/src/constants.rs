@@ -50,8 +50,7 @@ macro_rules! integer {
 
 macro_rules! cost_table {
     ($($(#[$doc:meta])* $field:ident: $unit:ident $(= $default:literal)?,)*) => {
-        /// A preset of constants, ready to be multiplied with counts. The fields mean what those of
-        /// [`Constants`] do.
+        /// A preset of constants in integers. Fields mean what those of [`Constants`] do.
         #[derive(Debug, Clone, PartialEq, Eq)]
         pub struct CostTable {
             name: String,
@@ -89,8 +88,7 @@ macro_rules! cost_table {
 for_each_constant!(cost_table);
 
 impl CostTable {
-    /// The preset with the energies and powers of one status, all others 0: published, calibrated,
-    /// assumed. Ratios stay.
+    /// The preset by status (published, calibrated, assumed): other energies are 0, ratios stay.
     ///
     /// # Errors
     /// As [`CostTable::new`].
@@ -166,8 +164,7 @@ pub(crate) fn scaled(preset: &str, field: &str, constant: &Constant) -> Result<u
 }
 
 /// `value * 10^places`, rounded to a whole number, when that is from 0 to 10^15. The shortest
-/// decimal that reads back as `value` is what the file said, up to 15 digits, so no binary rounding
-/// enters.
+/// decimal that reads back as `value` is the file's (up to 15 digits): no binary rounding.
 fn decimal(value: f64, places: usize) -> Option<u64> {
     if !(0.0..=1e15).contains(&value) {
         return None;

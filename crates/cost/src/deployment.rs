@@ -80,8 +80,7 @@ struct FullestChip {
     copies: u64,
 }
 
-/// Hops of a barrier between chips in use: across the board's own rectangle where it is full, else
-/// across the nearest square.
+/// Hops of a barrier between chips: across the board where it is full, else a square.
 #[must_use]
 pub fn chip_hops(chips_used: u64, (chips_x, chips_y): (u32, u32)) -> u64 {
     let (wide, high) = (u64::from(chips_x), u64::from(chips_y));
@@ -173,8 +172,7 @@ impl Deployment {
         self.x86_cores > 0 && (self.host != Host::None || self.reset.count > 0)
     }
 
-    /// What the time of a step depends on here, for steps that count the spikes of `copies_counted`
-    /// copies.
+    /// What the time of a step depends on, when steps count spikes of `copies_counted` copies.
     #[must_use]
     pub fn timing(&self, transport: Transport, copies_counted: u32) -> Timing {
         Timing {

@@ -190,11 +190,9 @@ impl EnergyRow {
 /// A preset by how far its constants can be trusted.
 #[derive(Debug, Clone)]
 pub struct ByStatus {
-    /// The preset with the energies and powers of one status, all others 0: published, fitted,
-    /// assumed.
+    /// The preset by status, other energies 0: published, fitted, assumed.
     tables: [CostTable; 3],
-    /// The least trusted constant of each part of a step's time, in the order of
-    /// [`StepTime::parts`].
+    /// The least trusted constant of each part of a step's time, as [`StepTime::parts`].
     time: [Status; 6],
 }
 
@@ -233,8 +231,7 @@ pub struct Case<'a> {
     pub errors: &'a [ClassError],
     /// The preset by the status of its constants.
     pub by_status: Option<&'a ByStatus>,
-    /// Copies whose activity was counted: 1 when one copy stands for all, else the copies of the
-    /// mapping.
+    /// Copies whose activity was counted: 1 when one stands for all, else the mapping's.
     pub copies_counted: u32,
     /// Where the copies are.
     pub deployment: &'a Deployment,
@@ -279,12 +276,10 @@ pub struct Estimate {
     pub rows: Vec<EnergyRow>,
     /// Powers of all copies together.
     pub job: JobPower,
-    /// Dynamic energy of the neuron cores by part, in pJ a timestep and copy; `None` without
-    /// timesteps.
+    /// Dynamic energy of the neuron cores by part, pJ a timestep and copy; `None` without steps.
     pub breakdown_pj: Option<Vec<(&'static str, f64)>>,
     /// Energy of the timesteps, all power of the `total` row included, physical: its mean is that
-    /// row's energy. `None` without timesteps, and when the meter did not keep it for this preset
-    /// and price.
+    /// row's energy. `None` without timesteps, or if the meter had another preset or price.
     pub per_timestep_uj: Option<Spread>,
     /// Of that, the dynamic energy of the neuron cores.
     pub per_timestep_dynamic_uj: Option<Spread>,
@@ -339,14 +334,12 @@ impl JobPower {
     }
 }
 
-/// What x86 cores do in a step, by equation (20): the power of those that inject, and the energy in
-/// fJ of those that reset.
+/// Equation (20): the power of x86 cores that inject, and the energy in fJ of those that reset.
 fn x86_work(table: &CostTable, deployment: &Deployment) -> (f64, f64) {
     let each = table.x86_active_power.milliwatts() * deployment.x86_working as f64;
     match deployment.host {
         Host::None if !deployment.takes_turns() => (0.0, 0.0),
-        // An x86 core that resets works for as long as that and its turn take; 1 mW for 1 ps is 1
-        // fJ.
+        // An x86 core works for the time of reset and turn; 1 mW for 1 ps is 1 fJ.
         Host::None => (0.0, each * (deployment.reset.time(table.reset_word_time).0 + table.turn_time.0) as f64),
         Host::Stream | Host::Memory => (each * table.x86_injecting_share.ratio(), 0.0),
     }
@@ -540,8 +533,7 @@ impl Case<'_> {
                 let time =
                     ends.map(|(low, high_end)| (if high { high_end / latency_us } else { latency_us / low }).ln());
                 let scaled = |figure: Option<f64>, log: Option<f64>| Some(figure? * (sign * log?).exp());
-                // Energy is power times time, the product with time once more; the paper's energy
-                // is power alone.
+                // Energy is power times time; the paper's energy is power alone.
                 let exponents = if self.convention == Convention::Physical { [1.0, 2.0] } else { [0.0, 1.0] };
                 let [energy, edp] = exponents.map(|exponent| {
                     let time = if exponent == 0.0 { 0.0 } else { exponent * time? };
@@ -588,8 +580,7 @@ impl Case<'_> {
 /// Power, latency and energy.
 ///
 /// # Panics
-/// When the meter has no such preset or has not seen the steps of the activity: a mistake of the
-/// caller.
+/// When the meter lacks the preset or the activity's steps: a mistake of the caller.
 #[must_use]
 pub fn estimate(case: &Case<'_>) -> Estimate {
     assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
@@ -643,7 +634,7 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use proptest::prelude::*;
 
     use super::*;
@@ -652,59 +643,30 @@ pub(crate) mod tests {
     use crate::model::tests::any_step;
     use nsim_ir::activity::{CoreCounts, StepActivity};
 
-    pub(crate) const MS: Picoseconds = Picoseconds(1_000_000_000);
-
-    pub(crate) fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles: u64) -> (Activity, StepMeter) {
+    /// A run whose meter keeps the distribution under the first preset and this price, if any.
+    fn run(steps: &[StepActivity], tables: Vec<CostTable>, price: Option<StepPrice>) -> (Activity, StepMeter) {
         let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
-        let mut meter = crate::meter::tests::meter(tables, tiles, None);
-        add(steps, &mut activity, &mut meter);
-        (activity, meter)
-    }
-
-    fn add(steps: &[StepActivity], activity: &mut Activity, meter: &mut StepMeter) {
+        let mut meter = crate::meter::tests::meter(tables, 1, price.map(|price| (0, price)));
         for step in steps {
             activity.add_steps(step, 1);
             meter.add(step, 1, false);
         }
-    }
-
-    /// A run whose meter keeps the distribution under the first preset and the price of this
-    /// deployment.
-    fn run_priced(
-        steps: &[StepActivity],
-        tables: Vec<CostTable>,
-        tiles: u64,
-        deployment: &Deployment,
-        copies: u32,
-        mode: Mode,
-    ) -> (Activity, StepMeter) {
-        let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
-        let price = step_price(&tables[0], deployment, copies, (mode, Accounting::Profiler));
-        let mut meter = crate::meter::tests::meter(tables, tiles, Some((0, price)));
-        add(steps, &mut activity, &mut meter);
         (activity, meter)
     }
 
-    pub(crate) fn both() -> Vec<CostTable> {
-        vec![table("sanafe-calibrated"), table("davies2018")]
+    /// A run of one silent step.
+    fn silent() -> (Activity, StepMeter) {
+        run(&[StepActivity::new(1)], vec![table("sanafe-calibrated"), table("davies2018")], None)
     }
 
-    fn case<'a>(run: &'a (Activity, StepMeter), deployment: &'a Deployment) -> Case<'a> {
-        Case {
-            activity: &run.0,
-            meter: &run.1,
-            preset: 0,
-            hardware: "loihi",
-            errors: &[],
-            by_status: None,
-            copies_counted: 1,
-            deployment,
-            mode: Mode::Offline,
-            accounting: Accounting::Profiler,
-            timestep: MS,
-            convention: Convention::Physical,
-            steps_per_sample: Some(150),
-        }
+    fn case<'a>((activity, meter): &'a (Activity, StepMeter), deployment: &'a Deployment) -> Case<'a> {
+        let case = Case::new(activity, meter, deployment, 1.0);
+        Case { hardware: "loihi", copies_counted: 1, steps_per_sample: Some(150), ..case }
+    }
+
+    /// A copy on one chip of the board of the paper.
+    fn on_one_chip() -> Deployment {
+        Deployment { copies: 1, cores_used: 1, chips_used: 1, x86_cores: 1, x86_chips: 1, x86_working: 1, ..paper() }
     }
 
     /// A figure of the paper: its value and half a unit of its last digit.
@@ -715,8 +677,7 @@ pub(crate) mod tests {
 
     #[test]
     fn the_published_convention_reproduces_the_paper_s_columns_from_its_power_and_latency() {
-        // VT-SNN, appendix, both tables: total power, latency, energy per timestep, energy-delay
-        // product.
+        // VT-SNN, appendix, both tables: total power, latency, energy a timestep, EDP.
         let rows = [
             ("21.3", None, "0.14", None),
             ("12.4", None, "0.08", None),
@@ -745,8 +706,7 @@ pub(crate) mod tests {
 
     #[test]
     fn the_paper_s_job_draws_the_paper_s_power_by_constants_of_several_works() {
-        let run = run(&[StepActivity::new(1)], both(), 32);
-        let paper = paper();
+        let (run, paper) = (silent(), paper());
         let found = estimate(&case(&run, &paper));
         let [x86, neuron, _] = <[EnergyRow; 3]>::try_from(found.rows).unwrap();
         // Both tables: 0.19; 21.1 and 20.1; 11.7 and 11.9 mW.
@@ -764,27 +724,8 @@ pub(crate) mod tests {
 
     #[test]
     fn a_meter_on_the_board_shows_chips_and_x86_cores_and_no_neuron_core_at_rest() {
-        let run = run(&[StepActivity::new(1)], both(), 1);
-        let (one, packed) = (
-            Deployment {
-                copies: 1,
-                cores_used: 1,
-                chips_used: 1,
-                x86_cores: 1,
-                x86_chips: 1,
-                x86_working: 1,
-                ..paper()
-            },
-            Deployment {
-                copies: 1,
-                cores_used: 100,
-                chips_used: 1,
-                x86_cores: 1,
-                x86_chips: 1,
-                x86_working: 1,
-                ..paper()
-            },
-        );
+        let run = silent();
+        let (one, packed) = (on_one_chip(), Deployment { cores_used: 100, ..on_one_chip() });
         let rails = |deployment| estimate(&Case { accounting: Accounting::Rails, ..case(&run, deployment) }).rows;
         assert_eq!(rails(&one), rails(&packed), "cores in use add nothing");
         let [boot, idle, total] = <[EnergyRow; 3]>::try_from(rails(&one)).unwrap();
@@ -795,7 +736,7 @@ pub(crate) mod tests {
 
     #[test]
     fn an_x86_core_that_resets_works_for_as_long_as_that_and_its_turn_take() {
-        let run = run(&[StepActivity::new(1)], both(), 1);
+        let run = silent();
         let alone = Deployment { copies: 1, x86_cores: 0, x86_chips: 0, x86_working: 0, host: Host::None, ..paper() };
         let found = estimate(&case(&run, &alone));
         assert_eq!((found.rows[0].total_mw, found.job.x86_dynamic()), (Some(0.0), Some(0.0)));
@@ -813,7 +754,7 @@ pub(crate) mod tests {
 
     #[test]
     fn intervals_are_of_classes_and_add_up_by_their_shares() {
-        let run = run(&[StepActivity::new(1)], vec![table("loihi1-evidence")], 1);
+        let run = run(&[StepActivity::new(1)], vec![table("loihi1-evidence")], None);
         let error = |class, within_80| ClassError { class, works: 5, within_80, within_90: None };
         let errors =
             [error(FigureClass::Static, 2.0), error(FigureClass::X86Dynamic, 1.2), error(FigureClass::Time, 3.0)];
@@ -859,23 +800,14 @@ pub(crate) mod tests {
             messages_out: 10,
         };
         busy.hops.local = 10;
-        let deployment = Deployment {
-            name: "packed".to_string(),
-            copies: 2,
-            cores_used: 4,
-            tiles_used: 1,
-            chips_used: 1,
-            x86_cores: 1,
-            x86_chips: 1,
-            x86_working: 1,
-            ..paper()
-        };
+        let deployment = Deployment { copies: 2, cores_used: 4, tiles_used: 1, ..on_one_chip() };
         let mut constants = preset("davies2018");
         constants.core_static_power.value = 0.6.into();
         constants.x86_static_ratio.value = 2.0.into();
         constants.turn_time.value = 0.0.into();
-        let run =
-            run_priced(&[quiet, busy], vec![CostTable::new(&constants).unwrap()], 1, &deployment, 1, Mode::Offline);
+        let table = CostTable::new(&constants).unwrap();
+        let price = step_price(&table, &deployment, 1, (Mode::Offline, Accounting::Profiler));
+        let run = run(&[quiet, busy], vec![table], Some(price));
         let offline = case(&run, &deployment);
         let found = estimate(&offline);
         // ps: 100 * 5300 + 113000; and 50 * 3500 + 100 * 5300 + 10 * 3100 + 2100 + 113000.
@@ -920,7 +852,7 @@ pub(crate) mod tests {
 
     #[test]
     fn what_was_not_run_is_unknown_and_says_so() {
-        let run = run(&[], both(), 1);
+        let run = run(&[], vec![table("davies2018")], None);
         let found = estimate(&case(&run, &paper()));
         assert_eq!((found.rows[2].dynamic_mw, found.rows[2].energy_uj, found.rows[2].latency_us), (None, None, None));
         assert!(found.rows[2].static_mw.is_some());
@@ -930,8 +862,7 @@ pub(crate) mod tests {
 
     #[test]
     fn the_published_convention_needs_samples_of_one_length() {
-        let run = run(&[StepActivity::new(1)], both(), 1);
-        let paper = paper();
+        let (run, paper) = (silent(), paper());
         let uneven = Case { convention: Convention::Published, steps_per_sample: None, ..case(&run, &paper) };
         let found = estimate(&uneven);
         assert_eq!(found.rows[2].energy_uj, None);
@@ -951,7 +882,8 @@ pub(crate) mod tests {
             let deployment = Deployment { copies, cores_used, x86_cores, x86_chips, x86_working, ..paper() };
             let mode = if realtime { Mode::Realtime } else { Mode::Offline };
             let tables = vec![CostTable::new(&constants).unwrap(), table("davies2018")];
-            let run = run_priced(&steps, tables, 5, &deployment, copies_counted, mode);
+            let price = step_price(&tables[0], &deployment, copies_counted, (mode, Accounting::Profiler));
+            let run = run(&steps, tables, Some(price));
             let found = estimate(&Case {
                 copies_counted,
                 errors: &constants.errors,

@@ -24,8 +24,7 @@ pub enum Convention {
     /// Power times time (13).
     #[default]
     Physical,
-    /// The VT-SNN paper's arithmetic: the energy of a millisecond divided by the timesteps of a
-    /// sample (14), (15).
+    /// The VT-SNN paper's: energy of a millisecond over the timesteps of a sample (14), (15).
     Published,
 }
 

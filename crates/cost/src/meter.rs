@@ -60,17 +60,14 @@ impl StepSums {
 pub struct Lane {
     /// All of them.
     pub whole: StepSums,
-    /// Those of each sample up to and with the one that decided it; all of a sample that is never
-    /// decided.
+    /// Steps of each sample up to the one that decided it; all of an undecided sample.
     pub until_decided: StepSums,
 }
 
-/// What is spent in a step besides events: the whole energy of a step is
-/// events * `events` + `step_fj` + `always_mw` * time.
+/// Energy of a step: events * `events` + `step_fj` + `always_mw` * time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepPrice {
-    /// What counted events are multiplied with: one over the copies counted, for the energy of one
-    /// copy.
+    /// Factor of counted events: one over the copies counted, for the energy of one copy.
     pub events: f64,
     /// Energy that each step takes, whatever its length, in fJ.
     pub step_fj: f64,
@@ -118,8 +115,7 @@ pub struct MeterSettings {
     pub timing: Timing,
     /// Length of a timestep of the model.
     pub timestep: Picoseconds,
-    /// The preset, an index into `tables`, and the price under which the distribution of a step's
-    /// energy is kept.
+    /// The preset (an index into `tables`) and price of the distribution of a step's energy.
     pub distribution: Option<(usize, StepPrice)>,
     /// The preset under which sums by the step's number in its sample are kept.
     pub by_step: Option<usize>,
@@ -165,8 +161,7 @@ impl StepMeter {
         StepMeter::new(self.settings.clone())
     }
 
-    /// Adds a timestep that happened this many times in a row; `decided` when its sample was
-    /// decided before.
+    /// Adds a timestep that repeated this often; `decided` when its sample was decided before.
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
         let MeterSettings { tables, timing, routes, timestep, distribution, by_step } = &*self.settings;
         let step_times = routes.step_times(step, tables, *timing, &mut self.memory);
@@ -256,15 +251,13 @@ impl StepMeter {
         &self.distribution
     }
 
-    /// Sums over all samples by the step's number in its sample; empty unless the settings ask for
-    /// it.
+    /// Sums by the step's number in its sample; empty unless the settings ask for it.
     #[must_use]
     pub fn by_step(&self) -> &[StepSums] {
         &self.by_step
     }
 
-    /// The same with these steps in which each core was the slowest, where it saw other cores than
-    /// there are.
+    /// Replaces the counts of slowest steps, where it saw other cores than there are.
     #[must_use]
     pub fn with_slowest_steps(self, slowest: Vec<u64>) -> Self {
         StepMeter { slowest, ..self }
@@ -307,24 +300,14 @@ pub(crate) mod tests {
         tiles_used: u64,
         distribution: Option<(usize, StepPrice)>,
     ) -> StepMeter {
-        meter_of(tables, tiles_used, distribution, Some(0))
-    }
-
-    fn meter_of(
-        tables: Vec<CostTable>,
-        tiles_used: u64,
-        distribution: Option<(usize, StepPrice)>,
-        by_step: Option<usize>,
-    ) -> StepMeter {
-        let metered = MeterSettings {
+        StepMeter::new(MeterSettings {
             tables,
             timing: Timing { tiles_used, ..timing(Transport::Analytic) },
             routes: Arc::new(no_routes()),
             timestep: Picoseconds(1_000_000_000),
             distribution,
-            by_step,
-        };
-        StepMeter::new(metered)
+            by_step: Some(0),
+        })
     }
 
     proptest! {

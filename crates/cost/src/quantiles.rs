@@ -80,8 +80,7 @@ impl Quantiles {
         self.count
     }
 
-    /// The least number that this many percent do not exceed, within 2^-10 of its value; none of
-    /// nothing.
+    /// The least number that this many percent do not exceed, within 2^-10; none of nothing.
     #[must_use]
     pub fn percentile(&self, percent: u32) -> Option<f64> {
         let (least, greatest) = self.ends?;

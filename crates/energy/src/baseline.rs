@@ -87,8 +87,7 @@ impl Work {
         Work { projections: projections.collect(), layers: layers.map(|population| population.shape.len()).collect() }
     }
 
-    /// Seconds of a window of this many steps at a peak rate and bandwidth, without overheads:
-    /// equation (18).
+    /// Seconds of a window at a peak rate and bandwidth, without overheads: equation (18).
     fn roofline_s(&self, steps: f64, gflops: f64, gb_s: f64) -> f64 {
         let bound = |operations: f64, bytes: f64| (operations / (gflops * 1e9)).max(bytes / (gb_s * 1e9));
         let products: f64 = self
@@ -166,20 +165,14 @@ impl Baseline {
     /// A baseline from its file.
     ///
     /// # Errors
-    /// A diagnostic where the file is malformed, a figure is negative, or static and dynamic power
-    /// are not the total.
+    /// A diagnostic where the file is malformed, a figure is negative, or powers do not add up.
     pub fn parse(source: &SourceText) -> Result<Self, Diagnostic> {
         let file: BaselineFile = parse(source, "baseline.syntax")?;
         for row in &file.rows {
-            let figures = [
-                &row.static_mw,
-                &row.dynamic_mw,
-                &row.total_mw,
-                &row.latency_us,
-                &row.printed_energy_uj,
-                &row.printed_edp,
-            ];
-            if let Some(figure) = figures.into_iter().find(|figure| !(0.0..=1e15).contains(&figure.value)) {
+            let powers = [&row.static_mw, &row.dynamic_mw, &row.total_mw];
+            let others = [&row.latency_us, &row.printed_energy_uj, &row.printed_edp];
+            if let Some(figure) = powers.into_iter().chain(others).find(|figure| !(0.0..=1e15).contains(&figure.value))
+            {
                 return Err(Diagnostic::new("baseline.figure", format!("{} is outside 0..=10^15", figure.value))
                     .at(source, figure.span));
             }
@@ -207,11 +200,6 @@ impl Baseline {
     /// What the file says.
     pub fn file(&self) -> &BaselineFile {
         &self.file
-    }
-
-    /// Its name on the command line.
-    pub fn name(&self) -> &str {
-        &self.file.name
     }
 
     /// Where its figures are printed, and how they were measured.
@@ -274,8 +262,7 @@ impl Baseline {
         }
     }
 
-    /// Its row for a workload that it was not measured on, from what bounds it; `None` when the
-    /// file does not say, or samples differ in length.
+    /// Its row for another workload, by its roofline; `None` without one or for uneven samples.
     pub fn modelled(
         &self,
         work: &Work,
@@ -295,8 +282,7 @@ impl Baseline {
         Some(figures.row(&self.file.hardware, convention, steps))
     }
 
-    /// Equations (18) and (19) for this many timesteps of one pass; the latency is that of the
-    /// pass.
+    /// Equations (18) and (19) for the timesteps of one pass; the latency is the pass's.
     fn windows(&self, work: &Work, timesteps: f64) -> Option<Figures> {
         let roofline = self.file.roofline.as_ref()?;
         let value = |figure: &crate::published::baseline::RooflineFigure| figure.value.value;

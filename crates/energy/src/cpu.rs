@@ -71,8 +71,7 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
     }
 }
 
-/// Samples from the first on, as many as have about this many timesteps together: enough to be
-/// measured on.
+/// The first samples that together have about this many timesteps.
 pub fn enough<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
     let mut sum = 0;
     let until = samples.iter().position(|sample| {
@@ -176,8 +175,7 @@ impl Dense {
         Ok(Dense { layers, inputs, output: network.parts().output.index() })
     }
 
-    /// Passes one sample through, layer by layer over the whole window; returns the spikes of each
-    /// output.
+    /// Passes one sample through, layer by layer; returns the spikes of each output.
     pub fn pass(&self, sample: &Sample) -> Vec<u32> {
         let steps = sample.steps() as usize;
         // `[step][unit]`.
@@ -279,7 +277,7 @@ pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Resu
 pub fn event_driven(program: &Arc<Program>, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
     let image = Image::new(program, 1).map_err(|error| error.to_string())?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
-    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
+    let keep = Keep::new(program.output());
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     Ok(timed(timesteps, budget, || {
         for sample in samples {
@@ -313,7 +311,7 @@ mod tests {
     }
 
     fn golden(network: &Quantised, sample: &Sample) -> Vec<u32> {
-        let keep = Keep { output: network.output(), probes: Vec::new(), early_exit: None };
+        let keep = Keep::new(network.output());
         run_sample(&mut Golden::new(network), sample, &keep, |_, _| ()).counts
     }
 

@@ -7,11 +7,11 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::job::{per_decision, report, saved};
-use crate::options::{CostOptions, DeploymentArg, DeploymentSource, tables, with_preset};
+use crate::options::{CostOptions, DeploymentSource, tables, with_preset};
 use crate::other_hardware;
 use crate::other_hardware::OneCopy;
 use crate::paper;
-use crate::published::scenario::ScenarioFile;
+use crate::published::scenario::{ScenarioFile, shipped_for};
 use crate::report::table::EnergyReport;
 use crate::workload::Workload;
 use nsim_compile::{Compiled, CopyPlacement};
@@ -28,7 +28,6 @@ use nsim_session::samples::Run;
 /// The deployment of a model, as far as it is known before mapping.
 #[derive(Debug)]
 pub struct Plan {
-    asked: DeploymentArg,
     /// Whether the deployment was given.
     is_said: bool,
     copies: Option<u32>,
@@ -42,10 +41,10 @@ impl Plan {
     /// # Errors
     /// As [`DeploymentSource::load`].
     pub fn new(model: &str, deployment: Option<&str>, copies: Option<u32>) -> Result<Plan, Error> {
-        let asked = deployment.map_or(DeploymentArg::Mapped(CopyPlacement::default()), DeploymentArg::from);
-        let shipped = crate::published::files::scenario::shipped_for(model)?;
-        let source = DeploymentSource::load(&asked, model, shipped.as_ref())?;
-        Ok(Plan { asked, is_said: deployment.is_some(), copies, shipped, source })
+        let shipped = shipped_for(model)?;
+        let named = deployment.unwrap_or(CopyPlacement::default().name());
+        let source = DeploymentSource::load(named, model, shipped.as_ref())?;
+        Ok(Plan { is_said: deployment.is_some(), copies, shipped, source })
     }
 
     /// The published job whose deployment it is.
@@ -56,13 +55,12 @@ impl Plan {
         }
     }
 
-    /// Copies to be mapped: one of those of a published job or of given cores, since those say
-    /// where the copies are.
+    /// Copies to be mapped: one where a published job or given cores say where copies are.
     pub fn mapped_copies(&self) -> Option<u32> {
         match &self.source {
             DeploymentSource::Scenario(..) | DeploymentSource::Numbers(_) => Some(1),
             DeploymentSource::Mapping(_, file) => self.copies.or(Some(file.copies)),
-            DeploymentSource::Mapped => self.copies,
+            DeploymentSource::Mapped(_) => self.copies,
         }
     }
 
@@ -71,8 +69,8 @@ impl Plan {
     /// # Errors
     /// [`Error::Usage`] where it says anew where copies go.
     pub fn of_mapping(&self) -> Result<(), Error> {
-        match &self.asked {
-            DeploymentArg::Mapped(copies) if self.is_said => Err(Error::Usage(format!(
+        match &self.source {
+            DeploymentSource::Mapped(copies) if self.is_said => Err(Error::Usage(format!(
                 "the mapping says where its copies are: map with the deployment {}, or leave it out here",
                 copies.name()
             ))),
@@ -82,7 +80,7 @@ impl Plan {
 
     /// Where the mapping's copies are to go.
     pub fn placement(&self) -> CopyPlacement {
-        self.asked.copies()
+        if let DeploymentSource::Mapped(copies) = self.source { copies } else { CopyPlacement::default() }
     }
 
     /// Copies of the deployment, of which `mapped` are mapped.
@@ -90,12 +88,11 @@ impl Plan {
         match &self.source {
             DeploymentSource::Scenario(_, scenario) => self.copies.unwrap_or(scenario.copies.value),
             DeploymentSource::Numbers(_) => self.copies.unwrap_or(1),
-            DeploymentSource::Mapped | DeploymentSource::Mapping(..) => mapped,
+            DeploymentSource::Mapped(_) | DeploymentSource::Mapping(..) => mapped,
         }
     }
 
-    /// The network of the published job, mapped, where the deployment is one; its inputs have
-    /// compartments of their own where those of the job had.
+    /// The network of the published job, mapped; inputs have compartments where the job's had.
     ///
     /// # Errors
     /// When it does not compile.
@@ -139,8 +136,7 @@ pub fn evaluate(
     let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
     let metered = workload.metered(vec![table], &deployment, options.transport);
     let metered = MeterSettings { distribution: Some((0, price)), ..metered };
-    // Copies see the same samples and decide alike; the outputs that are watched are those of the
-    // first.
+    // Copies see the same samples and decide alike; the first one's outputs are watched.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;

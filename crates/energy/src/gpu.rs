@@ -33,8 +33,7 @@ struct Said {
     seconds: f64,
 }
 
-/// Watches power at idle, then runs a command and watches on. `timesteps` counts unless the command
-/// says better.
+/// Measures idle power, then a command's; `timesteps` counts unless the command says better.
 ///
 /// # Errors
 /// Why the command or the power could not be measured.

@@ -25,8 +25,7 @@ pub enum Budget {
 pub const LEAST_REPEATS: usize = 9;
 /// Repeats above which more would only cost memory.
 const MOST_REPEATS: usize = 201;
-/// Steps after which a standard network has settled: 1.25 time constants of the slowest decay, 32
-/// steps.
+/// Steps after which a standard network has settled: 1.25 times the slowest decay's 32 steps.
 const SETTLING: u64 = 40;
 /// The least time of a repeat: far above the resolution of the clock.
 const LEAST_REPEAT: Duration = Duration::from_millis(2);
@@ -36,8 +35,7 @@ const LEAST_REPEAT: Duration = Duration::from_millis(2);
 pub struct StepTiming {
     /// Microseconds of a step: the median of the repeats.
     pub us_per_timestep: f64,
-    /// Microseconds of a step in the fastest repeat: what a machine shared with others comes
-    /// nearest to being alone in.
+    /// Microseconds of a step in the fastest repeat: the one that others disturbed least.
     pub fastest: f64,
     /// Microseconds between the first and the third quartile of the repeats.
     pub spread: f64,
@@ -57,8 +55,7 @@ impl StepTiming {
 }
 
 /// This many steps from this one on, with the period's input over and over; returns the step that
-/// comes next. It is a function of its own so that a profiler can count what it, and nothing else,
-/// does.
+/// comes next. Not inlined, so that a profiler can count what it does.
 #[inline(never)]
 pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) -> u64 {
     let length = period.steps().max(1);
@@ -87,8 +84,7 @@ pub fn measure_agreed<E: Engine>(
     budget: Budget,
     mut agreed: impl FnMut(u64) -> u64,
 ) -> StepTiming {
-    // This many steps never come: nothing is near the end, where deliveries would no longer be
-    // counted.
+    // Never reached: near the end deliveries would no longer be counted.
     engine.begin(u32::MAX);
     let (mut at, size, repeats) = match budget {
         Budget::Steps(count) => (0, count.max(1), 1),

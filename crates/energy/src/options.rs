@@ -1,16 +1,14 @@
 //! What options of `nsim energy` stand for: deployments, presets, baselines.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::baseline::{Baseline, SHIPPED};
-use crate::published::scenario::ScenarioFile;
+use crate::published::scenario::{ScenarioFile, scenario};
 use nsim_compile as compile;
 use nsim_compile::place::SAVED;
-use nsim_compile::{Compiled, CopyPlacement, Form, Front, Options, mapping_file};
+use nsim_compile::{Compiled, CopyPlacement, Options, mapping_file};
 use nsim_cost::estimate::Convention;
-use nsim_cost::job::Accounting;
-use nsim_cost::job::DeployedCores;
-use nsim_cost::job::Mode;
+use nsim_cost::job::{Accounting, DeployedCores, Mode};
 use nsim_cost::{CostTable, Deployment, Host, HostWork, Streams, Transport};
 use nsim_files as io;
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -24,8 +22,7 @@ use nsim_session::error::{Error, Result};
 /// How a run is priced, and what it is compared with.
 #[derive(Debug, Default)]
 pub struct CostOptions {
-    /// Where input spikes come from; an x86 core of each chip where the chip has one, unless it is
-    /// said.
+    /// Where input spikes come from; by default an x86 core of each chip that has one.
     pub host: Option<Host>,
     /// Streams that a chip is fed.
     pub streams: Streams,
@@ -53,8 +50,7 @@ pub struct CostOptions {
 }
 
 impl CostOptions {
-    /// What `nsim energy` does unless other options are given, compared with these other pieces of
-    /// hardware: all when `None`.
+    /// The defaults of `nsim energy`, compared with these baselines: all when `None`.
     ///
     /// # Errors
     /// A name that no baseline has.
@@ -79,50 +75,10 @@ impl CostOptions {
     }
 }
 
-/// `--deployment`
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum DeploymentArg {
-    /// The mapping's own cores: copies on as many chips as there are, or on as few as they fill.
-    Mapped(CopyPlacement),
-    /// The measured job of the scenario that ships for the model.
-    Paper,
-    /// The cores of a saved mapping, or the job of a scenario.
-    File(PathBuf),
-    /// Cores, chips and x86 cores as given.
-    Numbers(DeployedCores),
-}
-
-impl From<&str> for DeploymentArg {
-    fn from(text: &str) -> Self {
-        if let Some(&copies) = CopyPlacement::ALL.iter().find(|copies| copies.name() == text) {
-            return DeploymentArg::Mapped(copies);
-        }
-        let numbers: Option<Vec<u64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-        match (text, numbers.as_deref()) {
-            ("paper", _) => DeploymentArg::Paper,
-            (_, Some(&[cores_used, chips_used, x86_cores])) => {
-                DeploymentArg::Numbers(DeployedCores { cores_used, chips_used, x86_cores })
-            }
-            (path, _) => DeploymentArg::File(path.into()),
-        }
-    }
-}
-
-impl DeploymentArg {
-    /// How copies are to be mapped.
-    pub fn copies(&self) -> CopyPlacement {
-        match self {
-            DeploymentArg::Mapped(copies) => *copies,
-            _ => CopyPlacement::default(),
-        }
-    }
-}
-
 /// The target with the preset that is asked for in front, and that preset in integers.
 ///
 /// # Errors
-/// [`Error::Usage`] for a preset that the target does not name, [`Error::Input`] for a constant
-/// that no integer holds.
+/// [`Error::Usage`] for an unknown preset, [`Error::Input`] for an inexact constant.
 pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, CostTable)> {
     let presets = target.constants();
     let chosen = match preset {
@@ -156,13 +112,13 @@ pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Optio
 /// `--deployment` with what it names.
 #[derive(Debug)]
 pub enum DeploymentSource {
-    /// The mapping's own cores.
-    Mapped,
-    /// A published job.
+    /// The mapping's own cores: copies on as many chips as there are, or on as few as they fill.
+    Mapped(CopyPlacement),
+    /// A published job: that of the scenario that ships for the model, or of a file.
     Scenario(String, Box<ScenarioFile>),
     /// A saved mapping.
     Mapping(PathBuf, Box<MappingFile>),
-    /// Numbers of cores.
+    /// Cores, chips and x86 cores as given.
     Numbers(DeployedCores),
 }
 
@@ -172,32 +128,31 @@ impl DeploymentSource {
     /// # Errors
     /// [`Error::Usage`] when the paper's deployment is asked for and no scenario ships for the
     /// model, [`Error::Input`] when a file cannot be used.
-    pub fn load(arg: &DeploymentArg, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self> {
-        let path = match (arg, shipped) {
-            (DeploymentArg::Mapped(_), _) => return Ok(DeploymentSource::Mapped),
-            (DeploymentArg::Numbers(cores), _) => {
-                if [cores.cores_used, cores.chips_used].contains(&0) || cores.cores_used < cores.chips_used {
-                    let message = "--deployment CORES,CHIPS,X86: at least one core on each chip, such as 100,2,2";
-                    return Err(Error::Usage(message.to_string()));
-                }
-                return Ok(DeploymentSource::Numbers(*cores));
+    pub fn load(named: &str, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self> {
+        if let Some(&copies) = CopyPlacement::ALL.iter().find(|copies| copies.name() == named) {
+            return Ok(DeploymentSource::Mapped(copies));
+        }
+        let numbers: Option<Vec<u64>> = named.split(',').map(|part| part.trim().parse().ok()).collect();
+        if let Some(&[cores_used, chips_used, x86_cores]) = numbers.as_deref() {
+            if [cores_used, chips_used].contains(&0) || cores_used < chips_used {
+                let message = "--deployment CORES,CHIPS,X86: at least one core on each chip, such as 100,2,2";
+                return Err(Error::Usage(message.to_string()));
             }
-            (DeploymentArg::Paper, Some(scenario)) => {
-                return Ok(DeploymentSource::Scenario("paper".to_string(), Box::new(scenario.clone())));
-            }
-            (DeploymentArg::Paper, None) => {
-                return Err(Error::Usage(format!(
+            return Ok(DeploymentSource::Numbers(DeployedCores { cores_used, chips_used, x86_cores }));
+        }
+        if named == "paper" {
+            let scenario = shipped.ok_or_else(|| {
+                Error::Usage(format!(
                     "--deployment paper: no scenario ships for {model}; use spread, packed, CORES,CHIPS,X86, or the \
-                     file of a \
-                     scenario or of a saved mapping"
-                )));
-            }
-            (DeploymentArg::File(path), _) => path,
-        };
-        let source = io::text::read_text(path)?;
+                     file of a scenario or of a saved mapping"
+                ))
+            })?;
+            return Ok(DeploymentSource::Scenario("paper".to_string(), Box::new(scenario.clone())));
+        }
+        let source = io::text::read_text(Path::new(named))?;
         if root_name(source.text()) == "Scenario" {
-            let scenario = crate::published::files::scenario::scenario(&source)?;
-            return Ok(DeploymentSource::Scenario(path.display().to_string(), Box::new(scenario)));
+            let scenario = scenario(&source)?;
+            return Ok(DeploymentSource::Scenario(named.to_string(), Box::new(scenario)));
         }
         let mapping = io::mapping::mapping(&source).map_err(|error| match error.help {
             None => error.help(
@@ -205,7 +160,7 @@ impl DeploymentSource {
             ),
             Some(_) => error,
         })?;
-        Ok(DeploymentSource::Mapping(path.clone(), Box::new(mapping)))
+        Ok(DeploymentSource::Mapping(named.into(), Box::new(mapping)))
     }
 
     /// The numbers of cores of `copies` copies of a mapped network.
@@ -216,7 +171,7 @@ impl DeploymentSource {
     pub fn deployment(&self, compiled: &Compiled, target: &Target, copies: u32, work: HostWork) -> Result<Deployment> {
         let model = &compiled.one.parts().name;
         match self {
-            DeploymentSource::Mapped => {
+            DeploymentSource::Mapped(_) => {
                 // Copies that do not fit on chips of their own are packed.
                 let spread = compiled.placement.chips_used() >= copies.min(target.chips());
                 let name = match compiled.options.placement {
@@ -236,9 +191,7 @@ impl DeploymentSource {
             DeploymentSource::Mapping(path, mapping) => {
                 // A mapping that could not be run is no deployment either.
                 let options = Options { copies, ..Options::default() };
-                let form = Form::for_network(&compiled.one, copies);
-                let front = Front::from(compiled.one.clone());
-                let loaded = compile::load(front, target, &options, mapping, form)
+                let loaded = compile::load(compiled.one.clone(), target, &options, mapping)
                     .map_err(|error| mapping_file::explained(error, path, "MODEL"))?;
                 if loaded.placement.is_empty() {
                     let message = "the mapping has no core, so there is nothing that it could cost";
@@ -267,9 +220,9 @@ pub struct BaselineSelection {
 /// # Errors
 /// A diagnostic for a name that does not exist.
 pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnostic> {
+    let all = || SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<Vec<_>, _>>();
     let Some(names) = names else {
-        let files = SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<_, _>>()?;
-        return Ok(BaselineSelection { files, cpu: true, roofline: false });
+        return Ok(BaselineSelection { files: all()?, cpu: true, roofline: false });
     };
     let roofline = names.iter().any(|name| name == ROOFLINE);
     let mut files = Vec::new();
@@ -280,7 +233,7 @@ pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnost
         })?);
     }
     if roofline && files.is_empty() {
-        files = SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<_, _>>()?;
+        files = all()?;
     }
     Ok(BaselineSelection { files, cpu: names.iter().any(|name| name == CPU), roofline })
 }

@@ -119,7 +119,7 @@ fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<
     let load_before = load();
     let available = std::thread::available_parallelism().map_or(1, usize::from);
     let busy = load_before.filter(|load| *load > BUSY_SHARE * available as f64);
-    let package = PackagePower::assumed(1);
+    let package = PackagePower::assumed();
     let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), package, IDLE);
     let samples = cpu::enough(one.samples, TIMESTEPS);
     let here = Environment::here();

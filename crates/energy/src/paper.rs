@@ -6,7 +6,7 @@
 
 use super::options::CostOptions;
 use super::workload::Workload;
-use crate::published::files::measurement::load_measurements;
+use crate::published::measurement::load_measurements;
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::{Compiled, Options, compile};
 use nsim_cost::estimate::{Case, Convention, EnergyRow, FigureSource, estimate};
@@ -17,8 +17,10 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Resource;
 use nsim_quantise::relays::with_input_relays;
+use nsim_session::Keep;
 use nsim_session::error::Error;
-use nsim_session::priced::{Metered, SampleRun};
+use nsim_session::priced::Metered;
+use nsim_session::samples::Running;
 
 /// One copy of the network of a job, mapped as far as the job's source says how.
 ///
@@ -55,8 +57,7 @@ pub fn row(
         Picoseconds::from_milliseconds(timestep_ms),
     );
     let samples = workload.samples();
-    let run = metered
-        .run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None })?;
+    let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
     let case = Case {
         copies_counted: 1,
         hardware: target.chip().hardware(),
@@ -71,8 +72,7 @@ pub fn row(
     Ok(EnergyRow { hardware: format!("{}, as in {}", row.hardware, scenario.work), ..row })
 }
 
-/// The `total` row that a job's source printed in this mode, if it did; energy as power times time,
-/// or as printed.
+/// The `total` row that a job's source printed in this mode; energy is power times time.
 ///
 /// # Errors
 /// When a table of measurements cannot be read.

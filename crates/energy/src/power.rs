@@ -45,8 +45,7 @@ impl Rapl {
         folders.sort();
         let mut zones = Vec::new();
         for folder in folders {
-            // Domains within a package (core, uncore, dram) and other controllers of it would be
-            // counted twice.
+            // Domains within a package and its other controllers would count twice.
             let name = std::fs::read_to_string(folder.join("name")).unwrap_or_default();
             let controller = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
             if !name.starts_with("package-") || !controller.starts_with("intel-rapl:") {
@@ -81,32 +80,28 @@ impl Rapl {
     }
 }
 
-/// What a whole package is assumed to draw, how many threads share it when it is busy, and how many
-/// of them compute.
+/// What a whole package is assumed to draw, and how many threads share it when it is busy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PackagePower {
     /// At idle.
     pub idle_mw: f64,
     /// With all threads at work.
     pub busy_mw: f64,
-    /// Its threads.
+    /// Its threads, of which one computes.
     pub threads: usize,
-    /// Those that compute.
-    pub used: usize,
 }
 
 impl PackagePower {
-    /// A desktop processor's package for this machine, of which this many threads compute, for when
-    /// nothing says better.
-    pub fn assumed(used: usize) -> Self {
+    /// A desktop processor's package for this machine, for when nothing says better.
+    pub fn assumed() -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads, used }
+        PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads }
     }
 
-    /// The part that the threads in use of a busy machine stand for: idle and busy, in mW.
+    /// The share of one thread of a busy machine: idle and busy, in mW.
     pub fn share(self) -> (f64, f64) {
-        let share = self.used.min(self.threads) as f64 / self.threads.max(1) as f64;
-        (self.idle_mw * share, self.busy_mw * share)
+        let threads = self.threads.max(1) as f64;
+        (self.idle_mw / threads, self.busy_mw / threads)
     }
 }
 
@@ -148,8 +143,7 @@ pub struct Power {
 }
 
 impl PowerMeter {
-    /// What is stated; else counters if they can be read, after watching them at idle for a while;
-    /// else an assumed package.
+    /// What is stated; else counters, after watching them at idle; else an assumed package.
     pub fn new(tree: &Path, stated: Option<(f64, f64)>, assumed: PackagePower, idle: Duration) -> Self {
         let counted = || -> Result<PowerMeter, String> {
             let rapl = Rapl::open(tree)?;
@@ -204,10 +198,9 @@ impl PowerMeter {
             PowerMeter::Stated { idle_mw, busy_mw } => {
                 format!("power {}, {} W idle and {} W busy", FigureSource::Stated.name(), idle_mw / 1e3, busy_mw / 1e3)
             }
-            PowerMeter::Assumed { package: PackagePower { idle_mw, busy_mw, threads, used }, why } => format!(
-                "power {}, {used} of {threads} threads that share a package of {} W idle and {} W busy, since {why}; \
-                 no ratio is \
-                 taken to it; --cpu-watts IDLE,BUSY states it",
+            PowerMeter::Assumed { package: PackagePower { idle_mw, busy_mw, threads }, why } => format!(
+                "power {}, 1 of {threads} threads that share a package of {} W idle and {} W busy, since {why}; no \
+                 ratio is taken to it; --cpu-watts IDLE,BUSY states it",
                 FigureSource::Assumed.name(),
                 idle_mw / 1e3,
                 busy_mw / 1e3
@@ -267,22 +260,19 @@ mod tests {
         let broken = tree(&[("intel-rapl:0", "package-0", 1, 1)]);
         std::fs::write(broken.path().join("intel-rapl:0/energy_uj"), "much\n").unwrap();
         assert!(Rapl::open(broken.path()).unwrap_err().contains("'much' is no number"));
-        let package = PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads: 4, used: 1 };
+        let package = PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads: 4 };
         let meter = PowerMeter::new(broken.path(), None, package, Duration::ZERO);
         let (out, power) = meter.during(|| 3);
         assert_eq!((out, power.static_mw, power.dynamic_mw), (3, 2_500.0, 13_750.0));
         assert_eq!(power.source, FigureSource::Assumed);
-        let said = meter.source();
-        assert!(
-            said.contains("assumed, 1 of 4 threads that share a package of 10 W idle and 65 W busy, since"),
-            "{said}"
-        );
+        let said = "assumed, 1 of 4 threads that share a package of 10 W idle and 65 W busy, since";
+        assert!(meter.source().contains(said), "{}", meter.source());
     }
 
     #[test]
     fn counted_power_is_energy_over_time_less_idle() {
         let tree = tree(&[("intel-rapl:0", "package-0", 999_000, 1_000_000)]);
-        let package = PackagePower { idle_mw: 1.0, busy_mw: 2.0, threads: 1, used: 1 };
+        let package = PackagePower { idle_mw: 1.0, busy_mw: 2.0, threads: 1 };
         let meter = PowerMeter::new(tree.path(), None, package, Duration::from_millis(1));
         // Nothing counts while it is idle.
         assert!(matches!(&meter, PowerMeter::Counted { idle_mw, .. } if *idle_mw == 0.0));

@@ -17,7 +17,7 @@ use crate::baseline::Baseline;
 use crate::baseline::tests::vtsnn;
 use crate::job;
 use crate::options::{DeploymentSource, tables};
-use crate::published::files::scenario::shipped_for;
+use crate::published::scenario::shipped_for;
 use crate::report::table::EnergyReport;
 
 const MS: Picoseconds = Picoseconds(1_000_000_000);
@@ -67,7 +67,7 @@ fn mapped(copies: u32, placement: CopyPlacement) -> Compiled {
 
 fn deployed(model: &str, arg: &str, compiled: &Compiled, copies: u32) -> Result<Deployment, Error> {
     let shipped = shipped_for(model)?;
-    let source = DeploymentSource::load(&arg.into(), model, shipped.as_ref())?;
+    let source = DeploymentSource::load(arg, model, shipped.as_ref())?;
     source.deployment(compiled, &nahuku(), copies, HostWork::default())
 }
 

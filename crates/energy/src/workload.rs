@@ -9,17 +9,16 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::spikes::{Copies, Sample, Stimulus};
 use nsim_machine::ranks::transport::Ranks;
-use nsim_session::Outcome;
-use nsim_session::accuracy;
 use nsim_session::cores::core_rows;
 use nsim_session::decision::EarlyExit;
 use nsim_session::detail::Detail;
 use nsim_session::error::Error;
 use nsim_session::populations::ByPopulation;
-use nsim_session::priced::{Metered, SampleRun, steps_per_sample};
-use nsim_session::samples::{Progress, Run};
+use nsim_session::priced::{Metered, steps_per_sample};
+use nsim_session::samples::{Progress, Run, Running};
 use nsim_session::timeline::Timeline;
 use nsim_session::warnings::{Finished, Ran, warnings};
+use nsim_session::{Keep, Outcome, accuracy};
 
 /// A mapped network of one or several copies, and what it is shown.
 #[derive(Debug)]
@@ -30,8 +29,7 @@ pub struct Workload<'j> {
     pub target: &'j Target,
     /// Copies of the network on the target.
     pub copies: u32,
-    /// What all copies see: they share nothing, input channels included, so each sees the whole
-    /// sample.
+    /// What each copy sees: the whole sample, since copies share no input channels.
     given: Vec<Sample>,
     /// Numbers of the samples that are run, in run order.
     order: Vec<usize>,
@@ -100,8 +98,7 @@ impl<'j> Workload<'j> {
         Detail { cores, sums, warnings, ranks: run.ranks.clone() }
     }
 
-    /// What a mean step is expected to cost, by the target's own constants, at the rates of the
-    /// run.
+    /// Expected cost of a mean step, by the target's own constants, at the rates of the run.
     ///
     /// # Errors
     /// A constant that no integer holds.
@@ -139,8 +136,9 @@ impl<'j> Workload<'j> {
         skip: bool,
         (progress, ranks): (Progress<'_>, Option<&Ranks>),
     ) -> Result<Run<StepMeter>, Error> {
-        let samples = self.samples();
-        Ok(self.metered.run(settings, SampleRun { samples: &samples, early_exit, skip, progress, ranks })?)
+        let keep = Keep { early_exit, ..Keep::new(self.compiled.program.output()) };
+        let running = Running { skip, progress, ranks, ..Running::new(&keep) };
+        Ok(self.metered.run(settings, &self.samples(), running)?)
     }
 
     /// What the program is metered with.

@@ -5,7 +5,7 @@
 //! another, a preset of constants with other numbers. Paths that begin with `target.` are of the
 //! target, those with `constants.` of its constants, all others of the model.
 //!
-//! Errors: `set.path` for a path that leads nowhere, `set.value` for a value that is not what the
+//! Errors: `set.path` for a path without a field, `set.value` for a value that is not what the
 //! path's field holds.
 
 use std::cell::RefCell;
@@ -79,14 +79,6 @@ impl Change {
     pub fn is_of_target(&self) -> bool {
         let first = self.path.split('.').next();
         first.is_some_and(|first| ["target", "constants"].contains(&first))
-    }
-}
-
-impl Change {
-    /// Whether it changes a population of the model.
-    #[must_use]
-    pub fn is_of_population(&self) -> bool {
-        self.path.starts_with("populations.")
     }
 }
 

@@ -4,14 +4,14 @@
 //! agree with its populations and whose delays are in range; or the first thing that is not so,
 //! with its place in the model file. What a number means to the hardware is left to `quantise`.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::fmt::Display;
 use std::sync::Arc;
 
 use petgraph::graph::{DiGraph, NodeIndex};
 
 use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind as Kind, Source, Weights};
-use crate::synapses::{Synapse, SynapseArrays};
+use crate::synapses::{Listed, SynapseArrays};
 use nsim_ir::base::diagnostic::{Diagnostic, Span, gathered};
 use nsim_ir::base::fixed::{Delay, MessageBits, Payload};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
@@ -451,8 +451,6 @@ impl Lowering<'_> {
 
 /// Synapses of a projection, and their own delay where they have one.
 type Part = (Option<u32>, ProjectionKind);
-/// (source, target, weight, entry of the list) each.
-type Listed = Vec<(u32, u32, f64, u32)>;
 /// Channels, height, width.
 type Volume = (u32, u32, u32);
 
@@ -525,11 +523,7 @@ impl Declared<'_> {
         }
         let (network, sizes) = (self.lowering.network, (self.sources, self.target_shape.len().into()));
         let stored = |array| network.array(array);
-        let mut by_delay: BTreeMap<Option<u32>, Listed> = BTreeMap::new();
-        for synapse in arrays.read(stored, (network.source(), self.span), sizes)? {
-            let Synapse { source, target, weight, delay } = synapse?;
-            by_delay.entry(delay).or_default().push((source, target, weight, 0));
-        }
+        let by_delay = arrays.read(stored, (network.source(), self.span), sizes)?;
         let part = |(delay, synapses): (Option<u32>, Listed)| (delay, ProjectionKind::Sparse { synapses });
         Ok(match by_delay.is_empty() {
             true => vec![part((None, Vec::new()))],

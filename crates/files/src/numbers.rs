@@ -136,23 +136,4 @@ mod tests {
         let bits: Vec<u64> = exact.reals().map(f64::to_bits).collect();
         assert_eq!(bits, [1e-320, 123456789012345678.0, -0.0].map(f64::to_bits));
     }
-
-    #[test]
-    fn what_is_wrong_with_a_list_is_said() {
-        let cases = [
-            ("[1, [2]]", "other rows have a number"),
-            ("[[1], 22]", "other rows have a list"),
-            ("[[1, 2], [3]]", "1 here, 2 before"),
-            ("[[[[[1]]]]]", "deeper than 4"),
-            ("[1, inf]", "inf is not a finite number"),
-            ("[1, \"2\"]", "a number or a list of numbers"),
-            ("[1 2]", "omma"),
-            ("[1,, 2]", ""),
-            ("[1, four]", "a number or a list of numbers"),
-        ];
-        for (text, says) in cases {
-            let error = read(text).unwrap_err().to_string();
-            assert!(error.contains(says), "{text}: {error}");
-        }
-    }
 }

@@ -1,8 +1,10 @@
 //! Synapses as arrays of one entry each, for networks too large to be listed in a model file.
 //!
 //! Input: the arrays that a `Sparse` projection names. Output: its synapses, each index within its
-//! populations and each delay an integer. Sources are given one by one, or as the place where each
+//! populations and each delay an integer, by their delays. Sources are given one by one, or as the place where each
 //! source's synapses begin (compressed rows). Errors point at the array and name the entry.
+
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
@@ -30,18 +32,8 @@ pub struct SynapseArrays {
     pub delay: Option<ArrayRef>,
 }
 
-/// One of them.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Synapse {
-    /// Index within the concatenated sources.
-    pub source: u32,
-    /// Index within the target population.
-    pub target: u32,
-    /// Weight.
-    pub weight: f64,
-    /// Delay field, if it has one of its own.
-    pub delay: Option<u32>,
-}
+/// Synapses of one list: source, target, weight, entry of a list in place (0 for arrays).
+pub type Listed = Vec<(u32, u32, f64, u32)>;
 
 impl SynapseArrays {
     /// All arrays by the names of their fields.
@@ -52,8 +44,9 @@ impl SynapseArrays {
         given.into_iter().chain(optional).filter_map(|(name, array)| Some((name, array?)))
     }
 
-    /// The synapses, in the order of the arrays, between this many sources and this many targets;
-    /// `text` is that of the model, in which the projection is `declared`.
+    /// The synapses by their own delay field, where they have one, each in the order of the arrays,
+    /// between this many sources and this many targets; `text` is that of the model, in which the
+    /// projection is `declared`.
     ///
     /// # Errors
     /// `model.synapse-arrays` when their lengths differ or sources are given twice or not at all;
@@ -63,7 +56,7 @@ impl SynapseArrays {
         stored: impl Fn(&'n ArrayRef) -> &'n Tensor,
         (text, declared): (&'n SourceText, Span),
         (sources, targets): (u64, u64),
-    ) -> Result<impl Iterator<Item = Result<Synapse>> + 'n> {
+    ) -> Result<BTreeMap<Option<u32>, Listed>> {
         let array = |name: &str| {
             let found = self.references().find(|(known, _)| *known == name)?;
             Some(stored(found.1))
@@ -108,8 +101,8 @@ impl SynapseArrays {
             }
             Err(at("model.synapse-index", name, format!("entry {entry}: {name} {found} is outside 0..{size}")))
         };
-        let mut row = 0u32;
-        Ok((0..all).map(move |entry| {
+        let (mut row, mut by_delay) = (0u32, BTreeMap::<Option<u32>, Listed>::new());
+        for entry in 0..all {
             let source = match (source, first) {
                 (Some(tensor), _) => index("source", tensor, entry, sources)?,
                 (None, Some(begins)) => {
@@ -122,7 +115,8 @@ impl SynapseArrays {
             };
             let delay = delay.map(|tensor| index("delay", tensor, entry, 1 << 16)).transpose()?;
             let target = index("target", target, entry, targets)?;
-            Ok(Synapse { source, target, weight: weight.real(entry), delay })
-        }))
+            by_delay.entry(delay).or_default().push((source, target, weight.real(entry), 0));
+        }
+        Ok(by_delay)
     }
 }

@@ -1,46 +1,119 @@
 //! What every report is made of: tables, CSV, counted things, paragraphs.
 
-use std::io::IsTerminal;
+use std::sync::LazyLock;
 
-use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 use serde::Serialize;
 use serde_json::Value;
+use terminal_size::terminal_size;
 
-/// The width of text for people.
+/// Columns of paragraphs, and the fewest of a table.
 pub const WIDTH: usize = 80;
 
-/// An empty table without lines, as wide as what it holds.
-pub fn table(header: impl IntoIterator<Item = impl Into<Cell>>) -> Table {
-    let mut table = Table::new();
-    table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(ContentArrangement::Disabled);
-    table.set_header(header.into_iter().map(Into::into).collect::<Vec<Cell>>());
-    table
+/// Columns of a table at most: those of `COLUMNS`, else of the terminal, and at least [`WIDTH`].
+static TABLE_WIDTH: LazyLock<usize> = LazyLock::new(|| {
+    let stated = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok());
+    stated.or_else(|| Some(terminal_size()?.0.0.into())).unwrap_or(WIDTH).max(WIDTH)
+});
+
+/// Spaces between two columns.
+const GAP: usize = 2;
+
+/// A table for people, in lines that fit the terminal.
+///
+/// Text is broken between words; numbers are whole and aligned to the right. Columns for which
+/// there is no room follow in further tables, each of which begins with the first column.
+#[must_use]
+pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
+    fitted(header, rows, *TABLE_WIDTH)
 }
 
-/// A table whose cells are broken where its lines would be longer than [`WIDTH`]; whole in a pipe,
-/// whose readers look for words.
-pub fn narrowed(table: &mut Table) -> &mut Table {
-    let widest = table.lines().map(|line| line.trim_end().chars().count()).max().unwrap_or(0);
-    if widest > WIDTH && std::io::stdout().is_terminal() {
-        table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH as u16);
+fn fitted(header: &[&str], rows: &[Vec<String>], width: usize) -> String {
+    if header.is_empty() {
+        return String::new();
     }
-    table
+    let columns: Vec<Measured> = (0..header.len()).map(|at| Measured::new(header[at], rows, at)).collect();
+    let (mut tables, mut used) = (vec![vec![0]], columns.first().map_or(0, |column| column.least));
+    for (at, Measured { least, .. }) in columns.iter().enumerate().skip(1) {
+        if used + GAP + least > width && tables[tables.len() - 1].len() > 1 {
+            tables.push(vec![0]);
+            used = columns[0].least;
+        }
+        used += GAP + least;
+        tables.last_mut().expect("a table").push(at);
+    }
+    let whole: Vec<String> = header.iter().map(ToString::to_string).collect();
+    let lines = |shown: &Vec<usize>| {
+        let least = shown.iter().map(|&at| columns[at].least + GAP).sum::<usize>() - GAP;
+        let mut room = width.saturating_sub(least);
+        let mut by_need = shown.clone();
+        // Of numbers only the heading is broken.
+        by_need.sort_by_key(|&at| (columns[at].numbers, columns[at].most - columns[at].least));
+        let mut widths: Vec<usize> = columns.iter().map(|column| column.least).collect();
+        for at in by_need {
+            let more = room.min(columns[at].most - columns[at].least);
+            (widths[at], room) = (widths[at] + more, room - more);
+        }
+        let row = |(number, cells): (usize, &Vec<String>)| {
+            let broken = |at: &usize| match cells[*at].chars().count() <= widths[*at] {
+                true => vec![cells[*at].clone()],
+                false => filled(cells[*at].split_whitespace(), 0, 0, widths[*at]),
+            };
+            let broken: Vec<Vec<String>> = shown.iter().map(broken).collect();
+            let height = broken.iter().map(Vec::len).max().unwrap_or(0);
+            let line = |line: usize| {
+                let cell = |(column, &at): (usize, &usize)| {
+                    // A heading of fewer lines stands on the last ones.
+                    let above = if number == 0 { height - broken[column].len() } else { 0 };
+                    let text = line.checked_sub(above).and_then(|line| broken[column].get(line));
+                    let (text, width) = (text.map_or("", String::as_str), widths[at]);
+                    if columns[at].numbers { format!("{text:>width$}") } else { format!("{text:width$}") }
+                };
+                let cells: Vec<String> = shown.iter().enumerate().map(cell).collect();
+                cells.join(&" ".repeat(GAP)).trim_end().to_string() + "\n"
+            };
+            (0..height).map(line).collect::<String>()
+        };
+        std::iter::once(&whole).chain(rows).enumerate().map(row).collect::<String>()
+    };
+    tables.iter().map(lines).collect::<Vec<_>>().join("\n")
+}
+
+/// A column before its width is known.
+struct Measured {
+    /// Whether its cells are numbers.
+    numbers: bool,
+    /// Columns of the longest part that cannot be broken.
+    least: usize,
+    /// Columns without a break.
+    most: usize,
+}
+
+impl Measured {
+    fn new(heading: &str, rows: &[Vec<String>], at: usize) -> Self {
+        let cells = || rows.iter().map(|row| row[at].as_str()).filter(|cell| !cell.is_empty());
+        let is_number = |cell: &&str| {
+            cell.trim_start_matches(['-', '+', '~', '.']).starts_with(|c: char| c.is_ascii_digit())
+                && cell.split_whitespace().count() < 3
+        };
+        let numbers = 2 * cells().filter(is_number).count() > cells().count();
+        let length = |text: &str| text.chars().count();
+        let word = |text: &str| text.split_whitespace().map(length).max().unwrap_or(0);
+        let longest = |measure: &dyn Fn(&str) -> usize| cells().map(measure).max().unwrap_or(0);
+        let most = longest(&length).max(length(heading));
+        let least = if numbers { longest(&length) } else { longest(&word) };
+        Measured { numbers, least: least.max(word(heading)), most }
+    }
 }
 
 /// One column of a table: its heading, and its cell in a row.
 pub type Column<R> = (&'static str, fn(&R) -> String);
 
-/// A table with a line per row, aligned to the right from the column `numbers` on.
-pub fn table_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>], numbers: usize) -> Table {
-    let mut table = table(columns.iter().map(|(heading, _)| *heading));
-    rows.into_iter().for_each(|row| _ = table.add_row(columns.iter().map(|(_, cell)| cell(row))));
-    right_from(&mut table, numbers);
-    table
-}
-
-/// Aligns the columns from the given one on to the right.
-pub fn right_from(table: &mut Table, first: usize) {
-    table.column_iter_mut().skip(first).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+/// A table for people with a line or more per row.
+pub fn table_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
+    let header: Vec<&str> = columns.iter().map(|(heading, _)| *heading).collect();
+    let rows: Vec<Vec<String>> =
+        rows.into_iter().map(|row| columns.iter().map(|(_, cell)| cell(row)).collect()).collect();
+    table(&header, &rows)
 }
 
 /// The cells of text columns as CSV.
@@ -203,31 +276,41 @@ pub fn count(number: impl Into<u64>, thing: &str) -> String {
 
 /// A paragraph in lines of [`WIDTH`]; those after the first are indented.
 pub fn wrapped(text: &str) -> String {
-    filled(text.split_whitespace(), 0, 2) + "\n"
+    filled(text.split_whitespace(), 0, 2, WIDTH).join("\n") + "\n"
 }
 
 /// Lines of at most [`WIDTH`] columns; those after the first are indented by `indent` of them.
 pub fn wrapped_at(text: &str, indent: usize) -> String {
-    let lines: Vec<String> = text.split('\n').map(|line| filled(line.split(' '), indent, indent)).collect();
-    lines.join(&format!("\n{:indent$}", ""))
+    let lines = text.split('\n').flat_map(|line| filled(line.split(' '), indent, indent, WIDTH));
+    lines.map(|line| line.trim_start().to_string()).collect::<Vec<_>>().join(&format!("\n{:indent$}", ""))
 }
 
-/// Words in lines, the first of which begins at the column `first` and the others at `indent`.
-fn filled<'t>(words: impl Iterator<Item = &'t str>, first: usize, indent: usize) -> String {
-    let (mut out, mut column, mut begin) = (String::new(), first, first);
+/// Words in lines of at most `width` columns, all but the first indented by `indent`; `first`
+/// columns of the first are taken.
+fn filled<'t>(words: impl Iterator<Item = &'t str>, first: usize, indent: usize, width: usize) -> Vec<String> {
+    let (mut lines, mut column, mut begin) = (vec![String::new()], first, first);
     for word in words {
         let length = word.chars().count();
-        if column > begin && column + 1 + length > WIDTH {
-            out += &format!("\n{:indent$}", "");
+        if column > begin && column + 1 + length > width {
+            lines.push(" ".repeat(indent));
             (column, begin) = (indent, indent);
-        } else if column > begin {
-            out.push(' ');
+        }
+        let line = lines.last_mut().expect("a line");
+        if column > begin {
+            line.push(' ');
             column += 1;
         }
-        out += word;
+        line.push_str(word);
         column += length;
     }
-    out
+    lines
+}
+
+/// A command, indented, in lines of at most [`WIDTH`] columns that a shell takes as one.
+#[must_use]
+pub fn shell_lines(command: &str) -> String {
+    // A space and a backslash follow all lines but the last.
+    format!("  {}", filled(command.split(' '), 2, 6, WIDTH - 2).join(" \\\n"))
 }
 
 /// Puts a section between `<!-- NAME -->` and `<!-- end NAME -->` of a document.
@@ -241,6 +324,8 @@ pub fn replaced(document: &str, name: &str, section: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     #[test]
@@ -250,6 +335,23 @@ mod tests {
         let latex = latex(csv);
         assert!(latex.contains("\\begin{tabular}{lr}") && latex.contains("name & power\\_mw \\\\"), "{latex}");
         assert!(latex.contains("a|b \\& c & 1.235 \\\\") && latex.contains("100 \\% & 2"), "{latex}");
+    }
+
+    #[test]
+    fn a_table_fits_its_columns_and_breaks_no_word() {
+        let rows = [["a-long-name", "12.5", "words of a text"], ["b", "7", "more"]];
+        let rows = rows.map(|row| row.map(str::to_string).to_vec());
+        let header = ["name", "uJ a step", "what it says"];
+        let words = |text: &str| text.split_whitespace().map(str::to_string).collect::<BTreeSet<_>>();
+        let whole = "name         uJ a step  what it says\na-long-name       12.5  words of a text\n\
+                     b                    7  more\n";
+        assert_eq!(fitted(&header, &rows, 80), whole);
+        for width in [20, 25, 28, 33] {
+            let text = fitted(&header, &rows, width);
+            assert!(text.lines().all(|line| line.chars().count() <= width), "{text}");
+            assert_eq!(words(&text), words(whole), "{text}");
+        }
+        assert_eq!(fitted(&[], &rows, 80), "");
     }
 
     #[test]

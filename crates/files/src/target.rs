@@ -12,6 +12,7 @@ use super::text::{beside, read_text};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::hardware::constants::{Constants, ConstantsChanges};
 use nsim_ir::hardware::{Chip, Target, TargetChanges, TargetFile};
+use nsim_ir::locate::value;
 use nsim_ir::spanned::{Spanned, parse};
 
 /// Loads a target: a path, `-`, or a shipped name.
@@ -46,7 +47,7 @@ const SET: &str = "<--set>";
 const DEEPEST: u32 = 8;
 
 fn target_within(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> {
-    if has_field(source.text(), "base") {
+    if value(source.text(), "base").is_some() {
         return changed(source, origin, deepest);
     }
     let file: TargetFile = parse(source, "target.syntax")?;
@@ -108,36 +109,6 @@ fn presets(source: &SourceText, origin: Origin, names: &[Spanned<String>]) -> Re
     names.iter().map(preset).collect()
 }
 
-/// Whether a text of RON names a field, comments and strings left out.
-fn has_field(text: &str, field: &str) -> bool {
-    let (mut rest, mut before) = (text, ' ');
-    while let Some(first) = rest.chars().next() {
-        if rest.starts_with("//") {
-            rest = rest.find('\n').map_or("", |end| &rest[end..]);
-        } else if rest.starts_with("/*") {
-            rest = rest.find("*/").map_or("", |end| &rest[end + 2..]);
-        } else if first == '"' {
-            let mut escaped = false;
-            let end = rest[1..].find(|c| {
-                let ends = c == '"' && !escaped;
-                escaped = c == '\\' && !escaped;
-                ends
-            });
-            rest = end.map_or("", |end| &rest[end + 2..]);
-        } else if !before.is_alphanumeric()
-            && before != '_'
-            && let Some(after) = rest.strip_prefix(field)
-            && after.trim_start().starts_with(':')
-        {
-            return true;
-        } else {
-            rest = &rest[first.len_utf8()..];
-        }
-        before = first;
-    }
-    false
-}
-
 /// A chip from its text.
 ///
 /// # Errors
@@ -159,7 +130,7 @@ pub fn parse_constants(source: &SourceText) -> Result<Constants> {
 
 fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
     let is_shipped = shipped::CONSTANTS.iter().any(|shipped| Path::new(shipped.path) == source.path());
-    let mut constants = if has_field(source.text(), "base") {
+    let mut constants = if value(source.text(), "base").is_some() {
         let changes: ConstantsChanges = parse(source, "constants.syntax")?;
         let Some(deepest) = deepest.checked_sub(1) else {
             let message = format!("constants are based on each other more than {DEEPEST} deep");

@@ -195,7 +195,6 @@ pub fn is_time(name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::budget::MOST_ARRAY;
 
     fn file(name: &str, bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
         let folder = tempfile::tempdir().unwrap();
@@ -214,15 +213,6 @@ mod tests {
         assert_eq!(absent.code, "io.missing");
         assert!(absent.help.unwrap().contains("does not exist either"));
         assert_eq!(read_bytes(&path, 3).unwrap_err().code, "io.too-large");
-    }
-
-    #[test]
-    fn a_git_lfs_pointer_is_called_one() {
-        // The form of git-lfs docs/spec.md: about 130 bytes.
-        let pointer =
-            format!("version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 12345\n", "4d".repeat(32));
-        let (_folder, path) = file("w.npy", pointer.as_bytes());
-        assert_eq!(read_bytes(&path, MOST_ARRAY).unwrap_err().code, "io.lfs-pointer");
     }
 
     #[test]

@@ -49,16 +49,8 @@ pub enum EventFormat {
 
 impl EventFormat {
     /// Every format.
-    pub const ALL: [EventFormat; 8] = [
-        EventFormat::Bs2,
-        EventFormat::Bs1,
-        EventFormat::Dat,
-        EventFormat::Raw,
-        EventFormat::Aedat4,
-        EventFormat::Tact,
-        EventFormat::Text,
-        EventFormat::Bin,
-    ];
+    pub const ALL: [Self; 8] =
+        [Self::Bs2, Self::Bs1, Self::Dat, Self::Raw, Self::Aedat4, Self::Tact, Self::Text, Self::Bin];
 
     /// What people call it.
     #[must_use]

@@ -84,9 +84,7 @@ impl Unchanged {
             return None;
         }
         let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown").ok()?;
-        let file = NetworkFile::parse(&source).ok()?;
-        let arrays = read_arrays(&source, origin, &file).ok()?;
-        Some(Unchanged { network: Network::new(file, source, arrays).ok()?, origin })
+        Some(Unchanged { network: network_of(source, origin).ok()?, origin })
     }
 
     /// Numbers in its arrays.
@@ -245,21 +243,6 @@ Network(
         assert_eq!((kernel.shape(), *stride, *padding_after), (&[1, 2, 1, 1][..], (2, 2), (0, 1)));
     }
 
-    #[test]
-    fn a_problem_with_an_array_stands_where_the_model_names_it() {
-        let folder = folder();
-        let error = load(&folder, &EVERYTHING.replace("v.npy", "absent.npy")).unwrap_err();
-        let position = error.position().unwrap();
-        assert_eq!((error.code, position.line, position.column), ("io.missing", 8, 74), "{error}");
-        assert!(error.message.contains("absent.npy: there is no such file"), "{error}");
-        let error = load(&folder, &EVERYTHING.replace("fc.weight", "fc.wait")).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().line), ("safetensors.key", 12));
-        assert!(error.help.unwrap().contains("fc.weight"));
-        std::fs::write(folder.path().join("v.npy"), [0u8; 4096]).unwrap();
-        let error = load(&folder, EVERYTHING).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().line), ("npy.format", 8));
-    }
-
     /// A network of three inputs and two compartments whose synapses are said in this way.
     fn listed(way: &str) -> String {
         format!(
@@ -337,14 +320,6 @@ Network(
     #[test]
     fn an_unknown_name_is_answered_with_the_shipped_ones() {
         let error = load_model("vtsnn-slipp").unwrap_err();
-        assert_eq!(error.code, "model.unknown");
-        assert!(error.help.unwrap().contains("path to a .ron file"));
-    }
-
-    #[test]
-    fn every_shipped_model_loads() {
-        for model in shipped::MODELS {
-            load_model(model.name).unwrap_or_else(|error| panic!("{error}"));
-        }
+        assert!(error.code == "model.unknown" && error.help.unwrap().contains("path to a .ron file"));
     }
 }

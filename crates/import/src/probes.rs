@@ -54,25 +54,20 @@ impl Trace<'_> {
         })
     }
 
-    /// Refuses what a file that is made in memory does not take.
-    fn check_size(&self, format: &str) -> Result<()> {
-        let [samples, units, steps] = self.shape;
-        if samples * units * steps <= MOST_GRIDDED {
-            return Ok(());
-        }
-        let message =
-            format!("{samples} x {units} x {steps} numbers are more than a {format} file takes, {MOST_GRIDDED}");
-        Err(Diagnostic::new("write.too-large", message).help("choose fewer --samples, or --probe-format npy"))
-    }
-
     /// Writes a file of NIR data, with the population as its node and the register as its
     /// observable.
     ///
     /// # Errors
     /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
     pub fn nir(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
-        self.check_size("NIR")?;
         let [samples, units, steps] = self.shape;
+        if samples * units * steps > MOST_GRIDDED {
+            let message =
+                format!("{samples} x {units} x {steps} numbers are more than a NIR file takes, {MOST_GRIDDED}");
+            return Err(
+                Diagnostic::new("write.too-large", message).help("choose fewer --samples, or --probe-format npy")
+            );
+        }
         let data = if self.register == "spikes" {
             let mut events = vec![Vec::new(); samples];
             for (at, _) in numbers.enumerate().filter(|(_, number)| *number != 0.0) {

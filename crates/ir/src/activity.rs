@@ -7,6 +7,8 @@
 
 use std::ops::AddAssign;
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
 use crate::placement::Route;
 
@@ -34,7 +36,7 @@ counts!(CoreCounts: messages_in, events_dense, events_sparse, visited, active, s
 counts!(HopCounts: local, east_west, north_south, chip);
 
 /// Sums over a network, which every engine can count.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Totals {
     /// Input spikes.
     pub spikes_in: u64,
@@ -51,7 +53,7 @@ pub struct Totals {
 }
 
 /// Values that left their field.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Overflow {
     /// Dendritic accumulators that wrapped.
     pub q_wrapped: u64,
@@ -88,7 +90,7 @@ impl Overflow {
 }
 
 /// What one core did.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct CoreCounts {
     /// Messages received, inputs' included.
     pub messages_in: u64,
@@ -107,33 +109,6 @@ pub struct CoreCounts {
 }
 
 impl CoreCounts {
-    /// How many counts there are.
-    pub const WORDS: usize = 7;
-
-    /// The counts in the order of their declaration.
-    #[must_use]
-    pub fn to_words(self) -> [u64; CoreCounts::WORDS] {
-        let CoreCounts { messages_in, events_dense, events_sparse, visited, active, spikes, messages_out } = self;
-        [messages_in, events_dense, events_sparse, visited, active, spikes, messages_out]
-    }
-
-    /// Counts from this many words.
-    ///
-    /// # Panics
-    /// When there are fewer: a mistake of the caller.
-    #[must_use]
-    pub fn from_words(words: &[u64]) -> Self {
-        CoreCounts {
-            messages_in: words[0],
-            events_dense: words[1],
-            events_sparse: words[2],
-            visited: words[3],
-            active: words[4],
-            spikes: words[5],
-            messages_out: words[6],
-        }
-    }
-
     /// Synaptic events of all lists.
     #[must_use]
     pub fn synaptic_events(&self) -> u64 {
@@ -142,7 +117,7 @@ impl CoreCounts {
 }
 
 /// Links crossed by messages.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct HopCounts {
     /// Messages that stayed within a tile.
     pub local: u64,
@@ -171,7 +146,7 @@ impl HopCounts {
 }
 
 /// What one timestep did: all that its energy and its time depend on.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct StepActivity {
     /// By core.
     pub cores: IdVec<CoreId, CoreCounts>,
@@ -234,7 +209,7 @@ impl StepActivity {
 }
 
 /// What a whole run did.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Activity {
     cores: IdVec<CoreId, CoreCounts>,
     hops: HopCounts,
@@ -304,28 +279,14 @@ impl Activity {
         all
     }
 
-    /// What it holds as words, for another process.
-    #[must_use]
-    pub fn to_words(&self) -> Vec<u64> {
-        let HopCounts { local, east_west, north_south, chip } = self.hops;
-        let mut words = vec![local, east_west, north_south, chip];
-        words.extend([self.spikes_in, self.messages_from_inputs, self.steps]);
-        words.extend(self.cores.iter().flat_map(|core| core.to_words()));
-        words
-    }
-
-    /// Adds what another process counted in the same steps, on as many cores.
+    /// Adds what another process counted in the same steps.
     ///
     /// # Panics
-    /// When there are too few words: a mistake of the caller.
-    pub fn merge_words(&mut self, words: &[u64]) {
-        self.hops += HopCounts { local: words[0], east_west: words[1], north_south: words[2], chip: words[3] };
-        self.spikes_in += words[4];
-        self.messages_from_inputs += words[5];
-        assert_eq!(self.steps, words[6], "processes that run together run as many steps");
-        for (sum, core) in self.cores.iter_mut().zip(words[7..].chunks_exact(CoreCounts::WORDS)) {
-            *sum += CoreCounts::from_words(core);
-        }
+    /// When it is of a program with another number of cores, or of other steps.
+    pub fn merge_same_steps(&mut self, other: &Activity) {
+        assert_eq!(self.steps, other.steps, "processes that run together run as many steps");
+        self.merge(other);
+        self.steps = other.steps;
     }
 
     /// By core.

@@ -169,7 +169,7 @@ pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
     Ok(format!("{}{value}{}", &text[..place.start], &text[place.end..]))
 }
 
-/// The place of a path that begins at a value of the text; nothing when it leads nowhere.
+/// The place of a path that begins at a value of the text; nothing when there is no such place.
 #[must_use]
 pub fn locate(text: &str, value: Span, path: &str) -> Option<Span> {
     let mut cursor = Cursor { text: text.get(..value.end)?, at: value.start };

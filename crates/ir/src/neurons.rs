@@ -102,9 +102,9 @@ pub enum Emits {
     Values,
 }
 
-/// Where a core keeps a parameter, and what limits how many values there are.
+/// Where a core stores a parameter, and what limits how many values there are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kept {
+pub enum Storage {
     /// With others in a profile of compartments; a core has this many profiles.
     Profile,
     /// In a table of thresholds; a core has this many.
@@ -120,8 +120,8 @@ pub struct ParameterField {
     pub name: &'static str,
     /// What it holds, and its range.
     pub field: Field,
-    /// Where a core keeps it.
-    pub kept: Kept,
+    /// Where a core stores it.
+    pub storage: Storage,
     /// Its value where the file gives none.
     pub default: Option<i64>,
     /// The name of a real number that stands for it, and how that becomes the integer.
@@ -165,12 +165,12 @@ impl Row {
     /// That of a compartment with registers.
     pub const EMPTY: Row = Row([0; 7]);
 
-    /// The parameters that are kept in this place; zeros for the others.
+    /// The parameters that are stored in this place; zeros for the others.
     #[must_use]
-    pub fn kept(mut self, kind: NeuronKind, place: Kept) -> Row {
+    pub fn stored_in(mut self, kind: NeuronKind, place: Storage) -> Row {
         let table = kind.table();
         if !table.registers {
-            let others = table.parameters.iter().zip(&mut self.0).filter(|(parameter, _)| parameter.kept != place);
+            let others = table.parameters.iter().zip(&mut self.0).filter(|(parameter, _)| parameter.storage != place);
             others.for_each(|(_, value)| *value = 0);
         }
         self
@@ -178,13 +178,13 @@ impl Row {
 }
 
 /// A parameter that has a default and no other form.
-const fn optional(name: &'static str, field: Field, kept: Kept, default: i64) -> ParameterField {
-    ParameterField { name, field, kept, default: Some(default), real: None, help: "" }
+const fn optional(name: &'static str, field: Field, storage: Storage, default: i64) -> ParameterField {
+    ParameterField { name, field, storage, default: Some(default), real: None, help: "" }
 }
 
 /// A parameter that has to be given.
-const fn required(name: &'static str, field: Field, kept: Kept, help: &'static str) -> ParameterField {
-    ParameterField { name, field, kept, default: None, real: None, help }
+const fn required(name: &'static str, field: Field, storage: Storage, help: &'static str) -> ParameterField {
+    ParameterField { name, field, storage, default: None, real: None, help }
 }
 
 const fn range(what: &'static str, low: i64, high: i64) -> Field {
@@ -194,7 +194,7 @@ const fn range(what: &'static str, low: i64, high: i64) -> Field {
 const fn decay(name: &'static str, time_constant: &'static str) -> ParameterField {
     ParameterField {
         real: Some((time_constant, Conversion::TimeConstant)),
-        ..required(name, Decay::FIELD, Kept::Profile, "give the effective decay 0..4096, or a time constant in ms")
+        ..required(name, Decay::FIELD, Storage::Profile, "give the effective decay 0..4096, or a time constant in ms")
     }
 }
 
@@ -204,21 +204,21 @@ const THRESHOLD: ParameterField = ParameterField {
     ..required(
         "vth_mant",
         ThresholdMantissa::FIELD,
-        Kept::Threshold,
+        Storage::Threshold,
         "give the threshold mantissa, or a real threshold vth",
     )
 };
 const BIAS_MANTISSA: ParameterField = ParameterField {
     real: Some(("bias", Conversion::BiasMantissa)),
-    ..optional("bias_mant", BiasMantissa::FIELD, Kept::Each, 0)
+    ..optional("bias_mant", BiasMantissa::FIELD, Storage::Each, 0)
 };
 const BIAS_EXPONENT: ParameterField = ParameterField {
     real: Some(("bias", Conversion::BiasExponent)),
-    ..optional("bias_exp", BiasExponent::FIELD, Kept::Each, 0)
+    ..optional("bias_exp", BiasExponent::FIELD, Storage::Each, 0)
 };
-const REFRACTORY: ParameterField = optional("refractory", Refractory::FIELD, Kept::Profile, 1);
-const VMIN: ParameterField = optional("vmin_exp", VminExponent::FIELD, Kept::Each, 23);
-const VMAX: ParameterField = optional("vmax_exp", VmaxExponent::FIELD, Kept::Each, 7);
+const REFRACTORY: ParameterField = optional("refractory", Refractory::FIELD, Storage::Profile, 1);
+const VMIN: ParameterField = optional("vmin_exp", VminExponent::FIELD, Storage::Each, 23);
+const VMAX: ParameterField = optional("vmax_exp", VmaxExponent::FIELD, Storage::Each, 7);
 
 const U: Column = Column { name: "u", bits: UV_BITS + 1 };
 const V: Column = Column { name: "v", bits: UV_BITS + 1 };
@@ -244,12 +244,12 @@ const LOIHI: KindTable = KindTable {
 const CHANGE: ParameterField = required(
     "vth_mant",
     range("threshold of a change", 0, (1 << 17) - 1),
-    Kept::Threshold,
+    Storage::Threshold,
     "give the least change that is sent",
 );
-const SPIKE_EXP: ParameterField = optional("spike_exp", range("spike exponent", 0, 7), Kept::Profile, 0);
-const STATE_EXP: ParameterField = optional("state_exp", range("state exponent", 0, 7), Kept::Profile, 0);
-const CUM_ERROR: ParameterField = optional("cum_error", range("cumulated error (0 or 1)", 0, 1), Kept::Profile, 0);
+const SPIKE_EXP: ParameterField = optional("spike_exp", range("spike exponent", 0, 7), Storage::Profile, 0);
+const STATE_EXP: ParameterField = optional("state_exp", range("state exponent", 0, 7), Storage::Profile, 0);
+const CUM_ERROR: ParameterField = optional("cum_error", range("cumulated error (0 or 1)", 0, 1), Storage::Profile, 0);
 
 const fn word(name: &'static str) -> Column {
     Column { name, bits: 32 }
@@ -260,23 +260,23 @@ static RESONATOR: KindTable = KindTable {
         required(
             "sin_decay",
             range("sine of the rotation", -32_768, 32_767),
-            Kept::Profile,
+            Storage::Profile,
             "give (1 - alpha) sin(2 pi / period) 2^decay_bits, toward zero",
         ),
         required(
             "cos_decay",
             range("cosine of the rotation", -32_768, 32_767),
-            Kept::Profile,
+            Storage::Profile,
             "give (1 - alpha) cos(2 pi / period) 2^decay_bits, toward zero",
         ),
         required(
             "threshold",
             range("threshold", 0, (1 << UV_BITS) - 1),
-            Kept::Threshold,
+            Storage::Threshold,
             "give the threshold in units of the state",
         ),
         STATE_EXP,
-        optional("decay_bits", range("bits of the decay", 1, 15), Kept::Profile, 12),
+        optional("decay_bits", range("bits of the decay", 1, 15), Storage::Profile, 12),
     ],
     state: &[Column { name: "re", bits: UV_BITS + 1 }, Column { name: "im", bits: UV_BITS + 1 }],
     ports: 2,
@@ -302,12 +302,12 @@ static SOFT_RESET: KindTable = KindTable {
 static SIGMA_DELTA: KindTable = KindTable {
     parameters: &[
         CHANGE,
-        optional("bias_mant", range("bias", -(1 << 17), (1 << 17) - 1), Kept::Each, 0),
+        optional("bias_mant", range("bias", -(1 << 17), (1 << 17) - 1), Storage::Each, 0),
         SPIKE_EXP,
         STATE_EXP,
-        optional("relu", range("rectification (0 or 1)", 0, 1), Kept::Profile, 0),
+        optional("relu", range("rectification (0 or 1)", 0, 1), Storage::Profile, 0),
         CUM_ERROR,
-        optional("corrected", range("correction (0 or 1)", 0, 1), Kept::Profile, 0),
+        optional("corrected", range("correction (0 or 1)", 0, 1), Storage::Profile, 0),
     ],
     state: &[word("sigma"), word("act"), word("residue"), word("error")],
     ..SIGMA

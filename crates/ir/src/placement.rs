@@ -121,7 +121,7 @@ pub struct Site {
 }
 
 /// The links that a message crosses.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Route {
     /// East or west.
     pub east_west: u32,

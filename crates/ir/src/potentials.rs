@@ -7,10 +7,12 @@
 //!
 //! Doubles hold the sums exactly: potentials have 24 bits, and samples fewer than 2^29 steps.
 
+use serde::{Deserialize, Serialize};
+
 use crate::arithmetic::ReadOut;
 
 /// The scores of the outputs so far.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub struct Potentials {
     read_out: ReadOut,
     scores: Vec<f64>,
@@ -79,16 +81,11 @@ impl Potentials {
         }
     }
 
-    /// The outputs whose potentials ever left zero, with their scores: what one of several
-    /// processes knows of its own.
-    pub fn known(&self) -> impl Iterator<Item = (u32, f64)> {
-        (0..).zip(&self.moved).zip(&self.scores).filter(|((_, moved), _)| **moved).map(|((at, _), score)| (at, *score))
-    }
-
-    /// Takes the score of an output that another process knows.
-    pub fn learn(&mut self, output: u32, score: f64) {
-        let at = output as usize;
-        (self.scores[at], self.moved[at]) = (score, true);
+    /// Takes the scores of those outputs whose potentials another process has.
+    pub fn merge(&mut self, other: &Potentials) {
+        for (output, _) in other.moved.iter().enumerate().filter(|(_, moved)| **moved) {
+            (self.scores[output], self.moved[output]) = (other.scores[output], true);
+        }
     }
 }
 

@@ -4,10 +4,12 @@
 //! Made by an engine, read by those who sum over populations. Merging is addition, so neither the
 //! order of samples nor threads can change a sum.
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec};
 
 /// How often the values of a compartment left their fields.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct LeftField {
     /// Accumulators and currents that wrapped.
     pub wrapped: u64,
@@ -18,7 +20,7 @@ pub struct LeftField {
 }
 
 /// Spikes by source and overflow by compartment, of a run or a part of it.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct SourceCounts {
     /// Spikes of each channel.
     pub channels: IdVec<ChannelId, u64>,

@@ -2,8 +2,6 @@
 
 use std::borrow::Cow;
 
-use serde::{Deserialize, Serialize};
-
 use crate::strategy::lattice::layers;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::hardware::Target;
@@ -18,14 +16,13 @@ pub const MOST_WRITTEN: u64 = 1 << 28;
 /// messages and rows of weights take a byte or two for each.
 pub const MOST_RUN: u64 = 1 << 32;
 
-/// How far the synapses of a network are expanded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+/// How a network is mapped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
-    /// Every synapse is written into a program.
+    /// Every synapse is counted and written.
     Written,
-    /// Kernels stay kernels: layers are cut into boxes and counted from their geometry. A program
-    /// is written only where the network is run, once for all boxes alike
-    /// (`nsim_compile::emit::boxes`).
+    /// Layers are cut into boxes and counted from the geometry of their kernels. Tables are written
+    /// once for all boxes of a class (`nsim_compile::emit::boxes`).
     Symbolic,
 }
 

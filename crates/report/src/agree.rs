@@ -6,11 +6,14 @@ use crate::charts::draw::Axis;
 use crate::charts::plot;
 use crate::charts::plot::Series;
 use crate::charts::results;
+use crate::origin;
 use nsim_agree::attribution::{Attribution, LayerLoss, Share};
 use nsim_agree::causes::Cause;
 use nsim_agree::classes::ClassTally;
 use nsim_agree::compare::{Agreement, LayerRow};
-use nsim_files::table::{Column, count, csv, four, markdown_of, or_empty, rounded, table_of, wrapped};
+use nsim_files::table::{
+    Column, count, csv, four, markdown_of, or_empty, rounded, shell_lines, table_of, three, wrapped,
+};
 use nsim_ir::graph::Graph;
 use nsim_quantise::analytic::Fit;
 use nsim_train::convert::next::Next;
@@ -91,7 +94,10 @@ pub(super) fn classes_text(classes: &ClassTally) -> String {
     let undecided = classes.undecided();
     let rest = if undecided.is_empty() { String::new() } else { format!("; not compared: {undecided}") };
     match classes.agreement() {
-        Some(share) => format!("classes agree in {share:.4} of {}{rest}", count(classes.compared as u64, "sample")),
+        Some(share) => {
+            let compared = count(classes.compared as u64, "sample");
+            format!("classes agree in {} of {compared}{rest}", three(share))
+        }
         None => format!("no sample is decided by both, so that no class is compared{rest}"),
     }
 }
@@ -167,7 +173,22 @@ const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(four))),
 ];
 
-/// The last is left out where there is little room.
+/// Columns of the text, which says where a layer first parts.
+const TEXT_COLUMNS: [Column<LayerRow>; 7] = [
+    ("layer", |row| row.name.clone()),
+    ("shift", |row| row.shift.to_string()),
+    ("spikes a", |row| row.comparison.tally.spikes_a.to_string()),
+    ("spikes b", |row| row.comparison.tally.spikes_b.to_string()),
+    ("coincidence", |row| if silent(row) { "-".to_string() } else { three(row.comparison.tally.coincidence()) }),
+    ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(three))),
+    ("first parts at sample/step/neuron, who spikes", |row| match row.comparison.first_divergence {
+        _ if silent(row) => "silent".to_string(),
+        None => "nowhere".to_string(),
+        Some(d) => format!("{}/{}/{} {}", d.sample, d.timestep, d.neuron, if d.a { "a" } else { "b" }),
+    }),
+];
+
+/// Columns of the causes.
 const SHARE_COLUMNS: [Column<Share>; 8] = [
     ("cause", |share| share.cause.name().to_string()),
     ("share", |share| or_empty(share.share.map(|share| format!("{:.1} %", 100.0 * share)))),
@@ -178,6 +199,10 @@ const SHARE_COLUMNS: [Column<Share>; 8] = [
     ("coincidence", |share| four(share.rung.coincidence)),
     ("potential rmse", |share| or_empty(share.rung.potential_rmse.map(four))),
 ];
+
+/// Columns of the causes in the text.
+const SHARE_TEXT: [Column<Share>; 6] =
+    [SHARE_COLUMNS[0], SHARE_COLUMNS[1], SHARE_COLUMNS[4], SHARE_COLUMNS[5], SHARE_COLUMNS[6], SHARE_COLUMNS[7]];
 
 impl AgreeReport<'_> {
     /// Share of samples with the same class, of those that both decide.
@@ -254,42 +279,28 @@ impl AgreeReport<'_> {
         csv(self.layers.iter().map(layer_json), columns)
     }
 
-    fn conversion_text(&self) -> String {
-        let mut out = String::new();
-        if !self.fits.is_empty() {
-            out += &format!("\n{}\n", table_of(self.fits, &FIT_COLUMNS, 1));
-        }
-        if let Some(found) = self.found {
-            let samples = count(found.samples as u64, "calibration sample");
-            let table = table_of(&scores(found), &score_columns(), 1);
-            out += &format!("\n{} candidates on {samples}\n{table}\n", found.tried);
-        }
-        out
-    }
-
     fn attribution_text(&self) -> String {
         let Some(attribution) = self.attribution else { return String::new() };
-        let table = table_of(&attribution.shares, &SHARE_COLUMNS, 1);
+        let table = table_of(&attribution.shares, &SHARE_TEXT);
         let intro = format!(
-            "why: disagreement {:.4} (1 - coincidence over all layers) over {}, from the trained network to the \
+            "why: disagreement {} (1 - coincidence over all layers) over {}, from the trained network to the \
              machine; each \
              row is the network once its cause is switched on{}; without: the coincidence of the machine without this \
              cause",
-            attribution.disagreement,
+            three(attribution.disagreement),
             count(self.attribution_samples as u64, "sample"),
             match attribution.shares.iter().all(|share| share.share.is_some()) {
                 true => ", its share the mean of climbing forward and reversed",
                 false => ". Causes give back what others take, so that none has a share",
             }
         );
-        format!("\n{}{table}\n\n{}", wrapped(&intro), blame(attribution, self.next))
+        format!("\n{}{table}\n{}", wrapped(&intro), blame(attribution, self.next))
     }
 
     /// A section of a document, with a chart under `picture`.
     pub fn markdown(&self, picture: &str) -> String {
-        let mut out = format!("{}, {} of {}", self.model, count(self.samples as u64, "sample"), self.input.join(" "));
-        out += &self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
-        out += &format!("; a: {}, b: on simulated cores.\n\n", self.against);
+        let (samples, input) = (count(self.samples as u64, "sample"), origin(self.input, self.seed));
+        let mut out = format!("{}, {samples} of {input}; a: {}, b: on simulated cores.\n\n", self.model, self.against);
         if let Some(classes) = &self.classes {
             let said = classes_text(classes);
             out += &format!("{}{}", said[..1].to_uppercase(), &said[1..]);
@@ -316,49 +327,23 @@ impl AgreeReport<'_> {
 
     /// For people.
     pub fn text(&self) -> String {
-        let mut out = format!("{} (a: {}) and as deployed on simulated cores (b)\n", self.model, self.against);
-        out += &format!("input: {}", self.input.join(" "));
-        if let Some(seed) = self.seed {
-            out += &format!("  (seed {seed})");
+        let mut out = wrapped(&format!("{} (a: {}) and as deployed on simulated cores (b)", self.model, self.against));
+        out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));
+        let accuracy = self.accuracy.map(|(a, b)| format!("; accuracy {} (a), {} (b)", three(a), three(b)));
+        let classes = self.classes.as_ref().map(|classes| format!("; {}", classes_text(classes)));
+        let samples = count(self.samples as u64, "sample");
+        out += &wrapped(&format!("{samples}{}{}", classes.unwrap_or_default(), accuracy.unwrap_or_default()));
+        if let Some(SearchResult { start, end, tried, samples, .. }) = self.found {
+            let samples = count(*samples as u64, "calibration sample");
+            out += &wrapped(&format!(
+                "conversion: the best of {tried} on {samples}; coincidence {} there, {} before the search",
+                three(end.coincidence),
+                three(start.coincidence)
+            ));
         }
-        out += &format!("\n{}\n", count(self.samples as u64, "sample"));
-        out += &self.conversion_text();
-        out.push('\n');
-        let table = table_of(self.layers, &LAYER_COLUMNS, 1);
-        out += &format!("{table}\n\n");
-        for row in self.layers {
-            if silent(row) {
-                out += &format!("'{}': neither spikes: nothing to compare\n", row.name);
-                continue;
-            }
-            let Some(d) = row.comparison.first_divergence else {
-                out += &format!("'{}': every spike agrees\n", row.name);
-                continue;
-            };
-            let says = |spikes: bool, potential: Option<f64>| match (spikes, potential) {
-                // After a spike the potential is what the reset left.
-                (true, _) => "spikes".to_string(),
-                (false, Some(potential)) => format!("does not, its potential at {potential:.4} thresholds"),
-                (false, None) => "does not".to_string(),
-            };
-            out += &format!(
-                "'{}' first parts at sample {}, step {}, neuron {}: a {}, b {}\n",
-                row.name,
-                d.sample,
-                d.timestep,
-                d.neuron,
-                says(d.a, d.potential_a),
-                says(d.b, d.potential_b)
-            );
-        }
+        out += &format!("\n{}", table_of(self.layers, &TEXT_COLUMNS));
         if self.layers.iter().any(|row| row.shift != 0) {
-            out += "shift: steps by which b answers later than a (negative: earlier); removed before comparing\n";
-        }
-        if let Some(classes) = &self.classes {
-            out += &format!("\n{}\n", classes_text(classes));
-        }
-        if let Some((a, b)) = self.accuracy {
-            out += &format!("accuracy {a:.4} (a), {b:.4} (b)\n");
+            out += &wrapped("shift: steps by which b answers later than a (negative: earlier), which are removed");
         }
         out + &self.attribution_text()
     }
@@ -388,7 +373,7 @@ pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
         out += &wrapped(&format!("Classes agree in {now:.3}, in {:.3} without {words}.", now + back));
     }
     if let Some(Next { what, command, .. }) = next {
-        out += &format!("{}  {command}\n", wrapped(&format!("next: a command that {what}")));
+        out += &format!("{}{}\n", wrapped(&format!("next: a command that {what}")), shell_lines(command));
     }
     out
 }

@@ -3,12 +3,12 @@
 use serde_json::{Value, json};
 
 use super::agree::{blame, lost_json, next_json};
-use nsim_agree::attribution::Distance;
-use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table_of};
+use nsim_agree::attribution::{Distance, Share};
+use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table_of, wrapped};
 use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
 use nsim_train::convert::job::{Done, Job, sentence};
 use nsim_train::convert::next::Next;
-use nsim_train::convert::staged::{LayerRow, Left, Measured, StageRow};
+use nsim_train::convert::staged::{LayerRow, Measured, StageRow};
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ const STAGES: [Column<StageRow>; 7] = [
     ("potential rmse", |row| or_empty(row.distance.potential_rmse.map(four))),
 ];
 
-const LEFT: [Column<Left>; 4] = [
+const LEFT: [Column<Share>; 4] = [
     ("real numbers in place of", |left| left.cause.name().to_string()),
     ("classes agree", |left| or_empty(left.without.class_agreement.map(four))),
     ("coincidence", |left| four(left.without.coincidence)),
@@ -111,7 +111,7 @@ fn tuned_json(tuned: &Tuned) -> Value {
 }
 
 fn tuned_text(tuned: &Tuned) -> String {
-    let mut out = format!("fine-tuning\n{}\n\n{}\n", table_of(&tuned.tuned.rows, &EPOCHS, 0), tuned.sentence());
+    let mut out = format!("fine-tuning\n{}\n{}", table_of(&tuned.tuned.rows, &EPOCHS), wrapped(&tuned.sentence()));
     if let Some(held) = &tuned.held_out {
         out += &format!("on {} after it: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
     }
@@ -139,7 +139,7 @@ impl ConvertReport<'_> {
                 "clipped": layer.clipped, "problem": layer.problem,
             })
         };
-        let left = |left: &Left| {
+        let left = |left: &Share| {
             let mut object = distance(&left.without);
             object["cause"] = left.cause.name().into();
             object
@@ -199,23 +199,23 @@ impl ConvertReport<'_> {
         let calibration = &self.done.converted.calibration;
         let mut out =
             format!("{}, {}\n\n", self.job.graph.facts().name, count(calibration.samples as u64, "calibration sample"));
-        out += &format!("{}\n\n", table_of(&self.done.converted.stages, &STAGES, 2));
-        out += &format!("{}\n\n", table_of(&self.done.converted.layers, &LAYERS, 1));
+        out += &format!("{}\n", table_of(&self.done.converted.stages, &STAGES));
+        out += &format!("{}\n", table_of(&self.done.converted.layers, &LAYERS));
         for layer in &self.done.converted.layers {
             if let Some(problem) = &layer.problem {
-                out += &format!("'{}': {problem}\n", layer.name);
+                out += &wrapped(&format!("'{}': {problem}", layer.name));
             }
         }
         out += &blame(&self.done.converted.attribution, self.next);
-        out += &format!("\nwhat is left to gain\n{}\n\n", table_of(&self.done.converted.left, &LEFT, 1));
+        out += &format!("\nwhat is left to gain\n{}\n", table_of(&self.done.converted.left, &LEFT));
         if let Some(held) = self.done.held_out.as_ref() {
-            out += &format!("on {}: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
+            out += &wrapped(&format!("on {}: {}", count(held.samples as u64, "held-out sample"), sentence(held)));
         }
         if let Some(tuned) = self.tuned {
             out += &tuned_text(tuned);
         }
         if !self.files.is_empty() {
-            out += &format!("written: {}\n", self.files.join(", "));
+            out += &wrapped(&format!("written: {}", self.files.join(", ")));
         }
         out
     }

@@ -5,10 +5,12 @@
 
 use std::fmt::Write as _;
 
-use comfy_table::CellAlignment;
 use serde_json::{Map, Value, json};
 
-use nsim_files::table::csv_text;
+use nsim_files::table::{count, csv_text, table, wrapped_at};
+
+/// Rows of a table that the text has.
+const SHOWN_ROWS: usize = 16;
 
 /// What was found: facts about the whole, and tables of its parts.
 #[derive(Debug, Clone)]
@@ -30,6 +32,8 @@ pub struct FindingsTable {
     pub columns: &'static [&'static str],
     /// A value for each column.
     pub rows: Vec<Vec<Value>>,
+    /// Whether the text has it, or JSON alone.
+    pub in_text: bool,
 }
 
 impl FindingsTable {
@@ -43,7 +47,7 @@ impl FindingsTable {
             Value::Array(values) => values,
             single => vec![single],
         };
-        FindingsTable { key, columns, rows: rows.into_iter().map(values).collect() }
+        FindingsTable { key, columns, rows: rows.into_iter().map(values).collect(), in_text: true }
     }
 }
 
@@ -58,6 +62,9 @@ fn shown(value: &Value) -> String {
         Value::Null => "-".to_string(),
         Value::String(text) => text.clone(),
         Value::Array(items) => format!("[{}]", items.iter().map(shown).collect::<Vec<_>>().join(", ")),
+        Value::Object(fields) => {
+            fields.iter().map(|(name, value)| format!("{name} {}", shown(value))).collect::<Vec<_>>().join(", ")
+        }
         other => other.to_string(),
     }
 }
@@ -67,21 +74,22 @@ impl Findings {
     pub fn text(&self, file: &str) -> String {
         let mut out = format!("{file}: {}\n", self.kind);
         let width = self.facts.iter().map(|(key, _)| key.len()).max().unwrap_or(0);
-        for (key, value) in self.facts.iter().filter(|(_, value)| !value.is_null()) {
-            let value = nsim_files::table::wrapped_at(&shown(value), width + 4);
+        // What is known of a chip besides takes paragraphs.
+        for (key, value) in self.facts.iter().filter(|(key, value)| !value.is_null() && *key != "chip_notes") {
+            let value = wrapped_at(&shown(value), width + 4);
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
-        for part in &self.tables {
-            let mut table = nsim_files::table::table(part.columns.iter().copied());
-            for row in &part.rows {
-                table.add_row(row.iter().map(shown));
+        for part in self.tables.iter().filter(|part| part.in_text) {
+            // Where a number comes from is a sentence.
+            let columns: Vec<usize> = (0..part.columns.len()).filter(|&at| part.columns[at] != "source").collect();
+            let header: Vec<&str> = columns.iter().map(|&at| part.columns[at]).collect();
+            let row = |row: &Vec<Value>| columns.iter().map(|&at| shown(&row[at])).collect();
+            let rows: Vec<Vec<String>> = part.rows.iter().take(SHOWN_ROWS).map(row).collect();
+            let _ = write!(out, "\n{}\n{}", part.key, table(&header, &rows));
+            if part.rows.len() > rows.len() || header.len() < part.columns.len() {
+                let all = count(part.rows.len() as u64, "row");
+                let _ = writeln!(out, "{} of {all}; all that is known of them: --format json", rows.len());
             }
-            for (index, column) in table.column_iter_mut().enumerate() {
-                if !part.rows.is_empty() && part.rows.iter().all(|row| row[index].is_number() || row[index].is_null()) {
-                    column.set_cell_alignment(CellAlignment::Right);
-                }
-            }
-            let _ = writeln!(out, "\n{}\n{}", part.key, nsim_files::table::narrowed(&mut table).trim_fmt());
         }
         out
     }

@@ -16,3 +16,9 @@ pub mod side_by_side;
 pub mod stress;
 pub mod sweep;
 pub mod train;
+
+/// Where samples came from: what was typed, and the seed of a scene.
+fn origin(input: &[String], seed: Option<u64>) -> String {
+    let seed = seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
+    input.join(" ") + &seed
+}

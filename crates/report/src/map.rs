@@ -6,7 +6,6 @@
 
 use std::fmt::Write;
 
-use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use crate::charts::results;
@@ -14,17 +13,14 @@ use nsim_compile::explore::choice::{Found, front};
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
-use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Form, Mapping, Options, Reason, place};
-use nsim_files::table::{Column, count, narrowed, table_of, wrapped};
+use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, place};
+use nsim_files::table::{Column, count, table_of, three, wrapped};
+use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
-use nsim_ir::partition::CoreUsage;
 use nsim_ir::pruned::Row as PrunedRow;
+use nsim_ir::quantised::Population;
 use nsim_ir::resource::Resource;
-
-/// Cores that a table shows before it is shortened, and the number shown at its beginning then.
-const LONGEST_TABLE: usize = 40;
-const SHORT_TABLE: usize = 20;
 
 /// What was asked.
 #[derive(Debug, Clone, Copy)]
@@ -100,9 +96,9 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "chips_used": mapping.map(|mapping| mapping.placement.chips_used()),
         "cores_per_copy": mapping.map(cores_per_copy),
         "checked": mapping.is_some(),
-        "checked_how": mapping.map(|mapping| mapping.checked.how),
-        "checked_share": mapping.map(|mapping| mapping.checked.share),
-        "described": mapping.is_some_and(|mapping| mapping.form() == Form::Symbolic),
+        "checked_how": mapping.map(|mapping| if mapping.shifts > 0 { "classes" } else { "whole" }),
+        "checked_share": mapping.map(|_| 1.0),
+        "described": mapping.is_some_and(|mapping| mapping.lattices.is_some()),
         "cores": mapping.into_iter().flat_map(rows).collect::<Vec<_>>(),
         "limits": target.limits(),
         "traffic": null,
@@ -123,7 +119,11 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
 fn expected_text(score: &Score) -> String {
     let Score { cores, energy_uj, step_us, static_mw, .. } = score;
     wrapped(&format!(
-        "expected of a step: {energy_uj:.4} uJ, {step_us:.3} us; static power {static_mw:.2} mW of {cores} cores"
+        "expected of a step: {} uJ, {} us; static power {} mW of {}",
+        three(*energy_uj),
+        three(*step_us),
+        three(*static_mw),
+        count(*cores, "core")
     ))
 }
 
@@ -158,8 +158,8 @@ pub fn pareto_text(found: &[Found]) -> String {
     ];
     let on_front = |one| front.iter().any(|other| std::ptr::eq(*other, one));
     let rows: Vec<(&Found, bool)> = found.iter().map(|one| (one, on_front(one))).collect();
-    let table = table_of(&rows, &columns, 1);
-    format!("\n{}\n", table.trim_fmt())
+    let table = table_of(&rows, &columns);
+    format!("\n{table}")
 }
 
 /// Energy over step time of all candidates; the front is joined.
@@ -182,19 +182,15 @@ const SHOWN_NAMES: usize = 6;
 
 /// What was pruned, for people.
 fn pruned_table(rows: &[PrunedRow]) -> String {
-    let mut table = nsim_files::table::table(["pruned", "count", "of", "why"]);
-    for row in rows {
+    let row = |row: &PrunedRow| {
         let mut of: Vec<String> =
             row.of.iter().take(SHOWN_NAMES).map(|(name, count)| format!("{name}: {count}")).collect();
         if row.of.len() > SHOWN_NAMES {
             of.push(format!("and {} more", row.of.len() - SHOWN_NAMES));
         }
-        table.add_row([row.kind.name().replace('_', " "), row.count.to_string(), of.join(", "), row.reason.clone()]);
-    }
-    if let Some(counts) = table.column_mut(1) {
-        counts.set_cell_alignment(CellAlignment::Right);
-    }
-    narrowed(&mut table).trim_fmt() + "\n"
+        vec![row.kind.name().replace('_', " "), row.count.to_string(), of.join(", "), row.reason.clone()]
+    };
+    nsim_files::table::table(&["pruned", "count", "of", "why"], &rows.iter().map(row).collect::<Vec<_>>())
 }
 
 fn cores_per_copy(compiled: &Mapping) -> f64 {
@@ -245,10 +241,10 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
     let Question { model, target, options, pruned, remedies, .. } = question;
     let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
     let (cores, chips) = (count(target.cores(), "core"), count(target.chips(), "chip"));
-    let mut text = wrapped(&format!("{model}, {copies}, onto {} ({cores} on {chips}):", target.name()));
+    let mut text = String::new();
     match outcome {
         Outcome::DoesNotFit(reasons) => {
-            text += "does not fit\n";
+            text += &wrapped(&format!("{model}, {copies}, does not fit {}, {cores} on {chips}:", target.name()));
             text += &listed(reasons);
             if !remedies.is_empty() {
                 text += "tried, and it fits then:\n";
@@ -263,21 +259,17 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             }
         }
         Outcome::Fits(compiled, traffic, score) => {
-            let (cores, chips) = (compiled.partition.cores(), compiled.placement.chips_used());
+            text += &wrapped(&format!(
+                "{model} fits {}: {copies} on {} of {cores}, on {} of {chips}; checked.",
+                target.name(),
+                compiled.partition.cores(),
+                compiled.placement.chips_used(),
+            ));
+            text.push('\n');
+            text += &table_of(&tightest(compiled, target), &TIGHTEST_COLUMNS);
             let _ = writeln!(
                 text,
-                "fits on {} of {}\n{:.4} cores a copy; {}",
-                count(cores as u64, "core"),
-                count(chips, "chip"),
-                cores_per_copy(compiled),
-                match compiled.form() {
-                    Form::Written => "checked against its network",
-                    Form::Symbolic => "counted from its kernels; a core of each kind checked against its synapses",
-                }
-            );
-            let _ = writeln!(
-                text,
-                "strategy {}, objective {}, placed {}, seed {}\n",
+                "each core's use: --format csv\n\nstrategy {}, objective {}, placed {}, seed {}",
                 options.strategy.name(),
                 options.objective.name(),
                 compiled.placed,
@@ -285,29 +277,25 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             );
             if let Some(added) = question.relays {
                 text += &wrapped(&relays_text(added));
-                text.push('\n');
             }
             if let Some(seconds) = time_budget_s(options) {
-                let _ = writeln!(text, "the best found in {seconds} s on this machine; another run may find another\n");
+                let _ = writeln!(text, "the best found in {seconds} s on this machine; another run may find another");
             }
             if !pruned.is_empty() {
-                text += &pruned_table(pruned);
-                text.push('\n');
+                let _ = write!(text, "\n{}\n", pruned_table(pruned));
             }
-            text += &table(compiled, target);
             let rates = match compiled.rates {
                 Rates::Assumed(_) => format!("an assumed {DEFAULT_RATE} spikes a source"),
                 Rates::Profile { .. } => "the rates of the profile".to_string(),
             };
-            text.push('\n');
             text += &wrapped(&format!(
-                "a step at {rates}: {:.2} spikes to other cores (inputs' included), {:.2} hops, {:.2} as \
-                 multicast; links carry {:.5} messages on average, {:.2} at most",
-                traffic.cut_spikes_per_step,
-                traffic.hops_per_step,
-                traffic.hops_multicast_per_step,
-                traffic.mean_link_load,
-                traffic.max_link_load
+                "a step at {rates}: {} spikes to other cores (inputs' included), {} hops, {} as \
+                 multicast; links carry {} messages on average, {} at most",
+                three(traffic.cut_spikes_per_step),
+                three(traffic.hops_per_step),
+                three(traffic.hops_multicast_per_step),
+                three(traffic.mean_link_load),
+                three(traffic.max_link_load)
             ));
             text += &expected_text(&score);
             let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1}", seconds * 1e3);
@@ -326,66 +314,65 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
     format!("{model} does not fit on {}:\n{}", target.name(), listed(reasons))
 }
 
-/// Resources that have a column of their own in the table of cores; more do not fit on a line.
-const COLUMNS: usize = 4;
+/// A population on its cores, and the resource that is used most on one of them.
+struct Tightest {
+    population: String,
+    compartments: u32,
+    cores: usize,
+    resource: String,
+    need: u64,
+    limit: u64,
+}
 
-/// A table of every core's use of the resources that are used most, in numbers and in hundredths of
-/// what there is; and the most of the others.
-fn table(compiled: &Mapping, target: &Target) -> String {
-    let limits = target.limits();
-    let (cores, usage) = (compiled.partition.cores(), compiled.partition.usage());
-    let parts = |used: CoreUsage| {
-        let named = limits
+const TIGHTEST_COLUMNS: [Column<Tightest>; 7] = [
+    ("population", |row| row.population.clone()),
+    ("compartments", |row| row.compartments.to_string()),
+    ("cores", |row| row.cores.to_string()),
+    ("tightest resource", |row| row.resource.clone()),
+    ("on a core", |row| row.need.to_string()),
+    ("limit", |row| row.limit.to_string()),
+    ("used", |row| format!("{:.0} %", 100.0 * row.share())),
+];
+
+impl Tightest {
+    fn share(&self) -> f64 {
+        self.need as f64 / self.limit.max(1) as f64
+    }
+}
+
+/// The tightest resource of each population that has compartments, all copies together.
+fn tightest(compiled: &Mapping, target: &Target) -> Vec<Tightest> {
+    let (one, usage) = (&compiled.one, compiled.partition.usage());
+    let row = |population: &Population| Tightest {
+        population: population.name.clone(),
+        compartments: population.shape.len() * compiled.options.copies,
+        cores: 0,
+        resource: String::new(),
+        need: 0,
+        limit: 0,
+    };
+    let mut rows: Vec<Tightest> = one.populations().iter().map(row).collect();
+    for (members, used) in compiled.partition.members().iter().zip(usage.iter()) {
+        let of = |id: &CompartmentId| one.population_of(CompartmentId(id.0 % one.compartments())).0;
+        let mut here: Vec<PopulationId> = members.iter().map(of).collect();
+        here.sort_unstable();
+        here.dedup();
+        let named = target
+            .limits()
             .against(used.of)
-            .filter_map(|(capacity, need, limit)| capacity.heading().map(|heading| (heading.to_string(), need, limit)));
-        named.collect::<Vec<_>>()
-    };
-    let part = |&(_, need, limit): &(String, u64, u64)| need as f64 / limit.max(1) as f64;
-    let most = usage
-        .iter()
-        .map(|used| parts(*used))
-        .reduce(|most, used| most.into_iter().zip(used).map(|(a, b)| if b.1 > a.1 { b } else { a }).collect());
-    let most = most.unwrap_or_default();
-    let mut order: Vec<usize> = (0..most.len()).collect();
-    order.sort_by(|&a, &b| part(&most[b]).total_cmp(&part(&most[a])).then(a.cmp(&b)));
-    let mut chosen = order[..COLUMNS.min(order.len())].to_vec();
-    chosen.sort_unstable();
-    let mut header = ["core", "chip", "tile", "synapses"].map(str::to_string).to_vec();
-    header.extend(chosen.iter().map(|&at| most[at].0.clone()));
-    let mut table = nsim_files::table::table(header);
-    let shown = if cores > LONGEST_TABLE { SHORT_TABLE } else { cores };
-    let cells = |used: &[(String, u64, u64)]| {
-        let cell = |&at: &usize| format!("{} {:>3.0}%", used[at].1, 100.0 * part(&used[at]));
-        chosen.iter().map(cell).collect::<Vec<_>>()
-    };
-    for (core, used) in usage.enumerate().take(shown) {
-        let site = compiled.placement.site(core);
-        let tile = format!("{},{}", site.x, site.y);
-        let mut row = vec![core.0.to_string(), site.chip.to_string(), tile, used.synapses.to_string()];
-        row.extend(cells(&parts(*used)));
-        table.add_row(row);
+            .filter_map(|(capacity, need, limit)| Some((capacity.heading()?.to_string(), need, limit)));
+        let most = named.reduce(|a, b| if b.1 * a.2.max(1) > a.1 * b.2.max(1) { b } else { a });
+        let Some((resource, need, limit)) = most else { continue };
+        for id in here {
+            let row = &mut rows[id.0 as usize];
+            row.cores += 1;
+            if row.cores == 1 || need as f64 / limit.max(1) as f64 > row.share() {
+                (row.resource, row.need, row.limit) = (resource.clone(), need, limit);
+            }
+        }
     }
-    if cores > shown {
-        table.add_row(vec!["..".to_string()]);
-        let synapses = usage.iter().map(|used| used.synapses).max().unwrap_or(0).to_string();
-        let mut row = vec!["most".to_string(), String::new(), String::new(), synapses];
-        row.extend(cells(&most));
-        table.add_row(row);
-    }
-    for column in table.column_iter_mut() {
-        column.set_cell_alignment(CellAlignment::Right);
-        column.set_padding((1, 0));
-    }
-    let mut text = table.trim_fmt() + "\n";
-    if cores > shown {
-        text += &format!("and {} more\n", cores - shown);
-    }
-    let others = order.iter().skip(COLUMNS).map(|&at| format!("{} {:.0}%", most[at].0, 100.0 * part(&most[at])));
-    let others: Vec<String> = others.collect();
-    if !others.is_empty() {
-        text += &wrapped(&format!("used less, at most: {}", others.join(", ")));
-    }
-    text
+    rows.retain(|row| row.cores > 0);
+    rows
 }
 
 #[cfg(test)]
@@ -408,7 +395,7 @@ mod tests {
     }
 
     fn mapped(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
-        explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE), Form::Written)
+        explore::map(network.into(), board, options, &Rates::assumed(DEFAULT_RATE))
     }
 
     fn keys(value: &Value) -> String {
@@ -429,7 +416,7 @@ mod tests {
             (&fits["fits"], &fits["checked"], &fits["cores_per_copy"]),
             (&json!(true), &json!(true), &json!(1.0))
         );
-        assert_eq!((&fits["checked_how"], &fits["checked_share"]), (&json!("pattern"), &json!(1.0)));
+        assert_eq!((&fits["checked_how"], &fits["checked_share"]), (&json!("classes"), &json!(1.0)));
         let core = json!({
             "core": 2, "chip": 0, "x": 0, "y": 0, "compartments": 62, "axons_in": 3366, "axons_out": 60,
             "synapses": 39_420, "synapse_words": 7_452,
@@ -442,7 +429,7 @@ mod tests {
         assert!(fits["seconds"]["partition"].is_f64());
         assert_eq!(csv(outcome).lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
         let spoken = text(question, outcome);
-        assert!(spoken.contains("fits on 3 cores of 1 chip\n") && spoken.contains("7452  45%"), "{spoken}");
+        assert!(spoken.starts_with("slip fits") && spoken.contains(" 3 copies on 3 of "), "{spoken}");
 
         let small = target(1, 1, limits().with(Resource::AxonsIn, 1000));
         let question = Question { target: &small, ..question };
@@ -459,18 +446,6 @@ mod tests {
             "{spoken}"
         );
         assert_eq!(csv(Outcome::DoesNotFit(&reasons)).lines().count(), 1 + reasons.len());
-    }
-
-    #[test]
-    fn a_long_table_is_shortened() {
-        let board = target(1, 1, limits().with(Resource::Compartments, 1));
-        let options = Options::default();
-        let compiled = mapped(slip(100), &board, &options).unwrap();
-        assert_eq!(compiled.partition.cores(), 62);
-        let question =
-            Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[], relays: None };
-        let spoken = text(question, fits_with(&compiled, &board));
-        assert!(spoken.contains("and 42 more") && spoken.lines().count() < 40, "{spoken}");
     }
 
     #[test]

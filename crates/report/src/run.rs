@@ -3,7 +3,8 @@
 use serde_json::{Value, json};
 
 use crate::map::pruned_json;
-use nsim_files::table::{count, csv_text, or_empty};
+use crate::origin;
+use nsim_files::table::{count, csv_text, or_empty, table, three, wrapped};
 use nsim_ir::activity::{Activity, Overflow, Totals};
 use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::potentials::Potentials;
@@ -71,19 +72,18 @@ pub fn neurobench_json(metrics: &NeuroBench) -> Value {
 }
 
 fn neurobench_text(metrics: &NeuroBench) -> String {
-    let mut out = format!("\n{:<24} {:>14}\n", "NeuroBench", "a sample");
-    let mut row = |name: &str, value: String| out += &format!("{name:<24} {value:>14}\n");
-    row("synaptic operations", format!("{:.1}", metrics.dense));
-    row("  effective ACs", format!("{:.1}", metrics.effective_acs));
-    row("  effective MACs", format!("{:.1}", metrics.effective_macs));
-    row("membrane updates", format!("{:.1}", metrics.membrane_updates));
-    row("activation sparsity", format!("{:.4}", metrics.activation_sparsity));
-    row("connection sparsity", format!("{:.4}", metrics.connection_sparsity));
-    row("footprint, bytes", metrics.footprint_bytes.to_string());
-    if let Some(accuracy) = metrics.classification_accuracy {
-        row("classification accuracy", format!("{accuracy:.4}"));
-    }
-    out
+    let figures = [
+        ("synaptic operations", Some(metrics.dense)),
+        ("effective ACs", Some(metrics.effective_acs)),
+        ("effective MACs", Some(metrics.effective_macs)),
+        ("membrane updates", Some(metrics.membrane_updates)),
+        ("activation sparsity", Some(metrics.activation_sparsity)),
+        ("connection sparsity", Some(metrics.connection_sparsity)),
+        ("footprint, bytes", Some(metrics.footprint_bytes as f64)),
+        ("classification accuracy", metrics.classification_accuracy),
+    ];
+    let row = |(name, figure): (&str, Option<f64>)| Some(vec![name.to_string(), three(figure?)]);
+    format!("\n{}", table(&["NeuroBench", "a sample"], &figures.into_iter().filter_map(row).collect::<Vec<_>>()))
 }
 
 /// A potential, or a sum of them: whole in integers.
@@ -133,11 +133,12 @@ impl RunReport<'_> {
         let ((decided, median), saved) = (self.decided(), self.steps_saved());
         let share = 100.0 * saved as f64 / (saved + self.timesteps()).max(1) as f64;
         let median = median.map_or(String::new(), |step| format!(", in the median after step {step}"));
-        format!(
-            "\nearly exit {rule}: {decided} of {} samples decided before their end{median}; {saved} timesteps saved \
-             ({share:.1} %)\n",
+        let said = wrapped(&format!(
+            "early exit {rule}: {decided} of {} samples decided before their end{median}; {saved} timesteps saved \
+             ({share:.1} %)",
             self.outcomes.len()
-        )
+        ));
+        format!("\n{said}")
     }
 
     fn totals(&self) -> Totals {
@@ -258,69 +259,63 @@ impl RunReport<'_> {
     /// For people.
     pub fn text(&self) -> String {
         let (parts, totals, steps) = (self.network.parts(), self.totals(), self.timesteps());
-        let mut out = match self.target {
-            Some(target) => format!("{} simulated on {target}, engine {}\n", parts.name, self.engine),
-            None => format!("{} interpreted without cores, engine {}\n", parts.name, self.engine),
+        let samples = count(self.outcomes.len() as u64, "sample");
+        let mut out =
+            self.accuracy().map_or(String::new(), |share| format!("accuracy {} over {samples}\n", three(share)));
+        out += &wrapped(&match self.target {
+            Some(target) => format!("{} simulated on {target}, engine {}", parts.name, self.engine),
+            None => format!("{} interpreted without cores, engine {}", parts.name, self.engine),
+        });
+        out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));
+        let drain = match parts.drain {
+            0 => String::new(),
+            drain => format!(", of each sample {drain} after its last input step (drain)"),
         };
-        if let Some(accuracy) = self.accuracy() {
-            out += &format!("accuracy {:.4} over {}\n", accuracy, count(self.outcomes.len() as u64, "sample"));
-        }
-        out += &format!("input: {}", self.input.join(" "));
-        if let Some(seed) = self.seed {
-            out += &format!("  (seed {seed})");
-        }
-        out += &format!("\n{}, {}", count(self.outcomes.len() as u64, "sample"), count(steps, "timestep"));
-        if parts.drain > 0 {
-            out += &format!(", of each sample {} after its last input step (drain)", parts.drain);
-        }
-        out += "\n\n";
+        out += &wrapped(&format!("{samples}, {}{drain}", count(steps, "timestep")));
         const SHOWN: usize = 12;
+        const OUTPUTS: usize = 24;
         let scores = match parts.decision {
             ReadOut::Spikes => "spikes of outputs",
             ReadOut::GreatestV => "greatest v of outputs",
             ReadOut::SumOfV => "sum of v of outputs",
             ReadOut::LastV => "last v of outputs",
         };
-        out += &format!("{:>7} {:>12} {:>12}  {scores}\n", "sample", "label", "predicted");
-        for (sample, (outcome, &label)) in self.outcomes.iter().zip(self.labels).take(SHOWN).enumerate() {
-            let label = if label.is_some() { self.class_name(label) } else { "-".to_string() };
-            let counts: Vec<String> = match &outcome.potentials {
-                Some(potentials) => potentials.scores().iter().take(24).map(|score| score_text(*score)).collect(),
-                None => outcome.counts.iter().take(24).map(ToString::to_string).collect(),
+        let row = |(sample, (outcome, &label)): (usize, (&Outcome, &Option<u32>))| {
+            let mut scores: Vec<String> = match &outcome.potentials {
+                Some(potentials) => potentials.scores().iter().take(OUTPUTS).map(|score| score_text(*score)).collect(),
+                None => outcome.counts.iter().take(OUTPUTS).map(ToString::to_string).collect(),
             };
-            let more = if outcome.counts.len() > 24 { " .." } else { "" };
-            out += &format!(
-                "{sample:>7} {label:>12} {:>12}  {}{more}\n",
-                self.class_name(outcome.class()),
-                counts.join(" ")
-            );
-        }
+            scores.extend((outcome.counts.len() > OUTPUTS).then(|| "..".to_string()));
+            let label = if label.is_some() { self.class_name(label) } else { "-".to_string() };
+            vec![sample.to_string(), label, self.class_name(outcome.class()), scores.join(" ")]
+        };
+        let rows: Vec<Vec<String>> = self.outcomes.iter().zip(self.labels).enumerate().take(SHOWN).map(row).collect();
+        out += &format!("\n{}", table(&["sample", "label", "predicted", scores], &rows));
         if self.outcomes.len() > SHOWN {
-            out +=
-                &format!("{:>7} {} more; all of them with --format csv or json\n", "..", self.outcomes.len() - SHOWN);
+            out += &format!("{} more; all of them with --format csv or json\n", self.outcomes.len() - SHOWN);
         }
         if self.undecided() > 0 {
             out += &format!("\nundecided {} of {}\n", self.undecided(), count(self.outcomes.len() as u64, "sample"));
         }
         out += &self.early_exit_text();
-        out += &format!("\n{:<24} {:>14} {:>14}\n", "activity", "total", "a timestep");
-        let mut row = |name: &str, count: u64| {
-            out += &format!("{name:<24} {count:>14} {:>14.2}\n", count as f64 / steps.max(1) as f64);
+        let of_machine =
+            self.activity.map(|activity| [("messages", activity.messages()), ("hops", activity.hops().links())]);
+        let counts = [
+            ("input spikes", totals.spikes_in),
+            ("spikes", totals.spikes),
+            ("synaptic events", totals.synaptic_events),
+            ("compartment updates", totals.compartment_updates),
+            ("of them active", totals.active_updates),
+        ];
+        let row = |(name, count): (&str, u64)| {
+            vec![name.to_string(), count.to_string(), three(count as f64 / steps.max(1) as f64)]
         };
-        row("input spikes", totals.spikes_in);
-        row("spikes", totals.spikes);
-        row("synaptic events", totals.synaptic_events);
-        row("compartment updates", totals.compartment_updates);
-        row("  of them not at rest", totals.active_updates);
-        if let Some(activity) = self.activity {
-            row("messages", activity.messages());
-            row("hops", activity.hops().links());
-        }
+        let rows: Vec<Vec<String>> = counts.into_iter().chain(of_machine.into_iter().flatten()).map(row).collect();
+        out += &format!("\n{}", table(&["activity", "total", "a timestep"], &rows));
         out += &self.neurobench.map_or(String::new(), neurobench_text);
         out += &format!("\n{}", self.detail.populations_text(steps));
         out += &self.detail.ranks_text();
-        out += &format!("output spikes {}\n", digest(self.outcomes));
-        out += &format!("{:.3} s, {:.3} us a timestep\n", self.wall_s, self.us_per_timestep());
+        out += &format!("{} s, {} us a timestep\n", three(self.wall_s), three(self.us_per_timestep()));
         for file in self.files {
             out += &format!("wrote {file}\n");
         }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use nsim_files::table::{Column, csv, table_of};
+use nsim_files::table::{Column, csv, table_of, wrapped};
 use nsim_scene::markers::Annotated;
 use nsim_scene::wire::Carried;
 
@@ -117,42 +117,35 @@ impl SceneReport {
                 })
             }),
         ];
-        let table = table_of(&self.classes, &columns, 1);
+        let table = table_of(&self.classes, &columns);
         let mut out = format!(
-            "{}: {} samples of {} steps of {} ms, seed {}\n\n{}\n\n",
-            self.scene,
-            self.samples,
-            self.steps,
-            self.timestep_ms,
-            self.seed,
-            table.trim_fmt()
+            "{}: {} samples of {} steps of {} ms, seed {}\n\n{table}\n",
+            self.scene, self.samples, self.steps, self.timestep_ms, self.seed
         );
-        out += &format!(
-            "density, spikes a channel and step: touch {} %, vision {} %; onsets: first, median, last\n",
+        out += &wrapped(&format!(
+            "density, spikes a channel and step: touch {} %, vision {} %; onsets: first, median, last",
             percent(self.density(|class| class.touch_density)),
             percent(self.density(|class| class.vision_density))
-        );
+        ));
         for class in &self.classes {
             let Some(ByMarkers { lift_ms, turning, turn_ms, between_ms }) = class.by_markers else { continue };
-            out += &format!("by markers, {}: the arm lifts at {lift_ms:.0} ms", class.name);
-            out += &match turning {
-                0 => ", no box turns\n".to_string(),
+            let turns = match turning {
+                0 => "no box turns".to_string(),
                 _ => {
                     let samples = class.samples;
-                    format!(
-                        ", {turning} of {samples} boxes turn at {turn_ms:.0} ms, {between_ms:.0} ms after the lift\n"
-                    )
+                    format!("{turning} of {samples} boxes turn at {turn_ms:.0} ms, {between_ms:.0} ms after the lift")
                 }
             };
+            out += &wrapped(&format!("by markers, {}: the arm lifts at {lift_ms:.0} ms, {turns}", class.name));
         }
         if let Some(wire) = &self.wire {
             let share = |count: u64| 100.0 * count as f64 / wire.sent.max(1) as f64;
-            out += &format!(
-                "one wire for all taxels: {} events, {:.2} % missed, {:.2} % reported that were none\n",
+            out += &wrapped(&format!(
+                "one wire for all taxels: {} events, {:.2} % missed, {:.2} % reported that were none",
                 wire.sent,
                 share(wire.missed),
                 share(wire.added)
-            );
+            ));
         }
         if let Some(path) = &self.manifest {
             out += &format!("written: {path}\n");

@@ -7,8 +7,9 @@
 use serde_json::{Value, json};
 
 use super::agree::{layer_json, silent};
+use crate::origin;
 use nsim_agree::compare::{Agreement, LayerRow};
-use nsim_files::table::{Column, count, csv_of, four, or_empty, table_of};
+use nsim_files::table::{Column, count, csv_of, four, or_empty, table_of, wrapped};
 
 /// A network and how far it agrees with the trained one.
 #[derive(Debug)]
@@ -156,10 +157,11 @@ impl SideBySideReport<'_> {
 
     /// For people.
     pub fn text(&self) -> String {
-        let mut out =
-            format!("{} as trained, and others on simulated cores\ninput: {}", self.model, self.input.join(" "));
-        out += &self.seed.map_or(String::new(), |seed| format!("  (seed {seed})"));
-        out += &format!("\n{}\n\n", count(self.samples as u64, "sample"));
-        out + &format!("{}\n", table_of(&self.rows(), &columns(), 0))
+        let mut out = wrapped(&format!("{} as trained, and others on simulated cores", self.model));
+        out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));
+        out += &format!("{}\n\n", count(self.samples as u64, "sample"));
+        let all = columns();
+        let layer: Column<Row<'_>> = ("network and layer", |row| format!("{} {}", row.against, row.layer.name));
+        out + &table_of(&self.rows(), &[layer, all[1], all[2], all[3], all[5], all[6], all[9]])
     }
 }

@@ -1,6 +1,5 @@
 //! The result of `nsim stress` as text, JSON and CSV.
 
-use comfy_table::CellAlignment;
 use serde_json::{Value, json};
 
 use nsim_agree::stress::Verdict;
@@ -33,12 +32,9 @@ pub fn text(verdicts: &[Verdict]) -> String {
         ("steps", |verdict| verdict.steps.to_string()),
         ("seen", |verdict| verdict.detail.clone()),
     ];
-    let mut table = table_of(verdicts, &columns, 4);
-    if let Some(column) = table.column_mut(2) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
+    let table = table_of(verdicts, &columns);
     let failed = verdicts.iter().filter(|verdict| !verdict.pass).count();
-    format!("{table}\n\n{}, {failed} failed\n", count(verdicts.len() as u64, "case"))
+    format!("{table}\n{}, {failed} failed\n", count(verdicts.len() as u64, "case"))
 }
 
 #[cfg(test)]

@@ -25,8 +25,7 @@ pub const POOL: usize = 4;
 pub const POOLED_WIDTH: usize = WIDTH.div_ceil(POOL);
 /// Rows of pooled units.
 pub const POOLED_HEIGHT: usize = HEIGHT.div_ceil(POOL);
-/// Pooled units: the channels of the vision population, and of each plane of one with both
-/// polarities.
+/// Pooled units: the channels of the vision population, or of each of its polarity planes.
 pub const POOLED: usize = POOLED_WIDTH * POOLED_HEIGHT;
 
 /// The pooled unit of a pixel.
@@ -198,8 +197,7 @@ mod tests {
         for y in 0..HEIGHT {
             for x in 0..WIDTH {
                 pixels[pooled(x, y)] += 1;
-                // Against the definition: unit (r, c) sees rows 4 r to 4 r + 3 and columns 4 c to 4
-                // c + 3.
+                // By definition unit (r, c) sees rows 4 r to 4 r + 3, columns 4 c to 4 c + 3.
                 let (row, column) = (pooled(x, y) / 50, pooled(x, y) % 50);
                 assert!((4 * row..4 * row + 4).contains(&y) && (4 * column..4 * column + 4).contains(&x));
             }
@@ -209,8 +207,7 @@ mod tests {
 
     #[test]
     fn events_follow_the_contrast_threshold_and_the_refractory_time() {
-        // A step of 0.7 is three events of 0.2; with 2 ms between them they come in steps 3, 5
-        // and 7.
+        // A step of 0.7 is three events of 0.2, which come 2 ms apart: in steps 3, 5 and 7.
         let mut camera = camera(&STILL);
         let pixel = (13 * WIDTH + 21) as u32;
         let mut spikes = Vec::new();

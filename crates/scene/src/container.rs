@@ -19,9 +19,9 @@ use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::GRAVITY;
 use super::parameter::{parameter, parameters, spread, unknown};
-use super::recording::{MOST_SAMPLES, Recording, Seen};
-use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
-use super::wire::{self, Wire};
+use super::recording::{Recording, Seen};
+use super::touch::{Skin, TAXELS, Taxels, hertz, layout, press, shift_mm};
+use super::wire::Wire;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::stimulus::SceneArg;
 
@@ -58,8 +58,7 @@ struct Container {
     level: f32,
 }
 
-/// Widths and heights of common articles; stiffness in the paper's order (the carton softest, the
-/// tuna can most rigid).
+/// Widths and heights of common articles; stiffness in the paper's order, the carton softest.
 const CONTAINERS: [Container; 4] = [
     Container {
         name: "coffee-can",
@@ -273,8 +272,6 @@ impl Course {
 
 parameters! {
     "container", Containers, set;
-    samples = parameter(1..=MOST_SAMPLES) => set.samples,
-    seed = parameter(0..=u64::MAX) => set.seed,
     grip_n = spread(0.01..=100.0) => set.grip_n,
     closing_m_per_s = spread(0.001..=1.0) => set.closing_m_per_s,
     closing_s = spread(0.0..=10.0) => set.closing_s,
@@ -283,16 +280,7 @@ parameters! {
     fill_error = spread(-1.0..=1.0) => set.fill_error,
     vibration = spread(0.0..=1.0) => set.vibration,
     shake_mm = spread(0.0..=20.0) => set.shake_mm,
-    threshold_kpa = parameter(0.001..=1000.0) => set.skin.threshold_kpa,
-    touch_noise_kpa = parameter(0.0..=1000.0) => set.skin.noise_kpa,
-    touch_refractory_ms = parameter(1..=1000) => set.skin.refractory_ms,
-    adaptation_ms = parameter(1.0..=1e6) => set.skin.adaptation_ms,
-    contrast = parameter(0.01..=10.0) => set.pixels.contrast,
-    pixel_refractory_ms = parameter(1..=1000) => set.pixels.refractory_ms,
-    pixel_noise_hz = parameter(0.0..=100.0) => set.pixels.noise_hz,
     s_min = parameter(1..=1000) => set.s_min,
-    aces_noise = parameter(0.0..=10.0) => set.wire.get_or_insert_default().noise,
-    aces_jitter_us = parameter(0..=wire::MOST_JITTER) => set.wire.get_or_insert_default().jitter_us,
 }
 
 impl Containers {
@@ -351,8 +339,7 @@ impl Containers {
             vibration: draw(6, self.vibration),
             shake_mm: draw(7, self.shake_mm),
             tones: [tone(0), tone(2)],
-            // A half-full container sloshes most; a liquid in a width of 6 cm swings at about 3.5
-            // Hz.
+            // A half-full container sloshes most; liquid 6 cm wide swings at about 3.5 Hz.
             slosh: (
                 0.3 * container.sloshes * 4.0 * fill.min(1.0) * (1.0 - fill.min(1.0)),
                 draw(8, (3.0, 4.0)),
@@ -371,15 +358,8 @@ impl Containers {
         let mut events = Vec::new();
         for (tick, moment) in moments.iter().enumerate() {
             let grip = moment.grip_n * (1.0 + course.vibration * moment.shaking * moment.tone);
-            let (radius, peak) = hertz(grip, 8e-3, 7.0);
-            // A load on skin of 1.5 mm moves the centre of pressure.
-            let shift = if grip > 0.0 { 1.5 * 0.5 * moment.load_n / grip } else { 0.0 };
-            for (k, pressure) in pressure.iter_mut().enumerate() {
-                let ((x, y), (cx, cy)) = (places[k % TAXELS], centres[k / TAXELS]);
-                let (dx, dy) = (x - cx, y - cy - shift);
-                let within = 1.0 - (dx * dx + dy * dy) / (radius * radius);
-                *pressure = if within > 0.0 { peak * within.sqrt() } else { 0.0 };
-            }
+            let centres = (centres, shift_mm(grip, moment.load_n));
+            press(&mut pressure, &places, hertz(grip, 8e-3, 7.0), centres, |_, _, pressed| pressed);
             taxels.step(&pressure, |taxel, change| events.push((tick as u32, 2 * taxel + change.index())));
         }
         events
@@ -408,8 +388,7 @@ impl Containers {
     }
 }
 
-/// The paper's binning: a channel spikes in a bin in which it has at least S_min events. Events
-/// come by tick.
+/// The paper's binning: a channel with at least S_min events in a bin spikes. Sorted by tick.
 fn binned(events: &[(u32, u32)], s_min: u32) -> Vec<(u32, u32)> {
     let mut bins: Vec<(u32, u32)> = events.iter().map(|&(tick, channel)| (tick * TICK_MS / BIN_MS, channel)).collect();
     bins.sort_unstable();
@@ -577,18 +556,11 @@ mod tests {
                 assert!(masses.windows(2).all(|pair| pair[0] < pair[1]));
             }
             let (can, bottle, carton, tuna) = (of(2), of(7), of(12), of(17));
-            assert!(
-                carton.stiffness < bottle.stiffness
-                    && bottle.stiffness < can.stiffness
-                    && can.stiffness < tuna.stiffness
-            );
+            let courses = [carton, bottle, can, tuna];
+            assert!(courses.windows(2).all(|pair| pair[0].stiffness < pair[1].stiffness));
             // The wider meets the fingers sooner.
-            assert!(
-                tuna.contact_s < can.contact_s
-                    && can.contact_s < bottle.contact_s
-                    && bottle.contact_s < carton.contact_s
-            );
-            for course in [can, bottle, carton, tuna] {
+            assert!(courses.windows(2).all(|pair| pair[0].contact_s > pair[1].contact_s));
+            for course in courses {
                 let end = course.at(6.5);
                 assert!((end.lift_mm - 50.0).abs() < 1e-9 && end.grip_n == course.grip_n);
                 // The friction of silicone (0.7 at least) holds what is lifted.

@@ -113,8 +113,7 @@ mod tests {
             let mean = sum / f64::from(n);
             (mean, squares / f64::from(n) - mean * mean)
         };
-        // Standard errors over 100,000 draws: 0.003 of the mean, 0.0045 of a normal variance;
-        // bounds are five of them.
+        // Standard errors over 100,000 draws are 0.003 (mean), 0.0045 (variance); bounds are five.
         let (mean, variance) = moments(&|i| draws.normal(Purpose::Taxel, 0, i));
         assert!(mean.abs() < 0.016 && (variance - 1.0).abs() < 0.023, "{mean} {variance}");
         let (mean, variance) = moments(&|i| f64::from(draws.poisson(Purpose::Taxel, 1, i, 2.5)));

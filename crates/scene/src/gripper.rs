@@ -36,8 +36,7 @@ pub struct Grasp {
     pub contact_m: f64,
     /// Stiffness of both skins against vertical load, N/m.
     pub shear_n_per_m: f64,
-    /// When the fingers touch the box, s; the force grows for `closing_s` from there. Time 0 begins
-    /// the recording.
+    /// When the fingers touch the box, s; force grows for `closing_s`. Recording starts at 0.
     pub touch_s: f64,
     /// How long the fingers take to close, s.
     pub closing_s: f64,
@@ -50,8 +49,7 @@ pub struct Grasp {
 }
 
 impl Grasp {
-    /// Moment of inertia about the grasp axis, kg m^2: of a homogeneous plate, with the centre of
-    /// mass moved.
+    /// Moment of inertia about the grasp axis, kg m^2: a plate with its centre of mass moved.
     #[must_use]
     pub fn inertia(&self) -> f64 {
         let (width, height) = self.size_m;
@@ -59,8 +57,7 @@ impl Grasp {
     }
 
     /// The largest torque that friction of both contacts bears under a vertical load, N m. A
-    /// contact of Hertz's pressure turns at 3 pi / 16 mu N a; the load takes its share by the
-    /// ellipse.
+    /// contact of Hertz's pressure turns at 3 pi / 16 mu N a; load enters by the ellipse.
     #[must_use]
     pub fn torque_limit(&self, friction: f64, grip_n: f64, load_n: f64) -> f64 {
         let force = 2.0 * friction * grip_n;
@@ -71,8 +68,7 @@ impl Grasp {
         force * self.contact_m * (3.0 * std::f64::consts::PI / 16.0) * (1.0 - part * part).sqrt()
     }
 
-    /// Stiffness of both skins against twist, N m/rad: of a disc that the skin shears everywhere
-    /// alike, k a^2 / 2.
+    /// Stiffness of both skins against twist, N m/rad: of a uniformly sheared disc, k a^2 / 2.
     #[must_use]
     pub fn twist_stiffness(&self) -> f64 {
         self.shear_n_per_m * self.contact_m * self.contact_m / 2.0
@@ -104,8 +100,7 @@ pub struct GraspState {
     pub lift_m: f64,
     /// How far the box hangs below the fingers for the skins' softness, m.
     pub sag_m: f64,
-    /// Rotation of the box about the grasp axis since it was grasped, rad; positive with the right
-    /// side down.
+    /// Rotation of the box about the grasp axis, rad; positive with the right side down.
     pub angle_rad: f64,
     /// Its rate, rad/s.
     pub rate_rad_per_s: f64,
@@ -136,8 +131,7 @@ impl Motion {
 
 /// Follows a grasp from `before_ms` ahead of the recording for its length.
 ///
-/// Semi-implicit Euler steps of 0.25 ms: the skins' twist resonates below 20 Hz, so a period has
-/// hundreds of them.
+/// Semi-implicit Euler steps of 0.25 ms: twist resonates below 20 Hz, hundreds of steps a period.
 #[must_use]
 pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
     let dt = 1e-3 / f64::from(SUBSTEPS);
@@ -277,8 +271,7 @@ mod tests {
             });
             let energy: Vec<f64> = energy.collect();
             assert!(energy.len() > 100, "{ratio}: {}", energy.len());
-            // The integration's own error: the twist is a quarter of a millisecond older than the
-            // angle.
+            // The integration's own error: the twist is 0.25 ms older than the angle.
             let slack = 2e-2 * energy.iter().fold(0.0f64, |most, e| most.max(e.abs()));
             assert!(energy.windows(2).all(|pair| pair[1] <= pair[0] + slack), "{ratio}");
             assert!(energy[energy.len() - 1] < energy[0]);

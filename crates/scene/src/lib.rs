@@ -51,7 +51,24 @@ pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
 
 /// A scene that fingers and a camera record, with its parameters.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Recorded {
+pub struct Recorded {
+    /// The scene's name.
+    pub name: &'static str,
+    /// How many samples are asked for.
+    pub samples: u32,
+    /// The seed.
+    pub seed: u64,
+    /// Timesteps of a sample.
+    pub steps: u32,
+    /// Milliseconds of a timestep.
+    pub timestep_ms: f64,
+    /// Names of the classes, by label.
+    pub classes: Vec<String>,
+    scene: Scene,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Scene {
     /// A box that rotates or does not.
     Slip(slip::Slip),
     /// Containers and how full they are.
@@ -64,91 +81,60 @@ impl Recorded {
     /// # Errors
     /// `scene.unknown`, `scene.parameter`.
     pub fn parse(scene: &SceneArg) -> Result<Self> {
+        let unknown = |message: &str, help: &str| Diagnostic::new("scene.unknown", message).help(help);
         match scene.name.as_str() {
-            "slip" => Ok(Recorded::Slip(slip::Slip::parse(scene)?)),
-            "container" => Ok(Recorded::Container(container::Containers::parse(scene)?)),
-            "noise" => Err(Diagnostic::new("scene.unknown", "scene noise is made for a model, not recorded")
-                .help("give it to a run: nsim run MODEL --input scene:noise")),
-            clock::NAME => {
-                Err(Diagnostic::new("scene.unknown", "a clock goes beside recordings, for a population of its own")
-                    .help("nsim run MODEL --input touch=recordings --input phase=scene:clock?span=13"))
+            "slip" => {
+                let set = slip::Slip::parse(scene)?;
+                Ok(Recorded {
+                    name: "slip",
+                    samples: set.samples,
+                    seed: set.seed,
+                    steps: slip::STEPS,
+                    timestep_ms: 1.0,
+                    classes: slip::CLASSES.map(String::from).to_vec(),
+                    scene: Scene::Slip(set),
+                })
             }
+            "container" => {
+                let set = container::Containers::parse(scene)?;
+                Ok(Recorded {
+                    name: "container",
+                    samples: set.samples,
+                    seed: set.seed,
+                    steps: container::STEPS,
+                    timestep_ms: f64::from(container::BIN_MS),
+                    classes: container::classes(),
+                    scene: Scene::Container(set),
+                })
+            }
+            "noise" => Err(unknown(
+                "scene noise is made for a model, not recorded",
+                "give it to a run: nsim run MODEL --input scene:noise",
+            )),
+            clock::NAME => Err(unknown(
+                "a clock goes beside recordings, for a population of its own",
+                "nsim run MODEL --input touch=recordings --input phase=scene:clock?span=13",
+            )),
             other => {
-                let known: Vec<&str> = SCENES.iter().map(|(name, _)| *name).collect();
-                Err(Diagnostic::new("scene.unknown", format!("there is no scene '{other}'"))
-                    .help(format!("scenes are: {}", known.join(", "))))
+                let known = SCENES.map(|(name, _)| name).join(", ");
+                Err(unknown(&format!("there is no scene '{other}'"), &format!("scenes are: {known}")))
             }
         }
     }
 
-    /// The scene's name.
-    #[must_use]
-    pub fn name(&self) -> &'static str {
-        match self {
-            Recorded::Slip(_) => "slip",
-            Recorded::Container(_) => "container",
-        }
-    }
-
-    /// How many samples are asked for.
-    #[must_use]
-    pub fn samples(&self) -> u32 {
-        match self {
-            Recorded::Slip(slip) => slip.samples,
-            Recorded::Container(set) => set.samples,
-        }
-    }
-
-    /// The seed.
-    #[must_use]
-    pub fn seed(&self) -> u64 {
-        match self {
-            Recorded::Slip(slip) => slip.seed,
-            Recorded::Container(set) => set.seed,
-        }
-    }
-
-    /// Timesteps of a sample.
-    #[must_use]
-    pub fn steps(&self) -> u32 {
-        match self {
-            Recorded::Slip(_) => slip::STEPS,
-            Recorded::Container(_) => container::STEPS,
-        }
-    }
-
-    /// Milliseconds of a timestep.
-    #[must_use]
-    pub fn timestep_ms(&self) -> f64 {
-        match self {
-            Recorded::Slip(_) => 1.0,
-            Recorded::Container(_) => f64::from(container::BIN_MS),
-        }
-    }
-
-    /// Names of the classes, by label.
-    #[must_use]
-    pub fn classes(&self) -> Vec<String> {
-        match self {
-            Recorded::Slip(_) => slip::CLASSES.map(String::from).to_vec(),
-            Recorded::Container(_) => container::classes(),
-        }
-    }
-
-    /// What is recorded of a sample: a function of the parameters, the seed and the sample's number
-    /// alone.
+    /// What is recorded of a sample: a function of parameters, seed and the sample's number.
     #[must_use]
     pub fn recording(&self, sample: u32) -> Recording {
-        match self {
-            Recorded::Slip(slip) => slip.recording(sample),
-            Recorded::Container(set) => set.recording(sample),
+        match &self.scene {
+            Scene::Slip(slip) => slip.recording(sample),
+            Scene::Container(set) => set.recording(sample),
         }
     }
 }
 
 /// The recordings of a scene on the channels of a network's input populations.
 fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
-    let name = scene.name();
+    let name = scene.name;
     // First channel of touch and of vision, where the network has them.
     let senses = [TOUCH, VISION, VISION_PLANES];
     let mut first = [None; 3];
@@ -167,7 +153,7 @@ fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
         };
         first[sense] = population.first_channel().map(|channel| channel.0);
     }
-    let samples = (0..scene.samples())
+    let samples = (0..scene.samples)
         .into_par_iter()
         .map(|sample| {
             let recording = scene.recording(sample);
@@ -182,5 +168,5 @@ fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
         })
         .collect::<Result<_, _>>()
         .map_err(|error| Diagnostic::new("scene.too-large", error.to_string()))?;
-    Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(scene.seed()) })
+    Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(scene.seed) })
 }

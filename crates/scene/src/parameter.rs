@@ -19,8 +19,7 @@ pub(super) fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
     })
 }
 
-/// A parameter that is drawn for each sample: `low..high`, or one value for all; both within a
-/// range.
+/// A parameter drawn for each sample: `low..high` or one value for all, within a range.
 pub(super) fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64>) -> Result<(f64, f64)> {
     let (low, high) = value.split_once("..").unwrap_or((value, value));
     let (low, high) = (parameter(key, low, range.clone())?, parameter(key, high, range)?);
@@ -37,10 +36,27 @@ pub(super) fn unknown(scene: &str, key: &str, keys: &[&str]) -> Diagnostic {
         .help(format!("parameters are: {}", keys.join(", ")))
 }
 
-/// Parses a scene's parameters: for each key how its value is read, its range, and the field that
-/// it sets.
+/// Parses a scene's parameters: for each key its reader, its range, and the field it sets. Number
+/// of samples, seed, taxels, pixels and wire are parameters of every scene.
 macro_rules! parameters {
-    ($name:literal, $scene:ident, $set:ident; $($key:ident = $read:ident($range:expr) => $field:expr,)*) => {
+    ($name:literal, $scene:ident, $set:ident; $($own:ident = $read:ident($range:expr) => $field:expr,)*) => {
+        parameters! {
+            @all $name, $scene, $set;
+            samples = parameter(1..=crate::recording::MOST_SAMPLES) => $set.samples,
+            seed = parameter(0..=u64::MAX) => $set.seed,
+            $($own = $read($range) => $field,)*
+            threshold_kpa = parameter(0.001..=1000.0) => $set.skin.threshold_kpa,
+            touch_noise_kpa = parameter(0.0..=1000.0) => $set.skin.noise_kpa,
+            touch_refractory_ms = parameter(1..=1000) => $set.skin.refractory_ms,
+            adaptation_ms = parameter(1.0..=1e6) => $set.skin.adaptation_ms,
+            contrast = parameter(0.01..=10.0) => $set.pixels.contrast,
+            pixel_refractory_ms = parameter(1..=1000) => $set.pixels.refractory_ms,
+            pixel_noise_hz = parameter(0.0..=100.0) => $set.pixels.noise_hz,
+            aces_noise = parameter(0.0..=10.0) => $set.wire.get_or_insert_default().noise,
+            aces_jitter_us = parameter(0..=crate::wire::MOST_JITTER) => $set.wire.get_or_insert_default().jitter_us,
+        }
+    };
+    (@all $name:literal, $scene:ident, $set:ident; $($key:ident = $read:ident($range:expr) => $field:expr,)*) => {
         impl $scene {
             /// The parameters that can be set.
             pub const KEYS: &[&str] = &[$(stringify!($key)),*];

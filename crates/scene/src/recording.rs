@@ -17,15 +17,13 @@ pub struct Recording {
     pub label: u32,
     /// When what decides the class begins, in ms; none when it does not.
     pub onset_ms: Option<f64>,
-    /// When the arm lifts and the box turns by the rule of the paper's authors, where markers are
-    /// tracked.
+    /// When the arm lifts and the box turns by the paper's marker rule, if markers are tracked.
     pub annotated: Option<Annotated>,
     /// (step, channel) of touch; channel = (39 finger + taxel) 2 + polarity, polarity 1 for a rise.
     pub touch: Vec<(u32, u32)>,
     /// (step, channel) of vision; channel = row 50 + column of 63 rows and 50 columns.
     pub vision: Vec<(u32, u32)>,
-    /// The same with a plane for each polarity; channel = 3,150 polarity + row 50 + column,
-    /// polarity 1 for a rise.
+    /// By polarity: channel = 3,150 polarity + row 50 + column, polarity 1 for a rise.
     pub vision_planes: Vec<(u32, u32)>,
     /// What the taxels' common wire did to the events of touch, when there is one.
     pub wire: Option<Carried>,

@@ -18,9 +18,9 @@ use super::draw::{Draws, Purpose};
 use super::gripper::{Grasp, GraspState, Motion, follow};
 use super::markers::Annotated;
 use super::parameter::{parameter, parameters, spread, unknown};
-use super::recording::{MOST_SAMPLES, Recording, Seen};
-use super::touch::{Skin, TAXELS, Taxels, hertz, layout};
-use super::wire::{self, Wire};
+use super::recording::{Recording, Seen};
+use super::touch::{Skin, TAXELS, Taxels, hertz, layout, press, shift_mm};
+use super::wire::Wire;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::stimulus::SceneArg;
 
@@ -62,11 +62,9 @@ pub struct Slip {
     pub chatter: (f64, f64),
     /// Relative relief of the surface in the pressure.
     pub relief: (f64, f64),
-    /// Part of the skin's shear stress that a taxel senses beside the pressure; 0 leaves it at
-    /// pressure.
+    /// Part of the skin's shear stress that a taxel senses; 0 leaves it at pressure.
     pub shear: f64,
-    /// Width in which an edge goes from one brightness to the other in the picture: the blur of the
-    /// lens, pixels.
+    /// Width of an edge in the picture by the blur of the lens, pixels.
     pub edge_px: f64,
     /// Amplitude of the flicker of the lamps at 100 Hz in the natural logarithm of brightness.
     pub flicker: f64,
@@ -105,8 +103,6 @@ impl Default for Slip {
 
 parameters! {
     "slip", Slip, slip;
-    samples = parameter(1..=MOST_SAMPLES) => slip.samples,
-    seed = parameter(0..=u64::MAX) => slip.seed,
     mass_kg = spread(0.001..=10.0) => slip.mass_kg,
     grip_n = spread(0.01..=100.0) => slip.grip_n,
     friction = spread(0.01..=5.0) => slip.friction,
@@ -120,15 +116,6 @@ parameters! {
     shear = parameter(0.0..=1.0) => slip.shear,
     edge_px = parameter(1.0..=20.0) => slip.edge_px,
     flicker = parameter(0.0..=1.0) => slip.flicker,
-    threshold_kpa = parameter(0.001..=1000.0) => slip.skin.threshold_kpa,
-    touch_noise_kpa = parameter(0.0..=1000.0) => slip.skin.noise_kpa,
-    touch_refractory_ms = parameter(1..=1000) => slip.skin.refractory_ms,
-    contrast = parameter(0.01..=10.0) => slip.pixels.contrast,
-    pixel_refractory_ms = parameter(1..=1000) => slip.pixels.refractory_ms,
-    pixel_noise_hz = parameter(0.0..=100.0) => slip.pixels.noise_hz,
-    adaptation_ms = parameter(1.0..=1e6) => slip.skin.adaptation_ms,
-    aces_noise = parameter(0.0..=10.0) => slip.wire.get_or_insert_default().noise,
-    aces_jitter_us = parameter(0..=wire::MOST_JITTER) => slip.wire.get_or_insert_default().jitter_us,
 }
 
 impl Slip {
@@ -164,8 +151,7 @@ impl Slip {
 }
 
 /// The intended class of a sample: of each two consecutive samples one holds and one slides, in
-/// random order. With parameters far from the defaults the outcome, which is what is recorded, may
-/// differ.
+/// random order. With parameters far from the defaults the recorded outcome may differ.
 #[must_use]
 pub fn label(seed: u64, sample: u32) -> u32 {
     (Draws::new(seed, sample / 2).bits(Purpose::Label, 0, 0) as u32 & 1) ^ (sample & 1)
@@ -273,27 +259,18 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
             }
         }
         let grip = state.grip_n * (1.0 + vibration.at(t - 1e3 * grasp.lift_s));
-        let (radius, peak) = hertz(grip, grasp.contact_m, nominal);
-        // A load on skin of 1.5 mm moves the centre of pressure.
-        let shift = if grip > 0.0 { 1.5 * 0.5 * state.load_n / grip } else { 0.0 };
         let traction = Traction::new(grasp, state);
-        for (k, pressure) in pressure.iter_mut().enumerate() {
-            let (finger, (x, y)) = (k / TAXELS, places[k % TAXELS]);
-            let (dx, dy) = (x - centres[finger].0, y - centres[finger].1 - shift);
-            let within = 1.0 - (dx * dx + dy * dy) / (radius * radius);
-            *pressure = if within > 0.0 {
-                let mut part = 1.0 + surface[k];
-                if state.sliding {
-                    // Stick and slip of the skin, the stronger the faster it slides, up to 20 mm/s.
-                    let speed = state.rate_rad_per_s.abs() * (dx * dx + dy * dy).sqrt();
-                    part += chatter * (speed / 20.0).min(1.0) * draws.normal(Purpose::Sliding, k as u32, ms as u32);
-                }
-                let pressed = peak * within.sqrt() * part;
-                pressed + slip.shear * traction.at(x, y, finger, pressed)
-            } else {
-                0.0
-            };
-        }
+        let (contact, centres) = (hertz(grip, grasp.contact_m, nominal), (centres, shift_mm(grip, state.load_n)));
+        press(&mut pressure, &places, contact, centres, |k, (dx, dy), pressed| {
+            let mut part = 1.0 + surface[k];
+            if state.sliding {
+                // Stick and slip of the skin, the stronger the faster it slides, up to 20 mm/s.
+                let speed = state.rate_rad_per_s.abs() * (dx * dx + dy * dy).sqrt();
+                part += chatter * (speed / 20.0).min(1.0) * draws.normal(Purpose::Sliding, k as u32, ms as u32);
+            }
+            let (finger, (x, y), pressed) = (k / TAXELS, places[k % TAXELS], pressed * part);
+            pressed + slip.shear * traction.at(x, y, finger, pressed)
+        });
         taxels.step(&pressure, |taxel, change| {
             if ms as u32 >= motion.before_ms {
                 events.push((ms as u32 - motion.before_ms, 2 * taxel + change.index()));

@@ -14,8 +14,7 @@ use super::draw::{Draws, Purpose};
 /// Taxels of a finger.
 pub const TAXELS: usize = 39;
 
-/// Taxels on each ring, the centre first, and the rings' radii in mm: 39 in all, denser at the
-/// centre.
+/// Taxels on each ring, the centre first, and radii in mm: 39 in all, denser at the centre.
 const RINGS: [(usize, f64); 5] = [(1, 0.0), (6, 1.6), (8, 3.3), (10, 5.3), (14, 8.0)];
 
 /// Places of a finger's taxels in mm: x along the finger's width, y along its length; rings are
@@ -78,6 +77,29 @@ pub fn hertz(grip_n: f64, radius_m: f64, nominal_n: f64) -> (f64, f64) {
     (radius, if grip_n > 0.0 { 1.5 * grip_n / (std::f64::consts::PI * radius * radius) * 1e3 } else { 0.0 })
 }
 
+/// The pressure on the taxels of two fingers under a contact of `(radius mm, peak kPa)`, whose
+/// centre lies `shift_mm` further along each finger than `centres` says; `sensed` returns what a
+/// taxel has of a pressure, given its number, its place from the centre, and the pressure.
+pub(super) fn press(
+    pressure: &mut [f64],
+    places: &[(f64, f64)],
+    (radius, peak): (f64, f64),
+    (centres, shift_mm): ([(f64, f64); 2], f64),
+    mut sensed: impl FnMut(usize, (f64, f64), f64) -> f64,
+) {
+    for (k, pressure) in pressure.iter_mut().enumerate() {
+        let ((x, y), (cx, cy)) = (places[k % TAXELS], centres[k / TAXELS]);
+        let (dx, dy) = (x - cx, y - cy - shift_mm);
+        let within = 1.0 - (dx * dx + dy * dy) / (radius * radius);
+        *pressure = if within > 0.0 { sensed(k, (dx, dy), peak * within.sqrt()) } else { 0.0 };
+    }
+}
+
+/// How far a load moves the centre of pressure of a grip on skin of 1.5 mm, mm.
+pub(super) fn shift_mm(grip_n: f64, load_n: f64) -> f64 {
+    if grip_n > 0.0 { 1.5 * 0.5 * load_n / grip_n } else { 0.0 }
+}
+
 /// Whether the pressure rose or fell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Change {
@@ -116,8 +138,7 @@ pub struct Taxels {
 }
 
 impl Taxels {
-    /// This many taxels at rest. Thresholds belong to the fingers, not to the sample: they are
-    /// drawn from the seed alone.
+    /// Taxels at rest. Thresholds belong to the fingers: they are drawn from the seed alone.
     #[must_use]
     pub fn new(skin: &Skin, draws: Draws, fingers: Draws, count: usize) -> Self {
         let taxel = |k| Taxel {

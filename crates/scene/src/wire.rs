@@ -82,8 +82,7 @@ impl Wire {
         }
     }
 
-    /// Sends events, (ms, channel), of a recording of `end_ms` and decodes them again, in order of
-    /// time and channel.
+    /// Sends events, (ms, channel), over `end_ms` and decodes them in order of time and channel.
     #[must_use]
     pub fn carry(&self, events: &[(u32, u32)], channels: u32, end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, Carried) {
         let seen = self.seen(events, end_ms, draws);

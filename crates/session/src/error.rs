@@ -1,18 +1,23 @@
 //! Everything that can end a command early, and its exit status.
 
-use nsim_compile::CompileError;
+use std::borrow::Cow;
+
+use nsim_compile::{CompileError, Reason};
 use nsim_ir::base::diagnostic::Diagnostic;
 
 /// What a command's work returns.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Why a command could not do its work. "Does not fit" and "does not agree" are answers, not
-/// errors.
+/// Why a command could not do its work.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// An input cannot be read or is not supported: exit status 3.
     #[error("{0}")]
     Input(Box<Diagnostic>),
+    /// A network does not fit its target: an answer of commands that map, an unusable input, exit
+    /// status 3, of all others.
+    #[error("{}", CompileError::DoesNotFit(.0.clone()))]
+    DoesNotFit(Vec<Reason>),
     /// What is asked for makes no sense: exit status 2.
     #[error("{0}")]
     Usage(String),
@@ -29,8 +34,29 @@ impl Error {
             Error::Usage(_) => 2,
             // What was asked for is never done, whatever the input.
             Error::Input(diagnostic) if diagnostic.code == "write.not-regular" => 2,
-            Error::Input(_) => 3,
+            Error::Input(_) | Error::DoesNotFit(_) => 3,
             Error::Fault(_) => 4,
+        }
+    }
+
+    /// What is wrong with an input, where it is that.
+    #[must_use]
+    pub fn diagnostic(&self) -> Option<Cow<'_, Diagnostic>> {
+        match self {
+            Error::Input(diagnostic) => Some(Cow::Borrowed(diagnostic)),
+            Error::DoesNotFit(_) => Some(Cow::Owned(Diagnostic::new(self.code(), self.to_string()))),
+            Error::Usage(_) | Error::Fault(_) => None,
+        }
+    }
+
+    /// A word for the problem: that of its diagnostic, `usage` or `fault`.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        match self {
+            Error::Usage(_) => "usage",
+            Error::Fault(_) => "fault",
+            Error::Input(diagnostic) => diagnostic.code,
+            Error::DoesNotFit(_) => "map.does-not-fit",
         }
     }
 }
@@ -42,13 +68,11 @@ impl From<Diagnostic> for Error {
 }
 
 impl From<CompileError> for Error {
-    /// A network that does not fit is an answer; a command that has no such answer reports an
-    /// unusable input.
     fn from(error: CompileError) -> Self {
         match error {
             CompileError::Input(diagnostic) => diagnostic.into(),
             CompileError::Fault(message) => Error::Fault(message),
-            CompileError::DoesNotFit(_) => Diagnostic::new("map.does-not-fit", error.to_string()).into(),
+            CompileError::DoesNotFit(reasons) => Error::DoesNotFit(reasons),
         }
     }
 }

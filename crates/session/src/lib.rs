@@ -10,9 +10,9 @@ pub mod decision;
 pub mod detail;
 pub mod error;
 pub mod front;
-pub mod handed;
 pub mod inputs;
 pub mod neurobench;
+pub mod obtain;
 pub mod populations;
 pub mod priced;
 pub mod ranks;
@@ -24,6 +24,7 @@ pub mod timeline;
 pub mod warnings;
 
 use decision::{Decision, EarlyExit, Rule};
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use nsim_ir::activity::{Overflow, Totals};
@@ -106,8 +107,16 @@ pub struct Keep {
     pub early_exit: Option<EarlyExit>,
 }
 
+impl Keep {
+    /// Nothing but what these compartments decide.
+    #[must_use]
+    pub fn new(output: Output) -> Self {
+        Keep { output, probes: Vec::new(), early_exit: None }
+    }
+}
+
 /// What one sample did.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
 pub struct Outcome {
     /// Spikes of each output.
     pub counts: Vec<u32>,

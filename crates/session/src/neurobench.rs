@@ -19,6 +19,7 @@
 
 use std::ops::Range;
 
+use super::samples::Run;
 use super::steps::groups;
 use super::{Keep, Outcome, Probe, Quantity};
 use nsim_dynamics::synapses::Enumerate;
@@ -136,14 +137,14 @@ impl NeuroBench {
     pub fn measure(
         network: &Quantised,
         samples: &[&Sample],
-        mut run: impl FnMut(&[&Sample], &Keep) -> Result<(Vec<Outcome>, SourceCounts)>,
+        mut run: impl FnMut(&[&Sample], &Keep) -> Result<Run<()>>,
     ) -> Result<NeuroBench> {
         let voltages = Probe { first: Id::new(0), count: network.compartments(), quantity: Quantity::V };
-        let keep = Keep { output: network.output(), probes: vec![voltages], early_exit: None };
+        let keep = Keep { probes: vec![voltages], ..Keep::new(network.output()) };
         let (mut plain, mut graded, mut updates, mut spikes, mut timesteps) = (0, 0, 0, 0, 0);
         let mut right = Some(0u32);
         for group in groups(samples, network.compartments() as usize) {
-            let (outcomes, counts) = run(group, &keep)?;
+            let Run { outcomes, counts, .. } = run(group, &keep)?;
             let (more_plain, more_graded) = operations(network, &counts);
             plain += more_plain;
             graded += more_graded;

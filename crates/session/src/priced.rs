@@ -5,8 +5,7 @@
 
 use std::sync::Arc;
 
-use super::decision::EarlyExit;
-use super::samples::{Meter, Progress, Run, Running, fast};
+use super::samples::{Meter, Run, Running, fast};
 use super::{Keep, Outcome, Passed};
 use nsim_compile::Compiled;
 use nsim_cost::estimate::{Case, Estimate, estimate, step_price};
@@ -21,31 +20,15 @@ use nsim_ir::groups::CoreGroups;
 use nsim_ir::hardware::Target;
 use nsim_ir::program::Program;
 use nsim_ir::spikes::{Copies, Sample};
-use nsim_machine::ranks::transport::Ranks;
 
 impl Meter for StepMeter {
     fn see(&mut self, step: &StepActivity, passed: Passed) {
         self.add(step, passed.steps, passed.decided);
     }
 
-    fn merge(&mut self, other: &Self) {
-        StepMeter::merge(self, other);
+    fn merge(&mut self, other: Self) {
+        StepMeter::merge(self, &other);
     }
-}
-
-/// How samples that all copies of a mapping see are run.
-#[derive(Clone)]
-pub struct SampleRun<'a> {
-    /// The samples.
-    pub samples: &'a [&'a Sample],
-    /// When they are decided.
-    pub early_exit: Option<EarlyExit>,
-    /// Whether work that cannot change anything is left out.
-    pub skip: bool,
-    /// Called after each sample.
-    pub progress: Progress<'a>,
-    /// The processes that run the program together, if there are several.
-    pub ranks: Option<&'a Ranks>,
 }
 
 /// A mapping as it is metered: the program that is run, and where its messages and those of cores
@@ -135,11 +118,8 @@ impl<'c> Metered<'c> {
     ///
     /// # Errors
     /// As [`fast`].
-    pub fn run(&self, settings: MeterSettings, sweep: SampleRun<'_>) -> Result<Run<StepMeter>> {
+    pub fn run(&self, settings: MeterSettings, samples: &[&Sample], running: Running<'_>) -> Result<Run<StepMeter>> {
         let settings = Arc::new(settings);
-        let SampleRun { samples, early_exit, skip, progress, ranks } = sweep;
-        let keep = Keep { output: self.program().output(), probes: Vec::new(), early_exit };
-        let running = Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks };
         let run = self.run_with(samples, running, || StepMeter::new(settings.clone()))?;
         Ok(self.of_all_copies(run))
     }
@@ -202,8 +182,7 @@ pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> R
     let price = step_price(&settings.tables[0], &deployment, copies, (Mode::Offline, Accounting::Profiler));
     let settings = MeterSettings { distribution: Some((0, price)), ..settings };
     let samples: Vec<&Sample> = samples.iter().collect();
-    let run = metered
-        .run(settings, SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None })?;
+    let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
     let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);
     let estimate = estimate(&Case { steps_per_sample: steps_per_sample(&samples), ..case });
     Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })

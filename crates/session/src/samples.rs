@@ -9,7 +9,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::decision::Rule;
-use super::ranks::{Found, RankRow, merge_words, part_of, peak_mib, to_words};
+use super::ranks::{Found, RankRow, add_outcome, part_of, peak_mib};
 use super::{Keep, Outcome, Passed, Probe, Quantity, run_copies, run_sample};
 use nsim_golden::Golden;
 use nsim_ir::activity::{Activity, StepActivity};
@@ -52,27 +52,35 @@ pub struct Running<'a> {
     pub ranks: Option<&'a Ranks>,
 }
 
+impl<'a> Running<'a> {
+    /// One copy in one process, without counts of each step.
+    #[must_use]
+    pub fn new(keep: &'a Keep) -> Self {
+        Running { keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None }
+    }
+}
+
 /// What watches the steps of a run, a part of it in each thread.
 pub trait Meter: Send {
     /// Sees steps in a row that were alike.
     fn see(&mut self, step: &StepActivity, passed: Passed);
 
     /// Adds what another one saw of later samples. What it says may not depend on the parts.
-    fn merge(&mut self, other: &Self);
+    fn merge(&mut self, other: Self);
 }
 
 impl Meter for () {
     fn see(&mut self, _: &StepActivity, _: Passed) {}
 
-    fn merge(&mut self, (): &()) {}
+    fn merge(&mut self, (): ()) {}
 }
 
-/// What a run on the machine yields.
-#[derive(Debug)]
+/// What a run yields.
+#[derive(Debug, Default)]
 pub struct Run<M> {
     /// In run order.
     pub outcomes: Vec<Outcome>,
-    /// Of all samples.
+    /// Of all samples; without cores where no program ran.
     pub activity: Activity,
     /// Of all samples, by source.
     pub counts: SourceCounts,
@@ -144,7 +152,7 @@ fn on_ranks<M: Meter>(
     ranks: &Ranks,
     new_meter: impl Fn() -> M + Sync,
 ) -> Result<Run<M>, Diagnostic> {
-    let Running { keep, copies, skip, per_step, progress, .. } = running;
+    let Running { keep, skip, per_step, .. } = running;
     let margin = keep.early_exit.as_ref().is_some_and(|exit| matches!(exit.rule, Rule::Margin(_)));
     if margin && keep.output.decision != ReadOut::Spikes {
         let message = "potentials decide this model, and no one of several processes has them all";
@@ -161,37 +169,23 @@ fn on_ranks<M: Meter>(
     let image = laid_out(&part, Division { shards, in_turn: true })?;
     // The rank that decides has to see all outputs.
     let shown = keep.early_exit.as_ref().map(|_| (keep.output.first, keep.output.count));
-    let is_first = ranks.rank() == 0;
     let run_all = || {
-        let mut machine = Machine::of_part(&image, Settings { skip, per_step }, ranks, shown);
-        let (mut outcomes, mut meter, mut skipped_updates) = (Vec::new(), new_meter(), 0);
-        for sample in samples {
-            let mut of_sample = new_meter();
-            let outcome = run_copies(&mut machine, sample, copies, keep, |machine: &Machine, passed| {
-                if is_first {
-                    of_sample.see(machine.last_step(), passed);
-                }
-            });
-            meter.merge(&of_sample);
-            skipped_updates += machine.skipped_updates();
-            progress();
-            outcomes.push(outcome);
-        }
-        let (activity, counts) = machine.take_counts();
-        Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks: Vec::new() }
+        let machine = Machine::of_part(&image, Settings { skip, per_step }, ranks, shown);
+        in_turn(machine, samples, running, &new_meter)
     };
     // A step that is shared from outside the pool would wake a thread each time.
     let mut run = if shards > 1 { rayon::scope(|_| run_all()) } else { run_all() };
     let here = RankRow { peak_mib: peak_mib(), ..here };
-    let Run { outcomes, activity, counts, skipped_updates, .. } = &run;
-    let found = Found { outcomes: outcomes.as_slice(), activity, counts, skipped_updates: *skipped_updates };
-    let words = to_words(&found, here, shown.is_none());
-    let Run { outcomes, activity, counts, skipped_updates, .. } = &mut run;
-    let mut found = Found { outcomes: outcomes.as_mut_slice(), activity, counts, skipped_updates: *skipped_updates };
-    let gathered = ranks.transport().gather(words);
-    let others: Vec<RankRow> = gathered.iter().skip(1).map(|words| merge_words(&mut found, words)).collect();
-    *skipped_updates = found.skipped_updates;
-    run.ranks = [here].into_iter().chain(others).collect();
+    let Run { outcomes, activity, counts, skipped_updates, ranks: rows, .. } = &mut run;
+    rows.push(here);
+    for other in ranks.gathered::<_, Found>(&(&*outcomes, &*activity, &*counts, *skipped_updates, here)) {
+        let (of_samples, of_cores, of_compartments, skipped, row) = other;
+        outcomes.iter_mut().zip(of_samples).for_each(|(sum, other)| add_outcome(sum, other, shown.is_some()));
+        activity.merge_same_steps(&of_cores);
+        counts.merge(&of_compartments);
+        *skipped_updates += skipped;
+        rows.push(row);
+    }
     run.wall_s = begin.elapsed().as_secs_f64();
     Ok(run)
 }
@@ -205,51 +199,55 @@ pub fn fast_on<M: Meter>(
     running: Running<'_>,
     new_meter: impl Fn() -> M + Sync,
 ) -> Run<M> {
-    let Running { keep, copies, skip, per_step, progress, .. } = running;
+    let Running { skip, per_step, .. } = running;
     let begin = Instant::now();
-    let run = |part: &[&Sample]| {
-        let mut machine = Machine::new(image, Settings { skip, per_step });
-        let mut results = Vec::with_capacity(part.len());
-        let mut all = new_meter();
-        for sample in part {
-            let mut meter = new_meter();
-            let see = |machine: &Machine, passed| meter.see(machine.last_step(), passed);
-            let outcome = run_copies(&mut machine, sample, copies, keep, see);
-            all.merge(&meter);
-            progress();
-            results.push((outcome, machine.skipped_updates()));
-        }
-        (results, all, machine.take_counts())
-    };
-    let parts: Vec<_> = if division.shards > 1 {
+    let run = |part: &[&Sample]| in_turn(Machine::new(image, Settings { skip, per_step }), part, running, &new_meter);
+    let run = if division.shards > 1 {
         // A step that is shared from outside the pool would wake a thread each time.
-        vec![rayon::scope(|_| run(samples))]
+        rayon::scope(|_| run(samples))
     } else if division.in_turn {
-        vec![run(samples)]
+        run(samples)
     } else {
-        samples.par_chunks(chunk(samples)).map(run).collect()
+        in_parts(samples, run)
     };
-    let program = image.program();
-    let mut result = Run {
-        outcomes: Vec::with_capacity(samples.len()),
-        activity: Activity::new(program.cores().len()),
-        counts: SourceCounts::new(program.channels() as usize, program.seats().len()),
-        meter: new_meter(),
-        skipped_updates: 0,
-        wall_s: 0.0,
-        ranks: Vec::new(),
-    };
-    for (results, meter, (activity, counts)) in parts {
-        result.activity.merge(&activity);
-        result.counts.merge(&counts);
-        result.meter.merge(&meter);
-        for (outcome, skipped) in results {
-            result.outcomes.push(outcome);
-            result.skipped_updates += skipped;
-        }
+    Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
+}
+
+/// Runs samples one after the other on a machine; of several processes the first is metered.
+fn in_turn<M: Meter>(
+    mut machine: Machine,
+    samples: &[&Sample],
+    running: Running<'_>,
+    new_meter: impl Fn() -> M,
+) -> Run<M> {
+    let Running { keep, copies, progress, ranks, .. } = running;
+    let is_first = ranks.is_none_or(|ranks| ranks.rank() == 0);
+    let (mut outcomes, mut meter, mut skipped_updates) = (Vec::with_capacity(samples.len()), new_meter(), 0);
+    for sample in samples {
+        let mut of_sample = new_meter();
+        outcomes.push(run_copies(&mut machine, sample, copies, keep, |machine: &Machine, passed| {
+            if is_first {
+                of_sample.see(machine.last_step(), passed);
+            }
+        }));
+        meter.merge(of_sample);
+        skipped_updates += machine.skipped_updates();
+        progress();
     }
-    result.wall_s = begin.elapsed().as_secs_f64();
-    result
+    let (activity, counts) = machine.take_counts();
+    Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks: Vec::new() }
+}
+
+/// Runs parts of the samples at the same time. Four parts a thread balance samples of different
+/// lengths; one thread takes all, since counts are summed once a part.
+fn in_parts<M: Meter>(samples: &[&Sample], run: impl Fn(&[&Sample]) -> Run<M> + Sync) -> Run<M> {
+    let parts = if rayon::current_num_threads() == 1 { 1 } else { rayon::current_num_threads() * 4 };
+    let runs: Vec<Run<M>> = samples.par_chunks(samples.len().div_ceil(parts).max(1)).map(&run).collect();
+    let joined = runs.into_iter().reduce(|mut all, later| {
+        all.append(later);
+        all
+    });
+    joined.unwrap_or_else(|| run(&[]))
 }
 
 impl<M: Meter> Run<M> {
@@ -258,39 +256,9 @@ impl<M: Meter> Run<M> {
         self.outcomes.extend(later.outcomes);
         self.activity.merge(&later.activity);
         self.counts.merge(&later.counts);
-        self.meter.merge(&later.meter);
+        self.meter.merge(later.meter);
         self.skipped_updates += later.skipped_updates;
         self.wall_s += later.wall_s;
-    }
-}
-
-/// Samples that a thread takes at once: four parts a thread balance samples of different lengths.
-/// One thread takes all, since counts are summed once a part.
-fn chunk(samples: &[&Sample]) -> usize {
-    let parts = if rayon::current_num_threads() == 1 { 1 } else { rayon::current_num_threads() * 4 };
-    samples.len().div_ceil(parts).max(1)
-}
-
-/// What a run without cores yields.
-#[derive(Debug)]
-pub struct Interpreted {
-    /// In run order.
-    pub outcomes: Vec<Outcome>,
-    /// Of all samples, by source.
-    pub counts: SourceCounts,
-    /// Seconds spent.
-    pub wall_s: f64,
-}
-
-impl Interpreted {
-    fn from_parts(parts: Vec<(Vec<Outcome>, SourceCounts)>, empty: SourceCounts, begin: Instant) -> Self {
-        let mut all = Interpreted { outcomes: Vec::new(), counts: empty, wall_s: 0.0 };
-        for (outcomes, counts) in parts {
-            all.outcomes.extend(outcomes);
-            all.counts.merge(&counts);
-        }
-        all.wall_s = begin.elapsed().as_secs_f64();
-        all
     }
 }
 
@@ -307,31 +275,39 @@ fn add_inputs(counts: &mut SourceCounts, sample: &Sample, steps: u32) {
 
 /// Runs samples on the golden interpreter.
 #[must_use]
-pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Interpreted {
+pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Run<()> {
     let begin = Instant::now();
-    let nothing = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
-    let part = |part: &[&Sample]| {
-        let (mut engine, mut counts) = (Golden::new(network), nothing.clone());
+    let run = in_parts(samples, |part| {
+        let mut engine = Golden::new(network);
+        let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
         let run = |sample: &&Sample| {
             let outcome = run_sample(&mut engine, sample, keep, |engine, _| add_spikes(&mut counts, engine.spikes()));
             add_inputs(&mut counts, sample, outcome.steps);
             progress();
             outcome
         };
-        let outcomes: Vec<Outcome> = part.iter().map(run).collect();
+        let outcomes = part.iter().map(run).collect();
         let left = engine.left_fields().enumerate().filter(|(_, left)| **left != LeftField::default());
         left.for_each(|(compartment, left)| counts.add_left_field(compartment, *left));
-        (outcomes, counts)
-    };
-    let parts = samples.par_chunks(chunk(samples)).map(part).collect();
-    Interpreted::from_parts(parts, nothing, begin)
+        Run { outcomes, counts, ..Run::default() }
+    });
+    Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
 
 /// For each probe `[compartments][steps]`, in real numbers.
 pub type Traces = Vec<Vec<f64>>;
 
+/// Those of each sample.
+impl Meter for Vec<Traces> {
+    fn see(&mut self, _: &StepActivity, _: Passed) {}
+
+    fn merge(&mut self, other: Self) {
+        self.extend(other);
+    }
+}
+
 /// Runs samples of a network with this many channels and compartments on the reference engine; the
-/// probes come as real numbers beside the outcomes. Nothing leaves a field of real numbers.
+/// probes come as real numbers in the place of a meter. Nothing leaves a field of real numbers.
 #[must_use]
 pub fn reference<F: Real>(
     model: &Model<F>,
@@ -339,32 +315,31 @@ pub fn reference<F: Real>(
     samples: &[&Sample],
     keep: &Keep,
     progress: Progress<'_>,
-) -> (Interpreted, Vec<Traces>) {
+) -> Run<Vec<Traces>> {
     let begin = Instant::now();
     let plain = Keep { probes: Vec::new(), ..keep.clone() };
-    let nothing = SourceCounts::new(channels as usize, compartments as usize);
-    let run = |engine: &mut Reference<'_, F>, counts: &mut SourceCounts, sample: &Sample| {
-        let steps = sample.steps() as usize;
-        let mut traces: Traces = keep.probes.iter().map(|probe| vec![0.0; probe.count as usize * steps]).collect();
-        let mut step = 0;
-        let outcome = run_sample(engine, sample, &plain, |engine, _| {
-            for (probe, trace) in keep.probes.iter().zip(&mut traces) {
-                record(engine, probe, step, steps, trace);
-            }
-            add_spikes(counts, engine.spikes());
-            step += 1;
-        });
-        add_inputs(counts, sample, outcome.steps);
-        progress();
-        (outcome, traces)
-    };
-    let part = |part: &[&Sample]| {
-        let (mut engine, mut counts) = (Reference::new(model), nothing.clone());
-        let (outcomes, traces) = part.iter().map(|sample| run(&mut engine, &mut counts, sample)).unzip();
-        ((outcomes, counts), traces)
-    };
-    let (parts, traces): (Vec<_>, Vec<Vec<Traces>>) = samples.par_chunks(chunk(samples)).map(part).unzip();
-    (Interpreted::from_parts(parts, nothing, begin), traces.into_iter().flatten().collect())
+    let run = in_parts(samples, |part| {
+        let mut engine = Reference::new(model);
+        let mut counts = SourceCounts::new(channels as usize, compartments as usize);
+        let run = |sample: &&Sample| {
+            let steps = sample.steps() as usize;
+            let mut traces: Traces = keep.probes.iter().map(|probe| vec![0.0; probe.count as usize * steps]).collect();
+            let mut step = 0;
+            let outcome = run_sample(&mut engine, sample, &plain, |engine, _| {
+                for (probe, trace) in keep.probes.iter().zip(&mut traces) {
+                    record(engine, probe, step, steps, trace);
+                }
+                add_spikes(&mut counts, engine.spikes());
+                step += 1;
+            });
+            add_inputs(&mut counts, sample, outcome.steps);
+            progress();
+            (outcome, traces)
+        };
+        let (outcomes, meter) = part.iter().map(run).unzip();
+        Run { outcomes, counts, meter, ..Run::default() }
+    });
+    Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
 
 fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps: usize, trace: &mut [f64]) {

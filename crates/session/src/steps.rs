@@ -15,7 +15,7 @@ use super::priced::Metered;
 use super::samples::{Meter, Run, Running};
 use nsim_cost::model::{Breakdown, StepTime, energy_of_counts};
 use nsim_cost::{MeterSettings, StepMeter};
-use nsim_files::recorded::steps::{Column, StepWriter, Unit};
+use nsim_files::steps::{Column, StepWriter, Unit};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::Id;
@@ -148,10 +148,10 @@ impl Meter for Recorder<'_, '_> {
         }
     }
 
-    fn merge(&mut self, other: &Self) {
+    fn merge(&mut self, other: Self) {
         self.meter.merge(&other.meter);
         // Samples are merged in run order.
-        self.cells.extend_from_slice(&other.cells);
+        self.cells.extend(other.cells);
     }
 }
 

@@ -17,7 +17,7 @@ use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::quantised::{Quantised, Units};
-use nsim_ir::spikes::{Copies, Sample};
+use nsim_ir::spikes::Sample;
 
 /// Steps that are kept.
 pub const MOST_STEPS: u32 = 1 << 15;
@@ -113,10 +113,9 @@ impl Meter for Watch<'_> {
     }
 
     /// There is one sample: what is merged into is a meter that saw nothing.
-    fn merge(&mut self, other: &Self) {
-        self.recorder.merge(&other.recorder);
-        self.rasters.clone_from(&other.rasters);
-        self.steps = other.steps;
+    fn merge(&mut self, other: Self) {
+        self.recorder.merge(other.recorder);
+        (self.rasters, self.steps) = (other.rasters, other.steps);
     }
 }
 
@@ -143,16 +142,14 @@ impl Timeline {
             })
             .collect();
         let probe = |&first: &CompartmentId| Probe { first, count: 1, quantity: Quantity::V };
-        let keep = Keep { output: network.output(), probes: potentials.iter().map(probe).collect(), early_exit: None };
-        let running =
-            Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: true, progress: &|| (), ranks: None };
+        let keep = Keep { probes: potentials.iter().map(probe).collect(), ..Keep::new(network.output()) };
         let meter = || Watch {
             recorder: Recorder::kept(metered, settings.clone(), &layout),
             ranges: &ranges,
             rasters: rasters.clone(),
             steps: 0,
         };
-        let run = metered.run_with(&[sample], running, meter)?;
+        let run = metered.run_with(&[sample], Running::new(&keep), meter)?;
         let Watch { recorder, rasters, .. } = run.meter;
         let rows = recorder.into_rows();
         let outcome = run.outcomes.into_iter().next().unwrap_or_default();

@@ -18,10 +18,10 @@ use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::{ThresholdMantissa, VmaxExponent};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
-use nsim_ir::neurons::{Kept, NeuronKind};
+use nsim_ir::neurons::{NeuronKind, Storage};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
-use nsim_ir::spikes::{Copies, Engine, Sample};
+use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
 
 /// Something about a run that its user should look at.
@@ -142,10 +142,8 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
 /// # Errors
 /// As [`fast`].
 pub fn warnings_of(network: &Quantised, program: &Arc<Program>, samples: &[&Sample]) -> Result<Vec<Warning>> {
-    let keep = Keep { output: program.output(), probes: Vec::new(), early_exit: None };
-    let running =
-        Running { keep: &keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None };
-    let run = fast(program, samples, running, || ())?;
+    let keep = Keep::new(program.output());
+    let run = fast(program, samples, Running::new(&keep), || ())?;
     let sums = ByPopulation::new(network, &run.counts);
     Ok(warnings(Finished { network, ran: Ran::Program(program), sums: &sums, samples, outcomes: &run.outcomes }))
 }
@@ -202,7 +200,7 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
     };
     let table = kind.table();
     if !table.registers {
-        let threshold = table.parameters.iter().find(|parameter| parameter.kept == Kept::Threshold);
+        let threshold = table.parameters.iter().find(|parameter| parameter.storage == Storage::Threshold);
         return match threshold {
             Some(threshold) => format!("lower its {}, or scale up the weights that lead to it", threshold.name),
             None => "all that reaches it sums to zero".to_string(),

@@ -4,29 +4,26 @@
 //! how far spikes go at an assumed rate, and what a simulated step of it costs in energy and time.
 //! Every mapping has passed the checker, and its spikes over the input are compared with those of
 //! the golden interpreter; one that differs is an error, not a row. A network that is mapped by its
-//! kernels is not run, and its energy and time are the expected ones. A network that cannot fit
-//! gives a [`Refusal`]: every reason, and how soon it was given.
+//! kernels is not run, and its energy and time are the expected ones.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use crate::networks::BenchNetwork;
-use crate::suite::{STEPS, SuiteCase, Ways};
+use crate::suite::{STEPS, SuiteCase};
 use nsim_compile::explore::traffic::Traffic;
 use nsim_compile::{
     CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy, explore,
 };
-use nsim_cost::constants::CostTable;
-use nsim_cost::deployment::{Deployment, HostWork};
-use nsim_cost::meter::{MeterSettings, StepMeter};
-use nsim_cost::transport::Transport;
+use nsim_cost::{MessageRoutes, MeterSettings, StepMeter};
 use nsim_golden::Golden;
-use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
 use nsim_session::error::Error;
+use nsim_session::priced::Metered;
 use nsim_session::ranks::peak_mib;
 
 /// A mapping and what it is worth.
@@ -46,8 +43,7 @@ pub struct MeasuredMapping {
     pub chips: u32,
     /// Expected traffic at [`DEFAULT_RATE`].
     pub traffic: Traffic,
-    /// Whether energy and time are of simulated steps; of a network that is too large to run they
-    /// are the expected ones.
+    /// Whether energy and time are of simulated steps; else they are the expected ones.
     pub simulated: bool,
     /// Mean energy of a step: events and static power of powered cores, in microjoules.
     pub energy_uj: f64,
@@ -56,21 +52,6 @@ pub struct MeasuredMapping {
     /// Seconds of all stages, the network itself not included.
     pub seconds: f64,
     /// The process's peak memory while it was mapped, where the system tells it.
-    pub peak_mib: Option<f64>,
-}
-
-/// A network that cannot fit, refused.
-#[derive(Debug, Clone)]
-pub struct Refusal {
-    /// The network.
-    pub network: &'static str,
-    /// The board.
-    pub target: String,
-    /// Every reason.
-    pub reasons: Vec<String>,
-    /// Seconds until it was refused, the network itself not included.
-    pub seconds: f64,
-    /// The process's peak memory, where the system tells it.
     pub peak_mib: Option<f64>,
 }
 
@@ -98,9 +79,6 @@ pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
     (Strategy::Multilevel, Objective::Latency, &[true]),
 ];
 
-/// As `nsim map` does unless it is told otherwise.
-const DEFAULT: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[true])];
-
 /// The ways in which a network is mapped whose synapses are not written out.
 const BY_KERNELS: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
 
@@ -116,11 +94,9 @@ pub fn map_all(
     mut row: impl FnMut(MeasuredMapping),
 ) -> Result<(), Error> {
     let form = Form::for_network(&bench.network, case.copies);
-    let ways = match (case.ways, form) {
-        (Ways::All, Form::Written) => &WAYS[..],
-        (Ways::All, Form::Symbolic) => &BY_KERNELS[..],
-        (Ways::Default, _) => &DEFAULT[..],
-        (Ways::Refused, _) => &[],
+    let ways = match form {
+        Form::Written => &WAYS[..],
+        Form::Symbolic => &BY_KERNELS[..],
     };
     let rates = &Rates::assumed(DEFAULT_RATE);
     let front = || {
@@ -141,11 +117,10 @@ pub fn map_all(
         };
         reset_peak();
         let begin = Instant::now();
-        // One partition serves both ways of placing it, where a second copy of it is no matter of
-        // gigabytes.
+        // Both placements share one partition, unless a second copy of it takes gigabytes.
         let partitioned = match (form, objective) {
             (Form::Written, Objective::Cores) => {
-                match front().and_then(|front| front.partition(target, &options, rates, form)) {
+                match front().and_then(|front| front.partition(target, &options, rates)) {
                     // Layers that only fit in tiles have no row in the order of the file.
                     Err(CompileError::DoesNotFit(_)) if strategy == Strategy::Sequential => continue,
                     partitioned => Some(partitioned.map_err(failed)?),
@@ -164,7 +139,7 @@ pub fn map_all(
                     let unchecked = partitioned.clone().place(target, &options).and_then(|p| p.emit(target, &options));
                     unchecked.and_then(|unchecked| unchecked.check(target))
                 }
-                None => front().and_then(|front| explore::map(front, target, &options, rates, form)),
+                None => front().and_then(|front| explore::map(front, target, &options, rates)),
             };
             let mapping = mapping.map_err(failed)?;
             let seconds = gathered + begin.elapsed().as_secs_f64();
@@ -173,8 +148,7 @@ pub fn map_all(
             let traffic = mapping.traffic();
             let (energy_uj, step_us) = match &expected {
                 Some((meant, sample)) => {
-                    let compiled = mapping.into_compiled().map_err(failed)?;
-                    simulated(case, (&compiled, bench.network.compartments()), target, sample, meant)?
+                    simulated(case, (&mapping, bench.network.compartments()), target, sample, meant)?
                 }
                 None => {
                     let score = mapping.score(&traffic, target);
@@ -201,32 +175,7 @@ pub fn map_all(
     Ok(())
 }
 
-/// Why a network that cannot fit does not, by the default mapping.
-///
-/// # Errors
-/// [`Error::Fault`] where it is not refused.
-pub fn refuse(case: &SuiteCase, bench: &BenchNetwork, target: &Target) -> Result<Refusal, Error> {
-    let placement = CopyPlacement::Packed;
-    let options = Options { copies: case.copies, placement, ..Options::default() };
-    let form = Form::for_network(&bench.network, case.copies);
-    reset_peak();
-    let begin = Instant::now();
-    let front = Front::from(bench.network.clone());
-    match explore::map(front, target, &options, &Rates::assumed(DEFAULT_RATE), form) {
-        Ok(_) => Err(fault(case, options.strategy, "it fits, though it is known not to")),
-        Err(CompileError::DoesNotFit(reasons)) => Ok(Refusal {
-            network: case.name,
-            target: target.name().to_string(),
-            reasons: reasons.iter().map(ToString::to_string).collect(),
-            seconds: begin.elapsed().as_secs_f64(),
-            peak_mib: peak_mib(),
-        }),
-        Err(other) => Err(fault(case, options.strategy, other)),
-    }
-}
-
-/// Mean energy and time of a step, once the spikes of the network's own compartments have been
-/// compared.
+/// Mean energy and time of a step; the network's own spikes must equal golden's.
 fn simulated(
     case: &SuiteCase,
     (compiled, own): (&Compiled, u32),
@@ -235,14 +184,12 @@ fn simulated(
     meant: &[Vec<u32>],
 ) -> Result<(f64, f64), Error> {
     let strategy = compiled.options.strategy;
-    let constants = target.constants().first().ok_or_else(|| fault(case, strategy, "the target has no constants"))?;
-    let table = CostTable::new(constants).map_err(|error| fault(case, strategy, error))?;
-    let deployment =
-        Deployment::from_placement("mapped", &compiled.placement, target, case.copies, HostWork::for_target(target));
-    let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
-    let timing = deployment.timing(Transport::default(), case.copies);
-    let metered = MeterSettings::new(vec![table.clone()], timing, &compiled.program, timestep);
-    let mut meter = StepMeter::new(metered);
+    let (settings, deployment) =
+        Metered::new(compiled).offline(target).map_err(|error| fault(case, strategy, error))?;
+    // Every core runs, so that routes are those of the program itself.
+    let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
+    let cores = settings.tables[0].core_static_power.milliwatts() * deployment.cores_used as f64;
+    let mut meter = StepMeter::new(MeterSettings { routes, ..settings });
     let image = Image::new(&compiled.program, 1).map_err(|error| fault(case, strategy, error))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
     machine.begin(STEPS);
@@ -262,8 +209,7 @@ fn simulated(
     let time: f64 = sums.time as f64 / 1e6 / steps;
     let dynamic: f64 = sums.energy.microjoules() / steps;
     // Milliwatts times microseconds are nanojoules.
-    let cores = table.core_static_power.milliwatts() * deployment.cores_used as f64 * time * 1e-3;
-    Ok((dynamic + cores, time))
+    Ok((dynamic + cores * time * 1e-3, time))
 }
 
 /// Lets the peak of memory begin anew, where Linux allows it.

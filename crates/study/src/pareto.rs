@@ -11,24 +11,22 @@
 
 use std::hint::black_box;
 use std::num::NonZeroU32;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use nsim_agree::classes::ClassTally;
 use nsim_agree::ladder::layers;
 use nsim_agree::metrics::TrainSums;
 use nsim_agree::trace::{Comparison, Layer, Trace};
 use nsim_compile::{Compiled, Options, compile};
-use nsim_cost::constants::CostTable;
 use nsim_cost::meter::{MeterSettings, StepMeter};
-use nsim_cost::transport::Transport;
-use nsim_cost::{Deployment, HostWork};
+use nsim_cost::transport::{Timing, Transport};
 use nsim_dynamics as neuron;
 use nsim_dynamics::model_thresholds;
+use nsim_energy::cpu::{Timed, timed};
 use nsim_golden::Golden;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::fixed::{Decay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits};
 use nsim_ir::base::id::{ChannelId, CompartmentId};
-use nsim_ir::base::units::Picoseconds;
 use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind};
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::{Neuron, Parts, Quantised, Units};
@@ -41,6 +39,7 @@ use nsim_reference as reference;
 use nsim_reference::{Kernel, Model, Real, Reference};
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
+use nsim_session::priced::Metered;
 use nsim_session::{Keep, run_sample};
 
 /// A form of the network, and a way to run it.
@@ -199,10 +198,6 @@ impl<'a> Subject<'a> {
         Ok(subject)
     }
 
-    fn steps(&self) -> u64 {
-        self.samples.iter().map(|sample| u64::from(sample.steps())).sum::<u64>().max(1)
-    }
-
     fn real_traces<F: Real>(&self, model: &Model<F>) -> Vec<Trace> {
         let thresholds = model_thresholds(self.graph);
         let mut engine = Reference::new(model);
@@ -233,7 +228,7 @@ impl<'a> Subject<'a> {
     }
 
     /// Compares traces with the trained network's.
-    fn row(&self, variant: Variant, traces: &[Trace], times: &[f64]) -> VariantRow {
+    fn row(&self, variant: Variant, traces: &[Trace], times: Timed) -> VariantRow {
         let integers = !matches!(variant, Variant::Reference { .. });
         let shift = if integers && self.graph.has_srm() { -1 } else { 0 };
         let (mut tally, mut classes, mut right) = (TrainSums::default(), ClassTally::default(), 0usize);
@@ -250,12 +245,11 @@ impl<'a> Subject<'a> {
         let share = |count: usize| count as f64 / self.samples.len().max(1) as f64;
         let labelled = self.samples.iter().all(|sample| sample.label().is_some());
         let trains = |traces: &[Trace]| traces.iter().map(|trace| trace.trains.clone()).collect::<Vec<_>>();
-        let (median, spread) = quartiles(times);
         VariantRow {
             variant,
-            us_per_timestep: median,
-            spread,
-            repeats: times.len(),
+            us_per_timestep: times.us_per_timestep,
+            spread: times.spread,
+            repeats: times.repeats,
             class_agreement: classes.agreement(),
             accuracy: labelled.then(|| share(right)),
             coincidence: tally.coincidence(),
@@ -265,26 +259,16 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Repeats a run of all samples until the budget is spent; microseconds a timestep of each
-    /// repeat.
-    fn timed(&self, mut run: impl FnMut()) -> Vec<f64> {
-        let steps = self.steps() as f64;
-        run();
-        let begin = Instant::now();
-        let mut times = Vec::new();
-        while times.len() < 5 || (begin.elapsed() < self.budget && times.len() < 101) {
-            let one = Instant::now();
-            run();
-            times.push(one.elapsed().as_secs_f64() * 1e6 / steps);
-        }
-        times
+    /// Times runs of all samples.
+    fn timed(&self, run: impl FnMut()) -> Timed {
+        timed(self.samples.iter().map(|sample| u64::from(sample.steps())).sum(), self.budget, run)
     }
 
     fn real<F: Real>(&self, variant: Variant, kernel: Kernel) -> Result<VariantRow, Error> {
         let model = Model::<F>::new(self.graph, reference::Options { kernel })?;
         let mut engine = Reference::new(&model);
         let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
-        Ok(self.row(variant, &self.real_traces(&model), &times))
+        Ok(self.row(variant, &self.real_traces(&model), times))
     }
 
     /// A network on the machine, which is given samples with `merged` steps in one.
@@ -303,7 +287,7 @@ impl<'a> Subject<'a> {
         let mut machine = Machine::new(&image, Settings { skip, per_step: meter.is_some() });
         let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
         let alone = meter.is_none() && early_exit.is_none();
-        let keep = Keep { output: network.output(), probes: Vec::new(), early_exit };
+        let keep = Keep { early_exit, ..Keep::new(network.output()) };
         let times = self.timed(|| {
             for sample in &given {
                 if alone {
@@ -329,17 +313,14 @@ impl<'a> Subject<'a> {
                 *trace = Trace { steps, potentials: Vec::new(), ..std::mem::take(trace).until(until) };
             }
         }
-        Ok(self.row(variant, &traces, &times))
+        Ok(self.row(variant, &traces, times))
     }
 
     /// A meter that sees every step.
     fn meter(&self, compiled: &Compiled, transport: Transport) -> Result<StepMeter, Error> {
-        let tables = self.target.constants().iter().take(1).map(CostTable::new).collect::<Result<_, _>>();
-        let work = HostWork::for_target(self.target);
-        let deployment = Deployment::from_placement("mapped", &compiled.placement, self.target, 1, work);
-        let timestep = Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms);
-        let timing = deployment.timing(transport, 1);
-        Ok(StepMeter::new(MeterSettings::new(tables.map_err(wrong)?, timing, &compiled.program, timestep)))
+        let (settings, _) = Metered::new(compiled).offline(self.target)?;
+        let timing = Timing { transport, ..settings.timing };
+        Ok(StepMeter::new(MeterSettings { timing, ..settings }))
     }
 
     /// Measures one variant.
@@ -354,7 +335,7 @@ impl<'a> Subject<'a> {
             Variant::Golden => {
                 let mut engine = Golden::new(&self.deployed);
                 let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
-                Ok(self.row(variant, &self.golden, &times))
+                Ok(self.row(variant, &self.golden, times))
             }
             Variant::WeightBits(bits) => {
                 let network = quantise(&with_weight_bits(&self.converted, bits)?)?;
@@ -388,14 +369,6 @@ fn drive<E: Engine>(engine: &mut E, sample: &Sample) {
         engine.step(sample.input(step));
         black_box(engine.spikes());
     }
-}
-
-fn quartiles(times: &[f64]) -> (f64, f64) {
-    let mut sorted = times.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let at =
-        |q: f64| sorted.get((q * (sorted.len().saturating_sub(1)) as f64).round() as usize).copied().unwrap_or(0.0);
-    (at(0.5), at(0.75) - at(0.25))
 }
 
 /// The sample with this many steps in one: a channel that spikes in any of them spikes.
@@ -466,8 +439,7 @@ fn with_decays(network: &Quantised, f: impl Fn(Decay) -> Result<Decay, OutOfRang
 }
 
 /// The network for steps that are this many times as long: what is kept is kept this many times
-/// over, and the voltage, which a current is added to once instead of so often, has a threshold as
-/// much lower.
+/// over; the threshold is divided, since the current is added once instead of so often.
 fn slower(network: &Quantised, steps: u32) -> Result<Quantised, Error> {
     let decay = |d: Decay| {
         let keep = libm::pow(1.0 - f64::from(d.get()) / 4096.0, f64::from(steps));

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use nsim_files::lower::lower;
 use nsim_files::network::{Network, NetworkFile};
+use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, PopulationId};
@@ -17,7 +18,7 @@ use nsim_ir::hardware::{Chip, Target, TargetFile};
 use nsim_ir::neurons::Port;
 use nsim_ir::program::{self, Program};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
-use nsim_ir::quantised::{Neuron, Neurons, Parts, Population, Projection, Quantised, Units};
+use nsim_ir::quantised::{Neuron, Neurons, Parts, Population, Projection, Quantised, Reset, Units};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Resource};
 use nsim_ir::spikes::Message;
 
@@ -81,6 +82,17 @@ pub fn format(exponent: i64, sign: SignMode, bits: i64) -> SynapseFormat {
     SynapseFormat { exponent, sign, bits, port: Port::First }
 }
 
+/// The synapses of each source, by target and weight.
+pub fn sparse(lists: impl IntoIterator<Item = Vec<(u32, i16)>>) -> Connectivity {
+    let (mut first, mut targets, mut weights) = (vec![0], Vec::new(), Vec::new());
+    for list in lists {
+        targets.extend(list.iter().map(|synapse| synapse.0));
+        weights.extend(list.iter().map(|synapse| synapse.1));
+        first.push(targets.len() as u64);
+    }
+    Connectivity::Sparse { first: first.into(), targets: targets.into(), weights: weights.into() }
+}
+
 /// Parameters of the silicon network's compartments.
 pub fn neurons() -> Neurons {
     PerCompartment::Same(Neuron {
@@ -93,7 +105,8 @@ pub fn neurons() -> Neurons {
 
 /// Builds a network population by population.
 pub struct Builder {
-    parts: Parts,
+    /// What it has so far.
+    pub parts: Parts,
     channels: u32,
     compartments: u32,
 }
@@ -112,11 +125,23 @@ impl Builder {
         Builder { parts, channels: 0, compartments: 0 }
     }
 
+    /// The same with other semantics.
+    #[must_use]
+    pub fn with(semantics: Semantics) -> Self {
+        let mut builder = Builder::new();
+        builder.parts.semantics = semantics;
+        builder
+    }
+
+    fn add(&mut self, name: &str, shape: Shape, units: Units) -> PopulationId {
+        self.parts.populations.push(Population { name: name.to_string(), shape, units, message: Message::Spike })
+    }
+
     /// An input of this shape.
     pub fn input_shape(&mut self, name: &str, shape: Shape) -> PopulationId {
         let units = Units::Input(ChannelId(self.channels));
         self.channels += shape.len();
-        self.parts.populations.push(Population { name: name.to_string(), shape, units, message: Message::Spike })
+        self.add(name, shape, units)
     }
 
     /// An input of this many channels.
@@ -124,13 +149,23 @@ impl Builder {
         self.input_shape(name, Shape::Line(channels))
     }
 
-    /// Compartments with these parameters; the last population is the output.
-    pub fn loihi_with(&mut self, name: &str, shape: Shape, neurons: Neurons) -> PopulationId {
-        let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
+    /// Compartments that are held before this step; the last population is the output.
+    fn compartments(&mut self, name: &str, shape: Shape, neurons: Neurons, start_step: u32) -> PopulationId {
+        let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step };
         self.compartments += shape.len();
-        self.parts.output =
-            self.parts.populations.push(Population { name: name.to_string(), shape, units, message: Message::Spike });
+        self.parts.output = self.add(name, shape, units);
         self.parts.output
+    }
+
+    /// Compartments with these parameters.
+    pub fn loihi_with(&mut self, name: &str, shape: Shape, neurons: Neurons) -> PopulationId {
+        self.compartments(name, shape, neurons, 0)
+    }
+
+    /// Compartments with parameters of their own, held before this step.
+    pub fn each(&mut self, name: &str, shape: Shape, neurons: &[Neuron], start_step: u32) -> PopulationId {
+        assert_eq!(shape.len() as usize, neurons.len());
+        self.compartments(name, shape, PerCompartment::Each(neurons.to_vec()), start_step)
     }
 
     /// This many compartments.
@@ -159,6 +194,21 @@ impl Builder {
         let weights: Arc<[i16]> =
             (0..sources).flat_map(|s| (0..targets).map(move |t| (s, t))).map(|(s, t)| f(s, t)).collect();
         self.connect((source, target), plain_format(), 0, Connectivity::Dense { targets, weights });
+    }
+
+    /// All to all with plain weights `[target][source]`, as model files have them.
+    pub fn matrix(&mut self, source: PopulationId, target: PopulationId, delay: i64, weights: &[i64]) {
+        let size = |id: PopulationId| self.parts.populations[id].shape.len() as usize;
+        let (sources, targets) = (size(source), size(target));
+        assert_eq!(weights.len(), sources * targets);
+        let by_source = (0..sources).flat_map(|s| (0..targets).map(move |t| weights[t * sources + s] as i16)).collect();
+        let connectivity = Connectivity::Dense { targets: targets as u32, weights: by_source };
+        self.connect((source, target), plain_format(), delay, connectivity);
+    }
+
+    /// Resets every population periodically.
+    pub fn reset(&mut self, interval: u32, offset: u32) {
+        self.parts.reset = Some(Reset { interval, offset });
     }
 
     /// A random projection of plain weights.
@@ -286,17 +336,8 @@ fn random_connectivity(draw: &mut Draw, format: SynapseFormat, from: Shape, to: 
     match draw.below(3) {
         0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| weight(draw)).collect() },
         1 => {
-            let (mut first, mut to, mut weights) = (vec![0], Vec::new(), Vec::new());
-            for _ in 0..sources {
-                for target in 0..targets {
-                    if draw.below(3) == 0 {
-                        to.push(target);
-                        weights.push(weight(draw));
-                    }
-                }
-                first.push(to.len() as u64);
-            }
-            Connectivity::Sparse { first: first.into(), targets: to.into(), weights: weights.into() }
+            let mut synapse = |target| (draw.below(3) == 0).then(|| (target, weight(draw)));
+            sparse((0..sources).map(|_| (0..targets).filter_map(&mut synapse).collect()))
         }
         _ => {
             let (fan_out, seed) = (draw.below(8) as u32, draw.below(1000));

@@ -20,8 +20,7 @@ const LONGEST: u32 = 100_000;
 pub enum Spiking {
     /// Spikes and what follows them, as deployed.
     Hard,
-    /// The smooth function whose derivative the surrogate is, no refractory response, no reset: a
-    /// network that can be differentiated, to check gradients on.
+    /// The integral of the surrogate, without refractory response or reset, to check gradients.
     Smooth,
 }
 
@@ -43,11 +42,9 @@ pub struct Srm {
 pub struct Loihi {
     /// Each compartment's fields.
     pub fields: Vec<Fields>,
-    /// For each compartment the share of u and v that a step leaves, and one over the peak of its
-    /// response.
+    /// Share of u and of v left by a step, and one over the peak of the response; by compartment.
     pub leaves: Vec<(f32, f32, f32)>,
-    /// The threshold in the units of the trained weights; infinite where their potential is read
-    /// out.
+    /// Threshold in the units of the trained weights; infinite where the potential is read out.
     pub theta: f32,
     /// What a trained weight of 1 counts in the units that [`update`] takes.
     pub weight_unit: f32,
@@ -82,8 +79,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// What another network did that stands for spike response neurons, potentials
-    /// `[step][neuron]`.
+    /// The trace of another network in place of these neurons; potentials are `[step][neuron]`.
     #[must_use]
     pub fn of_stand_in(potential: Vec<f32>, spikes: Raster) -> Trace {
         // Credit of spike response neurons does not depend on what a neuron did.
@@ -108,8 +104,7 @@ impl Srm {
 }
 
 impl Loihi {
-    /// Compartments with these fields; `weight_unit` is what a trained weight of 1 counts in units
-    /// of 64.
+    /// Compartments with these fields; a trained weight of 1 counts `weight_unit` units of 64.
     #[must_use]
     pub fn new(fields: Vec<Fields>, theta: f32, weight_unit: f32, credit: CreditDesc) -> Self {
         let left = |d: Decay| (f64::from(4096 - d.get()) / 4096.0) as f32;
@@ -126,8 +121,7 @@ impl Loihi {
         Loihi { leaves, fields, theta, weight_unit, credit }
     }
 
-    /// The register v that is a potential of 1, in the units of the trained weights, of the first
-    /// compartment.
+    /// The register v of the first compartment at a potential of 1 in trained-weight units.
     #[must_use]
     pub fn unit(&self) -> f32 {
         64.0 * self.weight_unit / self.leaves.first().map_or(1.0, |leaves| leaves.2)
@@ -139,8 +133,7 @@ impl Loihi {
 pub fn response_peak(du: Decay, dv: Decay) -> f64 {
     let left = |d: Decay| f64::from(4096 - d.get()) / 4096.0;
     let (mut u, mut v, mut peak) = (1.0, 1.0, 1.0f64);
-    // The voltage falls once what decays outweighs what the current adds; both decays at 0 never
-    // fall.
+    // The voltage falls once its decay exceeds the current; with both decays at 0 it never falls.
     for _ in 0..100_000 {
         u *= left(du);
         let next = v * left(dv) + u;
@@ -361,8 +354,7 @@ impl Loihi {
                 let held = f.holds(&was);
                 let (now, effect) = update(was, z[j] as i32, f);
                 registers[j] = now;
-                // The register reads 0 at a spike; what crossed the threshold is u plus what v had
-                // left.
+                // The register reads 0 at a spike; u plus the rest of v crossed the threshold.
                 let v = if effect.spiked && !reads_register {
                     nsim_dynamics::arithmetic::decay(i64::from(was.v), f.neuron.dv) as i32 + now.u + f.bias
                 } else {

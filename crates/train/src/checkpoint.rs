@@ -233,8 +233,7 @@ pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<Traini
             Err(wrong("this checkpoint is damaged: its checksum is another"))
         }
         Some(_) => Ok(Some(state)),
-        // Without averaging, the average of the weights is the weights; a finished training needs
-        // nothing else.
+        // Without averaging, average and weights are equal; a finished training needs nothing else.
         None if state.epoch == plan.epochs && plan.averaging == 0.0 => match state.average == state.weights {
             true => Ok(Some(state)),
             false => Err(wrong("this checkpoint is damaged: its two copies of the weights differ")),

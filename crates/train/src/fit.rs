@@ -64,8 +64,7 @@ pub trait Forward: Sync {
     /// Where the weights have no such network.
     fn network(&self, weights: &Weights) -> Result<Self::Network, Self::Error>;
 
-    /// Runs a sample and leaves the potentials and spikes of every layer in [`Workspace::traces`],
-    /// in the trained network's time.
+    /// Runs a sample and leaves all layers in [`Workspace::traces`], in the trained network's time.
     fn run(&self, network: &Self::Network, deployed: &Deployed, inputs: &[Raster], work: &mut Workspace);
 }
 
@@ -104,8 +103,7 @@ pub struct Plan {
     pub augment: AugmentDesc,
     /// Probability with which a unit of a hidden layer is left out of a sample.
     pub dropout: f32,
-    /// Decay of the exponential moving average of the weights, which is what is deployed. 0: the
-    /// weights themselves.
+    /// Decay of the moving average of the weights, which is deployed. 0: the weights themselves.
     pub averaging: f32,
     /// Initial weights are uniform within this many times `1 / sqrt(fan-in)`, for each layer.
     pub initial: Vec<f32>,
@@ -249,8 +247,7 @@ impl Plan {
         }
     }
 
-    /// Draws which units of hidden layers a sample goes without; the factor of the others keeps the
-    /// mean (Srivastava et al.: JMLR 2014).
+    /// Draws the dropped units of a sample; factors keep the mean (Srivastava et al.: JMLR 2014).
     fn drop_units(&self, index: u64, epoch: u64, work: &mut Workspace) {
         work.factors.clear();
         if self.dropout == 0.0 {
@@ -288,8 +285,7 @@ impl Plan {
         (loss, right)
     }
 
-    /// Runs all epochs that are left; `after` sees the state after each and may end the run by
-    /// returning false.
+    /// Runs the remaining epochs; `after` sees the state after each and may return false to stop.
     pub fn run(&self, state: &mut TrainingState, examples: &[Example], mut after: impl FnMut(&TrainingState) -> bool) {
         let mut workers = Vec::new();
         while state.epoch < self.epochs {

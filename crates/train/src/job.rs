@@ -14,24 +14,36 @@ use crate::network::Weights;
 use crate::plan::plan;
 use crate::raster::Raster;
 use nsim_files::network::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
+use nsim_files::shipped;
 use nsim_files::training::TrainingFile;
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim_ir::base::folds::stratified_folds;
 use nsim_ir::locate;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
-use nsim_session::error::{Error, Result};
+use nsim_session::error::Result;
 use nsim_session::{Outcome, digest, inputs};
 
-/// The text of a training file with fields replaced.
+/// The text of a training file, by its path or as one of the shipped ones.
 ///
 /// # Errors
-/// `usage` when the text is no `Training(..)`.
+/// `io.*`; `train.unknown` for a name that is not shipped.
+pub fn training_text(argument: &str) -> Result<SourceText> {
+    Ok(shipped::text_of(argument, shipped::TRAININGS, "training file", "train.unknown")?.0)
+}
+
+/// The text of a training file with fields replaced, such as `layers.touch.size`.
+///
+/// # Errors
+/// `set.path` when the file has no such field.
 pub fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceText> {
     let mut text = source.text().to_string();
-    for (key, value) in fields {
-        let changed = locate::replaced(&text, key, value);
-        text = changed.map_err(|_| Error::Usage(format!("--set {key}: the training file is no Training(..)")))?;
+    for (path, value) in fields {
+        text = locate::replaced(&text, path, value).map_err(|problem| {
+            Diagnostic::new("set.path", format!("{path}: {problem}")).in_file(source.path()).help(
+                "a path is a field, or the name of an input or layer and its field, such as layers.out.size or epochs",
+            )
+        })?;
     }
     Ok(SourceText::new(source.path(), text))
 }
@@ -81,8 +93,7 @@ pub struct Trained {
     pub train_accuracy: f64,
     /// Share of the test samples that is right; none without any.
     pub test_accuracy: Option<f64>,
-    /// Of the output spikes on the test samples (without any, the training samples), as `nsim run`
-    /// computes it.
+    /// Digest of the output spikes on the test (else training) samples, as `nsim run` computes it.
     pub digest: String,
     /// Accuracy on each fold left out of the training samples.
     pub folds: Vec<f64>,
@@ -167,8 +178,7 @@ impl Job {
         Ok(Data { train: self.read(Part::Train, train)?, test: self.read(Part::Test, test)? })
     }
 
-    /// This many stratified folds of samples, drawn from a fixed seed so that every setting is
-    /// tried on the same ones.
+    /// Stratified folds of samples from a fixed seed: the same for every setting.
     #[must_use]
     pub fn folds(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
         let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();

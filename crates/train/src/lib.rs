@@ -20,5 +20,4 @@ pub mod network;
 pub mod optimiser;
 pub mod plan;
 pub mod raster;
-pub mod study;
 pub mod surrogate;

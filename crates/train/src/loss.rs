@@ -175,8 +175,7 @@ fn squares(excess: &[f32]) -> f64 {
     excess.iter().map(|&e| f64::from(e) * f64::from(e)).sum::<f64>() / 2.0
 }
 
-/// The output with most spikes, the lowest on a tie; none when all are silent. As `nsim run`
-/// decides.
+/// The output with most spikes, the lowest on a tie, none when silent, as `nsim run` decides.
 #[must_use]
 pub fn class_of(counts: &[f32]) -> Option<u32> {
     let most = counts.iter().copied().fold(0.0, f32::max);

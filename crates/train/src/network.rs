@@ -145,8 +145,7 @@ pub struct Workspace {
     /// Of each layer.
     pub traces: Vec<Trace>,
     errors: Vec<Vec<f32>>,
-    /// What the spikes of each unit of each hidden layer are multiplied by on their way on;
-    /// empty: 1.
+    /// Factor of the spikes of each unit of each hidden layer; empty: 1.
     pub(super) factors: Vec<Vec<f32>>,
     /// Derivative of the loss by each trained weight.
     pub gradient: Weights,
@@ -300,8 +299,7 @@ mod tests {
         plan(&TrainingFile::parse(&source).unwrap(), &source).unwrap()
     }
 
-    /// The gradient of the smoothed network against central differences of its loss, weight by
-    /// weight.
+    /// The gradient of the smoothed network against central differences of its loss.
     #[test]
     fn the_gradient_is_that_of_the_smoothed_network() {
         let neurons = [

@@ -17,13 +17,11 @@ pub enum Rule {
 pub struct Optimiser {
     /// The rule.
     pub rule: Rule,
-    /// Multiple of the weights that is added to the gradient (l2, as in the paper), or taken off
-    /// the weights directly.
+    /// Multiple of the weights added to the gradient (l2, as in the paper) or taken off directly.
     pub weight_decay: f32,
     /// What is added to the gradient with the sign of each weight (l1).
     pub l1: f32,
-    /// Whether decay is taken off the weights directly, times the learning rate (Loshchilov,
-    /// Hutter: ICLR 2019).
+    /// Whether decay is taken off the weights, times the rate (Loshchilov, Hutter: ICLR 2019).
     pub decoupled: bool,
 }
 

@@ -43,8 +43,7 @@ impl Problems<'_> {
 /// Checks a training file and makes its plan.
 ///
 /// # Errors
-/// `train.range` for a number, `train.layer` for a layer that reads what is not there, each at its
-/// place.
+/// `train.range` for a number, `train.layer` for an unknown source of a layer, at its place.
 pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
     let problems = Problems(source);
     let whole = Span::default();

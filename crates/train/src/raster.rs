@@ -21,8 +21,7 @@ impl Raster {
         Raster { units, first: vec![0], unit: Vec::new(), value: Vec::new() }
     }
 
-    /// Spikes from (step, unit) pairs; a pair given twice is one spike, what lies outside is left
-    /// out.
+    /// Spikes from (step, unit) pairs; duplicates count once, pairs outside are dropped.
     #[must_use]
     pub fn from_events(units: usize, steps: usize, mut events: Vec<(u32, u32)>) -> Self {
         events.retain(|&(step, unit)| (step as usize) < steps && (unit as usize) < units);

@@ -32,8 +32,7 @@ impl Surrogate {
         self.scale * self.steepness * exp_minus(((u - self.theta) * self.steepness).abs())
     }
 
-    /// The function whose derivative [`Surrogate::slope`] is: what the smoothed network puts in
-    /// place of a spike.
+    /// The integral of [`Surrogate::slope`], which the smoothed network uses as its spike.
     #[must_use]
     pub fn smooth(&self, u: f32) -> f32 {
         let x = (u - self.theta) * self.steepness;

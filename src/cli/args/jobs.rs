@@ -1,40 +1,24 @@
 //! From MODEL, `--target` and `--mapping` to something that can run.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use crate::cli::args::conversion::CopiesArgs;
-use crate::cli::args::prune::PruneArgs;
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
 use crate::cli::output;
 use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
-use nsim_compile as compile;
-use nsim_compile::parcel::Opened;
-use nsim_compile::{
-    CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Form, Front, Mapping, Options, Reason, explore, mapping_file,
-};
+use nsim_compile::{CopyPlacement, Options, Reason};
 use nsim_files as io;
 use nsim_files::network::Network;
-use nsim_files::network::USUAL_TARGET;
-use nsim_ir::base::id::PopulationId;
-use nsim_ir::base::names::fits_pattern;
-use nsim_ir::firing_rates::Rates;
-use nsim_ir::graph::Graph;
 use nsim_ir::hardware::Target;
-use nsim_ir::mapping::MappingFile;
-use nsim_ir::program::Program;
-use nsim_ir::quantised::Quantised;
-use nsim_machine::ranks::transport::Ranks;
 use nsim_report as report;
 use nsim_session::error::Error;
-use nsim_session::front::real_and_integers;
-use nsim_session::handed;
 use nsim_session::inputs;
+use nsim_session::obtain::{Integers, Job, Request, TargetChoice, Wanted, obtain};
 use nsim_train::convert::copies;
-use nsim_train::convert::prepare::{has_srm, integers};
+use nsim_train::convert::prepare::integers;
 
 /// What names the network and the hardware.
 #[derive(Debug, Clone, clap::Args)]
@@ -55,9 +39,10 @@ pub struct JobArgs {
     /// axons
     #[arg(help_heading = "Mapping", long)]
     pub relays: bool,
-    #[command(flatten)]
-    #[allow(missing_docs)]
-    pub prune: PruneArgs,
+    /// Remove what cannot change an output: none; static, for every input; or for an INPUT as in
+    /// --input, which also removes channels that never spike in it
+    #[arg(help_heading = "Mapping", long, value_name = "none|static|INPUT")]
+    pub prune: Vec<String>,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub copies: CopiesArgs,
@@ -73,7 +58,6 @@ impl JobArgs {
     /// A model on the default target, unpruned.
     #[must_use]
     pub fn for_model(model: &str) -> Self {
-        let prune = PruneArgs { prune: Vec::new() };
         let copies = CopiesArgs { delayed_copies: copies::USUAL as u32 };
         let placement = CopyPlacement::default();
         JobArgs {
@@ -82,45 +66,25 @@ impl JobArgs {
             target: None,
             mapping: None,
             relays: false,
-            prune,
+            prune: Vec::new(),
             copies,
             placement,
             needs_scene: false,
         }
     }
 
-    /// An error about the saved mapping, with its file and what to do.
+    /// What is asked for, of a network that has been loaded.
     #[must_use]
-    pub fn with_mapping_file(&self, error: CompileError) -> CompileError {
-        match &self.mapping {
-            Some(path) => mapping_file::explained(error, path, &self.model),
-            None => error,
+    pub fn request<'a>(&'a self, network: &'a Network, integers: Integers<'a>) -> Request<'a> {
+        Request {
+            target: TargetChoice::Named(self.target.as_deref()),
+            mapping: self.mapping.as_deref(),
+            options: Options { placement: self.placement, share: ranks::share(), ..Options::default() },
+            prune: &self.prune,
+            relays: self.relays,
+            ..Request::new(&self.model, network, integers)
         }
     }
-}
-
-/// A network ready to run.
-#[derive(Debug)]
-pub enum Job {
-    /// Mapped onto a target.
-    Mapped(Box<Compiled>, Box<Target>, Option<String>),
-    /// Only quantised, for the golden engine.
-    Quantised(Box<Quantised>, Option<String>),
-    /// In real numbers, for the reference engine; and in integers, which number its units alike.
-    Real(Box<Graph>, Box<Quantised>, Option<String>),
-}
-
-/// What a job is to be ready for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Wanted {
-    /// The fast engine: mapped onto a target.
-    Mapped,
-    /// The golden engine.
-    Quantised,
-    /// The reference engine.
-    Real,
-    /// The reference engine when the model has spike response neurons, the fast one otherwise.
-    ByModel,
 }
 
 /// A job, or the answer that there is none.
@@ -167,246 +131,25 @@ impl Refusal {
     }
 }
 
-impl Job {
-    /// The network in integers.
-    #[must_use]
-    pub fn quantised(&self) -> &Quantised {
-        match self {
-            Job::Mapped(compiled, _, _) => &compiled.quantised,
-            Job::Quantised(quantised, _) | Job::Real(_, quantised, _) => quantised,
-        }
-    }
-
-    /// The program, when it is mapped.
-    #[must_use]
-    pub fn program(&self) -> Option<&Arc<Program>> {
-        self.mapped().map(|(compiled, _)| &compiled.program)
-    }
-
-    /// The compiled network and its target, when it is mapped.
-    #[must_use]
-    pub fn mapped(&self) -> Option<(&Compiled, &Target)> {
-        match self {
-            Job::Mapped(compiled, target, _) => Some((compiled, target)),
-            Job::Quantised(..) | Job::Real(..) => None,
-        }
-    }
-
-    /// The target's name.
-    #[must_use]
-    pub fn target_name(&self) -> &str {
-        self.mapped().map_or("", |(_, target)| target.name())
-    }
-
-    /// Copies of the model.
-    #[must_use]
-    pub fn copies(&self) -> u32 {
-        self.mapped().map_or(1, |(compiled, _)| compiled.options.copies)
-    }
-
-    /// The model's own stimulus.
-    #[must_use]
-    pub fn scene(&self) -> Option<&str> {
-        match self {
-            Job::Mapped(_, _, scene) | Job::Quantised(_, scene) | Job::Real(_, _, scene) => scene.as_deref(),
-        }
-    }
-}
-
-/// Loads a model and makes it ready for an engine.
+/// Loads a model and makes it ready for an engine, with as many copies as a saved mapping has, or 1,
+/// unless it is said. Populations that fit the patterns stay whole however much is pruned.
 ///
 /// # Errors
 /// [`Error`] when a file cannot be used.
-pub fn prepare(args: &JobArgs, wanted: Wanted, copies: u32) -> Result<Prepared, Error> {
-    prepare_probed(args, wanted, Some(copies), &[])
-}
-
-/// The same, with as many copies as a saved mapping has, or 1, unless it is said, and with the
-/// populations that fit these patterns whole however much is pruned.
-///
-/// # Errors
-/// As [`prepare`].
-pub fn prepare_probed(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
-    let Some(ranks) = ranks::several().filter(|_| matches!(wanted, Wanted::Mapped | Wanted::ByModel)) else {
-        return prepare_here(args, wanted, copies, probed);
-    };
-    if ranks.rank() > 0 {
-        return received(args, ranks);
-    }
-    let prepared = prepare_here(args, wanted, copies, probed)?;
-    if let (None, Prepared::Ready(Job::Mapped(_, target, _))) = (&args.target, &prepared)
-        && target.name() != USUAL_TARGET
-    {
-        handed::refuse(ranks)?;
-        return Err(Error::Usage(format!("a job of several processes names its target: --target {}", target.name())));
-    }
-    if matches!(prepared, Prepared::DoesNotFit(_)) {
-        handed::refuse(ranks)?;
-    }
-    Ok(prepared)
-}
-
-/// The part of a job that rank 0 has mapped, which alone reads the model.
-fn received(args: &JobArgs, ranks: &Ranks) -> Result<Prepared, Error> {
-    // Rank 0 refuses a model with a target of its own unless it is named.
-    let target = Box::new(io::target::load_target(args.target.as_deref().unwrap_or(USUAL_TARGET))?);
-    let options = Options { share: ranks::share(), ..Options::default() };
-    match handed::receive(&target, &options, ranks) {
-        Ok(Opened { compiled, note: scene }) => Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), target, scene))),
-        Err(CompileError::DoesNotFit(reasons)) => {
-            Ok(Prepared::DoesNotFit(Refusal { model: args.model.clone(), target, reasons }))
-        }
-        Err(other) => Err(other.into()),
-    }
-}
-
-fn prepare_here(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
+pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
     let network = args.timestep.load(&args.model)?;
-    let scene = network.file().scene.clone();
     if args.needs_scene {
         let help = "give spikes with --input FILE, or --input scene:noise to try";
-        inputs::require_scene(&args.model, scene.as_deref(), help)?;
+        inputs::require_scene(&args.model, network.file().scene.as_deref(), help)?;
     }
-    let real = match wanted {
-        Wanted::Mapped | Wanted::Quantised => false,
-        Wanted::Real => true,
-        // A mapping and pruning are of integers.
-        Wanted::ByModel => has_srm(&network) && args.mapping.is_none() && !args.prune.asked(),
-    };
-    if real {
-        if args.mapping.is_some() || args.prune.asked() {
-            let message = "--engine reference runs the whole network in real numbers, without --mapping or --prune";
-            return Err(Error::Usage(message.to_string()));
+    let integers = |network: &Network| integers(network, args.copies.most());
+    let request = Request { wanted, copies, probed, ..args.request(&network, &integers) };
+    let _busy = output::busy(if args.mapping.is_some() { "checking the mapping" } else { "mapping" });
+    match obtain(&request) {
+        Err(Error::DoesNotFit(reasons)) => {
+            let target = io::target::load_target(network.file().target_or_usual(args.target.as_deref()))?;
+            Ok(Prepared::DoesNotFit(Refusal::new(&network.file().name, target, reasons)))
         }
-        let (graph, quantised) = real_and_integers(&network)?;
-        return Ok(Prepared::Ready(Job::Real(Box::new(graph), Box::new(quantised), scene)));
-    }
-    if wanted == Wanted::Quantised {
-        let quantised = front(args, &network, probed)?.into_quantised();
-        Form::require_written("--engine golden", &quantised, 1)?;
-        say_notes(&quantised);
-        return Ok(Prepared::Ready(Job::Quantised(Box::new(quantised), scene)));
-    }
-    let target = io::target::load_target(network.file().target_or_usual(args.target.as_deref()))?;
-    let mut mapping = args.mapping.as_deref().map(io::mapping::load_mapping).transpose()?;
-    let copies = copies.or(mapping.as_ref().map(|file| file.copies)).unwrap_or(1);
-    let (placement, share) = (args.placement, ranks::share());
-    let options = Options { copies, placement, share, ..Options::default() };
-    if let Some(file) = mapping.as_mut().filter(|file| copies == 1 && file.copies > 1) {
-        // Copies share nothing, so one of them is the whole of what a run shows.
-        tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);
-        *file = mapping_file::one_copy(file);
-    }
-    if mapping.is_none()
-        && !args.prune.asked()
-        && let Err(CompileError::DoesNotFit(reasons)) = nsim_session::shapes::check(&network, &target, copies)
-    {
-        let model = network.file().name.clone();
-        return Ok(Prepared::DoesNotFit(Refusal { model, target: Box::new(target), reasons }));
-    }
-    match compiled(args, &network, &target, &options, mapping.as_ref(), probed)? {
-        Ok(compiled) => {
-            say_notes(&compiled.quantised);
-            Ok(Prepared::Ready(Job::Mapped(Box::new(compiled), Box::new(target), scene)))
-        }
-        Err(CompileError::DoesNotFit(reasons)) => {
-            let model = network.file().name.clone();
-            Ok(Prepared::DoesNotFit(Refusal { model, target: Box::new(target), reasons }))
-        }
-        Err(other) => Err(other.into()),
-    }
-}
-
-/// A network in integers, without what `--prune` leaves out.
-///
-/// # Errors
-/// [`Error`] when the network or what it is pruned for cannot be used.
-pub fn front(args: &JobArgs, network: &Network, probed: &[&str]) -> Result<Front, Error> {
-    let front = integers(network, args.copies.most())?;
-    let is_probed = |name: &str| probed.iter().any(|pattern| fits_pattern(pattern, name));
-    let populations = front.quantised().populations().enumerate();
-    let probed: Vec<PopulationId> =
-        populations.filter(|(_, population)| is_probed(&population.name)).map(|(id, _)| id).collect();
-    Ok(match args.prune.plan(front.quantised(), &probed)? {
-        Some(plan) => {
-            Form::require_written("--prune", front.quantised(), 1)?;
-            front.prune(&plan)?
-        }
-        None => front,
-    })
-}
-
-/// The network with the relays that `--relays` asks for.
-///
-/// # Errors
-/// [`CompileError`] when delays leave no time for them, or they cannot help.
-pub fn with_relays(args: &JobArgs, front: Front, target: &Target) -> Result<Front, CompileError> {
-    if args.relays { front.relay(target) } else { Ok(front) }
-}
-
-/// Compiles a network, onto the cores of a saved mapping when there is one.
-///
-/// # Errors
-/// [`Error`] when the network or what it is pruned for cannot be used.
-pub fn compiled(
-    args: &JobArgs,
-    network: &Network,
-    target: &Target,
-    options: &Options,
-    mapping: Option<&MappingFile>,
-    probed: &[&str],
-) -> Result<Result<Compiled, CompileError>, Error> {
-    args.prune.not_with_mapping(mapping.is_some())?;
-    let front = match with_relays(args, front(args, network, probed)?, target) {
-        Ok(front) => front,
-        Err(error) => return Ok(Err(error)),
-    };
-    let form = Form::for_network(front.quantised(), options.copies);
-    if let Some(ranks) = ranks::several() {
-        form.require_program(front.quantised(), options.copies)?;
-        let placed = match mapping {
-            Some(file) => {
-                let target = &*form.counted_on(front.quantised(), target);
-                front.place_as(target, options, file, form).map_err(|error| args.with_mapping_file(error))
-            }
-            None => {
-                let _busy = output::busy("mapping");
-                compile::place(front, target, options, &Rates::assumed(DEFAULT_RATE), form)
-            }
-        };
-        let scene = network.file().scene.as_deref();
-        return Ok(placed.and_then(|placed| handed::hand_out(placed, target, options, (ranks, scene))));
-    }
-    Ok(match mapping {
-        Some(file) => {
-            let _busy = output::busy("checking the mapping");
-            compile::compile_saved(front, target, options, file).map_err(|error| args.with_mapping_file(error))
-        }
-        None => {
-            form.require_program(front.quantised(), options.copies)?;
-            let mapped = mapped(front, target, options, &Rates::assumed(DEFAULT_RATE), form);
-            mapped.and_then(|mapping| compile::with_program(mapping, target))
-        }
-    })
-}
-
-/// The best mapping of a network.
-///
-/// # Errors
-/// As [`explore::map`].
-pub fn mapped(
-    front: Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-    form: Form,
-) -> Result<Mapping, CompileError> {
-    let _busy = output::busy("mapping");
-    explore::map(front, target, options, rates, form)
-}
-
-fn say_notes(quantised: &Quantised) {
-    for note in &quantised.parts().notes {
-        tracing::info!("{}: {}", note.entity, note.message);
+        job => job.map(Prepared::Ready),
     }
 }

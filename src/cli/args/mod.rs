@@ -4,7 +4,6 @@ pub(super) mod columns;
 pub mod conversion;
 pub mod input;
 pub mod jobs;
-pub mod prune;
 pub mod removed;
 pub mod saved;
 pub mod steps;

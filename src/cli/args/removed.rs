@@ -28,10 +28,11 @@ pub const REMOVED: &[(&str, &str)] = &[
     ),
     (
         "train --study",
-        "train each variant with `nsim train CONFIG.ron --seed N --set FIELD=VALUE --folds K -o MODEL.ron` in a loop of the shell",
+        "`nsim sweep` trains each variant of a sweep file that has `train: \"CONFIG.ron\"` and paths such as `train.seed`",
     ),
     ("train --seeds", "train with each seed by `nsim train CONFIG.ron --seed N -o MODEL.ron` in a loop of the shell"),
     ("bench batch", "`nsim energy --baseline rtx-2080-ti gpu-roofline` has the rows of a GPU, a sample at a time"),
+    ("bench paper --markdown", "`nsim bench paper --format markdown > FILE.md` has a row a figure"),
     (
         "bench early",
         "`nsim bench paper --train DIR` has accuracy, time and energy of early decisions in its rows `early`",

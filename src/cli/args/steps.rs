@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::cli::process::ranks;
 use nsim_cost::{MeterSettings, StepMeter};
-use nsim_files::recorded::steps::{StepFormat, StepWriter};
+use nsim_files::steps::{StepFormat, StepWriter};
 use nsim_files::text::is_standard_stream;
 use nsim_files::write::{Batch, check_free};
 use nsim_ir::quantised::Quantised;

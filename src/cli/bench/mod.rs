@@ -18,26 +18,24 @@ use crate::cli::bench::published::PublishedArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use nsim_compile::{CompileError, Options};
+use nsim_compile::{CompileError, Options, compile};
 use nsim_energy::environment::Environment;
 use nsim_energy::measure::{Budget, StepTiming, measure_agreed};
 use nsim_files as io;
 use nsim_ir::activity::Totals;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
-use nsim_ir::resource::Resource;
 use nsim_ir::spikes::Sample;
 use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_report::bench::mapping::MapReport;
 use nsim_report::bench::step::{StepReport, StepRow};
 use nsim_session::error::Error;
-use nsim_session::handed::compile_on;
 use nsim_session::ranks::part_of;
 use nsim_study::mapping;
 use nsim_study::networks::{BenchNetwork, StandardNetwork};
 use nsim_study::suite;
-use nsim_study::suite::{SuiteCase, Ways};
+use nsim_study::suite::SuiteCase;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -156,28 +154,20 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     let environment = Environment::here();
     output::warn_of_debug_build(&environment);
     let ways: usize = mapping::WAYS.iter().map(|(_, _, places)| places.len()).sum();
-    let (rows, refused) = output::with_progress(context, cases.len() * ways, "mappings", |done| {
-        let (mut rows, mut refused) = (Vec::new(), Vec::new());
+    let rows = output::with_progress(context, cases.len() * ways, "mappings", |done| {
+        let mut rows = Vec::new();
         for case in &cases {
             let bench = case.build().map_err(|error| Error::Fault(format!("{}: {error}", case.name)))?;
-            let mut target = io::target::load_target(bench.target)?;
-            if let Some(axons) = case.axons {
-                let limits = target.limits().clone();
-                target = target.with_limits(limits.with(Resource::AxonsIn, axons).with(Resource::AxonsOut, axons));
-            }
-            if case.ways == Ways::Refused {
-                refused.push(mapping::refuse(case, &bench, &target)?);
-                continue;
-            }
+            let target = io::target::load_target(bench.target)?;
             mapping::map_all(case, &bench, &target, args.time_budget, |row| {
                 tracing::info!("{} {} placed {}: {:.1} s", row.network, row.strategy.name(), row.placed, row.seconds);
                 rows.push(row);
                 done();
             })?;
         }
-        Ok::<_, Error>((rows, refused))
+        Ok::<_, Error>(rows)
     })?;
-    let report = MapReport { environment: &environment, rows: &rows, refused: &refused };
+    let report = MapReport { environment: &environment, rows: &rows };
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
@@ -290,15 +280,10 @@ fn step_rows(
 /// its own.
 fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming, u64, u64) {
     let Some(ranks) = ranks::several() else { return (measured, bytes, synapses) };
-    let Totals { spikes_in, spikes, synaptic_events, compartment_updates, active_updates } = measured.totals;
-    let counts = vec![spikes_in, spikes, synaptic_events, compartment_updates, active_updates, bytes, synapses];
     let (mut totals, mut sums) = (measured.totals, (bytes, synapses));
-    for of_rank in ranks.transport().gather(counts).iter().skip(1) {
-        if let [spikes_in, spikes, synaptic_events, compartment_updates, active_updates, bytes, synapses] = of_rank[..]
-        {
-            totals += Totals { spikes_in, spikes, synaptic_events, compartment_updates, active_updates };
-            sums = (sums.0 + bytes, sums.1 + synapses);
-        }
+    for (other, bytes, synapses) in ranks.gathered::<_, (Totals, u64, u64)>(&(totals, bytes, synapses)) {
+        totals += other;
+        sums = (sums.0 + bytes, sums.1 + synapses);
     }
     (StepTiming { totals, ..measured }, sums.0, sums.1)
 }
@@ -306,7 +291,7 @@ fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming,
 fn map(standard: StandardNetwork, network: Quantised, target: &str) -> Result<Arc<Program>, Error> {
     let target = io::target::load_target(target)?;
     let options = Options { share: ranks::share(), ..Options::default() };
-    let compiled = compile_on(ranks::several(), network, &target, &options).map_err(|error| match error {
+    let compiled = compile(network, &target, &options).map_err(|error| match error {
         CompileError::Input(diagnostic) => diagnostic.into(),
         other => fault(standard, &other),
     })?;

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use crate::cli::args::jobs;
-use crate::cli::args::jobs::{Job, JobArgs, Prepared, Wanted};
+use crate::cli::args::jobs::{JobArgs, Prepared};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::simulate;
 use crate::cli::output;
 use crate::cli::train::train;
+use nsim_cost::MeterSettings;
 use nsim_cost::estimate::{Case, spent_by_step_uj};
-use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use nsim_energy::environment::Environment;
 use nsim_energy::workload::Workload;
 use nsim_files as io;
@@ -24,23 +24,21 @@ use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_reference::{Model, Options};
 use nsim_report::bench::paper as report;
 use nsim_session::Keep;
-use nsim_session::error::Error;
+use nsim_session::error::{Error, Result};
 use nsim_session::inputs::{seen_by, stimulus};
+use nsim_session::obtain::{Job, Wanted};
 use nsim_session::samples::reference;
 use nsim_study::early::Trial;
 use nsim_study::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
-use nsim_study::published::paper;
-use nsim_study::published::paper::PaperRow;
+use nsim_study::published::paper::{self, PaperRow};
+use nsim_train::checkpoint::fingerprint;
 use nsim_train::fit::{Example, Plan};
-use nsim_train::job::Job as Training;
-use nsim_train::study::Study;
+use nsim_train::job::{Job as Training, cross_validate, with_fields};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench paper                          every table; the shipped networks are run, a fold of each cell
   nsim bench paper --stored                 stored results alone
-  nsim bench paper --format csv > rows.csv  a row a figure
-  nsim bench paper --markdown tables.md     as sections of a document
   nsim bench paper --train runs -o my.json  train every fold of every cell anew; the same command goes on where it was broken off
   nsim bench paper --train runs --cell slip-tactile --folds 5 --epochs 20
   nsim bench paper --results my.json        with rows of one's own instead of those stored";
@@ -54,9 +52,6 @@ pub struct PaperArgs {
     /// "measured": ..}]}
     #[arg(long, value_name = "FILE.json")]
     results: Vec<PathBuf>,
-    /// Write the tables as Markdown
-    #[arg(long, value_name = "FILE.md")]
-    markdown: Option<PathBuf>,
     /// Run no network: stored results alone
     #[arg(long, conflicts_with = "train")]
     stored: bool,
@@ -106,7 +101,7 @@ struct Scenes {
 }
 
 impl Scenes {
-    fn new(cell: Cell, scenes: Option<u32>) -> Result<Self, Error> {
+    fn new(cell: Cell, scenes: Option<u32>) -> Result<Self> {
         let both = cells().find(|other| other.task == cell.task && other.modality == "both").unwrap_or(cell);
         let job = Training::new(SourceText::new(both.training.path, both.training.text), None, None)?;
         let network = job.inputs()?;
@@ -116,7 +111,7 @@ impl Scenes {
     }
 
     /// What a network with some of the senses sees.
-    fn seen_by(&self, network: &Quantised) -> Result<Vec<Sample>, Error> {
+    fn seen_by(&self, network: &Quantised) -> Result<Vec<Sample>> {
         let seen = self.stimulus.samples.iter().map(|sample| seen_by(network, &self.network, sample));
         let unlike = || Error::Fault(format!("a network of the task {} has other inputs than its scenes", self.task));
         seen.collect::<Option<_>>().ok_or_else(unlike)
@@ -136,58 +131,38 @@ fn with_scenes(source: &str, scenes: Option<u32>) -> String {
 
 /// What a network does with samples: on simulated cores, or in real numbers where its neurons are
 /// no chip's.
-fn trial(
-    model: &str,
-    samples: Vec<Sample>,
-    (neurons, copies): (Neurons, u32),
-    context: Context,
-) -> Result<Trial, Error> {
+fn trial(model: &str, samples: Vec<Sample>, (neurons, copies): (Neurons, u32), context: Context) -> Result<Trial> {
     let wanted = if neurons == Neurons::Srm { Wanted::Real } else { Wanted::Mapped };
-    let job = match jobs::prepare(&JobArgs::for_model(model), wanted, copies)? {
-        Prepared::Ready(job) => job,
-        Prepared::DoesNotFit(_) => {
-            return Err(Error::Usage(format!("{model}: {copies} copies do not fit the default target: see nsim map")));
-        }
+    let Prepared::Ready(job) = jobs::prepare(&JobArgs::for_model(model), wanted, Some(copies), &[])? else {
+        return Err(Error::Usage(format!("{model}: {copies} copies do not fit the default target: see nsim map")));
     };
-    if let (Some((compiled, target)), Neurons::Loihi) = (job.mapped(), neurons) {
+    let Job::Real(graph, quantised, _) = &job else {
+        let (compiled, target) = job.mapped().ok_or_else(|| Error::Fault(format!("{model} is not mapped")))?;
         let order = (0..samples.len()).collect();
         let stimulus = Stimulus { samples, origin: Vec::new(), seed: None };
         return timed(&Workload::new(compiled, target, stimulus, order)?, context);
-    }
-    let Job::Real(graph, quantised, _) = &job else {
-        return Err(Error::Fault(format!("{model}: it was not made ready for real numbers")));
     };
     let samples: Vec<&Sample> = samples.iter().collect();
-    let keep = Keep { output: quantised.output(), probes: Vec::new(), early_exit: None };
+    let keep = Keep::new(quantised.output());
     let (model, units) =
         (Model::<f64>::new(graph, Options::default())?, (quantised.channels(), quantised.compartments()));
     let outcomes = output::with_progress(context, samples.len(), "samples", |progress| {
-        reference(&model, units, &samples, &keep, progress).0.outcomes
+        reference(&model, units, &samples, &keep, progress).outcomes
     });
     let steps = samples.iter().map(|sample| sample.steps() as usize).max().unwrap_or(0);
     let (timestep_ms, spent_uj) = (quantised.parts().timestep_ms, vec![0.0; steps]);
     Trial::new(&samples, &outcomes, timestep_ms, &spent_uj)
 }
 
-/// Accuracy and energy after each step of a mapped network on its samples.
-///
-/// # Errors
-/// [`Error`] for samples of several lengths or without labels.
-fn timed(workload: &Workload<'_>, context: Context) -> Result<Trial, Error> {
-    let table = CostTable::new(&workload.target.constants()[0])?;
-    let placement = &workload.compiled.placement;
-    let work = HostWork::for_target(workload.target);
-    let deployment = Deployment::from_placement("mapped", placement, workload.target, workload.copies, work);
-    let metered = workload.metered(vec![table], &deployment, Transport::default());
+/// Accuracy and energy after each step of a mapped network on its samples, all of one length.
+fn timed(workload: &Workload<'_>, context: Context) -> Result<Trial> {
+    let (metered, deployment) = workload.meter().offline(workload.target)?;
     let run = simulate(workload, MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
-    let Some(steps) = workload.steps_per_sample() else {
-        return Err(Error::Usage("accuracy over time needs samples of one length".to_string()));
-    };
+    let unequal = || Error::Usage("accuracy over time needs samples of one length".to_string());
+    let steps = workload.steps_per_sample().ok_or_else(unequal)?;
     let timestep_ms = workload.compiled.one.parts().timestep_ms;
-    let spent = spent_by_step_uj(&Case {
-        steps_per_sample: Some(steps),
-        ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
-    });
+    let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);
+    let spent = spent_by_step_uj(&Case { steps_per_sample: Some(steps), ..case });
     Trial::new(&workload.samples(), &run.outcomes, timestep_ms, &spent)
 }
 
@@ -196,7 +171,7 @@ fn chosen(samples: &[Sample], numbers: &[usize]) -> Vec<Sample> {
 }
 
 /// The cells that are asked for, with the scenes of their tasks.
-fn each_cell(args: &PaperArgs, mut each: impl FnMut(Cell, &Scenes) -> Result<(), Error>) -> Result<(), Error> {
+fn each_cell(args: &PaperArgs, mut each: impl FnMut(Cell, &Scenes) -> Result<()>) -> Result<()> {
     let mut scenes: Option<Scenes> = None;
     for cell in cells().filter(|cell| args.cell.is_empty() || args.cell.contains(&cell.name())) {
         let scenes = match scenes.take().filter(|scenes| scenes.task == cell.task) {
@@ -210,7 +185,7 @@ fn each_cell(args: &PaperArgs, mut each: impl FnMut(Cell, &Scenes) -> Result<(),
 
 /// Trains the folds that the folder does not have, and runs every fold's network on the scenes that
 /// it was not trained on.
-fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<PaperRow>, Error> {
+fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<PaperRow>> {
     let mut rows = Vec::new();
     each_cell(args, |cell, scenes| {
         let source = SourceText::new(cell.training.path, cell.training.text);
@@ -218,26 +193,26 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
         let network = job.inputs()?;
         let samples = scenes.seen_by(&network)?;
         let examples = job.examples(&network, &samples, "training")?;
-        let chosen_neurons =
-            Neurons::ALL.into_iter().filter(|kind| args.neurons.is_empty() || args.neurons.contains(kind));
-        for neurons in chosen_neurons {
+        for neurons in Neurons::ALL.into_iter().filter(|kind| args.neurons.is_empty() || args.neurons.contains(kind)) {
             let neuron = neurons.field(&job.file);
             for (loss, value) in LOSSES.iter().zip(cell.losses(&job.file)?) {
                 let mut fields = vec![("loss", value.as_str())];
                 fields.extend(neuron.as_deref().map(|neuron| ("neuron", neuron)));
-                let (epochs, folds) = (args.epochs, args.folds);
-                let study = Study { source: &job.source, fields: &fields, epochs, folds, folder };
-                let finished = study.run(
-                    &examples,
-                    |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0),
-                    |finished| tracing::info!("{} {loss}: {:.4}", cell.name(), finished.run.accuracy),
-                )?;
-                let mut trials = Vec::with_capacity(finished.len());
-                for fold in &finished {
-                    let tested = chosen(&samples, &fold.tested);
-                    let model = fold.model.display().to_string();
-                    let trial = trial(&model, tested, (neurons, COPIES), context)?;
-                    let (trained, run) = (fold.run.accuracy, trial.accuracy.last().copied().unwrap_or(0.0));
+                let job = Training::new(with_fields(&job.source, &fields)?, None, args.epochs)?;
+                let print = fingerprint(&job.plan, &examples);
+                let mut trials = Vec::new();
+                for (fold, tested) in Training::folds(&examples, args.folds).iter().enumerate() {
+                    let name = format!("{}-{}-{}-fold{fold}.ron", job.file.name, &print[..12], job.plan.seed);
+                    let model = folder.join(name);
+                    let state = model.with_extension("state");
+                    let keeping = |plan: &Plan, part: &[Example]| Ok(train(plan, part, Some(&state), context)?.0);
+                    let (trained, weights) = cross_validate(&job.plan, &examples, tested, keeping)?;
+                    tracing::info!("{} {loss}: {trained:.4}", cell.name());
+                    let said = format!("{loss} loss, seed {}, fold {fold}: accuracy {trained:.4}", job.plan.seed);
+                    job.write((&model, true), &weights, "", &said)?;
+                    let model = model.display().to_string();
+                    let trial = trial(&model, chosen(&samples, tested), (neurons, COPIES), context)?;
+                    let run = trial.accuracy.last().copied().unwrap_or(0.0);
                     // Integers are the same in training and on cores; real numbers have fewer
                     // digits in training.
                     if neurons == Neurons::Loihi && (trained - run).abs() > 1e-9 {
@@ -256,7 +231,7 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
 
 /// Runs the shipped network of each cell on the scenes that its training left out, and puts what
 /// came out beside what is stored.
-fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Result<(), Error> {
+fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Result<()> {
     each_cell(args, |cell, scenes| {
         for loss in LOSSES {
             let model = cell.model(loss);
@@ -268,12 +243,9 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
             let labels: Vec<u32> = samples.iter().filter_map(Sample::label).collect();
             let folds = Training::folds_by_label(&labels, FOLDS);
             let trial = trial(&model, chosen(&samples, &folds[0]), (Neurons::Loihi, 1), context)?;
-            let is_cell = |row: &&mut PaperRow| {
-                row.table == "accuracy"
-                    && row.task == cell.task
-                    && row.modality == cell.modality
-                    && row.loss.as_deref() == Some(loss)
-            };
+            let of_cell = ("accuracy", cell.task, cell.modality, Some(loss));
+            let is_cell =
+                |row: &&mut PaperRow| (&*row.table, &*row.task, &*row.modality, row.loss.as_deref()) == of_cell;
             if let Some(row) = rows.iter_mut().find(is_cell) {
                 row.shipped = trial.accuracy.last().map(|share| (share * 1e6).round() / 1e6);
             }
@@ -287,8 +259,8 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
 /// # Errors
 /// [`Error`] when a file of results cannot be read, a training cannot be kept, or the document
 /// cannot be written.
-pub fn run(args: &PaperArgs, context: Context) -> Result<Answer, Error> {
-    let taken = output::check_files(args.markdown.iter().chain(&args.output), None, context)?;
+pub fn run(args: &PaperArgs, context: Context) -> Result<Answer> {
+    let taken = output::check_files(&args.output, None, context)?;
     let mut given = Vec::new();
     if let Some(folder) = &args.train {
         given = trained(args, folder, context)?;
@@ -307,9 +279,6 @@ pub fn run(args: &PaperArgs, context: Context) -> Result<Answer, Error> {
     let mut rows = paper::rows(given)?;
     if !args.stored && args.train.is_none() {
         run_shipped(args, &mut rows, context)?;
-    }
-    if let Some(path) = &args.markdown {
-        io::write::text(path, context.force, &report::markdown(&rows))?;
     }
     if !taken {
         output::print(context.format, || report::text(&rows), || report::json(&rows), || report::csv(&rows))?;

@@ -22,7 +22,7 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench pareto                                          the shipped network on its shipped scene
   nsim bench pareto container-tactile-srm --input dataset.ron --plot front.svg
-  nsim bench pareto --update docs/benchmarks.md --force      replaces the section of this network and its picture";
+  nsim bench pareto --update notes.md --force                replaces the section of this network and its picture";
 
 /// Run time against error: variants of one network (precision, bits, merged steps, early exit) on
 /// the same samples

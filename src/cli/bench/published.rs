@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use nsim_energy::published::files::workload;
+use nsim_energy::published::workload;
 use nsim_files as io;
 use nsim_report::bench::published as report;
 use nsim_session::error::Error;

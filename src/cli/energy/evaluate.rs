@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::cli::args::jobs;
-use crate::cli::args::jobs::{JobArgs, Prepared, Wanted};
+use crate::cli::args::jobs::{JobArgs, Prepared};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::args::CostArgs;
@@ -16,6 +16,7 @@ use nsim_energy::options::{CostOptions, baselines};
 use nsim_energy::report::table::nothing;
 use nsim_energy::workload::Workload;
 use nsim_session::error::Error;
+use nsim_session::obtain::Wanted;
 
 /// Runs and prices a job, with a row for each timestep in a file where one is named, and warns of
 /// what stands out; `report` takes the result. What does not fit is said, and the answer is no.
@@ -37,7 +38,7 @@ pub fn evaluate(
     let copies = plan.mapped_copies();
     let needs_scene = args.input.input.is_empty();
     let mapped_as = JobArgs { placement: plan.placement(), needs_scene, ..args.job.clone() };
-    let job = match jobs::prepare_probed(&mapped_as, Wanted::Mapped, copies, &[])? {
+    let job = match jobs::prepare(&mapped_as, Wanted::Mapped, copies, &[])? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => {
             let copies = copies.unwrap_or(1);
@@ -54,7 +55,7 @@ pub fn evaluate(
         None => workload(&job, &args.input)?,
     };
     let alone = match options.baselines.cpu && (workload.copies > 1 || of_job.is_some()) {
-        true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, 1)?),
+        true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, Some(1), &[])?),
         false => None,
     };
     let alone = match &alone {

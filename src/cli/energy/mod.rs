@@ -71,7 +71,7 @@ mod tests {
     use super::*;
     use crate::cli::args::values::SampleRange;
     use nsim_cost::job::{Accounting, Convention, Mode};
-    use nsim_energy::published::files::scenario::shipped_for;
+    use nsim_energy::published::scenario::shipped_for;
 
     #[derive(Debug, Parser)]
     struct Line {

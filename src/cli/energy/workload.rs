@@ -4,7 +4,6 @@
 use std::path::Path;
 
 use crate::cli::args::input::{InputArgs, check_pruned, select_numbers};
-use crate::cli::args::jobs::Job;
 use crate::cli::args::steps::recorded;
 use crate::cli::context::Context;
 use crate::cli::output;
@@ -14,9 +13,10 @@ use nsim_cost::{MeterSettings, StepMeter};
 use nsim_energy::workload::Workload;
 use nsim_files as io;
 use nsim_ir::hardware::Target;
-use nsim_ir::spikes::{Copies, Sample};
+use nsim_ir::spikes::Sample;
 use nsim_session::decision::EarlyExit;
 use nsim_session::error::Error;
+use nsim_session::obtain::Job;
 use nsim_session::samples::{Run, Running};
 use nsim_session::{Keep, inputs};
 
@@ -76,11 +76,10 @@ pub fn simulate_recorded(
     context: Context,
 ) -> Result<Run<StepMeter>, Error> {
     let samples = workload.samples();
-    let keep = Keep { output: workload.compiled.program.output(), probes: Vec::new(), early_exit };
+    let keep = Keep { early_exit, ..Keep::new(workload.compiled.program.output()) };
     let mut batch = io::write::Batch::new(context.force);
     let run = output::with_progress(context, samples.len(), "samples", |progress| {
-        let running =
-            Running { keep: &keep, copies: Copies::ONE, skip, per_step: true, progress, ranks: ranks::several() };
+        let running = Running { skip, progress, ranks: ranks::several(), ..Running::new(&keep) };
         let network = &workload.compiled.one;
         recorded((steps, &mut batch), network, workload.meter(), settings, &samples, running)
     })?;

@@ -87,7 +87,7 @@ fn unknown(kind: FileKind) -> Diagnostic {
 fn found(kind: &'static str, importable: Option<String>, rows: Vec<Vec<Value>>) -> Findings {
     let mut facts = vec![("array_count", json!(rows.iter().filter(|row| !row[1].is_null()).count()))];
     facts.extend(importable.map(|importable| ("import", json!(importable))));
-    Findings { kind, facts, tables: vec![FindingsTable { key: "arrays", columns: COLUMNS, rows }] }
+    Findings { kind, facts, tables: vec![FindingsTable::new("arrays", COLUMNS, rows.into_iter().map(Value::Array))] }
 }
 
 /// Whether a file becomes a model as it is, in words.

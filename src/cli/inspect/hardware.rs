@@ -2,6 +2,8 @@
 //!
 //! Input: parsed files. Output: facts and tables, each constant with unit, source and status.
 
+use std::collections::BTreeMap;
+
 use serde_json::{Map, Value, json};
 
 use nsim_energy::baseline::Baseline;
@@ -40,6 +42,16 @@ fn constants_table(presets: &[Constants]) -> FindingsTable {
     FindingsTable::new("constants", &["preset", "name", "value", "unit", "status", "source"], rows)
 }
 
+/// A preset with the number of its constants by status.
+fn preset_summary(preset: &Constants) -> String {
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for (_, constant) in preset.list() {
+        *counts.entry(format!("{:?}", constant.status).to_lowercase()).or_default() += 1;
+    }
+    let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
+    format!("{}: {}", preset.name, counts.join(", "))
+}
+
 fn chip_facts(chip: &Chip) -> Vec<(&'static str, Value)> {
     vec![
         ("tiles", json!([chip.width, chip.height])),
@@ -60,7 +72,9 @@ pub(super) fn target_findings(target: &Target) -> Findings {
         ("cores", json!(target.cores())),
     ];
     facts.extend(chip_facts(target.chip()));
-    Findings { kind: "target", facts, tables: vec![constants_table(target.constants()), limits_table(target.chip())] }
+    facts.push(("presets", target.constants().iter().map(preset_summary).collect()));
+    let constants = FindingsTable { in_text: false, ..constants_table(target.constants()) };
+    Findings { kind: "target", facts, tables: vec![constants, limits_table(target.chip())] }
 }
 
 pub(super) fn chip_findings(chip: &Chip) -> Findings {
@@ -117,10 +131,10 @@ pub(super) fn baseline_findings(baseline: &Baseline) -> Findings {
             ("source", json!(file.source)),
             ("notes", json!(file.notes)),
         ],
-        tables: vec![FindingsTable {
-            key: "rows",
-            columns: &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"],
-            rows: rows.collect(),
-        }],
+        tables: vec![FindingsTable::new(
+            "rows",
+            &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"],
+            rows,
+        )],
     }
 }

@@ -23,7 +23,7 @@ use crate::cli::inspect::hardware::{
 use crate::cli::inspect::network::network_findings;
 use crate::cli::output;
 use nsim_energy::baseline::{Baseline, SHIPPED};
-use nsim_energy::published::files::scenario;
+use nsim_energy::published::scenario;
 use nsim_files::mapping::mapping;
 use nsim_files::shipped;
 use nsim_files::shipped::Origin;

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use crate::cli::args::jobs::{JobArgs, Prepared, Wanted, prepare};
+use crate::cli::args::jobs::{JobArgs, Prepared, prepare};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
@@ -18,6 +18,7 @@ use nsim_files::shipped;
 use nsim_files::shipped::Shipped;
 use nsim_ir::base::names::named_variants;
 use nsim_session::error::Error;
+use nsim_session::obtain::Wanted;
 
 /// A stage of the compiler.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,7 +93,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Some(stage) => {
             let job = JobArgs { target: args.target.clone(), ..JobArgs::for_model(name) };
             let wanted = if stage == Stage::Quantised { Wanted::Quantised } else { Wanted::Mapped };
-            let job = match prepare(&job, wanted, args.copies.unwrap_or(1))? {
+            let job = match prepare(&job, wanted, args.copies.or(Some(1)), &[])? {
                 Prepared::Ready(job) => job,
                 Prepared::DoesNotFit(why) => return why.say(json!({ "schema": "nsim.show/1", "name": name }), context),
             };

@@ -12,7 +12,7 @@ use clap::ValueEnum;
 use serde_json::Value;
 
 use crate::cli::args::jobs;
-use crate::cli::args::jobs::{Prepared, Wanted};
+use crate::cli::args::jobs::Prepared;
 use crate::cli::args::saved;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::args::CostArgs;
@@ -30,6 +30,7 @@ use nsim_report::charts::board;
 use nsim_report::charts::results;
 use nsim_report::charts::sample::{raster, traced, voltage};
 use nsim_session::error::Error;
+use nsim_session::obtain::Wanted;
 use nsim_session::priced::Metered;
 
 const EXAMPLES: &str = "\
@@ -153,7 +154,7 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let cost = &args.cost;
     let copies = if args.what == What::Map { cost.copies } else { cost.copies.or(Some(1)) };
     let names: Vec<&str> = args.probe.iter().map(|text| pattern(text).0).collect();
-    let job = match jobs::prepare_probed(&cost.job, Wanted::Mapped, copies, &names)? {
+    let job = match jobs::prepare(&cost.job, Wanted::Mapped, copies, &names)? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => return refusal.say(Value::Null, context),
     };

@@ -31,6 +31,9 @@ pub enum Expected {
 }
 
 use Expected::{Anything, Breaks, Closed, NotClosed, Verified};
+use SignMode::{Excitatory, Inhibitory};
+
+const BREAKS_FORMAT: Expected = Breaks(|v| matches!(v, Violation::Format { .. }));
 
 /// Changes a program; nothing where it has no place for the change.
 pub type Kind = fn(&mut Parts, &mut Draw) -> Option<Expected>;
@@ -69,6 +72,11 @@ pub const KINDS: &[(&str, Kind)] = &[
         p.graded[place].message = message;
         Some(Verified)
     }),
+    ("messages that carry two payloads", |p, d| {
+        let place = (d.from(0, 9) as usize).checked_rem(p.graded.len())?;
+        p.graded.push(p.graded[place].clone());
+        Some(NotClosed)
+    }),
     ("messages that carry nothing", |p, d| {
         let place = (d.from(0, 9) as usize).checked_rem(p.graded.len())?;
         p.graded.remove(place);
@@ -80,12 +88,11 @@ pub const KINDS: &[(&str, Kind)] = &[
         sources.end = d.from(sources.start.into(), i64::from(sources.end) + 2) as u32;
         Some(Anything)
     }),
+    // Formats may then be the same twice, or lead to a port that is not there.
     ("port of a format", |p, d| {
-        let (core, at) = format_at(p, d)?;
-        let format = &mut p.class_mut(core).formats[at].synapse;
-        format.port = if format.port.is_first() { Port::Second } else { Port::First };
-        // Formats may then be the same twice, or lead to a port that is not there.
-        Some(Anything)
+        format_field(p, d, Anything, |format, _| {
+            format.synapse.port = if format.synapse.port.is_first() { Port::Second } else { Port::First };
+        })
     }),
     ("start step", |p, d| {
         let (core, slot) = compartment(p, d);
@@ -135,9 +142,10 @@ pub const KINDS: &[(&str, Kind)] = &[
     // Classes.
     ("class of another core", |p, d| {
         let [(core, _), (other, _)] = [0, 1].map(|_| compartment(p, d));
-        p.cores[core].class = p.cores[other].class;
-        // No core is of its class now.
-        Some(NotClosed)
+        let (own, new) = (p.cores[core].class, p.cores[other].class);
+        p.cores[core].class = new;
+        let left = p.cores.iter().any(|image| image.class == own);
+        Some(if left { Anything } else { NotClosed })
     }),
     ("a class that does not exist", |p, d| {
         let (core, _) = compartment(p, d);
@@ -273,10 +281,30 @@ pub const KINDS: &[(&str, Kind)] = &[
         edit(&mut p.class_mut(core).inputs.lists, |lists| lists.swap(a, b));
         Some(if p.class_of(core).inputs.populations.is_empty() { Verified } else { Anything })
     }),
+    ("a list too few", |p, d| {
+        let (core, _) = list(p, d, |_| true)?;
+        edit(&mut p.class_mut(core).inputs.lists, shorten);
+        Some(NotClosed)
+    }),
     ("a list too many", |p, d| {
         let (core, list) = list(p, d, |_| true)?;
         edit(&mut p.class_mut(core).inputs.lists, |lists| lists.push(lists[list].clone()));
         Some(NotClosed)
+    }),
+    ("synapses of one format in two places", |p, d| {
+        let (core, at) = synapse(p, d, |image, at| {
+            let (items, format) = (image.inputs.lists.items(), format_of(image, at));
+            let within = |at: usize| next_of(image, at).is_some_and(|next| next.format == items[at].format);
+            at > 0 && within(at - 1) && within(at) && format.delay_bits == 0 && format.index_bits.is_some()
+        })?;
+        let image = p.class_mut(core);
+        let dense = CoreFormat { index_bits: None, skip_bits: None, ..format_of(image, at) };
+        let number = image.formats.iter().position(|format| *format == dense).unwrap_or_else(|| {
+            image.formats.push(dense);
+            image.formats.len() - 1
+        });
+        image.inputs.lists.items_mut()[at].format = number as u8;
+        Some(Breaks(|v| matches!(v, Violation::Scattered { .. })))
     }),
     // Formats.
     ("exponent of a format", |p, d| {
@@ -290,37 +318,22 @@ pub const KINDS: &[(&str, Kind)] = &[
         Some(Verified)
     }),
     ("sign mode of a format", |p, d| {
-        let (core, at) = format_at(p, d)?;
-        p.class_mut(core).formats[at].synapse.sign =
-            d.one_of(&[SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory]);
-        Some(Closed)
-    }),
-    ("weights of seven bits", |p, d| {
-        let (core, at) = format_at(p, d)?;
-        p.class_mut(core).formats[at].synapse.bits = WeightBits::new(7).unwrap();
-        Some(Breaks(|v| matches!(v, Violation::Format { .. })))
+        format_field(p, d, Closed, |f, d| f.synapse.sign = d.one_of(&[SignMode::Mixed, Excitatory, Inhibitory]))
     }),
     ("bits of a format", |p, d| {
-        let (core, at) = format_at(p, d)?;
-        p.class_mut(core).formats[at].synapse.bits = WeightBits::new(d.one_of(&[2, 3, 4, 5, 6, 8])).unwrap();
-        Some(Closed)
+        format_field(p, d, Closed, |f, d| {
+            f.synapse.bits = WeightBits::new(d.one_of(&[2, 3, 4, 5, 6, 8])).unwrap();
+        })
     }),
-    ("delay bits of a format", |p, d| {
-        let (core, at) = format_at(p, d)?;
-        // Neither none nor what any core has.
-        p.class_mut(core).formats[at].delay_bits = d.from(7, 20) as u8;
-        Some(Breaks(|v| matches!(v, Violation::Format { .. })))
+    ("weights of seven bits", |p, d| {
+        format_field(p, d, BREAKS_FORMAT, |f, _| f.synapse.bits = WeightBits::new(7).unwrap())
     }),
+    // Neither none nor what any core has.
+    ("delay bits of a format", |p, d| format_field(p, d, BREAKS_FORMAT, |f, d| f.delay_bits = d.from(7, 20) as u8)),
     ("index bits of a format", |p, d| {
-        let (core, at) = format_at(p, d)?;
-        p.class_mut(core).formats[at].index_bits = Some(d.from(12, 20) as u8);
-        Some(Breaks(|v| matches!(v, Violation::Format { .. })))
+        format_field(p, d, BREAKS_FORMAT, |f, d| f.index_bits = Some(d.from(12, 20) as u8))
     }),
-    ("run bits of a format", |p, d| {
-        let (core, at) = format_at(p, d)?;
-        p.class_mut(core).formats[at].skip_bits = Some(d.from(9, 20) as u8);
-        Some(Breaks(|v| matches!(v, Violation::Format { .. })))
-    }),
+    ("run bits of a format", |p, d| format_field(p, d, BREAKS_FORMAT, |f, d| f.skip_bits = Some(d.from(9, 20) as u8))),
     ("a format twice", |p, d| {
         let (core, at) = format_at(p, d)?;
         let image = p.class_mut(core);
@@ -339,31 +352,11 @@ pub const KINDS: &[(&str, Kind)] = &[
         Some(Breaks(|v| matches!(v, Violation::Format { what, .. } if what.contains("not used"))))
     }),
     // Axon tables.
-    ("base of a population axon off by one", |p, d| {
-        let axon = population(p, d)?;
-        axon.base += 1;
-        Some(Anything)
-    }),
-    ("base of a population axon off by four", |p, d| {
-        let axon = population(p, d)?;
-        axon.base += 4;
-        Some(Anything)
-    }),
-    ("table of a population axon", |p, d| {
-        let axon = population(p, d)?;
-        axon.table += 1;
-        Some(Anything)
-    }),
-    ("atoms of a population axon", |p, d| {
-        let axon = population(p, d)?;
-        axon.atoms += 1;
-        Some(Anything)
-    }),
-    ("a population axon without atoms", |p, d| {
-        let axon = population(p, d)?;
-        axon.atoms = 0;
-        Some(NotClosed)
-    }),
+    ("base of a population axon off by one", |p, d| population_field(p, d, Anything, |axon| axon.base += 1)),
+    ("base of a population axon off by four", |p, d| population_field(p, d, Anything, |axon| axon.base += 4)),
+    ("table of a population axon", |p, d| population_field(p, d, Anything, |axon| axon.table += 1)),
+    ("atoms of a population axon", |p, d| population_field(p, d, Anything, |axon| axon.atoms += 1)),
+    ("a population axon without atoms", |p, d| population_field(p, d, NotClosed, |axon| axon.atoms = 0)),
     ("a population axon too many", |p, d| {
         let copy = *population(p, d)?;
         let core = p.cores.ids().find(|&core| p.class_of(core).inputs.populations.contains(&copy))?;
@@ -377,6 +370,11 @@ pub const KINDS: &[(&str, Kind)] = &[
         let [a, b] = [0, 1].map(|_| d.from(0, axons.len() as i64 - 1) as usize);
         axons.swap(a, b);
         Some(Closed)
+    }),
+    ("an input axon too few", |p, d| {
+        let core = core(p, d, |image| !image.inputs.axons.is_empty())?;
+        p.class_mut(core).inputs.axons.pop();
+        Some(Anything)
     }),
     ("atom of an input axon", |p, d| {
         let core = core(p, d, |image| image.inputs.axons.iter().any(|a| matches!(a, InputAxon::Member { .. })))?;
@@ -499,8 +497,12 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("size of a population", |p, d| {
         let count = p.populations.len() as i64;
         let population = p.populations[PopulationId::new(d.from(0, count - 1) as usize)].as_mut()?;
-        population.count += 1;
-        Some(Verified)
+        if d.chance(50) {
+            population.count += 1;
+            return Some(Verified);
+        }
+        population.positions += 1;
+        Some(Anything)
     }),
     ("semantics", |p, d| {
         p.semantics = d.one_of(&[Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
@@ -575,6 +577,29 @@ fn list(parts: &Parts, draw: &mut Draw, fits: impl Fn(&[Synapse]) -> bool) -> Op
     let lists = &parts.class_of(core).inputs.lists;
     let fitting: Vec<usize> = (0..lists.len()).filter(|&list| fits(lists.get(list))).collect();
     Some((core, draw.one_of(&fitting)))
+}
+
+/// Changes a field of any format.
+fn format_field(
+    parts: &mut Parts,
+    draw: &mut Draw,
+    expected: Expected,
+    change: fn(&mut CoreFormat, &mut Draw),
+) -> Option<Expected> {
+    let (core, at) = format_at(parts, draw)?;
+    change(&mut parts.class_mut(core).formats[at], draw);
+    Some(expected)
+}
+
+/// Changes a field of any population axon.
+fn population_field(
+    parts: &mut Parts,
+    draw: &mut Draw,
+    expected: Expected,
+    change: fn(&mut PopulationAxon),
+) -> Option<Expected> {
+    change(population(parts, draw)?);
+    Some(expected)
 }
 
 /// Any format.

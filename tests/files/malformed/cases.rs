@@ -111,7 +111,7 @@ pub fn cases() -> Vec<Case> {
 
     // Model files: what replaces what, and what is said where (line 0: the file as a whole).
     let syntax = "model.syntax";
-    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 53] = [
+    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 55] = [
         ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`dw` in `Loihi`"),
         ("unknown kind of population", "Loihi(", "Loki(", syntax, 6, "Loki"),
         ("unknown kind of projection", "Dense(", "Dence(", syntax, 9, "Dence"),
@@ -125,10 +125,12 @@ pub fn cases() -> Vec<Case> {
         ("string for a number", "du: 1024", "du: \"1024\"", syntax, 6, "expected a number"),
         ("negative shape", "shape: [4]", "shape: [-4]", syntax, 5, ""),
         ("number for weights", "[[2, 2, 2, 2], [4, 4, 4, 4]]", "2", syntax, 9, "list of rows"),
-        ("ragged weights", "[4, 4, 4, 4]", "[4, 4, 4]", syntax, 9, "different lengths"),
+        ("ragged weights", "[4, 4, 4, 4]", "[4, 4, 4]", syntax, 9, "3 here, 4 before"),
         ("weights of mixed depth", "[4, 4, 4, 4]", "4", syntax, 9, "other rows have a list"),
-        ("weights too deep", "[4, 4, 4, 4]", "[[[[[4]]]]]", syntax, 9, ""),
-        ("a word among weights", "[4, 4, 4, 4]", "[4, 4, four, 4]", syntax, 9, ""),
+        ("a list among numbers", "[4, 4, 4, 4]", "[4, 4, [4], 4]", syntax, 9, "other rows have a number"),
+        ("weights too deep", "[2, 2, 2, 2]", "[[[[2]]]]", syntax, 9, "deeper than 4"),
+        ("a word among weights", "[4, 4, 4, 4]", "[4, 4, four, 4]", syntax, 9, "a number or a list of numbers"),
+        ("a text among weights", "[4, 4, 4, 4]", "[4, 4, \"4\", 4]", syntax, 9, "a number or a list of numbers"),
         ("NaN among weights", "[4, 4, 4, 4]", "[4, 4, NaN, 4]", syntax, 9, "NaN"),
         ("infinity among weights", "[4, 4, 4, 4]", "[4, 4, -inf, 4]", syntax, 9, "inf"),
         ("NaN parameter", "du: 1024", "du: NaN", syntax, 6, "expected a number"),

@@ -5,10 +5,8 @@ use std::sync::Arc;
 
 use super::exact::{Compartment, Parameters, scaled};
 use super::outcome::Outcome;
-use nsim_compile::{CompileError, Options, compile};
+use nsim_compile::{Options, compile};
 use nsim_golden::Golden;
-use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
-use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, OutOfRange, Refractory, SignMode, ThresholdMantissa, VmaxExponent,
     VminExponent, WeightBits, WeightExponent,
@@ -17,10 +15,10 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{PerCompartment, Shape};
 use nsim_ir::hardware::Target;
-use nsim_ir::neurons::{NeuronKind, Port, Row};
+use nsim_ir::neurons::Port;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
-use nsim_ir::quantised::{Inconsistent, Neuron, Parts, Population, Projection, Quantised, Units};
+use nsim_ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Units};
 use nsim_ir::resource::Resource;
 use nsim_ir::spikes::{Engine, Message};
 use nsim_machine::{Image, Machine, Settings};
@@ -57,18 +55,11 @@ struct Seen {
 const PLAIN: Parameters =
     Parameters { du: 1024, dv: 128, vth: 5, bias_mant: 0, bias_exp: 0, refractory: 1, vmin: 23, vmax: 7 };
 
-#[derive(Debug, thiserror::Error)]
-enum Unbuildable {
-    #[error(transparent)]
-    Field(#[from] OutOfRange),
-    #[error(transparent)]
-    Parts(#[from] Inconsistent),
-    #[error(transparent)]
-    Compile(#[from] CompileError),
-}
+/// Why a case cannot be built: a value, a network or a mapping that its type refuses.
+type Unbuildable = Box<dyn std::error::Error>;
 
 /// What is wrong with a case that cannot be built.
-fn fault(error: &dyn std::fmt::Display) -> (u64, String) {
+fn fault(error: impl std::fmt::Display) -> (u64, String) {
     (0, format!("the case cannot be built: {error}"))
 }
 
@@ -76,7 +67,6 @@ impl Plan {
     fn network(&self) -> Result<Quantised, Unbuildable> {
         let neuron = |p: &Parameters| {
             Ok::<_, OutOfRange>(Neuron {
-                kind: NeuronKind::Loihi,
                 du: Decay::new(p.du as i64)?,
                 dv: Decay::new(p.dv as i64)?,
                 vth: ThresholdMantissa::new(p.vth as i64)?,
@@ -85,8 +75,7 @@ impl Plan {
                 refractory: Refractory::new(p.refractory as i64)?,
                 vmin: VminExponent::new(p.vmin.into())?,
                 vmax: VmaxExponent::new(p.vmax.into())?,
-                shift: 0,
-                row: Row::EMPTY,
+                ..Neuron::PLAIN
             })
         };
         let neurons = PerCompartment::Each(self.neurons.iter().map(neuron).collect::<Result<_, _>>()?);
@@ -115,7 +104,6 @@ impl Plan {
         };
         Ok(Quantised::new(Parts {
             name: "stress".to_string(),
-            timestep_ms: 1.0,
             populations: vec![
                 population("in", self.channels, Units::Input(ChannelId(0))),
                 population("out", count, units),
@@ -123,14 +111,7 @@ impl Plan {
             .into(),
             projections: self.links.iter().map(projection).collect::<Result<Vec<_>, _>>()?.into(),
             output: PopulationId(1),
-            decision: ReadOut::Spikes,
-            drain: 0,
-            classes: Vec::new(),
-            semantics: Semantics::Hardware,
-            threshold: ThresholdTest::Strict,
-            reset: None,
-            notes: Vec::new(),
-            gathers: false,
+            ..Parts::default()
         })?)
     }
 
@@ -166,8 +147,8 @@ impl Plan {
 
     /// Runs the three over this many steps and compares everything in each.
     fn run(&self, target: &Target, steps: u32, drive: impl Fn(u32) -> Vec<u32>) -> Result<Seen, (u64, String)> {
-        let (network, program) = self.program(target).map_err(|e| fault(&e))?;
-        let image = Image::new(&program, 1).map_err(|e| fault(&e))?;
+        let (network, program) = self.program(target).map_err(fault)?;
+        let image = Image::new(&program, 1).map_err(fault)?;
         let machine = |skip| Machine::new(&image, Settings { skip, per_step: false });
         let (mut golden, mut with, mut without) = (Golden::new(&network), machine(true), machine(false));
         let mut engines: [(&str, &mut dyn Engine); 3] =
@@ -235,9 +216,14 @@ fn send(coming: &mut HashMap<(u32, usize), i128>, link: &Link, source: usize, st
     }
 }
 
+/// Synapses of the channels without delay.
+fn feed(weights: Vec<Vec<i16>>, exponent: i32) -> Link {
+    Link { recurrent: false, weights, exponent, delay: 0 }
+}
+
 /// Every channel with the same weight to every compartment.
 fn uniform(channels: u32, targets: usize, weight: i16, exponent: i32) -> Link {
-    Link { recurrent: false, weights: vec![vec![weight; targets]; channels as usize], exponent, delay: 0 }
+    feed(vec![vec![weight; targets]; channels as usize], exponent)
 }
 
 /// The ends of decays and what lies beside them.
@@ -254,8 +240,7 @@ fn noise(channels: u32, seed: u64, chance: f64) -> impl Fn(u32) -> Vec<u32> {
 
 pub(super) fn fan_in(target: &Target, weight: i16) -> Outcome {
     const AXONS: u32 = 4096;
-    // Of 4,096 equal weights the sum is a multiple of the accumulator's period for -256; fewer
-    // axons show the rest of the way.
+    // 4,096 weights of -256 sum to a multiple of the accumulator's period; fewer axons do not.
     let drive = |step: u32| match step % 3 {
         0 => (0..AXONS).collect(),
         1 => (0..1 + step * 37 % AXONS).collect(),
@@ -275,7 +260,7 @@ fn exponent(target: &Target, exponent: i32, met: fn(&Seen) -> bool) -> Outcome {
     let plan = Plan {
         channels: 256,
         neurons: vec![PLAIN, Parameters { du: 1, dv: 4095, vth: 0, ..PLAIN }],
-        links: vec![Link { recurrent: false, weights, exponent, delay: 0 }],
+        links: vec![feed(weights, exponent)],
     };
     plan.outcome(target, 600, noise(256, 3, 0.2), met)
 }
@@ -293,12 +278,7 @@ pub(super) fn decays(target: &Target) -> Outcome {
     let plan = Plan {
         channels: 8,
         neurons: every_decay(),
-        links: vec![Link {
-            recurrent: false,
-            weights: (0..8i16).map(|c| vec![(2 * (31 * c % 101 - 50)) & !1; 16]).collect(),
-            exponent: 3,
-            delay: 0,
-        }],
+        links: vec![feed((0..8i16).map(|c| vec![(2 * (31 * c % 101 - 50)) & !1; 16]).collect(), 3)],
     };
     plan.outcome(target, 2000, noise(8, 5, 0.3), |seen| seen.spikes > 0)
 }
@@ -309,8 +289,8 @@ pub(super) fn thresholds(target: &Target) -> Outcome {
         channels: 2,
         neurons: vec![of(1), of(131_071), of(0), of(131_070)],
         links: vec![
-            Link { recurrent: false, weights: vec![vec![2; 4], vec![-2; 4]], exponent: -1, delay: 0 },
-            Link { recurrent: false, weights: vec![vec![254; 4], vec![0; 4]], exponent: 5, delay: 1 },
+            feed(vec![vec![2; 4], vec![-2; 4]], -1),
+            Link { delay: 1, ..feed(vec![vec![254; 4], vec![0; 4]], 5) },
         ],
     };
     plan.outcome(target, 3000, |step| if step % 5 == 4 { vec![0, 1] } else { vec![0] }, |seen| seen.spikes > 0)
@@ -353,18 +333,14 @@ pub(super) fn clips(target: &Target) -> Outcome {
     neurons.extend((0..=23).map(|vmin| of(vmin, 7)));
     let count = neurons.len();
     let weights = vec![vec![254; count], vec![-256; count]];
-    let plan = Plan { channels: 2, neurons, links: vec![Link { recurrent: false, weights, exponent: 6, delay: 0 }] };
+    let plan = Plan { channels: 2, neurons, links: vec![feed(weights, 6)] };
     plan.outcome(target, 400, |step| vec![step / 50 % 2], |seen| seen.v_clipped > 1000)
 }
 
 pub(super) fn alternating(target: &Target) -> Outcome {
     let count = 16;
     let weights = (0..128).map(|_| vec![254; count]).chain((0..128).map(|_| vec![-256; count])).collect();
-    let plan = Plan {
-        channels: 256,
-        neurons: every_decay(),
-        links: vec![Link { recurrent: false, weights, exponent: 0, delay: 0 }],
-    };
+    let plan = Plan { channels: 256, neurons: every_decay(), links: vec![feed(weights, 0)] };
     plan.outcome(target, 2000, |step| (step % 2 * 128..step % 2 * 128 + 128).collect(), |seen| seen.spikes > 0)
 }
 
@@ -389,8 +365,7 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
     const DRIVE: u64 = 7;
     let p = Parameters { du: 301, dv: 17, vth: 900, bias_mant: -23, bias_exp: 2, refractory: 3, ..PLAIN };
     let plan = Plan { channels: 1, neurons: vec![p], links: vec![uniform(1, 1, 254, 0)] };
-    // State and phase of the input decide everything that follows: once both return, the trace is
-    // periodic for ever.
+    // State and input phase decide all that follows: once both return, the trace is periodic.
     let (mut exact, mut trace, mut met) = (Compartment::default(), Vec::new(), HashMap::new());
     let (before, period) = loop {
         let now = trace.len() as u64;
@@ -405,8 +380,8 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
         }
     };
     let expected = |now: usize| trace[if now <= before { now } else { before + 1 + (now - before - 1) % period }];
-    let (network, program) = plan.program(target).map_err(|e| fault(&e))?;
-    let image = Image::new(&program, 1).map_err(|e| fault(&e))?;
+    let (network, program) = plan.program(target).map_err(fault)?;
+    let image = Image::new(&program, 1).map_err(fault)?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
     let mut golden = Golden::new(&network);
     machine.begin(STEPS);
@@ -438,11 +413,5 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
             format!("exactly periodic: {period} steps from step {before} on, no drift; {spikes} spikes"),
         )),
         false => Err((STEPS.into(), format!("the compartment does too little: {spikes} spikes, period {period}"))),
-    }
-}
-
-impl From<Unbuildable> for Diagnostic {
-    fn from(error: Unbuildable) -> Self {
-        Diagnostic::new("stress.case", error.to_string())
     }
 }

@@ -40,14 +40,13 @@ pub struct Case {
 }
 
 impl Case {
-    /// Runs it; the target's limits on the variety of compartments are lifted, since a case holds
-    /// many kinds.
+    /// Runs it; the target's limits on profiles are lifted, since a case has many kinds.
     #[must_use]
     pub fn run(&self, target: &Target) -> Verdict {
-        match (self.run)(target) {
-            Ok((steps, detail)) => Verdict { name: self.name, pass: true, steps, detail },
-            Err((steps, detail)) => Verdict { name: self.name, pass: false, steps, detail },
-        }
+        let outcome = (self.run)(target);
+        let pass = outcome.is_ok();
+        let (steps, detail) = outcome.unwrap_or_else(|wrong| wrong);
+        Verdict { name: self.name, pass, steps, detail }
     }
 }
 

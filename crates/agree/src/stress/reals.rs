@@ -46,8 +46,7 @@ fn input(step: u64) -> f64 {
     if number < 64.0 { 0.0 } else { (number - 112.0) / 64.0 }
 }
 
-/// The greatest difference of a filter from the definition over the first and the last tenth, and
-/// the bound.
+/// Greatest error of a filter over the first and the last tenth, and the bound.
 struct Growth {
     early: f64,
     late: f64,
@@ -130,8 +129,7 @@ pub(super) fn cuba_f64() -> Outcome {
     .verdict("current and voltage, du 1024, dv 128, f64")
 }
 
-/// One arrival, then nothing: the states sink through the denormal numbers to zero and must stay
-/// harmless there.
+/// One arrival, then silence: states sink through denormal numbers to zero, harmlessly.
 pub(super) fn denormals<F: Real>(smallest_normal: f64, what: &str) -> Outcome {
     let parameters = srm::Parameters { tau_sr: 10.0, tau_ref: 1.0, scale_ref: 2.0, theta: 10.0 };
     let mut population = Srm::<F>::new(&parameters, Kernel::Exact, 2);

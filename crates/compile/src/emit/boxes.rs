@@ -1,9 +1,8 @@
 //! The program of a network of layers, written pattern by pattern.
 //!
 //! Input: a network that is mapped by its kernels, its partition and placement. Output: a
-//! [`Program`], and the tables of one core of each class, for the checker. Boxes of a layer that
-//! hold the same channels, and whose rows and columns are reached in the same pattern, are of one
-//! class. Its tables are written once; the other boxes differ in the sources of their input axons,
+//! [`Program`]. Boxes of a layer that hold the same channels, and whose rows and columns are reached
+//! in the same pattern, are of one class. Its tables are written once; the other boxes differ in the sources of their input axons,
 //! which are the same ones some rows and columns further on. So a program of thousands of millions
 //! of synapses takes the memory of its messages, not of its synapses.
 //!
@@ -15,22 +14,24 @@
 use rayon::prelude::*;
 
 use crate::emit::classes::Classes;
-use crate::emit::route::{assemble, parameters};
-use crate::emit::sample::sample;
-use nsim_check::sampled::SampledCore;
-use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::emit::route::{Shift, Tables, assemble, parameters};
+use nsim_dynamics::synapses::Enumerate;
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, ProjectionId};
 use nsim_ir::dealt::Dealt;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
 use nsim_ir::program::{Compartment, CoreClass, Program};
 use nsim_ir::quantised::Quantised;
+use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::Limits;
+use nsim_partition::resources::by_core::Key;
 use nsim_partition::resources::closed_form::Layer;
-use nsim_partition::resources::fan_in::first_source;
+use nsim_partition::resources::fan_in::{FanIn, first_source};
 use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
 use nsim_partition::strategy::lattice;
 
-/// The program, and the tables of one core of each class.
+/// The program, each class written once.
 ///
 /// # Errors
 /// A sentence when the network does not consist of layers, and as [`crate::emit::route::route`].
@@ -39,10 +40,7 @@ pub fn route_boxes(
     partition: &Partition,
     (placement, dealt): (&Placement, Option<Dealt>),
     limits: &Limits,
-) -> Result<(Program, Vec<SampledCore>), String> {
-    if partition.cores() != placement.len() {
-        return Err("the partition and the placement have different numbers of cores".to_string());
-    }
+) -> Result<Program, String> {
     let layers = lattice::layers(network).ok_or("the network does not consist of layers")?;
     let all: Vec<CoreId> = partition.members().ids().collect();
     let boxes: Vec<Option<BoxOfLayer>> =
@@ -53,6 +51,7 @@ pub fn route_boxes(
         Some(BoxOfLayer { pattern, .. }) => Ok(pattern),
         None => Err(core),
     }));
+    let origins: Vec<Option<Vec<Origin>>> = boxes.into_iter().map(|found| Some(found?.origins)).collect();
     let of_patterns: Vec<Vec<Compartment>> =
         patterns.firsts.as_slice().par_iter().map(|&core| parameters(core)).collect();
     // A box with other parameters than the first of its pattern is a class by itself.
@@ -62,22 +61,17 @@ pub fn route_boxes(
     let key = |(&core, differs): (&CoreId, bool)| (holds(core), patterns.of[core], differs.then_some(core));
     let classes = Classes::by_key(all.iter().zip(differs).map(key));
     let firsts: Vec<CoreId> = classes.firsts.iter().copied().filter(|core| holds(*core)).collect();
-    let written = sample(network, partition, &firsts, limits)?;
-    let sources = |&core: &CoreId| {
-        let Ok(first) = firsts.binary_search(&classes.first(core)) else { return Vec::new() };
-        let SampledCore { core: of_first, sources, .. } = &written[first];
-        match (&boxes[of_first.index()], &boxes[core.index()]) {
-            (Some(from), Some(to)) => shifted(sources, &from.shifts_to(to)),
-            _ => sources.clone(),
-        }
+    let mut written = tables_of(network, partition, &firsts, limits)?.into_iter();
+    let class = |&core: &CoreId| match holds(core) {
+        true => written.next(),
+        false => Some((CoreClass::without_tables(parameters(core)), Vec::new())),
     };
-    let sources = all.par_iter().map(sources).collect();
-    let class = |&core: &CoreId| match firsts.binary_search(&core) {
-        Ok(first) => written[first].class.clone(),
-        Err(_) => CoreClass::without_tables(parameters(core)),
+    let stored = classes.firsts.iter().filter_map(class).collect();
+    let shifts = |first: CoreId, core: CoreId| match (&origins[first.index()], &origins[core.index()]) {
+        (Some(from), Some(to)) => shifts_between(from, to),
+        _ => Vec::new(),
     };
-    let stored = classes.firsts.iter().map(class).collect();
-    Ok((assemble(network, partition, (placement, dealt), (stored, classes, sources))?, written))
+    assemble(network, partition, (placement, dealt), (stored, &classes, shifts))
 }
 
 /// What of a box decides what its core stores.
@@ -95,10 +89,12 @@ struct Pattern {
 #[derive(Debug)]
 struct BoxOfLayer {
     pattern: Pattern,
-    /// By projection into the layer: the sources' numbers, and the one at the first row and column
-    /// that reach the box.
-    origins: Vec<(u32, u32, i64)>,
+    /// By projection into the layer.
+    origins: Vec<Origin>,
 }
+
+/// The sources' numbers of a projection, and the one at the first row and column that reach a box.
+type Origin = (u32, u32, i64);
 
 impl BoxOfLayer {
     /// The box that these compartments are; `None` where they are of several layers.
@@ -127,23 +123,73 @@ impl BoxOfLayer {
         let held = indices.into_iter().map(|index| index - corner).collect();
         Some(BoxOfLayer { pattern: Pattern { layer: id, held, reached }, origins })
     }
-
-    /// How far the sources of a box of the same pattern lie from this one's: the sources of each
-    /// projection, and the distance.
-    fn shifts_to(&self, other: &BoxOfLayer) -> Vec<(u32, u32, i64)> {
-        let mut shifts: Vec<_> =
-            self.origins.iter().zip(&other.origins).map(|(&(from, to, at), other)| (from, to, other.2 - at)).collect();
-        shifts.sort_unstable();
-        shifts
-    }
 }
 
-/// Ascending sources, each shifted as those of its projection.
-fn shifted(sources: &[u32], shifts: &[(u32, u32, i64)]) -> Vec<u32> {
-    let mut shifts = shifts.iter().peekable();
-    let shifted = |&source: &u32| {
-        while shifts.next_if(|(_, end, _)| *end <= source).is_some() {}
-        shifts.peek().map_or(source, |(_, _, by)| (i64::from(source) + by) as u32)
+/// How far the sources of a box lie from those of another of the same pattern.
+fn shifts_between(from: &[Origin], to: &[Origin]) -> Vec<Shift> {
+    let mut shifts: Vec<Shift> = from.iter().zip(to).map(|(&(from, end, at), to)| (from, end, to.2 - at)).collect();
+    shifts.sort_unstable();
+    shifts
+}
+
+/// What these cores store, and the source of each input axon.
+fn tables_of(
+    network: &Quantised,
+    partition: &Partition,
+    cores: &[CoreId],
+    limits: &Limits,
+) -> Result<Vec<(CoreClass, Vec<u32>)>, String> {
+    let (tables, fan_in) = (Tables::new(network, partition, limits), FanIn::new(network));
+    let one = |&core: &CoreId| {
+        let held = &partition.members()[core];
+        // Most targets of a source are outside the core's range, which spares a load of their seat.
+        let range = held.iter().min()..=held.iter().max();
+        let mut keys = Vec::new();
+        let mut longest = Delay::MIN;
+        for (projection, index) in sources_of(network, &fan_in, held) {
+            let of = &network.projections()[projection];
+            let Some(first) = network.populations()[of.target].first_compartment() else { continue };
+            let source = first_source(network, &network.populations()[of.source]) + index;
+            let format = tables.formats.by_projection()[projection.index()];
+            of.connectivity.for_each_from(index, |target, weight| {
+                let target = CompartmentId(first.0 + target);
+                if !range.contains(&Some(&target)) {
+                    return;
+                }
+                let seat = partition.seats()[target];
+                if seat.core == core {
+                    longest = longest.max(of.delay);
+                    keys.push(Key::new(source, format, seat.slot, of.delay.get(), weight));
+                }
+            });
+        }
+        keys.sort_unstable();
+        tables.class(core, &keys, longest)
     };
-    sources.iter().map(shifted).collect()
+    cores.par_iter().map(one).collect()
+}
+
+/// The sources of compartments, each by a projection and its index in its population.
+fn sources_of(network: &Quantised, fan_in: &FanIn, held: &[CompartmentId]) -> Vec<(ProjectionId, u32)> {
+    let mut sources = Vec::new();
+    for &id in held {
+        let (population, index) = network.population_of(id);
+        fan_in.for_each_into(population, index, |source, projection, _, bundle| {
+            let of = &network.projections()[projection];
+            let positions = match &of.connectivity {
+                Connectivity::Conv2d { window, .. } => window.source.1 * window.source.2,
+                _ => 0,
+            };
+            let first = source - first_source(network, &network.populations()[of.source]);
+            sources.extend((0..bundle).map(|k| (projection, first + k * positions)));
+        });
+        // Neighbours share most of their sources.
+        if sources.len() > 1 << 20 {
+            sources.sort_unstable();
+            sources.dedup();
+        }
+    }
+    sources.sort_unstable();
+    sources.dedup();
+    sources
 }

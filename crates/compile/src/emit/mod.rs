@@ -3,6 +3,5 @@
 pub mod boxes;
 pub mod classes;
 pub mod route;
-pub mod sample;
 #[cfg(test)]
 pub(crate) mod testing;

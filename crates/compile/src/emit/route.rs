@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use crate::emit::classes::Classes;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, PopulationId};
 use nsim_ir::dealt::Dealt;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
@@ -50,13 +50,10 @@ const PIECE: u32 = 1 << 14;
 pub fn route(
     network: &Quantised,
     partition: &Partition,
-    placement: &Placement,
-    (copies, dealt): (u32, Option<Dealt>),
+    (placement, dealt): (&Placement, Option<Dealt>),
+    copies: u32,
     limits: &Limits,
 ) -> Result<Program, String> {
-    if partition.cores() != placement.len() {
-        return Err("the partition and the placement have different numbers of cores".to_string());
-    }
     let tables = Tables::new(network, partition, limits);
     let (channels, compartments) = (network.channels(), network.compartments());
     let of_copy = |units: usize| (units as u32 / copies.max(1)).max(1);
@@ -88,23 +85,29 @@ pub fn route(
         })
     });
     let written: Vec<(CoreClass, Vec<u32>)> = written.into_iter().flatten().collect::<Result<_, String>>()?;
-    let (written, of_first): (Vec<CoreClass>, IdVec<ClassId, Vec<u32>>) = {
-        let (written, sources): (Vec<_>, Vec<_>) = written.into_iter().unzip();
-        (written, sources.into())
+    let shifts = |first: CoreId, core: CoreId| {
+        let later = i64::from(copy_of(core)) - i64::from(copy_of(first));
+        let by = |units: u32| later * i64::from(of_copy(units as usize));
+        vec![(0, channels, by(channels)), (channels, channels + compartments, by(compartments))]
     };
-    let sources_of = |core: CoreId| {
-        let later = i64::from(copy_of(core)) - i64::from(copy_of(classes.first(core)));
-        let shift = |&source: &u32| {
-            let size = of_copy(if source < channels { channels } else { compartments } as usize);
-            (i64::from(source) + later * i64::from(size)) as u32
-        };
-        of_first[classes.of[core]].iter().map(shift).collect()
-    };
-    let sources = partition.members().ids().map(sources_of).collect();
-    assemble(network, partition, (placement, dealt), (written, classes, sources))
+    assemble(network, partition, (placement, dealt), (written, &classes, shifts))
 }
 
-/// The program of these classes, with the source of each input axon of each core.
+/// Sources of these numbers, below the second, and how far they lie from those of another core.
+pub(super) type Shift = (u32, u32, i64);
+
+/// Ascending sources, each shifted as those of its range.
+fn shifted(sources: &[u32], shifts: &[Shift]) -> Vec<u32> {
+    let mut shifts = shifts.iter().peekable();
+    let shifted = |&source: &u32| {
+        while shifts.next_if(|(_, end, _)| *end <= source).is_some() {}
+        shifts.peek().map_or(source, |(_, _, by)| (i64::from(source) + by) as u32)
+    };
+    sources.iter().map(shifted).collect()
+}
+
+/// The program of these classes: of each its tables and the sources of its first core's input
+/// axons; and how far those of another core lie from them.
 ///
 /// # Errors
 /// As [`route`].
@@ -112,9 +115,16 @@ pub(super) fn assemble(
     network: &Quantised,
     partition: &Partition,
     (placement, dealt): (&Placement, Option<Dealt>),
-    (written, classes, sources): (Vec<CoreClass>, Classes, Vec<Vec<u32>>),
+    (written, classes, shifts): (Vec<(CoreClass, Vec<u32>)>, &Classes, impl Fn(CoreId, CoreId) -> Vec<Shift> + Sync),
 ) -> Result<Program, String> {
+    if partition.cores() != placement.len() {
+        return Err("the partition and the placement have different numbers of cores".to_string());
+    }
     let (channels, compartments) = (network.channels(), network.compartments());
+    let (written, of_first): (Vec<CoreClass>, Vec<Vec<u32>>) = written.into_iter().unzip();
+    let all: Vec<CoreId> = partition.members().ids().collect();
+    let of_core = |&core: &CoreId| shifted(&of_first[classes.of[core].index()], &shifts(classes.first(core), core));
+    let sources: Vec<Vec<u32>> = all.par_iter().map(of_core).collect();
     let messages = messages(&sources, channels, compartments);
     drop(sources);
     let image = |&core: &CoreId| {
@@ -124,7 +134,6 @@ pub(super) fn assemble(
         axons_out.shrink_to_fit();
         CoreImage { site: placement.site(core), class: classes.of[core], ids, axons_out }
     };
-    let all: Vec<CoreId> = partition.members().ids().collect();
     let cores: Vec<CoreImage> = all.par_iter().map(image).collect();
     let populations = network.populations().iter().map(Compartments::in_population).collect();
     let parts = network.parts();
@@ -186,7 +195,7 @@ impl<'a> Tables<'a> {
 }
 
 /// Parameters of compartments in slot order.
-pub fn parameters(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
+pub(super) fn parameters(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
     let mut known = None;
     held.iter()
         .filter_map(|&id| {

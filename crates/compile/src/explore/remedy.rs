@@ -14,7 +14,7 @@
 //! the reason itself. Another sign mode changes no count of words, so it is no remedy for what does
 //! not fit.
 
-use crate::{DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy};
+use crate::{DEFAULT_RATE, Effort, Front, Objective, Options, Strategy};
 use nsim_ir::base::fixed::WeightBits;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -52,7 +52,7 @@ pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[T
     // What has cores fits: routes and tables follow from them.
     let fits = |network: &Quantised, target: &Target, copies: u32| -> Option<Fitting> {
         let front = Front::from(network.clone());
-        let made = front.partition(target, &Options { copies, ..quick }, &rates, Form::Written).ok()?;
+        let made = front.partition(target, &Options { copies, ..quick }, &rates).ok()?;
         Some(Fitting { cores: made.partition.cores() as u32, copies })
     };
     let mut found = Vec::new();
@@ -61,7 +61,7 @@ pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[T
     };
     if options.strategy != Strategy::default() {
         let options = Options { effort: Options::default().effort, strategy: Strategy::default(), ..quick };
-        let made = Front::from(one.clone()).partition(target, &options, &rates, Form::Written);
+        let made = Front::from(one.clone()).partition(target, &options, &rates);
         if let Ok(made) = made {
             let (strategy, cores) = (options.strategy.name(), made.partition.cores() as u32);
             keep(

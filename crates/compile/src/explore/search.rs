@@ -15,7 +15,7 @@ use crate::explore::box_costs::PlacedBoxes;
 use crate::explore::bursts::{bursts, followed_us, messages, population_bursts};
 use crate::explore::choice::{Bursts, Candidate, Choice, Found, Made};
 use crate::explore::cost_estimate::{Score, score_at};
-use crate::mapping::{Mapping, Synapses};
+use crate::mapping::Mapping;
 use crate::mapping_file::file_of_boxes;
 use crate::place::spread::spread;
 use crate::stages::{Front, Unchecked};
@@ -115,10 +115,7 @@ impl Bursts<Kept> for KeptBursts<'_> {
     fn expected(&mut self, kept: &Kept) -> Result<Vec<Score>> {
         match kept {
             Kept::Written(unchecked) => {
-                let Mapping { quantised, placement, program: Synapses::Written(program), .. } = unchecked.mapping()
-                else {
-                    return Ok(Vec::new());
-                };
+                let Mapping { quantised, placement, program, .. } = unchecked.mapping();
                 let bursts = self.rates.get_or_insert_with(|| bursts(quantised));
                 let score = |rates: &Rates| score_at(program, placement, self.copies, rates, self.target);
                 Ok(bursts.iter().map(score).collect::<Result<_, _>>()?)
@@ -129,9 +126,7 @@ impl Bursts<Kept> for KeptBursts<'_> {
 
     fn followed_us(&mut self, kept: &Kept) -> Result<Option<f64>> {
         let Kept::Written(unchecked) = kept else { return Ok(None) };
-        let Mapping { placement, program: Synapses::Written(program), .. } = unchecked.mapping() else {
-            return Ok(None);
-        };
+        let Mapping { placement, program, .. } = unchecked.mapping();
         let affordable = || (FOLLOWED / messages(program).max(1) as f64).min(1.0);
         let chance = *self.chance.get_or_insert_with(affordable);
         Ok(Some(followed_us(program, placement, self.target, self.copies, chance)?))
@@ -143,23 +138,22 @@ impl Bursts<Kept> for KeptBursts<'_> {
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Mapping> {
-    let target = &*form.counted_on(front.quantised(), target);
+pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Mapping> {
     let one = |front: Front, options: &Options| {
-        let mapping = map(front, target, options, rates, form)?;
+        let mapping = map(front, target, options, rates)?;
         Ok((mapping.partition.members().clone(), mapping.placement, mapping.placed))
     };
-    if let Some(spread) = spread(&front, target, options, rates, form, one)? {
+    if let Some(spread) = spread(&front, target, options, rates, one)? {
         return spread.emit(target, options)?.check(target);
     }
     if options.objective == Objective::Cores {
         return match options.effort {
-            Effort::Work(_) => compile::map(front, target, options, rates, form),
-            Effort::Within { end, .. } => by_the_clock(front, target, options, rates, (form, end)),
+            Effort::Work(_) => compile::map(front, target, options, rates),
+            Effort::Within { end, .. } => by_the_clock(front, target, options, rates, end),
         };
     }
     let begin = Instant::now();
-    let search = Search { form, front: &front, target, options, rates };
+    let search = Search::new(&front, target, options, rates);
     let ways = search.ways()?;
     let mut made = search.all(&ways, 0)?;
     if made.is_empty() {
@@ -175,7 +169,7 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form
         Kept::Written(unchecked) => unchecked.check(target)?,
         Kept::Symbolic { file, placed, .. } => {
             let compared = ("compare", begin.elapsed().as_secs_f64());
-            let mut again = compile::load(front, target, options, &file, Form::Symbolic)?;
+            let mut again = compile::load(front, target, options, &file)?;
             again.placed = placed;
             again.seconds.insert(0, compared);
             again
@@ -186,17 +180,11 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates, form
 }
 
 /// The best mapping found until a time: the quickest, unless there is time for a better one.
-fn by_the_clock(
-    front: Front,
-    target: &Target,
-    options: &Options,
-    rates: &Rates,
-    (form, end): (Form, Instant),
-) -> Result<Mapping> {
+fn by_the_clock(front: Front, target: &Target, options: &Options, rates: &Rates, end: Instant) -> Result<Mapping> {
     let begin = Instant::now();
     let given = end.saturating_duration_since(begin);
     let quick = Options { effort: Effort::Work(0), ..*options };
-    let mut best = compile::map(front.clone(), target, &quick, rates, form)?;
+    let mut best = compile::map(front.clone(), target, &quick, rates)?;
     best.options = *options;
     // What a mapping takes once its cores have their places.
     let finishing = |mapping: &Mapping| {
@@ -212,7 +200,7 @@ fn by_the_clock(
         let end = Instant::now() + left().saturating_sub(reserve).mul_f64(part);
         Options { effort: Effort::Within { budget_ms: 0, end }, ..*options }
     };
-    let partitioned = front.partition(target, &until(PARTITIONING), rates, form)?;
+    let partitioned = front.partition(target, &until(PARTITIONING), rates)?;
     let mut other = partitioned.place(target, &until(1.0))?.emit(target, options)?.check(target)?;
     let costs = |mapping: &Mapping| (mapping.partition.cores(), mapping.traffic().hops_multicast_per_step);
     let ((cores, hops), (most_cores, most_hops)) = (costs(&other), costs(&best));
@@ -228,9 +216,8 @@ fn by_the_clock(
 ///
 /// # Errors
 /// [`CompileError`] of the first candidate, when none fits.
-pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates, form: Form) -> Result<Vec<Found>> {
-    let target = &*form.counted_on(front.quantised(), target);
-    let search = Search { form, front, target, options, rates };
+pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates) -> Result<Vec<Found>> {
+    let search = Search::new(front, target, options, rates);
     Ok(search.all(&search.ways()?, 0)?.into_iter().map(|made| made.found).collect())
 }
 
@@ -243,19 +230,23 @@ struct Search<'a> {
     rates: &'a Rates,
 }
 
-impl Search<'_> {
+impl<'a> Search<'a> {
+    fn new(front: &'a Front, target: &'a Target, options: &'a Options, rates: &'a Rates) -> Self {
+        Search { form: front.form(options.copies), front, target, options, rates }
+    }
+
     /// Strategies, and the part of a core that each may fill, for as many as the effort allows.
     fn ways(&self) -> Result<Vec<(Strategy, u32)>> {
         let Search { front, target, options, .. } = self;
         let (one, copies) = (front.quantised(), u64::from(options.copies));
         let affordable = |each_second: u64, size: u64| options.effort.work(each_second) / size.max(1);
         if self.form == Form::Symbolic {
-            let layers = Layers::new(one)?;
+            let (layers, target) = (Layers::new(one)?, self.form.counted_on(one, target));
             let most = affordable(COMPARTMENTS_PER_SECOND, u64::from(one.compartments()) * copies).max(1);
             let may_fit = |&divisor: &u32| {
                 divisor == 1 || {
-                    let most_synapses = most_synapses(target, divisor);
-                    layers.may_fit(&divided(target, divisor, 0), copies, most_synapses)
+                    let most_synapses = most_synapses(&target, divisor);
+                    layers.may_fit(&divided(&target, divisor, 0), copies, most_synapses)
                 }
             };
             let divisors = DIVISORS.into_iter().take(most as usize).filter(may_fit);
@@ -345,7 +336,7 @@ impl Search<'_> {
     fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<Made<Kept>>> {
         let Search { front, form, target, rates, .. } = *self;
         let options = &Options { most_synapses: most_synapses(target, divisor), ..*options };
-        let partitioned = |words| front.clone().partition(&divided(target, divisor, words), options, rates, form);
+        let partitioned = |words| front.clone().partition(&divided(target, divisor, words), options, rates);
         let partitioned = match (partitioned(0), form) {
             (Err(error), Form::Written) => match words_for_one(&error, target) {
                 Some(words) => partitioned(words)?,
@@ -388,7 +379,7 @@ impl Search<'_> {
         let score = |rates: &PopulationRates| at_places.score(rates, &at_places.traffic(rates), target, options.copies);
         let bursts = bursts.iter().map(score).collect::<Result<_, _>>()?;
         let score = score(&everywhere(all, rates))?;
-        let file = Box::new(file_of_boxes(all, boxes, &placement, target.name(), options));
+        let file = Box::new(file_of_boxes(all, &boxes.lattices(), &placement, target.name(), options));
         Ok((score, Kept::Symbolic { file, placed, bursts }))
     }
 }

@@ -11,7 +11,7 @@ pub mod pruned;
 
 use std::path::Path;
 
-use crate::mapping::{Compiled, Mapping, Synapses};
+use crate::mapping::Mapping;
 use crate::mapping_file::pruned::pruned_file;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
@@ -26,7 +26,7 @@ use nsim_partition::form::Form;
 use nsim_partition::options::Options;
 use nsim_partition::resources::exact::usage;
 use nsim_partition::resources::packing::MOST_SLOTS;
-use nsim_partition::strategy::boxes::{Boxes, Layers};
+use nsim_partition::strategy::boxes::{Boxes, Lattices, Layers};
 use nsim_partition::strategy::members::{Members, partition_of};
 
 impl Mapping {
@@ -34,18 +34,10 @@ impl Mapping {
     #[must_use]
     pub fn mapping_file(&self) -> MappingFile {
         let Mapping { quantised, partition, placement, target, options, .. } = self;
-        match &self.program {
-            Synapses::Written(_) => file_of_cores(quantised, partition, placement, target, options),
-            Synapses::Symbolic(boxes) => file_of_boxes(quantised, boxes, placement, target, options),
+        match &self.lattices {
+            None => file_of_cores(quantised, partition, placement, target, options),
+            Some(lattices) => file_of_boxes(quantised, lattices, placement, target, options),
         }
-    }
-}
-
-impl Compiled {
-    /// The mapping as a file.
-    #[must_use]
-    pub fn mapping_file(&self) -> MappingFile {
-        file_of_cores(&self.quantised, &self.partition, &self.placement, &self.target, &self.options)
     }
 }
 
@@ -68,12 +60,12 @@ fn empty(network: &Quantised, target: &str, options: &Options) -> MappingFile {
 #[must_use]
 pub fn file_of_boxes(
     network: &Quantised,
-    boxes: &Boxes,
+    lattices: &Lattices,
     placement: &Placement,
     target: &str,
     options: &Options,
 ) -> MappingFile {
-    MappingFile { layers: layers::layers_of(network, &boxes.lattices(), placement), ..empty(network, target, options) }
+    MappingFile { layers: layers::layers_of(network, lattices, placement), ..empty(network, target, options) }
 }
 
 /// The file of a partition and placement.
@@ -104,8 +96,8 @@ fn file_of_cores(
     MappingFile { cores, ..empty(network, target, options) }
 }
 
-/// The partition and the placement that a file gives for all copies of a network, and the boxes of
-/// a symbolic mapping.
+/// The partition and the placement that a file gives for all copies of a network, and where it cuts
+/// layers.
 ///
 /// # Errors
 /// [`CompileError::Input`] when the file is of another network or target, names what there is not,
@@ -115,7 +107,7 @@ pub fn load(
     all: &Quantised,
     target: &Target,
     form: Form,
-) -> Result<(Partition, Placement, Option<Boxes>), CompileError> {
+) -> Result<(Partition, Placement, Option<Lattices>), CompileError> {
     let loaded = loaded(file, all, target, form)?;
     check_unchanged(file)?;
     Ok(loaded)
@@ -127,15 +119,15 @@ fn loaded(
     all: &Quantised,
     target: &Target,
     form: Form,
-) -> Result<(Partition, Placement, Option<Boxes>), CompileError> {
+) -> Result<(Partition, Placement, Option<Lattices>), CompileError> {
     let limits = target.limits();
     if form == Form::Symbolic {
         belongs(file, all, target)?;
         let layers = Layers::new(all)?;
         let (lattices, placement) = layers::outline(file, all, &layers.layers, target)?;
         let boxes = Boxes::of_lattices(&layers, &lattices, limits);
-        let (partition, boxes) = boxes.into_partition(all, &chips_of(&placement), limits)?;
-        return Ok((partition, placement, Some(boxes)));
+        let (partition, _) = boxes.into_partition(all, &chips_of(&placement), limits)?;
+        return Ok((partition, placement, Some(lattices)));
     }
     let (members, sites) = membership(file, all, target)?;
     let partition = partition_on(all, members, &sites, target)?;

@@ -149,7 +149,7 @@ fn traffic(network: &Quantised, partition: &Partition, unit_of: &IdVec<CoreId, u
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DEFAULT_RATE, Form, Front};
+    use crate::{DEFAULT_RATE, Front};
     use crate::{Options, Partitioned};
     use nsim_ir::firing_rates::Rates;
     use nsim_ir::resource::Resource;
@@ -159,7 +159,7 @@ mod tests {
         let board = target(4, 2, limits().with(Resource::Compartments, 6));
         let front = Front::from(random_network(seed));
         let rates = Rates::assumed(DEFAULT_RATE);
-        let partitioned = front.partition(&board, &Options::default(), &rates, Form::Written).unwrap();
+        let partitioned = front.partition(&board, &Options::default(), &rates).unwrap();
         let (placement, _) = partitioned.placement(&board, &Options::default()).unwrap();
         (partitioned, placement)
     }

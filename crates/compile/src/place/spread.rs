@@ -28,11 +28,10 @@ pub fn spread(
     target: &Target,
     options: &Options,
     rates: &Rates,
-    form: Form,
     one: impl FnOnce(Front, &Options) -> Result<(Members, Placement, &'static str)>,
 ) -> Result<Option<Placed>> {
     let Options { copies, placement, .. } = *options;
-    if copies < 2 || placement == CopyPlacement::Packed || form == Form::Symbolic {
+    if copies < 2 || placement == CopyPlacement::Packed || front.form(copies) == Form::Symbolic {
         return Ok(None);
     }
     // No chip has room for more cores than there are: which reason to give is for packing to say.

@@ -88,8 +88,7 @@ impl Timing {
         Picoseconds(table.barrier(self.tiles_used).0.saturating_add(between.0))
     }
 
-    /// The parts of a step's time that no count of cores or messages enters: the time of its cores
-    /// and messages is 0.
+    /// The parts of a step's time without cores and messages, whose time is 0.
     #[must_use]
     pub fn host_and_barrier(&self, spikes_in: u64, table: &CostTable) -> StepTime {
         StepTime {
@@ -103,8 +102,7 @@ impl Timing {
 }
 
 impl MessageRoutes {
-    /// The times of a step under each preset, (11) or (17). The memory is that of an earlier step,
-    /// so that a step allocates nothing of the mesh's size.
+    /// The times of a step under each preset, (11) or (17); the memory is reused between steps.
     #[must_use]
     pub fn step_times(
         &self,
@@ -284,8 +282,7 @@ pub(crate) mod tests {
         spikes[3] = &[(1, 7)];
         let routes = routes(&[(0, 0), (2, 1)], &[], &spikes);
         let step = step(2, &[], &[3]);
-        // Four visits, the spike, the axon; two links east and one south; an axon and seven
-        // synapses.
+        // Four visits, the spike, the axon; two links east, one south; an axon, seven synapses.
         let (sent, way, handled) = (4 * 6_000 + 30_000 + 5_100, 2 * 4_100 + 6_500, 16_000 + 7 * 3_800);
         assert_eq!(queued(&routes, &step, &sana), sent + way + handled);
         // Six more visits follow while it is under way.
@@ -369,8 +366,7 @@ pub(crate) mod tests {
         assert_eq!(time(0), 4_100 + 12 * each);
         // The receiver is slower than the injection: it began with the first of twelve spikes.
         assert_eq!(time(12 * 1_000), 1_000 + 4_100 + 12 * each - 12 * 1_000);
-        // It waits for each: the last one is left when the injection ends, and the visits are
-        // shorter.
+        // It waits for each: the last one is left when the injection ends.
         assert_eq!(time(12 * 1_000_000), 4_100 + each);
     }
 }

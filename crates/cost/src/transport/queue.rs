@@ -31,8 +31,7 @@ struct Ready {
     handling: u64,
 }
 
-/// Occupancy is fixed-point in fractions of a message: integers, so that subtracting undoes adding
-/// exactly.
+/// Occupancy is fixed-point in fractions of a message, so that subtracting undoes adding.
 const MESSAGE: u64 = 1 << 32;
 
 /// What the queue needs of memory, to be used again. Every number is 0 between two steps, but for
@@ -49,8 +48,7 @@ pub struct QueueMemory {
     done: Vec<u64>,
     /// Time of receipt, sender, receiver, handling.
     under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
-    /// The links of the message that is sent, and which of them join two chips; the sender's own is
-    /// first.
+    /// Links of the message that is sent, the sender's first, and whether each joins two chips.
     path: Vec<(Link, bool)>,
     /// What each sender sends, and how long it is busy after that.
     senders: Vec<(Vec<Ready>, u64)>,
@@ -158,8 +156,7 @@ impl<'w> Queue<'w> {
             }
         }
         if quick.is_none() {
-            // Chips are served side by side: a spike is the next of the port that its first message
-            // enters by.
+            // Chips are served in parallel: a spike counts at the port of its first message.
             let mut spikes = vec![0u128; region.tiles.len() - region.cores + 1];
             let mut ports = region.ports(routes, step);
             for &(kind, first) in &region.groups {
@@ -234,8 +231,7 @@ impl<'w> Queue<'w> {
         }
     }
 
-    /// Sends a message at `now`; returns when its sender was done with it and when its receiver
-    /// was.
+    /// Sends a message at `now`; returns when its sender and its receiver were done with it.
     fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
         let (region, table, to) = (self.region, self.table, message.to as usize);
         let QueueMemory { occupied, free, touched, done, under_way, path, .. } = &mut *self.memory;
@@ -275,8 +271,7 @@ impl<'w> Queue<'w> {
         (leaves, done[to])
     }
 
-    /// The busiest core's own time and what the mesh adds to it, both counted from the end of the
-    /// injection.
+    /// The busiest core's time and what the mesh adds, both from the end of the injection.
     pub(super) fn run(self, step: &StepActivity, injection: Picoseconds, most: u64) -> (Picoseconds, Picoseconds) {
         self.follow(step, injection, most, true)
     }

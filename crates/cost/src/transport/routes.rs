@@ -47,8 +47,7 @@ pub struct MessageRoutes {
     /// What a spike's messages cross, in all groups: of each channel, then of each compartment.
     /// Empty where the program is all there is, whose steps have it counted.
     pub(super) crossed: Vec<Crossed>,
-    /// What input spikes take under the first preset that asked, where [`InputTimes::new`] finds
-    /// them simple.
+    /// Times of input spikes under the first preset that asked, if [`InputTimes::new`] has them.
     pub(super) input_times: OnceLock<Option<InputTimes>>,
 }
 
@@ -74,8 +73,7 @@ pub(super) struct InputTimes {
 }
 
 impl InputTimes {
-    /// Of the inputs of one group of cores on one chip, each of which sends one message at most;
-    /// `None` of others.
+    /// Of one group of cores on one chip whose inputs send one message at most, else `None`.
     fn new(routes: &MessageRoutes, table: &CostTable) -> Option<Self> {
         let ([_], [region]) = (routes.kinds.as_slice(), routes.regions.as_slice()) else { return None };
         if !region.is_simple() {
@@ -126,8 +124,7 @@ pub(super) struct Crossed {
 
 /// Chips that exchange messages with no others.
 ///
-/// Senders are the cores and, behind them, the port of each chip, through which its inputs enter:
-/// the chip's corner.
+/// Senders are the cores, then the port of each chip for its inputs: the chip's corner.
 #[derive(Debug, Clone)]
 pub(super) struct Region {
     pub(super) columns: u32,
@@ -237,8 +234,7 @@ impl MessageRoutes {
         MessageRoutes::new(program, &[kind], &[(0, &sites)])
     }
 
-    /// The routes of the messages of all groups, in the numbers of the program that stands for
-    /// them.
+    /// The routes of the messages of all groups, in the numbers of their common program.
     #[must_use]
     pub fn of_groups(groups: &CoreGroups) -> Self {
         let of_group = groups.groups.iter().map(|group| (group.kind, group.sites.as_slice()));
@@ -424,8 +420,7 @@ impl Region {
             return [0; 2];
         }
         // Difference arrays over rows (east, west) and columns (south, north): +1 where a message
-        // enters a line of tiles, -1 where it leaves, so the cost is independent of the route's
-        // length.
+        // enters a line of tiles, -1 where it leaves: the cost does not grow with the route.
         let (columns, rows) = (self.columns as usize, self.rows as usize);
         let mut lines = [(); 4].map(|()| vec![0i32; columns * rows]);
         self.each_message(routes, step, |sender, to, _| {

@@ -71,8 +71,7 @@ pub struct Roofline {
     pub peak_gflops: RooflineFigure,
     /// Greatest rate of memory, in 10^9 bytes a second.
     pub bandwidth_gb_s: RooflineFigure,
-    /// Time that a layer takes however small it is, for each window, in us: launches, and the
-    /// framework around them.
+    /// Least time of a layer in a window, us: launches and the framework around them.
     pub layer_overhead_us: RooflineFigure,
     /// Power at idle, in mW.
     pub idle_mw: RooflineFigure,

@@ -1,10 +1,14 @@
-//! The mirror of tables of measurements (`mapping/measurements`): what a published workload needed
-//! on the chip.
+//! Tables of measurements (`mapping/measurements`): what a published workload needed on the chip.
+//!
+//! Input: a path or the name of a shipped table. Output: a [`MeasurementsFile`] in which every unit
+//! and figure that it names exists and every cell is a positive number.
 
 use serde::Deserialize;
 
 use nsim_cost::job::Mode;
-use nsim_ir::spanned::Spanned;
+use nsim_files::shipped;
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::spanned::{Spanned, parse};
 
 /// One cell of a table.
 #[derive(Debug, Clone, Deserialize)]
@@ -50,4 +54,81 @@ pub struct MeasurementsFile {
     pub steps_per_sample: u32,
     /// The cells.
     pub cells: Vec<MeasuredCell>,
+}
+
+/// Units of a row that a table may name.
+pub const UNITS: [&str; 3] = ["x86", "neuron", "total"];
+/// Figures of a row that a table may name.
+pub const FIGURES: [&str; 6] = ["static_mw", "dynamic_mw", "total_mw", "latency_us", "energy_uj", "edp_pjs"];
+
+/// Loads a table: a path, `-`, or a shipped name.
+///
+/// # Errors
+/// `measurements.*`, `io.*`.
+pub fn load_measurements(argument: &str) -> Result<MeasurementsFile> {
+    let (source, _) =
+        shipped::text_of(argument, shipped::MEASUREMENTS, "table of measurements", "measurements.unknown")?;
+    measurements(&source)
+}
+
+/// A table from its text.
+///
+/// # Errors
+/// `measurements.syntax`, `measurements.name`, `measurements.cell`.
+pub fn measurements(source: &SourceText) -> Result<MeasurementsFile> {
+    let file: MeasurementsFile = parse(source, "measurements.syntax")?;
+    let known = |what: &str, name: &Spanned<String>, names: &[&str]| match names.contains(&name.value.as_str()) {
+        true => Ok(()),
+        false => Err(Diagnostic::new("measurements.name", format!("there is no {what} {}", name.value))
+            .help(format!("there are: {}", names.join(", ")))
+            .at(source, name.span)),
+    };
+    for cell in &file.cells {
+        known("unit", &cell.unit, &UNITS)?;
+        known("figure", &cell.figure, &FIGURES)?;
+        if cell.value().is_none() {
+            return Err(Diagnostic::new(
+                "measurements.cell",
+                format!("'{}' is no positive decimal", cell.printed.value),
+            )
+            .at(source, cell.printed.span));
+        }
+    }
+    if file.copies == 0 || file.cells.is_empty() {
+        return Err(
+            Diagnostic::new("measurements.cell", "a table has at least one copy and one cell").in_file(source.path())
+        );
+    }
+    Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shipped_tables_are_well_formed() {
+        for table in shipped::MEASUREMENTS {
+            assert_eq!(measurements(&table.source()).unwrap().cells.len(), 14);
+        }
+    }
+
+    #[test]
+    fn what_a_table_names_has_to_exist() {
+        let text = shipped::MEASUREMENTS[0].text;
+        let wrong = |from: &str, to: &str| {
+            let problem = measurements(&SourceText::new("t.ron", text.replacen(from, to, 1))).unwrap_err();
+            assert!(problem.position().is_some(), "{problem}");
+            problem.message
+        };
+        assert!(wrong("unit: \"x86\"", "unit: \"x87\"").contains("no unit x87"));
+        assert!(wrong("\"0.19\"", "\"-0.19\"").contains("'-0.19'"));
+    }
+
+    #[test]
+    fn the_last_digit_says_how_a_cell_is_rounded() {
+        let file = measurements(&shipped::MEASUREMENTS[0].source()).unwrap();
+        let of = |printed: &str| file.cells.iter().find(|cell| cell.printed.value == printed).unwrap().value().unwrap();
+        assert_eq!((of("0.19"), of("231")), ((0.19, 0.005), (231.0, 0.5)));
+    }
 }

@@ -1,10 +1,15 @@
-//! The mirror of scenario files (`mapping/scenarios`): a published job, with the numbers of cores
-//! that it ran on.
+//! Scenario files (`mapping/scenarios`): a published job, with the numbers of cores that it ran on.
+//!
+//! Input: the text of a scenario, or the name of a shipped model. Output: a [`ScenarioFile`] whose
+//! numbers of cores are possible and whose tables of measurements are shipped. Errors:
+//! `scenario.syntax`, `scenario.number`, `scenario.measured`.
 
 use serde::Deserialize;
 
 use nsim_cost::job::DeployedCores;
-use nsim_ir::spanned::Spanned;
+use nsim_files::shipped;
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::spanned::{Spanned, parse};
 
 /// A scenario file.
 #[derive(Debug, Clone, Deserialize)]
@@ -35,4 +40,86 @@ pub struct ScenarioFile {
     pub source: String,
     /// What is inferred.
     pub notes: String,
+}
+
+/// The scenario that ships for a model; a path names no shipped model.
+///
+/// # Errors
+/// As [`scenario`].
+pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
+    if shipped::is_path(model) {
+        return Ok(None);
+    }
+    let scenarios = shipped::SCENARIOS.iter().map(|shipped| scenario(&shipped.source())).collect::<Result<Vec<_>, _>>();
+    Ok(scenarios?.into_iter().find(|scenario| scenario.model == model))
+}
+
+/// A scenario from its text.
+///
+/// # Errors
+/// A diagnostic where the file is malformed, a number of cores is 0 or exceeds what contains it, or
+/// a table of measurements does not ship.
+pub fn scenario(source: &SourceText) -> Result<ScenarioFile> {
+    let file: ScenarioFile = parse(source, "scenario.syntax")?;
+    if file.copies.value == 0 {
+        return Err(Diagnostic::new("scenario.number", "a scenario has at least one copy").at(source, file.copies.span));
+    }
+    let cores = &file.deployment.value;
+    let some = [cores.cores_used, cores.chips_used].iter().all(|&number| number > 0);
+    if !some || cores.chips_used > cores.cores_used || file.compartments_per_core == Some(0) {
+        let message = "a deployment has cores and chips, and no more chips than cores";
+        return Err(Diagnostic::new("scenario.number", message).at(source, file.deployment.span));
+    }
+    for table in &file.measured {
+        if shipped::Shipped::find(shipped::MEASUREMENTS, &table.value).is_none() {
+            let unknown = shipped::unknown("scenario.measured", "table of measurements", table, shipped::MEASUREMENTS);
+            return Err(unknown.at(source, table.span));
+        }
+    }
+    Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::published::measurement::load_measurements;
+    use nsim_files::target::load_target;
+    use nsim_import::model::load_model;
+
+    #[test]
+    fn shipped_scenarios_name_what_ships_and_agree_with_their_tables() {
+        for shipped in shipped::SCENARIOS {
+            let file = scenario(&shipped.source()).unwrap();
+            assert_eq!(load_model(&file.model).unwrap().file().name, file.model);
+            assert!(u64::from(load_target(&file.target).unwrap().cores()) >= file.deployment.value.cores_used);
+            for table in &file.measured {
+                let table = load_measurements(table).unwrap();
+                let job = (&table.model, &table.target, table.copies);
+                assert_eq!(job, (&file.model, &file.target, file.copies.value));
+            }
+        }
+    }
+
+    #[test]
+    fn only_shipped_models_have_a_shipped_scenario() {
+        assert_eq!(shipped_for("vtsnn-slip").unwrap().unwrap().copies.value, 32);
+        assert!(shipped_for("slip-tactile").unwrap().is_none());
+        assert!(shipped_for("models/vtsnn-slip.ron").unwrap().is_none());
+    }
+
+    #[test]
+    fn impossible_numbers_are_refused_where_they_stand() {
+        let text = shipped::SCENARIOS[0].text;
+        for (from, to, code) in [
+            ("copies: 32", "copies: 0", "scenario.number"),
+            ("chips_used: 5", "chips_used: 595", "scenario.number"),
+            ("cores_used: 594", "cores_used: 0", "scenario.number"),
+            ("\"vtsnn-offline\"", "\"vtsnn\"", "scenario.measured"),
+            ("input_relays: true", "input_relays: yes", "scenario.syntax"),
+        ] {
+            let problem = scenario(&SourceText::new("s.ron", text.replacen(from, to, 1))).unwrap_err();
+            assert_eq!(problem.code, code, "{problem}");
+            assert!(problem.position().is_some(), "{problem}");
+        }
+    }
 }

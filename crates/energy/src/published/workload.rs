@@ -1,5 +1,9 @@
-//! The mirror of published workloads (`mapping/workloads`): a network that somebody measured on the
-//! chip, as closely as its source lets it be rebuilt, and the figures that were printed.
+//! Published workloads (`mapping/workloads`): a network that somebody measured on the chip, as
+//! closely as its source lets it be rebuilt, and the figures that were printed.
+//!
+//! Input: the name of a shipped workload. Output: a [`WorkloadFile`] whose shapes and rates are
+//! possible and whose projections join populations that it has. Errors: `workload.syntax`,
+//! `workload.population`, `workload.rate`, `workload.layout`, `workload.figure`.
 //!
 //! A rate that no source prints is given as a range and marked assumed: the range enters the
 //! interval of every figure that follows from it. Weights are not part of a workload: they decide
@@ -7,11 +11,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use nsim_cost::job::Accounting;
-use nsim_cost::job::Host;
+use nsim_cost::job::{Accounting, Host};
+use nsim_files::shipped;
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::names::named_variants;
 use nsim_ir::hardware::constants::{FigureClass, Status};
-use nsim_ir::spanned::Spanned;
+use nsim_ir::spanned::{Spanned, parse};
 
 /// What a figure is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -108,8 +113,7 @@ impl Quantity {
         }
     }
 
-    /// Figures that are wrong together with it; `None` of sums and differences, which no class
-    /// bounds.
+    /// The class of its error; `None` of sums and differences, which no class bounds.
     pub fn class(self) -> Option<FigureClass> {
         Some(match self {
             Quantity::CoreStaticPower | Quantity::X86StaticPower => FigureClass::Static,
@@ -156,12 +160,10 @@ pub enum WorkloadPopulation {
         name: String,
         /// Channels, height, width; or one number.
         shape: Vec<u32>,
-        /// How often a compartment spikes: spikes a compartment and step, the mean over
-        /// compartments and steps.
+        /// Spikes a compartment and step, the mean over compartments and steps.
         rate: Between,
     },
-    /// A compartment for each unit of an input population, which spikes one step after it: what
-    /// hands inputs on to other cores.
+    /// A compartment for each input unit, which spikes a step later: it hands inputs on.
     Relay {
         /// Its name.
         name: String,
@@ -193,8 +195,7 @@ pub enum WorkloadProjection {
         /// Stride.
         stride: u32,
     },
-    /// This many synapses of each source, spread evenly over as many units of the target around the
-    /// source's own place.
+    /// Synapses of each source, spread evenly over `reach` targets around its own place.
     Local {
         /// Source.
         from: String,
@@ -316,8 +317,7 @@ pub struct WorkloadFile {
     pub populations: Vec<WorkloadPopulation>,
     /// The projections.
     pub projections: Vec<WorkloadProjection>,
-    /// The share of steps in which a compartment is not at rest; in all of them where it is not
-    /// given.
+    /// Share of steps in which a compartment is active; by default all.
     #[serde(default = "always")]
     pub active_share: Between,
     /// Cores of each layer, as the source printed or placed them.
@@ -360,6 +360,102 @@ impl WorkloadProjection {
             | WorkloadProjection::Conv { from, to, .. }
             | WorkloadProjection::Local { from, to, .. }
             | WorkloadProjection::Random { from, to, .. } => [from, to],
+        }
+    }
+}
+
+/// The most units of a population.
+const MOST_UNITS: u64 = 1 << 22;
+
+fn is_ordered(range: Between) -> bool {
+    0.0 <= range.low && range.low <= range.value && range.value <= range.high
+}
+
+/// Every workload that ships, in the order in which tables show them.
+///
+/// # Errors
+/// As [`workload`].
+pub fn shipped() -> Result<Vec<WorkloadFile>> {
+    shipped::WORKLOADS.iter().map(|file| workload(&file.source())).collect()
+}
+
+/// A workload from its text.
+///
+/// # Errors
+/// A diagnostic where the file is malformed or contradicts itself.
+pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
+    let file: WorkloadFile = parse(source, "workload.syntax")?;
+    let wrong = |code, message: String| Err(Diagnostic::new(code, message).in_file(source.path()));
+    for population in &file.populations {
+        let (name, shape, rate) = population.parts();
+        let units: u64 = shape.iter().map(|&side| u64::from(side)).product();
+        if !matches!(shape.len(), 1 | 3) || !(1..=MOST_UNITS).contains(&units) {
+            return wrong("workload.population", format!("{name}: a shape is one number or three, at most 2^22 units"));
+        }
+        if rate.is_some_and(|rate| !is_ordered(rate) || rate.high > 0.5) {
+            return wrong("workload.rate", format!("{name}: rates are 0 <= low <= value <= high <= 0.5"));
+        }
+        if let WorkloadPopulation::Relay { of, .. } = population {
+            let is_source = |other: &WorkloadPopulation| {
+                let (own, of_shape, _) = other.parts();
+                matches!(other, WorkloadPopulation::Input { .. }) && own == of && of_shape == shape
+            };
+            if !file.populations.iter().any(is_source) {
+                return wrong("workload.population", format!("{name}: there is no input population {of} of its shape"));
+            }
+        }
+    }
+    for projection in &file.projections {
+        for end in projection.ends() {
+            if !file.populations.iter().any(|population| population.parts().0 == end) {
+                return wrong("workload.population", format!("there is no population {end}"));
+            }
+        }
+    }
+    if let Some(figure) = file.figures.iter().find(|figure| !figure.published.value.is_finite()) {
+        let problem = Diagnostic::new("workload.figure", "a figure is a finite number");
+        return Err(problem.at(source, figure.published.span));
+    }
+    if !is_ordered(file.active_share) || file.active_share.high > 1.0 {
+        return wrong("workload.rate", "active_share is 0 <= low <= value <= high <= 1".to_string());
+    }
+    let mut placed: Vec<&str> = Vec::new();
+    for name in file.layout.iter().flat_map(|part| &part.layers) {
+        let is_layer = |other: &WorkloadPopulation| {
+            !matches!(other, WorkloadPopulation::Input { .. }) && other.parts().0 == name.value
+        };
+        if placed.contains(&name.value.as_str()) || !file.populations.iter().any(is_layer) {
+            let message = format!("{} is no layer, or is on cores twice", name.value);
+            return Err(Diagnostic::new("workload.layout", message).at(source, name.span));
+        }
+        placed.push(&name.value);
+    }
+    let layers = file.populations.iter().filter(|one| !matches!(one, WorkloadPopulation::Input { .. })).count();
+    if placed.len() != layers || file.layout.iter().any(|part| part.cores == 0) {
+        return wrong("workload.layout", "every layer is on one core at least".to_string());
+    }
+    let WorkloadDeployment { copies, cores_used, chips_used, board_chips, .. } = file.deployment;
+    if copies == 0 || file.steps == 0 || cores_used == 0 || chips_used == 0 || chips_used > board_chips {
+        let message = "copies, cores, chips and steps are at least 1, chips in use at most those of the board";
+        return wrong("workload.figure", message.to_string());
+    }
+    Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shipped_workloads_are_well_formed_and_say_what_was_assumed() {
+        let all = shipped().unwrap();
+        let works: std::collections::BTreeSet<&str> =
+            all.iter().filter(|file| file.first_hand).map(|file| file.work.as_str()).collect();
+        assert!(works.len() >= 10, "{works:?}");
+        for file in &all {
+            assert!(!file.figures.is_empty() && !file.source.is_empty(), "{}", file.name);
+            assert!(file.activity == Status::Published || !file.assumed.is_empty(), "{}", file.name);
+            nsim_files::target::load_target(&file.target.value).unwrap();
         }
     }
 }

@@ -6,9 +6,8 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use super::format::{plain, short};
 use nsim_cost::estimate::{EnergyRow, FigureSource};
-use nsim_files::table::wrapped;
+use nsim_files::table::{table, three, wrapped};
 
 /// Other hardware over the simulated chip: above 1, the chip needs less.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -103,24 +102,23 @@ impl Comparison {
     pub(super) fn text(&self) -> String {
         let mut out = String::new();
         if !self.ratios.is_empty() {
-            let mut table = plain(&["Over the chip's", "Power", "Latency", "Energy", "EDP"]);
-            for ratio in &self.ratios {
-                let times = |x: f64| format!("{} x", short(x));
+            let row = |ratio: &Ratio| {
+                let times = |x: f64| format!("{} x", three(x));
                 let ratios = [ratio.total_mw, ratio.latency_us, ratio.energy_uj, ratio.edp_pjs].map(times);
-                table.add_row(std::iter::once(ratio.hardware.clone()).chain(ratios));
-            }
-            let _ = writeln!(out, "Other hardware, physical:\n{}\n", table.trim_fmt());
+                std::iter::once(ratio.hardware.clone()).chain(ratios).collect()
+            };
+            let rows: Vec<Vec<String>> = self.ratios.iter().map(row).collect();
+            let header = ["Over the chip's", "Power", "Latency", "Energy", "EDP"];
+            let _ = writeln!(out, "Other hardware, physical:\n{}", table(&header, &rows));
         }
         if !self.per_sample.is_empty() {
-            let mut table = plain(&["One sample on", "Time (ms)", "Energy (uJ)"]);
-            for PerSample { hardware, time_us, energy_uj } in &self.per_sample {
-                table.add_row([hardware.clone(), short(time_us / 1e3), short(*energy_uj)]);
-            }
-            if let Some(decision) = &self.per_decision {
-                let name = format!("loihi, until decided ({})", decision.rule);
-                table.add_row([name, short(decision.time_us / 1e3), short(decision.energy_uj)]);
-            }
-            let _ = writeln!(out, "{}", table.trim_fmt());
+            let row = |name: String, time_us: f64, energy_uj: f64| vec![name, three(time_us / 1e3), three(energy_uj)];
+            let samples = self.per_sample.iter().map(|on| row(on.hardware.clone(), on.time_us, on.energy_uj));
+            let decided = self.per_decision.iter().map(|decision| {
+                row(format!("loihi, until decided ({})", decision.rule), decision.time_us, decision.energy_uj)
+            });
+            let rows: Vec<Vec<String>> = samples.chain(decided).collect();
+            out += &table(&["One sample on", "Time (ms)", "Energy (uJ)"], &rows);
             if let Some(decision) = &self.per_decision {
                 out +=
                     &wrapped(&format!("{:.1} % of the samples are decided before their end.", 100.0 * decision.early));

@@ -1,27 +1,13 @@
 //! Tables and figures as the reports of energy print them.
 
-use comfy_table::{CellAlignment, Table};
-
-use nsim_files::table as text;
 use nsim_files::table::digits;
-
-/// An empty table: the first column, units and sources to the left, figures to the right.
-pub(super) fn plain(header: &[&str]) -> Table {
-    let mut table = text::table(header);
-    for (i, column) in table.column_iter_mut().enumerate() {
-        let left = i == 0 || matches!(header[i], "Unit" | "Source");
-        column.set_cell_alignment(if left { CellAlignment::Left } else { CellAlignment::Right });
-    }
-    table
-}
 
 /// What stands for a figure that is not known.
 pub(super) fn unknown() -> String {
     "unknown".to_string()
 }
 
-/// An end of an interval: two significant digits, three of hundreds, thousands as `2.8k`, without a
-/// zero before the point.
+/// An end of an interval: two significant digits, `2.8k` for thousands, no leading zero.
 pub(super) fn brief(x: f64) -> String {
     let text = match x {
         1e6.. => format!("{}M", digits(x / 1e6, 2)),
@@ -32,8 +18,7 @@ pub(super) fn brief(x: f64) -> String {
     text.strip_prefix('0').filter(|rest| rest.starts_with('.')).map_or(text.clone(), str::to_string)
 }
 
-/// A figure with at least five significant digits and no more than six decimals, without trailing
-/// zeros.
+/// A figure of five significant digits or more, at most six decimals, no trailing zeros.
 pub(super) fn short(x: f64) -> String {
     if x == 0.0 || !x.is_finite() {
         return format!("{x}");

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::Comparison;
-use super::format::{brief, plain, short, unknown};
+use super::format::{brief, short, unknown};
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
@@ -17,7 +17,7 @@ use nsim_cost::estimate::{Bound, Convention, EnergyRow, Estimate, FigureSource, 
 use nsim_cost::job::Accounting;
 use nsim_cost::job::Mode;
 use nsim_cost::{Host, Transport};
-use nsim_files::table::{count, csv, csv_text, three, wrapped};
+use nsim_files::table::{count, csv, csv_text, table, three, wrapped};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
@@ -133,8 +133,7 @@ pub struct EnergyReport {
     pub constants: Vec<ConstantEntry>,
     /// By population, input and core, and what to warn of.
     pub detail: Detail,
-    /// What `nsim map` expects of a mean step of this mapping, given how often each source spiked
-    /// in the run.
+    /// What `nsim map` expects of a mean step, given the firing rates of the run.
     pub expected: Option<Score>,
     /// The published job of the model, if there is one.
     pub job: Option<ScenarioFile>,
@@ -270,8 +269,7 @@ impl EnergyReport {
         csv(self.rows(), columns)
     }
 
-    /// The energy-delay product of a row in the unit of the table: nJ s, or pJ s as the paper
-    /// computes it.
+    /// The energy-delay product of a row in the table's unit: nJ s, or the paper's pJ s.
     fn edp(&self, pjs: f64) -> f64 {
         if self.convention() == Convention::Physical { pjs / 1e3 } else { pjs }
     }
@@ -475,8 +473,7 @@ impl EnergyReport {
         out
     }
 
-    /// The table as comma-separated values, for a table in a paper: the same lines, each with all
-    /// of its cells.
+    /// The table as comma-separated values for a paper: the same lines with all cells.
     pub fn paper_csv(&self) -> String {
         let physical = self.convention() == Convention::Physical;
         let energy = if physical { "Energy (\u{b5}J)" } else { "Energy (mW / steps)" };
@@ -539,28 +536,31 @@ impl EnergyReport {
     /// Shares of the `total` row by the status of constants, column by column.
     fn shares(&self) -> String {
         let Some(row) = self.total() else { return String::new() };
-        let mut table = plain(&["From constants", "published", "fitted", "assumed"]);
+        let mut rows = Vec::new();
         let columns = [("static power", row.shares.static_mw), ("dynamic power", row.shares.dynamic_mw)];
         for (name, share) in columns.into_iter().chain([("total power", row.share), ("latency", row.shares.latency_us)])
         {
             let Some(StatusShare { published, fitted, assumed }) = share else { continue };
             let cells = [published, fitted, assumed].map(|share| format!("{:.0} %", 100.0 * share));
-            table.add_row([name.to_string()].into_iter().chain(cells));
+            rows.push([name.to_string()].into_iter().chain(cells).collect());
         }
-        if table.row_count() == 0 { String::new() } else { format!("{}\n\n", table.trim_fmt()) }
+        if rows.is_empty() {
+            return String::new();
+        }
+        table(&["From constants", "published", "fitted", "assumed"], &rows) + "\n"
     }
 
     fn breakdown(&self) -> String {
         let mut out = String::new();
         let Some(parts) = &self.estimate.breakdown_pj else { return out };
         let total: f64 = parts.iter().map(|(_, pj)| pj).sum();
-        let mut table = plain(&["Dynamic energy of the neuron cores", "pJ per timestep", "Share"]);
-        for &(name, pj) in parts {
+        let row = |(name, pj): &(_, f64)| {
             let share = if total > 0.0 { format!("{:.1} %", 100.0 * pj / total) } else { unknown() };
-            table.add_row([name.to_string(), short(pj), share]);
-        }
-        table.add_row(["sum".to_string(), short(total), String::new()]);
-        let _ = writeln!(out, "{}\n", table.trim_fmt());
+            vec![<&str>::to_string(name), three(*pj), share]
+        };
+        let mut rows: Vec<Vec<String>> = parts.iter().map(row).collect();
+        rows.push(vec!["sum".to_string(), three(total), String::new()]);
+        let _ = writeln!(out, "{}", table(&["Dynamic energy of the neuron cores", "pJ per timestep", "Share"], &rows));
         if let Some(times) = self.estimate.time_us {
             let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", short(*us))).collect();
             out += &wrapped(&format!("Work of a timestep, mean in us: {}.", listed.join(", ")));

@@ -44,21 +44,16 @@ impl Network {
                 ProjectionKind::Arrays(arrays) => {
                     let sources = projection.from.iter().map(size).sum();
                     let declared = place(self.source(), &format!("projections.[{index}]"));
-                    let mut by_delay: BTreeMap<Option<u32>, Vec<(u64, u64, f64)>> = BTreeMap::new();
-                    for synapse in arrays.read(
-                        |array| self.array(array),
-                        (self.source(), declared),
-                        (sources, size(&projection.to)),
-                    )? {
-                        let synapse = synapse?;
-                        let listed = by_delay.entry(synapse.delay).or_default();
-                        listed.push((synapse.source.into(), synapse.target.into(), synapse.weight));
+                    let stored = |array| self.array(array);
+                    let sizes = (sources, size(&projection.to));
+                    for (delay, listed) in arrays.read(stored, (self.source(), declared), sizes)? {
+                        let wide = listed.into_iter().map(|(from, to, weight, _)| (from.into(), to.into(), weight));
+                        projections.push(ProjectionDesc {
+                            kind: ProjectionKind::Sparse(wide.collect()),
+                            delay: delay.unwrap_or(projection.delay),
+                            ..projection.clone()
+                        });
                     }
-                    projections.extend(by_delay.into_iter().map(|(delay, listed)| ProjectionDesc {
-                        kind: ProjectionKind::Sparse(listed),
-                        delay: delay.unwrap_or(projection.delay),
-                        ..projection.clone()
-                    }));
                     continue;
                 }
             }

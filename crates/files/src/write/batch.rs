@@ -105,10 +105,11 @@ impl Batch {
             Ok(named) if named.is_symlink() => path.canonicalize().map_err(fail)?,
             _ => path.to_path_buf(),
         };
-        let mut out = BufWriter::new(Temporary::new(&disk::folder_of(&real)).map_err(fail)?);
+        let mut temporary = Temporary::new(&disk::folder_of(&real)).map_err(fail)?;
+        let mut out = BufWriter::new(temporary.file.as_file_mut());
         let filled = fill(&mut out).map_err(fail)?;
-        let temporary = out.into_inner().map_err(|error| fail(error.into_error()))?;
-        temporary.sync().map_err(fail)?;
+        out.flush().and_then(|()| out.get_ref().sync_all()).map_err(fail)?;
+        drop(out);
         self.parts.push((real, temporary));
         Ok(filled)
     }

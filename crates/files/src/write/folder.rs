@@ -2,8 +2,7 @@
 //!
 //! Input: a folder and the name of its manifest. While files are written, a locked file [`MARKER`]
 //! lies in the folder and no manifest does: a process that finds the marker without a lock knows
-//! that a writer was killed, and may replace what it left. The manifest is written last, once
-//! everything else is on the disk.
+//! that a writer was killed, and may replace what it left. The manifest is written last.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -35,7 +34,6 @@ pub struct Folder {
     _marker: File,
     /// Whether files of the folder may be replaced.
     replace: bool,
-    touched: Mutex<BTreeSet<PathBuf>>,
 }
 
 /// Whether a writer of this folder was killed, or is at work. While the manifest is there nothing
@@ -60,44 +58,27 @@ impl Folder {
         std::fs::create_dir_all(path).map_err(fail)?;
         let marker = path.join(MARKER);
         let interrupted = is_unfinished(path, name).map_err(fail)?;
-        let had_manifest = disk::named(&manifest).map_err(fail)?.is_some();
         let file = open_or_make(&marker)?;
         if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
             return Err(Diagnostic::new("write.busy", "another nsim is writing to this folder").in_file(path));
         }
-        let begun = disk::sync_folder(path).and_then(|()| match had_manifest {
-            true => std::fs::remove_file(&manifest).and_then(|()| disk::sync_folder(path)),
-            false => Ok(()),
-        });
-        if let Err(error) = begun {
-            // Nothing has been written yet: the folder is what it was, unless its manifest is gone.
-            let is_as_it_was = !had_manifest || disk::named(&manifest).is_ok_and(|found| found.is_some());
-            if !interrupted && is_as_it_was {
-                let _ = std::fs::remove_file(&marker);
-            }
-            return Err(fail(error));
+        if disk::named(&manifest).map_err(fail)?.is_some() {
+            std::fs::remove_file(&manifest).map_err(fail)?;
         }
-        let replace = force || interrupted;
         if let Ok(mut writing) = WRITING.lock() {
             writing.insert(path.to_path_buf());
         }
-        let touched = Mutex::new(BTreeSet::from([path.to_path_buf()]));
-        Ok(Folder { path: path.to_path_buf(), manifest, _marker: file, replace, touched })
+        Ok(Folder { path: path.to_path_buf(), manifest, _marker: file, replace: force || interrupted })
     }
 
     /// Writes a file of the folder.
     ///
     /// # Errors
-    /// As [`Batch::add`] and [`Batch::commit`].
+    /// `write.exists`, `write.failed`; as [`Batch::add`].
     pub fn member(&self, name: &str, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
-        let path = self.path.join(name);
         let mut batch = Batch::new(self.replace);
-        batch.add(&path, |out| fill(out))?;
-        batch.name_all()?;
-        if let Ok(mut touched) = self.touched.lock() {
-            touched.insert(disk::folder_of(&path));
-        }
-        Ok(())
+        batch.add(&self.path.join(name), |out| fill(out))?;
+        batch.name_all()
     }
 
     /// Writes the manifest.
@@ -105,10 +86,6 @@ impl Folder {
     /// # Errors
     /// As [`Batch::add`] and [`Batch::commit`].
     pub fn finish(self, text: &str) -> Result<()> {
-        let folders = self.touched.lock().map(|touched| touched.clone()).unwrap_or_default();
-        for folder in &folders {
-            disk::sync_folder(folder).map_err(|error| failed(folder, &error))?;
-        }
         let mut batch = Batch::new(false);
         batch.add(&self.manifest, |out| out.write_all(text.as_bytes()))?;
         batch.commit()?;

@@ -28,7 +28,6 @@ impl Encoded {
     }
 
     /// The weights beside the exponent that the file gave.
-    #[must_use]
     pub fn in_units(&self, given: i64) -> Vec<f64> {
         let power = ((self.exponent - given) as f64).exp2();
         self.weights.iter().map(|weight| weight * power).collect()
@@ -39,7 +38,6 @@ impl Encoded {
 const GREATEST: i64 = 7;
 
 /// Finds a format of 8 bits for weights, beside an exponent that the file gives.
-#[must_use]
 pub fn encode(weights: Vec<f64>, given: i64) -> Encoded {
     let bits = WeightBits::MAX;
     let fits = |x: f64, sign: SignMode| {

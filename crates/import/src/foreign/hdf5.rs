@@ -176,8 +176,13 @@ impl Group {
     /// The group with one more member.
     #[must_use]
     pub fn with(mut self, name: &str, item: impl Into<Item>) -> Self {
-        self.items.insert(name.to_string(), item.into());
+        self.insert(name, item);
         self
+    }
+
+    /// Adds a member.
+    pub fn insert(&mut self, name: &str, item: impl Into<Item>) {
+        self.items.insert(name.to_string(), item.into());
     }
 
     /// A member by its path.
@@ -241,20 +246,10 @@ struct Reading<'a> {
 }
 
 impl Reading<'_> {
-    fn too_large(&self, exceeded: Exceeded) -> Diagnostic {
-        Diagnostic::new("hdf5.too-large", exceeded.to_string()).in_file(self.path)
-    }
-
-    fn take(&mut self, bytes: u64) -> Result<()> {
-        self.budget.bytes(bytes).map_err(|exceeded| self.too_large(exceeded))
-    }
-
-    fn take_numbers(&mut self, count: u64, width: u64) -> Result<()> {
-        self.budget.numbers(count, width).map_err(|exceeded| self.too_large(exceeded))
-    }
-
-    fn object(&mut self, depth: usize) -> Result<()> {
-        self.budget.item(depth).map_err(|exceeded| self.too_large(exceeded))
+    /// Takes something from the budget.
+    fn take(&mut self, claim: impl FnOnce(&mut Budget) -> Result<(), Exceeded>) -> Result<()> {
+        claim(&mut self.budget)
+            .map_err(|exceeded| Diagnostic::new("hdf5.too-large", exceeded.to_string()).in_file(self.path))
     }
 
     fn wrong(&self, what: &dyn std::fmt::Display) -> Diagnostic {
@@ -325,13 +320,13 @@ fn refuse_events(root: &hdf5_pure::Group) -> Result<()> {
 }
 
 fn group(group: &hdf5_pure::Group, budget: &mut Reading<'_>, depth: usize) -> Result<Group> {
-    budget.object(depth)?;
+    budget.take(|budget| budget.item(depth))?;
     let mut items = BTreeMap::new();
     for (name, child) in group.iter_groups().map_err(|error| budget.wrong(&error))? {
         items.insert(name, Item::Group(self::group(&child, budget, depth + 1)?));
     }
     for (name, dataset) in group.iter_datasets().map_err(|error| budget.wrong(&error))? {
-        budget.object(depth)?;
+        budget.take(|budget| budget.item(depth))?;
         let item = self::dataset(&name, &dataset, budget)?;
         items.insert(name, item);
     }
@@ -388,7 +383,7 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Reading<'_>) -> Result<It
     // Every axis is within memory, or the array is empty.
     let shape: Vec<usize> = axes.iter().map(|&axis| usize::try_from(axis).unwrap_or(usize::MAX)).collect();
     if let Some((element, is_big)) = element(&datatype) {
-        budget.take_numbers(size / width.max(1), width)?;
+        budget.take(|budget| budget.numbers(size / width.max(1), width))?;
         let mut bytes = dataset.read_raw().map_err(|error| wrong(budget, &error))?;
         if is_big {
             bytes.chunks_exact_mut(width as usize).for_each(<[u8]>::reverse);
@@ -411,10 +406,11 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Reading<'_>) -> Result<It
     if length.is_none_or(|length| length > MOST_STRINGS) {
         return Err(wrong(budget, &format!("more than {MOST_STRINGS} texts")));
     }
-    budget.take(size)?;
+    budget.take(|budget| budget.bytes(size))?;
     if variable {
         // Many references may name one long text: the sum of their lengths counts.
-        budget.take(dataset.vlen_string_payload_size().map_err(|error| wrong(budget, &error))?)?;
+        let payload = dataset.vlen_string_payload_size().map_err(|error| wrong(budget, &error))?;
+        budget.take(|budget| budget.bytes(payload))?;
     }
     let texts = if variable { dataset.read_vlen_strings(VlenStringReadOptions::new()) } else { dataset.read_string() };
     let mut texts = texts.map_err(|error| wrong(budget, &error))?;
@@ -506,14 +502,6 @@ fn fill(builder: &mut DatasetBuilder, item: &Item) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn reals_of_sixteen_bits_are_numbers() {
-        let real = |layout, byte_order| Datatype::FloatingPoint { size: 2, byte_order, layout };
-        assert_eq!(element(&real(BINARY16, DatatypeByteOrder::LittleEndian)), Some((Element::F(2), false)));
-        assert_eq!(element(&real(BINARY16, DatatypeByteOrder::BigEndian)), Some((Element::F(2), true)));
-        assert_eq!(element(&real(BFLOAT16, DatatypeByteOrder::LittleEndian)), Some((Element::Bf16, false)));
-    }
 
     #[test]
     fn what_is_not_read_is_found_at_any_depth() {

@@ -152,6 +152,11 @@ impl fmt::Display for LayerWeights {
     }
 }
 
+/// Compartments that sum and never spike.
+pub(super) fn integrator(du: f64, dv: f64) -> Vec<(&'static str, Parameter)> {
+    vec![("du", Parameter::Same(du)), ("dv", Parameter::Same(dv)), ("vth_mant", Parameter::Same(NEVER))]
+}
+
 /// The parameters of a compartment that spikes in every step.
 pub(super) fn every_step() -> Vec<(&'static str, Parameter)> {
     let parameters = [("du", 4096.0), ("dv", 4096.0), ("vth_mant", 1.0), ("bias_mant", 65.0), ("bias_exp", 0.0)];

@@ -6,18 +6,18 @@
 //! SANA-FE's text netlist, a pickled module, an HDF5 file that is no network). Nothing in a file is
 //! executed. `docs/import.md` has the conventions and limits of each format.
 
-pub mod encode;
+mod encode;
 pub mod hdf5;
 mod hdf5_links;
 pub mod imported;
-pub mod netx;
-pub mod nir;
+mod netx;
+mod nir;
 pub mod nir_export;
-pub mod pickle;
-pub mod slayer;
+mod pickle;
+pub(crate) mod slayer;
 mod state_dict;
 pub mod torch;
-pub mod window;
+mod window;
 
 use std::path::Path;
 

@@ -26,9 +26,9 @@ const TEXT: &str = "nsim_model";
 const GRAPH: [&str; 2] = ["node/nodes", "node/edges"];
 /// What the text calls the file of its arrays.
 const ARRAYS: &str = "arrays";
-/// What a decay of zero is written as: a time constant at which `4096 dt / tau` is 0 though
-/// `dt / tau` is not.
-const ENDLESS: f64 = 4_503_599_627_370_496.0;
+/// What a decay of zero is written as: a time constant, in steps, at which `4096 dt / tau` is 0
+/// though `dt / tau` is not.
+pub(super) const ENDLESS: f64 = 4_503_599_627_370_496.0;
 /// The most numbers that a list of synapses may take as a matrix.
 const MOST_MATRIX: u64 = 1 << 24;
 
@@ -64,20 +64,16 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     }
     let output = wires.population(&model.output).ok_or_else(|| unsupported("the model has no output"))?;
     let name = graph.free("output");
-    graph.nodes = graph.nodes.with(&name, node("Output").with("shape", shape(&output.shape)));
+    graph.nodes.insert(&name, node("Output").with("shape", shape(&output.shape)));
     graph.edges.push((model.output.clone(), name));
     let (text, arrays) = model.ron(ARRAYS)?;
     let mut stored = Group::default();
     for (index, (key, tensor)) in arrays.iter().enumerate() {
         let entry = Group::default().with("key", key.as_str()).with("numbers", array(tensor));
-        stored = stored.with(&index.to_string(), entry);
+        stored.insert(&index.to_string(), entry);
     }
     let metadata = Group::default().with(TEXT, text.as_str()).with("nsim_arrays", stored);
-    let edges = graph.edges.iter().flat_map(|(from, to)| [from.clone(), to.clone()]).collect();
-    let root = node("NIRGraph")
-        .with("nodes", graph.nodes)
-        .with("edges", Item::Texts(vec![graph.edges.len(), 2], edges))
-        .with("metadata", metadata);
+    let root = nir_graph(graph.nodes, graph.edges).with("metadata", metadata);
     Ok((Group::default().with("version", VERSION).with("node", root), graph.notes))
 }
 
@@ -120,8 +116,15 @@ fn restored(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
 }
 
 /// A node of a type.
-fn node(kind: &str) -> Group {
+pub(super) fn node(kind: &str) -> Group {
     Group::default().with("type", kind)
+}
+
+/// A graph of nodes and the edges from one to another.
+pub(super) fn nir_graph(nodes: Group, edges: Vec<(String, String)>) -> Group {
+    let count = edges.len();
+    let ends = edges.into_iter().flat_map(|(from, to)| [from, to]).collect();
+    node("NIRGraph").with("nodes", nodes).with("edges", Item::Texts(vec![count, 2], ends))
 }
 
 fn shape(axes: &[u64]) -> Numbers {
@@ -247,8 +250,7 @@ impl Graph {
             )));
         }
         let Some(parameters) = &population.loihi else {
-            self.nodes =
-                std::mem::take(&mut self.nodes).with(name, node("Input").with("shape", shape(&population.shape)));
+            self.nodes.insert(name, node("Input").with("shape", shape(&population.shape)));
             return Ok(());
         };
         let dt = self.dt;
@@ -296,7 +298,7 @@ impl Graph {
             true => neuron,
             false => neuron.with("v_reset", each(&|_| 0.0)).with("v_threshold", each(&|unit| threshold.get(unit))),
         };
-        self.nodes = std::mem::take(&mut self.nodes).with(name, neuron);
+        self.nodes.insert(name, neuron);
         if population.kind == NeuronKind::SoftReset {
             self.notes.push(format!(
                 "NIR has no reset by subtraction: other tools will reset '{name}' to zero, only nsim sees what it does"
@@ -347,7 +349,7 @@ impl Graph {
             let mut last = source.name.clone();
             for (step, node) in chain.into_iter().enumerate() {
                 let name = if step == 0 { name.clone() } else { self.free(&format!("{name}_{step}")) };
-                self.nodes = std::mem::take(&mut self.nodes).with(&name, node);
+                self.nodes.insert(&name, node);
                 self.edges.push((last, name.clone()));
                 last = name;
             }

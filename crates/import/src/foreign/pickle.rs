@@ -23,21 +23,15 @@ pub struct ValueId(u32);
 /// A value.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
-    /// `None`.
     None,
-    /// True or false.
     Bool(bool),
     /// An integer of at most 64 bits.
     Int(i64),
     /// A longer integer, little-endian.
     Long(Vec<u8>),
-    /// A real.
     Float(f64),
-    /// A text.
     Text(String),
-    /// Bytes.
     Bytes(Vec<u8>),
-    /// A tuple.
     Tuple(Vec<ValueId>),
     /// A list or a set.
     List(Vec<ValueId>),
@@ -72,8 +66,6 @@ pub struct Arena {
 }
 
 impl Arena {
-    /// A value.
-    #[must_use]
     pub fn get(&self, id: ValueId) -> &Value {
         &self.values[id.0 as usize]
     }
@@ -104,9 +96,6 @@ struct Machine<'a> {
 type Result<T> = std::result::Result<T, PickleError>;
 
 /// Reads the pickle that begins here: its value, and how many bytes it takes.
-///
-/// # Errors
-/// [`PickleError`].
 pub fn load(bytes: &[u8]) -> Result<(Arena, ValueId, usize)> {
     let mut machine = Machine {
         bytes,

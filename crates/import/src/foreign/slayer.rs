@@ -26,48 +26,33 @@ pub const MOST_YAML: u64 = 1 << 20;
 /// The neuron of a network config.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neuron {
-    /// Its kind and parameters.
     pub kind: NeuronKind,
     /// Milliseconds that a timestep stands for, if the file says so.
     pub dt_ms: Option<f64>,
 }
 
-/// The kinds of neurons of a config.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NeuronKind {
     /// `LOIHI` of SLAYER, `CUBA` of lava-dl.
     Loihi {
-        /// Threshold mantissa.
         vth_mant: f64,
         /// Effective decay of the voltage; none where the weights' file has it.
         dv: Option<f64>,
         /// Effective decay of the current; none where the weights' file has it.
         du: Option<f64>,
-        /// Refractory period.
         refractory: f64,
-        /// Weight exponent.
         weight_exp: f64,
         /// What a weight of 1 counts in units of the mantissa.
         scale: f64,
     },
     /// `SRMALPHA`.
-    SrmAlpha {
-        /// Threshold.
-        theta: f64,
-        /// Time constant of the response in ms.
-        tau_sr_ms: f64,
-        /// Time constant of the refractory response in ms.
-        tau_ref_ms: f64,
-        /// Scale of the refractory response.
-        scale_ref: f64,
-    },
+    SrmAlpha { theta: f64, tau_sr_ms: f64, tau_ref_ms: f64, scale_ref: f64 },
     /// `Leaky` and `Synaptic` of snnTorch.
     Leaky {
         /// Share of the current that stays in a step; none for a current without memory.
         alpha: Option<f64>,
         /// Share of the voltage that stays in a step.
         beta: f64,
-        /// Threshold.
         threshold: f64,
         /// Whether a spike subtracts the threshold, in the step after it.
         subtracts: bool,
@@ -78,9 +63,7 @@ pub enum NeuronKind {
         tau_syn_inv: f64,
         /// Inverse time constant of the voltage in 1/s.
         tau_mem_inv: f64,
-        /// Voltage at rest.
         v_leak: f64,
-        /// Threshold.
         v_th: f64,
     },
 }
@@ -88,17 +71,8 @@ pub enum NeuronKind {
 /// Units of the mantissa in a real weight of 1 of lava-dl (`w_scale` of its neurons, d825ac5).
 pub(super) const LAVA_SCALE: f64 = 64.0;
 /// What only a training uses: shapes of the gradient, and how lava-dl keeps its parameters.
-const OF_TRAINING: [&str; 9] = [
-    "tauRho",
-    "scaleRho",
-    "tau_grad",
-    "scale_grad",
-    "requires_grad",
-    "shared_param",
-    "persistent_state",
-    "norm",
-    "dropout",
-];
+const OF_TRAINING: &str =
+    "tauRho scaleRho tau_grad scale_grad requires_grad shared_param persistent_state norm dropout";
 
 #[derive(Deserialize)]
 struct ConfigFile {
@@ -122,17 +96,11 @@ enum Field {
 }
 
 /// Reads a network config.
-///
-/// # Errors
-/// `import.yaml` with its place, `io.*`.
 pub fn read_config(path: &Path) -> Result<Neuron> {
     config(&decode(path, read_bytes(path, MOST_YAML)?)?)
 }
 
 /// Reads the text of a network config.
-///
-/// # Errors
-/// `import.yaml` with its place.
 pub fn config(source: &SourceText) -> Result<Neuron> {
     let budget = serde_saphyr::options! {
         budget: serde_saphyr::budget! {
@@ -227,7 +195,7 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
         }
         other => return Err(wrong(format!("neurons of the type '{other}' are not known")).help(KINDS)),
     };
-    match fields.into_keys().find(|key| !OF_TRAINING.contains(&key.as_str())) {
+    match fields.into_keys().find(|key| !OF_TRAINING.split(' ').any(|known| known == key)) {
         Some(key) => Err(wrong(format!("a neuron of type {kind} has no field '{key}'"))
             .help("leave it out if the network does not depend on it; docs/import.md has the fields of each type")),
         None => Ok(Neuron { kind: read, dt_ms: file.simulation.and_then(|simulation| simulation.ts) }),
@@ -263,9 +231,6 @@ const SETS: [&[&str]; 2] = [&["tact", "vis", "combi"], &["fc1", "fc2", "fc3", "f
 
 /// Reads one file of a set `NNN-tact.npy`, `NNN-vis.npy`, `NNN-combi.npy` or `NNN-fc1.npy`,
 /// `NNN-fc2.npy`, .., and the others beside it.
-///
-/// # Errors
-/// `import.slayer` when a file is missing or no matrix, `npy.*`, `io.*`.
 pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
     let stem = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
     let (prefix, part) = stem.rsplit_once('-').map_or((None, stem.as_str()), |(prefix, part)| (Some(prefix), part));

@@ -15,8 +15,9 @@
 
 use std::collections::BTreeMap;
 
-use super::hdf5::{Group, Item, Numbers};
+use super::hdf5::{Group, Numbers};
 use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, population_name};
+use super::nir_export::{ENDLESS, nir_graph, node};
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
 use nsim_files::network::Parameter;
@@ -106,9 +107,6 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
 }
 
 /// Reads a checkpoint.
-///
-/// # Errors
-/// `import.torch`, `import.pickle`, `import.state-dict`, `import.option`, `import.slayer`.
 pub fn read(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported> {
     let mut checkpoint = torch::open(bytes)?;
     let (modules, ignored) = modules(arrays(&mut checkpoint)?)?;
@@ -502,7 +500,7 @@ fn real(
             graph.edge(&back, &population);
         }
         if let Some(array) = owner.arrays.get(&Role::OneToOne) {
-            let scale = each(array, matrix.targets)?;
+            let scale = each(&array.key, &array.numbers, matrix.targets)?;
             let own = node("Scale").with("scale", Numbers::f64(&[matrix.targets], &scale));
             let back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
             graph.edge(&back, &population);
@@ -526,7 +524,7 @@ fn real(
     let reset = chosen_reset(reset, options)?;
     notes.push(format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds"));
     let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };
-    let root = Group::default().with("node", graph.finish());
+    let root = Group::default().with("node", nir_graph(graph.nodes, graph.edges));
     let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?;
     notes.extend(read.into_iter().filter(|note| !note.starts_with("timestep ")));
     if reset == Some(ResetMode::Zero) && !held.is_empty() {
@@ -594,11 +592,11 @@ fn check_used(modules: &[Module], layers: &[(usize, Matrix)], neurons: &[&Module
 }
 
 /// One number for all or one for each unit.
-fn each(array: &Array, units: usize) -> Result<Vec<f64>> {
-    match array.numbers.len() {
-        1 => Ok(vec![array.numbers[0]; units]),
-        n if n == units => Ok(array.numbers.clone()),
-        n => Err(wrong(format!("'{}' has {n} numbers for {units} units", array.key))),
+fn each(name: &str, numbers: &[f64], units: usize) -> Result<Vec<f64>> {
+    match numbers.len() {
+        1 => Ok(vec![numbers[0]; units]),
+        n if n == units => Ok(numbers.to_vec()),
+        n => Err(wrong(format!("'{name}' has {n} numbers for {units} units"))),
     }
 }
 
@@ -627,21 +625,9 @@ fn snntorch(module: &Module) -> Result<(RealNeuron, Option<bool>)> {
     Ok((RealNeuron { name, synapse, membrane, gain: None, leak: 0.0, threshold }, subtracts))
 }
 
-/// A node of a type.
-fn node(kind: &str) -> Group {
-    Group::default().with("type", kind)
-}
-
-/// The time constant, in steps, of what no step takes anything from.
-const ENDLESS: f64 = 4_503_599_627_370_496.0;
-
 /// The node of a layer's neurons: NIR's equations with the shares that a step takes away.
 fn neuron_node(neuron: &RealNeuron, units: usize, dt: f64) -> Result<Group> {
-    let spread = |numbers: &[f64]| match numbers.len() {
-        1 => Ok(vec![numbers[0]; units]),
-        n if n == units => Ok(numbers.to_vec()),
-        n => Err(wrong(format!("'{}' has {n} numbers for {units} units", neuron.name))),
-    };
+    let spread = |numbers: &[f64]| each(&neuron.name, numbers, units);
     let array = |numbers: &[f64]| Numbers::f64(&[units], numbers);
     let steps = |shares: &[f64]| -> Vec<f64> {
         shares.iter().map(|&share| if share > 0.0 { 1.0 / share } else { ENDLESS }).collect()
@@ -674,7 +660,9 @@ fn weights_node(weights: &[f64], (targets, sources): (usize, usize), module: &Mo
     let linear = |kind: &str| node(kind).with("weight", Numbers::f64(&[targets, sources], weights));
     match module.arrays.get(&bias) {
         None => Ok(linear("Linear")),
-        Some(array) => Ok(linear("Affine").with("bias", Numbers::f64(&[targets], &each(array, targets)?))),
+        Some(array) => {
+            Ok(linear("Affine").with("bias", Numbers::f64(&[targets], &each(&array.key, &array.numbers, targets)?)))
+        }
     }
 }
 
@@ -692,7 +680,7 @@ impl Graph {
         while self.nodes.items.contains_key(&name) {
             name.push('_');
         }
-        self.nodes = std::mem::take(&mut self.nodes).with(&name, node);
+        self.nodes.insert(&name, node);
         name
     }
 
@@ -705,11 +693,5 @@ impl Graph {
         let name = self.node(name, node);
         self.edge(after, &name);
         name
-    }
-
-    fn finish(self) -> Group {
-        let count = self.edges.len();
-        let edges = self.edges.into_iter().flat_map(|(from, to)| [from, to]).collect();
-        node("NIRGraph").with("nodes", self.nodes).with("edges", Item::Texts(vec![count, 2], edges))
     }
 }

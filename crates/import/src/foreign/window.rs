@@ -3,11 +3,12 @@
 //! Input: the geometry of a convolution or a pool, as checked numbers. Output: pairs of source and
 //! target with their place in the kernel, in the order of the targets. An output `o` receives the
 //! input `o * stride + k * dilation - padding` over the kernel's place `k` (torch, `Conv2d`; what
-//! lies outside of the volume is silent).
-//!
-//! Left out on purpose: transposed convolutions, which only one format knows.
+//! lies outside of the volume is silent). A transposed convolution is the same window with source
+//! and target exchanged. Also lists the synapses of any projection, and splits them by their delays.
 
-use nsim_files::network::padding_after;
+use std::collections::BTreeMap;
+
+use nsim_files::network::{ProjectionDesc, ProjectionKind, padding_after};
 
 /// The most synapses that are listed one by one, for a whole model.
 pub const MOST_LISTED: usize = 1 << 20;
@@ -33,15 +34,37 @@ pub struct Sliding {
     pub groups: usize,
 }
 
+/// (source unit, target unit, weight) each.
+pub type Synapses = Vec<(u64, u64, f64)>;
+
 impl Sliding {
+    /// A window of this size with stride, padding and dilation between two volumes; none where a
+    /// shape has other than three axes.
+    pub fn new(
+        (source, target): (&[u64], &[u64]),
+        size: (u64, u64),
+        [stride, padding, dilation]: [(u64, u64); 3],
+        groups: u64,
+    ) -> Option<Self> {
+        let volume = |shape: &[u64]| Some(<[u64; 3]>::try_from(shape).ok()?.map(|axis| axis as usize));
+        let pair = |(y, x): (u64, u64)| (y as usize, x as usize);
+        Some(Sliding {
+            source: volume(source)?,
+            target: volume(target)?,
+            size: pair(size),
+            stride: pair(stride),
+            padding: pair(padding),
+            dilation: pair(dilation),
+            groups: groups as usize,
+        })
+    }
+
     /// Source channels of an output.
-    #[must_use]
     pub fn per_group(&self) -> usize {
         self.source[0] / self.groups
     }
 
     /// Silent rows and columns behind the last.
-    #[must_use]
     pub fn padding_after(&self) -> (u64, u64) {
         let after = |source: usize, target: usize, size: usize, stride: usize, before: usize, dilation: usize| {
             let reach = dilation * (size - 1) + 1;
@@ -56,9 +79,8 @@ impl Sliding {
 
     /// Every synapse as (source unit, target unit, index into a kernel
     /// `[out][in / groups][kh][kw]`); nothing where there may be more than [`MOST_LISTED`].
-    #[must_use]
-    pub fn synapses(&self) -> Option<impl Iterator<Item = (u64, u64, usize)>> {
-        let (window, per_in) = (*self, self.per_group());
+    pub fn synapses(self) -> Option<impl Iterator<Item = (u64, u64, usize)>> {
+        let (window, per_in) = (self, self.per_group());
         let per_out = (self.target[0] / self.groups).max(1);
         let places = [per_in, self.size.0, self.size.1];
         let many = self.target.iter().chain(&places).try_fold(1usize, |product, &axis| product.checked_mul(axis))?;
@@ -78,6 +100,49 @@ impl Sliding {
             })
         })
     }
+}
+
+/// The synapses of a projection from one shape to another; none where they may be more than
+/// [`MOST_LISTED`], or are not in place.
+pub fn listed(kind: ProjectionKind, source: &[u64], target: &[u64]) -> Option<Synapses> {
+    match kind {
+        ProjectionKind::Sparse(synapses) => Some(synapses),
+        ProjectionKind::Dense(weights) => {
+            let (weights, sources) = (weights.tensor(), source.iter().product::<u64>());
+            let all = weights.reals().zip(0..).map(|(weight, at)| (at % sources, at / sources, weight));
+            (weights.len() <= MOST_LISTED).then(|| all.collect())
+        }
+        ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
+            let weights = weights.tensor();
+            let &[_, _, height, width] = weights.shape() else { return None };
+            let size = (height as u64, width as u64);
+            let window = Sliding::new((source, target), size, [stride, padding, dilation], groups)?;
+            Some(window.synapses()?.map(|(from, to, at)| (from, to, weights.real(at))).collect())
+        }
+        ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
+            let window = Sliding::new((source, target), kernel, [stride, padding, (1, 1)], *source.first()?)?;
+            Some(window.synapses()?.map(|(from, to, _)| (from, to, weight)).collect())
+        }
+        ProjectionKind::Arrays(_) | ProjectionKind::Random { .. } => None,
+    }
+}
+
+/// Synapses as projections like this one, one for each delay in steps that `delay_of` gives for a
+/// source and a target.
+pub fn by_delay(
+    like: &ProjectionDesc,
+    synapses: Synapses,
+    delay_of: impl Fn(u64, u64) -> u32,
+) -> impl Iterator<Item = ProjectionDesc> {
+    let mut by_delay: BTreeMap<u32, Synapses> = BTreeMap::new();
+    for synapse in synapses {
+        by_delay.entry(delay_of(synapse.0, synapse.1)).or_default().push(synapse);
+    }
+    by_delay.into_iter().map(move |(delay, synapses)| ProjectionDesc {
+        delay,
+        kind: ProjectionKind::Sparse(synapses),
+        ..like.clone()
+    })
 }
 
 /// The places of a block, the last axis fastest.

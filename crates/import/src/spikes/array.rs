@@ -37,9 +37,6 @@ impl Merging {
     }
 
     /// The merging for channel axes that hold `units` channels afterwards; none when they do not.
-    ///
-    /// # Errors
-    /// What is wrong, when several axes could be the polarity's.
     fn for_axes(polarity: Polarity, axes: &[usize], units: u64) -> Result<Option<Merging>, String> {
         let channels = product(axes);
         if polarity == Polarity::Both {
@@ -58,9 +55,6 @@ impl Merging {
 }
 
 /// The spikes of an array for a population of `units` channels.
-///
-/// # Errors
-/// `input.shape`, `input.too-long`, `input.too-many`, `input.value`, `npy.value`.
 pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) -> Result<Vec<PopulationSpikes>> {
     let (path, shape, polarity) = (array.path(), array.shape(), options.polarity);
     let wrong = |message: String| Diagnostic::new("input.shape", message).in_file(path);

@@ -23,7 +23,7 @@ impl Columns {
         2 + usize::from(self.sample.is_some())
     }
 
-    fn from_header(names: &csv::StringRecord) -> Option<Columns> {
+    fn from_header(names: &[&str]) -> Option<Columns> {
         let find = |wanted: &[&str]| names.iter().position(|name| wanted.contains(&name.to_ascii_lowercase().as_str()));
         Some(Columns {
             step: find(&["timestep", "step", "t"])?,
@@ -37,7 +37,24 @@ impl Columns {
 /// Whether a row is the header of such a file.
 #[must_use]
 pub fn is_header(row: &str) -> bool {
-    Columns::from_header(&row.split(',').map(|name| name.trim().trim_matches('"')).collect()).is_some()
+    Columns::from_header(&fields(row).collect::<Vec<_>>()).is_some()
+}
+
+/// The fields of a row, without spaces and quotes around them.
+fn fields(row: &str) -> impl Iterator<Item = &str> {
+    row.split(',').map(|field| {
+        let field = field.trim();
+        field.strip_prefix('"').and_then(|field| field.strip_suffix('"')).unwrap_or(field)
+    })
+}
+
+/// The lines of a text with the places at which they begin.
+pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let mut end = 0;
+    text.split_inclusive('\n').map(move |line| {
+        end += line.len();
+        (end - line.len(), line)
+    })
 }
 
 /// Reads a file for a population of `units` channels.
@@ -57,30 +74,22 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
     let size = bytes.len() as u64;
     let source = decode(path, bytes)?;
     let comments = Comments::read(&source)?;
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .comment(Some(b'#'))
-        .trim(csv::Trim::All)
-        .from_reader(source.text().as_bytes());
     let mut columns = Columns { step: 0, channel: 1, sample: None };
     let mut first = true;
-    let mut row = csv::StringRecord::new();
+    let mut row = Vec::new();
     let mut samples: Vec<Vec<(u32, u32)>> = Vec::new();
     let mut last = None;
-    loop {
-        let more = reader.read_record(&mut row).map_err(|error| {
-            let at = error.position().map_or(0, |position| position.byte() as usize);
-            row_problem(&source, at, "input.csv", format!("this row cannot be read: {error}"))
-        })?;
-        if !more {
-            break;
+    for (at, line) in lines(source.text()) {
+        if line.trim().is_empty() || line.starts_with('#') {
+            continue;
         }
-        let at = row.position().map_or(0, |position| position.byte() as usize);
+        row.clear();
+        row.extend(fields(line));
+        let problem = |code, message: String| problem(&source, at, code, message);
         if std::mem::take(&mut first) && row.iter().any(|field| field.parse::<f64>().is_err()) {
             columns = Columns::from_header(&row).ok_or_else(|| {
-                let header = row.iter().collect::<Vec<_>>().join(",");
-                row_problem(&source, at, "input.csv", format!("the header '{}' is not known", shortened(&header))).help(
+                let header = row.join(",");
+                problem("input.csv", format!("the header '{}' is not known", shortened(&header))).help(
                     "columns are timestep,channel or sample,timestep,channel, or of events t_us,x,y,p, in any order",
                 )
             })?;
@@ -88,24 +97,24 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
         }
         if row.len() != columns.count() {
             let message = format!("the row has {} columns, not {}", row.len(), columns.count());
-            return Err(row_problem(&source, at, "input.csv", message)
+            return Err(problem("input.csv", message)
                 .help("each row is timestep,channel; a third column needs a header that names it 'sample'"));
         }
         let number = |column: usize, what: &str| {
             row[column].parse::<u32>().map_err(|_| {
-                let message = format!("{what} '{}' is not a whole number from 0 to 2^32 - 1", shortened(&row[column]));
-                row_problem(&source, at, "input.csv", message)
+                let message = format!("{what} '{}' is not a whole number from 0 to 2^32 - 1", shortened(row[column]));
+                problem("input.csv", message)
             })
         };
         let (step, channel) = (number(columns.step, "timestep")?, number(columns.channel, "channel")?);
         if u64::from(channel) >= units {
             let message = format!("channel {channel} is outside the population's 0..{units}");
-            return Err(row_problem(&source, at, "input.channel", message));
+            return Err(problem("input.channel", message));
         }
         let limit = comments.steps.unwrap_or(MOST_STEPS);
         if step >= limit {
             let message = format!("timestep {step} is outside the recording's 0..{limit}");
-            return Err(row_problem(&source, at, "input.step", message));
+            return Err(problem("input.step", message));
         }
         let sample = columns.sample.map_or(Ok(0), |column| number(column, "sample"))? as usize;
         last = last.max(Some(step));
@@ -114,7 +123,7 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
             let steps = u64::from(comments.steps.or(last.map(|last| last + 1)).unwrap_or(1));
             if let Err(exceeded) = Budget::for_file(size, MOST_EVENTS, 1).samples(sample as u64 + 1, steps) {
                 let message = format!("sample {sample} makes the recording too long: {exceeded}");
-                return Err(row_problem(&source, at, "input.step", message));
+                return Err(problem("input.step", message));
             }
             samples.resize_with(sample + 1, Vec::new);
         }
@@ -158,8 +167,7 @@ struct Comments {
 impl Comments {
     fn read(source: &SourceText) -> Result<Comments> {
         let mut comments = Comments { steps: None, label: None };
-        let mut at = 0;
-        for line in source.text().split_inclusive('\n') {
+        for (at, line) in lines(source.text()) {
             if let Some((key, value)) = line.trim().strip_prefix('#').and_then(|comment| comment.split_once(':')) {
                 let field = match key.trim() {
                     "steps" => Some((&mut comments.steps, 1..=MOST_STEPS)),
@@ -179,23 +187,9 @@ impl Comments {
                     })?);
                 }
             }
-            at += line.len();
         }
         Ok(comments)
     }
-}
-
-/// A problem with the row at a byte. The csv crate places a row where the one before ended; empty
-/// lines and comments may stand between.
-fn row_problem(source: &SourceText, at: usize, code: &'static str, message: String) -> Diagnostic {
-    let mut start = at;
-    for line in source.text().get(at..).unwrap_or_default().split_inclusive('\n') {
-        if !line.trim().is_empty() && !line.starts_with('#') {
-            break;
-        }
-        start += line.len();
-    }
-    problem(source, start, code, message)
 }
 
 /// A problem with the line at a byte.

@@ -10,7 +10,6 @@ use std::path::Path;
 use super::population::PopulationSpikes;
 use nsim_files::npy;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::tensor::Numbers;
 
 /// The labels of a `.npy` file.
 ///
@@ -33,11 +32,7 @@ pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
     }
     let tensor = array.tensor()?;
     let class = |number: f64| (number >= 0.0 && number.fract() == 0.0 && number < 4e9).then_some(number as u32);
-    let numbers: Vec<f64> = match tensor.numbers() {
-        Numbers::Integers(numbers) => numbers.iter().map(|&number| f64::from(number)).collect(),
-        Numbers::Reals(numbers) => numbers.clone(),
-    };
-    let labels = numbers.iter().enumerate().map(|(sample, &number)| {
+    let labels = tensor.reals().enumerate().map(|(sample, number)| {
         class(number).ok_or_else(|| wrong(format!("the label of sample {sample} is {number}, not a class from 0 on")))
     });
     labels.collect()

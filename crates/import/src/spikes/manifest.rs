@@ -11,6 +11,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::csv::lines;
 use super::options::EventOptions;
 use super::population::{Expected, PopulationSpikes};
 use super::recordings::{Request, read, read_sample};
@@ -324,11 +325,9 @@ impl Manifest {
 /// any with it.
 fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<u32, u32>) -> Result<Vec<u32>> {
     let (mut samples, mut seen) = (Vec::new(), BTreeSet::new());
-    let mut start = 0;
-    for line in source.text().split_inclusive('\n') {
+    for (start, line) in lines(source.text()) {
         let row = line.split('#').next().unwrap_or_default();
         let span = Span { start: start + row.len() - row.trim_start().len(), end: start + row.trim_end().len() };
-        start += line.len();
         let fields: Vec<&str> = row.split_whitespace().collect();
         if fields.is_empty() {
             continue;

@@ -1,21 +1,21 @@
 //! Spikes from files: arrays, lists, recordings of events, data sets.
 //!
 //! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population.
-//! [`crate::kind`] decides which format a file has; [`source`] is the way in. Each reader
-//! stands below it: [`manifest`] reads data sets with the readers of [`recordings`], which are
-//! [`mod@array`], [`npz`], [`csv`], [`folder`] and [`events`].
+//! [`crate::kind`] decides which format a file has; `source` is the way in. Each reader stands
+//! below it: [`manifest`] reads data sets with the readers of `recordings`, which are `array`,
+//! `npz`, [`csv`], `folder` and [`events`].
 
-pub mod array;
+mod array;
 pub mod csv;
 pub mod events;
-pub mod folder;
+mod folder;
 pub mod labels;
 pub mod manifest;
-pub mod npz;
+pub(crate) mod npz;
 pub mod options;
-pub mod population;
-pub mod recordings;
-pub mod source;
+mod population;
+mod recordings;
+mod source;
 
 pub use self::folder::{MANIFEST, list_folder};
 pub use self::manifest::{Manifest, read_manifest};

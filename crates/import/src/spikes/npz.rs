@@ -30,18 +30,11 @@ const SPIKES: [&str; 4] = ["spikes", "x", "data", "arr_0"];
 const LABELS: [&str; 3] = ["labels", "y", "targets"];
 
 /// Reads a file for a population of `units` channels.
-///
-/// # Errors
-/// `input.npz` for a file that is no such archive or has no array for the population; as arrays and
-/// labels.
 pub(super) fn read(path: &Path, population: &str, units: u64, options: ArrayOptions) -> Result<Vec<PopulationSpikes>> {
     from_bytes(path, read_bytes(path, MOST_ARRAY)?, population, units, options)
 }
 
 /// Reads the bytes of a file.
-///
-/// # Errors
-/// As those of a file that is read from its path.
 pub fn from_bytes(
     path: &Path,
     bytes: Vec<u8>,

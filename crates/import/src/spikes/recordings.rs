@@ -28,10 +28,6 @@ pub(super) struct Request<'a> {
 }
 
 /// Reads a file or a folder for a population.
-///
-/// # Errors
-/// `input.kind` for another kind of file; `input.option` for an option that an array does not take;
-/// `input.*`, `npy.*`, `hdf5.*`, `io.*`.
 pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let Request { expected, options, .. } = request;
     let units = expected.units;

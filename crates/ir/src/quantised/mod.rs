@@ -19,7 +19,7 @@ use crate::base::fixed::{
 };
 use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
 use crate::graph::{PerCompartment, Shape};
-use crate::neurons::{Emits, Kept, NeuronKind, Row};
+use crate::neurons::{Emits, NeuronKind, Row, Storage};
 use crate::pruned;
 use crate::spikes::Message;
 
@@ -91,13 +91,13 @@ impl Neuron {
     /// What compartments of the same profile share, on a core that has this many profiles.
     #[must_use]
     pub fn profile(&self) -> (Decay, Decay, Refractory, Row) {
-        (self.du, self.dv, self.refractory, self.row.kept(self.kind, Kept::Profile))
+        (self.du, self.dv, self.refractory, self.row.stored_in(self.kind, Storage::Profile))
     }
 
     /// What compartments of the same threshold share, on a core that has this many thresholds.
     #[must_use]
     pub fn threshold(&self) -> (ThresholdMantissa, Row) {
-        (self.vth, self.row.kept(self.kind, Kept::Threshold))
+        (self.vth, self.row.stored_in(self.kind, Storage::Threshold))
     }
 }
 

@@ -8,9 +8,8 @@
 //! all that is sent.
 
 use crate::ranks::transport::Ranks;
-use nsim_ir::activity::{CoreCounts, HopCounts, StepActivity};
-use nsim_ir::base::id::{CompartmentId, CoreId};
-use nsim_ir::placement::Route;
+use nsim_ir::activity::StepActivity;
+use nsim_ir::base::id::CompartmentId;
 use nsim_ir::program::Program;
 
 /// Which of this rank's compartments another rank has axons of.
@@ -143,58 +142,9 @@ impl Exchange {
 
     /// Adds what the step did on the other ranks, on rank 0.
     pub fn merge(&self, step: &mut StepActivity) {
-        let words = if self.ranks.rank() == 0 { Vec::new() } else { step_words(step) };
-        for of_rank in self.ranks.transport().gather(words).iter().skip(1) {
-            add_step_words(of_rank, step);
+        for other in self.ranks.gathered::<_, StepActivity>(step) {
+            step.merge(&other);
+            step.fired.extend(other.fired);
         }
-    }
-}
-
-/// A step as words: the cores that did anything, then the rest.
-fn step_words(step: &StepActivity) -> Vec<u64> {
-    let busy = |(_, counts): &(CoreId, &CoreCounts)| **counts != CoreCounts::default();
-    let HopCounts { local, east_west, north_south, chip } = step.hops;
-    let Route { east_west: longest_x, north_south: longest_y, chip: longest_chip } = step.longest;
-    let mut words = vec![local, east_west, north_south, chip];
-    words.extend([longest_x, longest_y, longest_chip].map(u64::from));
-    words.extend([step.spikes_in, step.messages_from_inputs, step.spikes_out, step.fired.len() as u64]);
-    words.extend(step.fired.iter().map(|id| u64::from(id.0)));
-    for (core, counts) in step.cores.enumerate().filter(busy) {
-        words.push(core.0.into());
-        words.extend(counts.to_words());
-    }
-    words
-}
-
-/// Adds a step that came as words.
-fn add_step_words(words: &[u64], step: &mut StepActivity) {
-    let [
-        local,
-        east_west,
-        north_south,
-        chip,
-        longest_x,
-        longest_y,
-        longest_chip,
-        spikes_in,
-        from_inputs,
-        out,
-        fired,
-        ref rest @ ..,
-    ] = *words
-    else {
-        return;
-    };
-    let (fired, cores) = rest.split_at(fired as usize);
-    step.hops += HopCounts { local, east_west, north_south, chip };
-    let longest = Route { east_west: longest_x as u32, north_south: longest_y as u32, chip: longest_chip as u32 };
-    step.longest = step.longest.max(longest);
-    step.spikes_in += spikes_in;
-    step.messages_from_inputs += from_inputs;
-    step.spikes_out += out;
-    step.fired.extend(fired.iter().map(|&id| CompartmentId(id as u32)));
-    for core in cores.chunks_exact(1 + CoreCounts::WORDS) {
-        let counts = &mut step.cores.as_mut_slice()[core[0] as usize];
-        *counts += CoreCounts::from_words(&core[1..]);
     }
 }

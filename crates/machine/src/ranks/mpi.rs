@@ -23,12 +23,6 @@ const LAUNCHED: [&str; 4] = ["OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "P
 /// The message of a round, and the one that says that a rank has failed and said why.
 const ROUND: c_int = 1;
 const FAILED: c_int = 2;
-/// The length of what a rank is given, and its pieces.
-const GIVEN: c_int = 3;
-/// Bytes of a piece.
-const PIECE: usize = 1 << 28;
-/// How long a rank that waits for rank 0 sleeps before it looks again.
-const NAP: Duration = Duration::from_millis(1);
 /// How long the message of a failure may take to leave.
 const SENDING: Duration = Duration::from_millis(100);
 
@@ -180,8 +174,8 @@ impl Transport for Mpi {
         parts(&received, &from)
     }
 
-    fn gather(&mut self, words: Vec<u64>) -> Vec<Vec<u64>> {
-        let own = length(words.len());
+    fn gather(&mut self, bytes: Vec<u8>) -> Vec<Vec<u8>> {
+        let own = length(bytes.len());
         let all = if self.rank == 0 { self.sends.len() } else { 0 };
         let mut lengths: Vec<c_int> = vec![0; all];
         #[expect(unsafe_code, reason = "MPI is a C library; rank 0 has room for a number of each rank")]
@@ -190,57 +184,14 @@ impl Transport for Mpi {
             ffi::MPI_Gather((&raw const own).cast(), 1, int, lengths.as_mut_ptr().cast(), 1, int, 0, world);
         }
         let (from, sum) = starts(&lengths);
-        let mut received = vec![0u64; sum];
+        let mut received = vec![0u8; sum];
         #[expect(unsafe_code, reason = "MPI is a C library; rank 0 has room for what each rank has said that it sends")]
         unsafe {
-            let (word, world) = (ffi::RSMPI_UINT64_T, ffi::RSMPI_COMM_WORLD);
-            let (sent, received) = (words.as_ptr().cast::<c_void>(), received.as_mut_ptr().cast::<c_void>());
-            ffi::MPI_Gatherv(sent, own, word, received, lengths.as_ptr(), from.as_ptr(), word, 0, world);
+            let (byte, world) = (ffi::RSMPI_UINT8_T, ffi::RSMPI_COMM_WORLD);
+            let (sent, received) = (bytes.as_ptr().cast::<c_void>(), received.as_mut_ptr().cast::<c_void>());
+            ffi::MPI_Gatherv(sent, own, byte, received, lengths.as_ptr(), from.as_ptr(), byte, 0, world);
         }
         parts(&received, &lengths)
-    }
-
-    fn give(&mut self, to: u32, bytes: Vec<u8>) {
-        let length = [bytes.len() as u64];
-        let send = |place: *const c_void, count: usize, word| {
-            #[expect(unsafe_code, reason = "MPI is a C library; the bytes live until the call returns")]
-            unsafe {
-                ffi::MPI_Send(place, self::length(count), word, to as c_int, GIVEN, ffi::RSMPI_COMM_WORLD);
-            }
-        };
-        #[expect(unsafe_code, reason = "MPI is a C library; its types are constants of it")]
-        let (wide, byte) = unsafe { (ffi::RSMPI_UINT64_T, ffi::RSMPI_UINT8_T) };
-        send(length.as_ptr().cast(), 1, wide);
-        bytes.chunks(PIECE).for_each(|piece| send(piece.as_ptr().cast(), piece.len(), byte));
-    }
-
-    fn given(&mut self) -> Vec<u8> {
-        // A wait of MPI's keeps a processor core busy, which rank 0 may need.
-        let mut found = 0;
-        while found == 0 {
-            #[expect(unsafe_code, reason = "MPI is a C library; the answer is written to a live integer")]
-            unsafe {
-                let (world, status) = (ffi::RSMPI_COMM_WORLD, ffi::RSMPI_STATUS_IGNORE);
-                ffi::MPI_Iprobe(0, GIVEN, world, &raw mut found, status);
-            }
-            if found == 0 {
-                std::thread::sleep(NAP);
-            }
-        }
-        let receive = |place: *mut c_void, count: usize, word| {
-            #[expect(unsafe_code, reason = "MPI is a C library; there is room for as many bytes as rank 0 sends")]
-            unsafe {
-                let (world, status) = (ffi::RSMPI_COMM_WORLD, ffi::RSMPI_STATUS_IGNORE);
-                ffi::MPI_Recv(place, length(count), word, 0, GIVEN, world, status);
-            }
-        };
-        #[expect(unsafe_code, reason = "MPI is a C library; its types are constants of it")]
-        let (wide, byte) = unsafe { (ffi::RSMPI_UINT64_T, ffi::RSMPI_UINT8_T) };
-        let mut length = 0u64;
-        receive((&raw mut length).cast(), 1, wide);
-        let mut bytes = vec![0u8; length as usize];
-        bytes.chunks_mut(PIECE).for_each(|piece| receive(piece.as_mut_ptr().cast(), piece.len(), byte));
-        bytes
     }
 
     fn all(&mut self, here: bool) -> bool {

@@ -64,18 +64,10 @@ impl Transport for Threads {
         (0..words.len()).map(|from| self.receive(from).into_iter().map(|word| word as u32).collect()).collect()
     }
 
-    fn gather(&mut self, words: Vec<u64>) -> Vec<Vec<u64>> {
-        self.send(0, words);
+    fn gather(&mut self, bytes: Vec<u8>) -> Vec<Vec<u8>> {
+        self.send(0, bytes.into_iter().map(u64::from).collect());
         let others = if self.rank == 0 { self.senders.len() } else { 0 };
-        (0..others).map(|from| self.receive(from)).collect()
-    }
-
-    fn give(&mut self, to: u32, bytes: Vec<u8>) {
-        self.send(to as usize, bytes.into_iter().map(u64::from).collect());
-    }
-
-    fn given(&mut self) -> Vec<u8> {
-        self.receive(0).into_iter().map(|byte| byte as u8).collect()
+        (0..others).map(|from| self.receive(from).into_iter().map(|byte| byte as u8).collect()).collect()
     }
 
     fn all(&mut self, here: bool) -> bool {

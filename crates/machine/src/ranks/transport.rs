@@ -1,13 +1,15 @@
 //! What processes that run a program together say to each other.
 //!
-//! Input: words for others. Output: the words of others. All other calls but [`Transport::post`]
-//! and [`Transport::take`] are made by every rank, in the same order, and return when every rank
-//! that matters has made its own; [`Transport::give`] and [`Transport::given`] by the two that they
-//! are between. A rank that ends without its part takes the job down with it, so that nothing here
-//! returns an error.
+//! Input: words for others. Output: the words of others. All calls but [`Transport::post`] and
+//! [`Transport::take`] are made by every rank, in the same order, and return when every rank that
+//! matters has made its own. A rank that ends without its part takes the job down with it, so that
+//! nothing here returns an error.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 /// Carries words between ranks.
 pub trait Transport: fmt::Debug + Send {
@@ -20,15 +22,8 @@ pub trait Transport: fmt::Debug + Send {
     /// To each rank its words, and from each rank those for this one, by rank.
     fn swap(&mut self, words: Vec<Vec<u32>>) -> Vec<Vec<u32>>;
 
-    /// The words of every rank, by rank, on rank 0; nothing on the others.
-    fn gather(&mut self, words: Vec<u64>) -> Vec<Vec<u64>>;
-
-    /// Gives bytes to another rank, which takes them with [`Transport::given`]; on rank 0 only.
-    fn give(&mut self, to: u32, bytes: Vec<u8>);
-
-    /// The bytes that rank 0 gives to this one, which sleeps until they come: what they hold may
-    /// take minutes to find.
-    fn given(&mut self) -> Vec<u8>;
+    /// The bytes of every rank, by rank, on rank 0; nothing on the others.
+    fn gather(&mut self, bytes: Vec<u8>) -> Vec<Vec<u8>>;
 
     /// Whether it is so on every rank.
     fn all(&mut self, here: bool) -> bool;
@@ -77,6 +72,19 @@ impl Ranks {
         let words = vec![vec![number as u32, (number >> 32) as u32]; self.ranks as usize];
         let heard = self.transport().swap(words);
         u64::from(heard[0][0]) | u64::from(heard[0][1]) << 32
+    }
+
+    /// On rank 0 what every other rank has found, by rank; nothing on the others. All write the
+    /// same type.
+    ///
+    /// # Panics
+    /// When they do not: a mistake of the caller.
+    #[must_use]
+    pub fn gathered<S: Serialize, T: DeserializeOwned>(&self, found: &S) -> Vec<T> {
+        let written = |found| postcard::to_stdvec(found).expect("values without maps and unknown lengths");
+        let own = if self.rank == 0 { Vec::new() } else { written(found) };
+        let all = self.transport().gather(own);
+        all.iter().skip(1).map(|bytes| postcard::from_bytes(bytes).expect("ranks write alike")).collect()
     }
 
     /// What carries words.

@@ -222,10 +222,6 @@ pub struct CoreTotals {
     pub compartment_profiles: u32,
     /// Distinct thresholds.
     pub threshold_profiles: u32,
-    /// Output axon slots of all compartments.
-    pub axons_out: u64,
-    /// The most output axons of one compartment.
-    pub most_axons_out: u32,
 }
 
 impl CoreTotals {
@@ -240,8 +236,6 @@ impl CoreTotals {
             lists: Default::default(),
             compartment_profiles: 0,
             threshold_profiles: 0,
-            axons_out: 0,
-            most_axons_out: 0,
         }
     }
 
@@ -252,7 +246,7 @@ impl CoreTotals {
         with_runs.words < plain.words && with_runs.formats <= limits[Resource::SynapseFormats]
     }
 
-    /// What the core uses.
+    /// What the core uses, output axons left out.
     #[inline]
     #[must_use]
     pub fn usage(&self, limits: &Limits) -> CoreUsage {
@@ -260,8 +254,8 @@ impl CoreTotals {
         let used = |resource| match resource {
             Resource::Compartments => u64::from(self.compartments),
             Resource::AxonsIn => lists.axons,
-            Resource::AxonsOut => self.axons_out,
-            Resource::AxonsOutPerCompartment => u64::from(self.most_axons_out),
+            // These depend on the cores of targets.
+            Resource::AxonsOut | Resource::AxonsOutPerCompartment => 0,
             Resource::SynapseWords => lists.words,
             Resource::SynapseWordsPerAxon => u64::from(lists.longest),
             Resource::SynapseFormats => u64::from(lists.formats),

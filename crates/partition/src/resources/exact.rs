@@ -54,11 +54,11 @@ pub fn usage(
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
     let places = Places::for_network(network, limits);
-    let (totals, shared) = totals(network, members, seats, limits, &places);
+    let (used, shared) = uses(network, members, seats, limits, &places);
     let shared = SharedPlaces { places: &places, members: &shared };
     let shared = fan_out::by_position(&places, limits).then_some(&shared);
     let core_of = seats.iter().map(|seat| seat.core).collect();
-    with_outputs(totals, members, &fan_out::network_fan_out(network, &core_of, chips, limits, shared), limits)
+    with_fan_out(used, members, &fan_out::network_fan_out(network, &core_of, chips, limits, shared))
 }
 
 /// The use of each core, where the fan-out of compartments is known and [`fan_out::by_position`] is
@@ -74,17 +74,8 @@ pub fn usage_with_fan_out(
     fan_out: &FanOut,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
-    let (totals, _) = totals(network, members, seats, limits, &Places::for_network(network, limits));
-    with_outputs(totals, members, fan_out, limits)
-}
-
-fn with_outputs(
-    totals: Vec<CoreTotals>,
-    members: &IdVec<CoreId, Vec<CompartmentId>>,
-    fan_out: &FanOut,
-    limits: &Limits,
-) -> IdVec<CoreId, CoreUsage> {
-    with_fan_out(totals.into_iter().map(|totals| totals.usage(limits)), members, fan_out)
+    let (used, _) = uses(network, members, seats, limits, &Places::for_network(network, limits));
+    with_fan_out(used, members, fan_out)
 }
 
 /// The use of each core, where that of all but output axons is known.
@@ -102,15 +93,15 @@ pub fn with_fan_out(
     usage.into_iter().zip(members).map(of_core).collect()
 }
 
-/// What is counted on each core but for its output axons, and which places are members of
-/// population axons on it.
-fn totals(
+/// What each core uses but for its output axons, and which places are members of population axons
+/// on it.
+fn uses(
     network: &Quantised,
     members: &IdVec<CoreId, Vec<CompartmentId>>,
     seats: &IdVec<CompartmentId, Seat>,
     limits: &Limits,
     places: &Places,
-) -> (Vec<CoreTotals>, MembersOfCores) {
+) -> (Vec<CoreUsage>, MembersOfCores) {
     let longest = longest_delays(network, seats, members.len(), |_| true);
     let profiles = profiles(network, seats, members.len());
     let formats = Formats::for_network(network);
@@ -122,10 +113,10 @@ fn totals(
         totals.lists = lists.totals;
         totals.synapses = keys.len() as u64;
         (totals.compartment_profiles, totals.threshold_profiles) = profiles[core].counts();
-        (totals, lists.members(limits))
+        (totals.usage(limits), lists.members(limits))
     });
-    let (totals, shared): (Vec<CoreTotals>, Vec<_>) = counted.into_iter().unzip();
-    (totals, shared.into())
+    let (used, shared): (Vec<CoreUsage>, Vec<_>) = counted.into_iter().unzip();
+    (used, shared.into())
 }
 
 /// The profiles of each core.

@@ -26,7 +26,7 @@ use nsim_ir::base::fixed::{Delay, WeightBits};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::partition::CoreUsage;
-use nsim_ir::quantised::{Neuron, Quantised};
+use nsim_ir::quantised::{Neuron, Quantised, Units};
 use nsim_ir::resource::{Limits, Resource};
 
 /// A compartment that wants a seat.
@@ -46,6 +46,16 @@ pub struct Newcomer {
     ///
     /// [`FanOut::together`]: crate::resources::fan_out::FanOut::together
     pub together: u64,
+}
+
+impl Newcomer {
+    /// A compartment of which it is not known what it sends; `None` for one of no population.
+    #[must_use]
+    pub fn new(network: &Quantised, id: CompartmentId) -> Option<Self> {
+        let (population, index) = network.population_of(id);
+        let Units::Compartments { neurons, .. } = &network.populations()[population].units else { return None };
+        Some(Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: ALONE })
+    }
 }
 
 /// The input axons of a bundle of sources ([`crate::resources::fan_in`]) so far, which are alike.
@@ -555,7 +565,6 @@ mod tests {
     use crate::resources::exact::usage;
     use nsim_ir::base::id::IdVec;
     use nsim_ir::partition::seats;
-    use nsim_ir::quantised::Units;
     use nsim_ir::resource::Packing;
     use nsim_testing::{limits, random_network};
 
@@ -603,10 +612,7 @@ mod tests {
             let fan_in = FanIn::new(&network);
             let mut filling = Filling::new(&network, &fan_in, &limits);
             for (held, &id) in (1..).zip(&order) {
-                let (population, index) = network.population_of(id);
-                let Units::Compartments { neurons, .. } = &network.populations()[population].units else { continue };
-                let neuron = neurons.get(index);
-                filling.add(&Newcomer { id, population, index, neuron, slots_out: 0, together: ALONE }).unwrap();
+                filling.add(&Newcomer::new(&network, id).unwrap()).unwrap();
                 if let Some(used) = filling.used().filter(|_| held % 5 == 0) {
                     assert_eq!(used, exact(&network, &order, held, &limits), "seed {seed}: {held}, added one by one");
                     one_by_one += 1;

@@ -3,8 +3,6 @@
 //! Input: the [`Layers`] of a network. Output: its [`Boxes`], the fewest that fit a target's limits
 //! or those of given lattices, in the order of populations and lattices.
 
-use std::collections::BTreeSet;
-
 use crate::error::CompileError;
 use crate::options::{Options, Strategy};
 use crate::reason::Reason;
@@ -27,9 +25,6 @@ use nsim_ir::resource::{Limits, Resource};
 
 /// Rounds of making boxes smaller because their output axons do not fit.
 const ROUNDS: usize = 12;
-
-/// Cores that a box reaches whose tables are written to check its output axons.
-const MOST_REACHED: usize = 64;
 
 /// Where every layer is cut; none for inputs.
 pub type Lattices = IdVec<PopulationId, Option<Lattice>>;
@@ -204,32 +199,6 @@ impl Boxes {
     #[must_use]
     pub fn lattices(&self) -> Lattices {
         self.placed.iter().map(|placed| placed.as_ref().map(|placed| placed.cut.lattice)).collect()
-    }
-
-    /// The kind of each box: those of one kind use the same, output axons excepted.
-    pub fn kinds(&self) -> impl Iterator<Item = (u32, (u32, u32, u32))> {
-        self.placed
-            .iter()
-            .flatten()
-            .flat_map(|Placed { cut, first }| cut.lattice.order().map(move |at| (*first, cut.kind(at))))
-    }
-
-    /// One box of each kind, and all those that one box in the middle of each layer reaches, as far
-    /// as they are few; ascending.
-    #[must_use]
-    pub fn to_be_checked(&self) -> Vec<CoreId> {
-        let mut seen = BTreeSet::new();
-        let firsts = self.kinds().enumerate().filter(|(_, kind)| seen.insert(*kind));
-        let mut cores: BTreeSet<CoreId> = firsts.map(|(core, _)| CoreId::new(core)).collect();
-        for Placed { cut, first } in self.placed.iter().flatten() {
-            let middle = first + cut.lattice.boxes() / 2;
-            let reached: BTreeSet<u32> =
-                self.sends.cores[middle as usize].iter().flat_map(|sends| sends.to.iter().copied()).collect();
-            if reached.len() <= MOST_REACHED {
-                cores.extend(reached.into_iter().chain([middle]).map(CoreId));
-            }
-        }
-        cores.into_iter().collect()
     }
 
     /// The boxes as a partition, whose members they then leave to it, with the chip of each given.

@@ -38,7 +38,7 @@ struct Group {
 #[derive(Debug, Clone)]
 pub struct Pattern(Vec<Group>);
 
-/// What filling cores with copies comes to.
+/// The result of filling cores with copies.
 #[derive(Debug, Clone)]
 pub struct Filled {
     /// How many cores.

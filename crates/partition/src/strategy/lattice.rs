@@ -7,6 +7,8 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 use crate::resources::axon_sharing::Places;
 use crate::resources::closed_form::{BoxUse, Channels, Layer, Side, part, use_of};
 use crate::resources::formats::Formats;
@@ -31,7 +33,7 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
 }
 
 /// Where a layer is cut.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Lattice {
     /// Channels, rows and columns of a box; those at the end may be smaller.
     pub size: (u32, u32, u32),

@@ -50,6 +50,7 @@ use crate::strategy::levels::Levels;
 use crate::strategy::members::{Members, row_of_chips};
 use crate::strategy::order::{Chips, Filler, Found, Indices, Segment, file_order};
 use crate::strategy::refine::Effort;
+use crate::strategy::tiles::Rank;
 use nsim_cost::constants::CostTable;
 use nsim_cost::model::core_time;
 use nsim_dynamics::synapses::Enumerate;
@@ -302,7 +303,8 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         // Room that tiles leave may save a core of those that come behind.
         let mut filling = Filling::new(network, &filler.fan_in, target.limits());
         for population in network.populations().ids().filter(|&id| spatial[id]) {
-            let fewer = tiles::tiles_of_fewer_words(network, population, &mut filling, target.limits());
+            let (limits, most) = (target.limits(), target.limits()[Resource::Compartments]);
+            let fewer = tiles::tiles(network, population, &mut filling, limits, (most, Rank::Words));
             let Some(fewer) = fewer else { continue };
             let mut fewer = Some(fewer);
             let mut order: Vec<Segment> = Vec::new();
@@ -486,7 +488,7 @@ fn tiled(
             if cut[population].is_none() {
                 let all = Indices::All(network.populations()[population].shape.len());
                 let whole = || vec![Segment { population, indices: all }];
-                let tiles = tiles::tiles(network, population, &mut filling, limits, most[population]);
+                let tiles = tiles::tiles(network, population, &mut filling, limits, (most[population], Rank::Messages));
                 cut[population] = Some(tiles.unwrap_or_else(whole));
             }
             segments.extend(cut[population].iter().flatten().cloned());

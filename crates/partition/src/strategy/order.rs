@@ -289,13 +289,7 @@ impl<'a> Filler<'a> {
 
     /// The places that are members of population axons on each core.
     fn members_of_axons(&self, members: &Members) -> MembersOfCores {
-        let newcomer = |&id: &CompartmentId| {
-            let (population, index) = self.network.population_of(id);
-            let Units::Compartments { neurons, .. } = &self.network.populations()[population].units else {
-                return None;
-            };
-            Some(Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: ALONE })
-        };
+        let newcomer = |&id: &CompartmentId| Newcomer::new(self.network, id);
         let filling = || Filling::new(self.network, &self.fan_in, self.target.limits());
         let of_core = |filling: &mut Filling<'_>, held: &Vec<CompartmentId>| {
             filling.members_of_axons(held.iter().filter_map(newcomer))

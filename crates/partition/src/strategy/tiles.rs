@@ -23,7 +23,6 @@ use std::collections::BTreeSet;
 
 use crate::resources::axon_sharing::Places;
 use crate::resources::closed_form::{Incoming, Layer, middle, middle_of, part};
-use crate::resources::fan_out::ALONE;
 use crate::resources::formats::Formats;
 use crate::resources::incremental::{Filling, Newcomer};
 use crate::resources::packing::MOST_SLOTS;
@@ -31,8 +30,8 @@ use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
 use crate::strategy::order::{Indices, Segment};
 use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId};
 use nsim_ir::graph::Window;
+use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Limits, OutputAxons, Resource};
 
 /// Grids that are tried on a core before giving up.
@@ -183,46 +182,25 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
     grids
 }
 
+/// What is minimised among grids of as many cores.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rank {
+    /// Messages.
+    Messages,
+    /// Words, where that leaves room worth having; messages may then be more.
+    Words,
+}
+
 /// The tiles of a population as segments, each fit for a core with at most this many compartments;
-/// `None` when no grid was found that fits.
+/// `None` when no such grid was found.
 #[must_use]
 pub fn tiles(
     network: &Quantised,
     population: PopulationId,
     filling: &mut Filling,
     limits: &Limits,
-    most: u32,
-) -> Option<Vec<Segment>> {
-    chosen_tiles(network, population, filling, limits, (most, Rank::Messages))
-}
-
-/// Tiles on as many cores that take fewer words and may send more messages; `None` where there are
-/// none that leave room worth having.
-#[must_use]
-pub fn tiles_of_fewer_words(
-    network: &Quantised,
-    population: PopulationId,
-    filling: &mut Filling,
-    limits: &Limits,
-) -> Option<Vec<Segment>> {
-    chosen_tiles(network, population, filling, limits, (limits[Resource::Compartments], Rank::Words))
-}
-
-/// What is minimised among grids of as many cores.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Rank {
-    Messages,
-    Words,
-}
-
-fn chosen_tiles(
-    network: &Quantised,
-    population: PopulationId,
-    filling: &mut Filling,
-    limits: &Limits,
     (most, rank): (u32, Rank),
 ) -> Option<Vec<Segment>> {
-    let description = &network.populations()[population];
     let formats = Formats::for_network(network);
     let layer = Layer::for_population(network, population, &formats, &Places::for_network(network, limits))?;
     let shape = layer.shape;
@@ -230,15 +208,14 @@ fn chosen_tiles(
     if !orders[0].by_channel && matches!(limits.output_axons, OutputAxons::PerPosition { .. }) {
         orders.push(Layer { by_channel: true, ..orders[0].clone() });
     }
-    let Units::Compartments { first, neurons, .. } = &description.units else { return None };
+    let first = network.populations()[population].first_compartment()?;
     let mut fits = |indices: &[u32]| {
         filling.next_core();
-        let fits = filling.add_whole(indices.iter().map(|&index| {
-            let id = CompartmentId(first.0 + index);
-            Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: ALONE }
-        }));
+        let newcomers: Option<Vec<Newcomer>> =
+            indices.iter().map(|&index| Newcomer::new(network, CompartmentId(first.0 + index))).collect();
+        let fits = newcomers.is_some_and(|newcomers| filling.add_whole(newcomers.into_iter()).is_ok());
         filling.next_core();
-        fits.is_ok()
+        fits
     };
     let all = grids(&orders[0], &formats, limits, most.min(limits[Resource::Compartments]).min(MOST_SLOTS));
     // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.

@@ -5,8 +5,8 @@ use serde_json::{Value, json};
 use super::step::rounded;
 use nsim_compile::{Objective, Strategy};
 use nsim_energy::environment::Environment;
-use nsim_files::table::{Column, csv, or_empty, table_of, three};
-use nsim_study::mapping::{MeasuredMapping, Refusal};
+use nsim_files::table::{Column, csv, or_empty, table_of, three, wrapped};
+use nsim_study::mapping::MeasuredMapping;
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -15,8 +15,6 @@ pub struct MapReport<'a> {
     pub environment: &'a Environment,
     /// The rows, network by network.
     pub rows: &'a [MeasuredMapping],
-    /// Networks that cannot fit.
-    pub refused: &'a [Refusal],
 }
 
 /// What is said of a mapping, in JSON and CSV.
@@ -76,21 +74,11 @@ impl MapReport<'_> {
                 "peak_mib": row.peak_mib.map(rounded),
             })
         };
-        let refusal = |refusal: &Refusal| {
-            json!({
-                "network": refusal.network,
-                "target": refusal.target,
-                "reasons": refusal.reasons,
-                "seconds": rounded(refusal.seconds),
-                "peak_mib": refusal.peak_mib.map(rounded),
-            })
-        };
         json!({
             "schema": "nsim.bench/1",
             "name": "map",
             "environment": self.environment,
             "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
-            "refused": self.refused.iter().map(refusal).collect::<Vec<_>>(),
         })
     }
 
@@ -117,19 +105,15 @@ impl MapReport<'_> {
             ("s", |row| three(row.seconds)),
             ("MiB", |row| or_empty(row.peak_mib.map(|mib| format!("{mib:.0}")))),
         ];
-        let table = table_of(self.rows, &columns, 4);
-        let mut text = format!("{}\n\n{table}\n\n", self.environment);
-        for Refusal { network, target, reasons, seconds, .. } in self.refused {
-            text += &format!("{network} does not fit {target}, known after {} s:\n", three(*seconds));
-            reasons.iter().for_each(|reason| text += &format!("  {reason}\n"));
-        }
+        let table = table_of(self.rows, &columns);
+        let mut text = format!("{}\n{table}\n", wrapped(&self.environment.to_string()));
         for strategy in [Strategy::Greedy, Strategy::Multilevel] {
             let (networks, hops_multicast, worse) = self.against_sequential(strategy, Objective::Cores);
             let name = strategy.name();
-            text += &format!(
+            text += &wrapped(&format!(
                 "{name}, placed: {hops_multicast:.2} of the multicast hops of unplaced sequential (geometric mean of \
-                 {networks} networks); more hops or cores on {worse}\n"
-            );
+                 {networks} networks); more hops or cores on {worse}"
+            ));
         }
         text
     }
@@ -175,14 +159,7 @@ mod tests {
             row("c", Strategy::Sequential, false, 2, 5.0),
             row("c", Strategy::Multilevel, true, 3, 5.0),
         ];
-        let refusal = Refusal {
-            network: "d",
-            target: "board".to_string(),
-            reasons: vec!["too large".to_string()],
-            seconds: 0.25,
-            peak_mib: None,
-        };
-        let report = MapReport { environment: &Environment::here(), rows: &rows, refused: &[refusal] };
+        let report = MapReport { environment: &Environment::here(), rows: &rows };
         let found = report.against_sequential(Strategy::Multilevel, Objective::Cores);
         assert_eq!((found.0, found.2), (2, 1));
         assert!((found.1 - 0.5).abs() < 1e-12);
@@ -190,8 +167,6 @@ mod tests {
         for key in KEYS.split(',') {
             assert!(json["rows"][0].get(key).is_some(), "{key}");
         }
-        assert_eq!(json["refused"][0]["reasons"][0], "too large");
-        assert!(report.text().contains("s:\n  too large"));
         assert_eq!(report.csv().lines().count(), 7);
         assert!(report.text().contains("0.50 of the multicast hops"));
     }

@@ -3,8 +3,9 @@
 use serde_json::{Value, json};
 
 use crate::charts::results;
+use crate::origin;
 use nsim_energy::environment::Environment;
-use nsim_files::table::{Column, csv, four, markdown_of, or_empty, rounded, table_of};
+use nsim_files::table::{Column, csv, four, markdown_of, or_empty, rounded, table_of, wrapped};
 use nsim_study::pareto::VariantRow;
 
 /// Everything that the report says.
@@ -74,18 +75,14 @@ impl ParetoReport<'_> {
     }
 
     fn what(&self) -> String {
-        let seed = self.seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
-        format!("{}, {} samples of {}{seed}", self.model, self.samples, self.input.join(" "))
+        format!("{}, {} samples of {}", self.model, self.samples, origin(self.input, self.seed))
     }
 
     /// For people.
     pub fn text(&self) -> String {
-        let table = table_of(self.rows, &COLUMNS, 1);
-        format!(
-            "{}\n{}\nagainst the trained network in doubles; one thread\n\n{table}\n",
-            self.environment,
-            self.what()
-        )
+        let table = table_of(self.rows, &COLUMNS);
+        let said = format!("{}, against the trained network in doubles; one thread", self.what());
+        format!("{}{}\n{table}", wrapped(&self.environment.to_string()), wrapped(&said))
     }
 
     /// A section of a document, with a chart under `picture`.

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::charts::draw::Axis;
 use crate::charts::plot;
 use crate::charts::plot::Series;
-use nsim_files::table::{Column, table_of, three, wrapped};
+use nsim_files::table::{table, three, wrapped};
 use nsim_study::published::{PublishedRow, factors_by_work, geometric_mean};
 
 /// Above this factor a prediction is far off, and the report says why.
@@ -15,15 +15,20 @@ fn end(row: &PublishedRow, of: fn((f64, f64)) -> f64) -> String {
     row.interval.map_or_else(|| "-".to_string(), |interval| three(of(interval)))
 }
 
-const COLUMNS: [Column<PublishedRow>; 7] = [
-    ("workload", |row| row.workload.clone()),
-    ("quantity", |row| format!("{}, {}", row.quantity.name(), row.quantity.unit())),
-    ("printed", |row| three(row.published)),
-    ("predicted", |row| three(row.predicted)),
-    ("low", |row| end(row, |(low, _)| low)),
-    ("high", |row| end(row, |(_, high)| high)),
-    ("ratio", |row| format!("{:.2}", row.predicted / row.published)),
-];
+/// A table of rows, those of a workload under its name.
+fn table_of<'r>(rows: impl Iterator<Item = &'r PublishedRow>) -> String {
+    let (mut lines, mut last) = (Vec::new(), "");
+    for row in rows {
+        if std::mem::replace(&mut last, &row.workload) != row.workload {
+            lines.push([&row.workload, "", "", "", "", ""].map(str::to_string).to_vec());
+        }
+        let ratio = format!("{:.2}", row.predicted / row.published);
+        let figures = [three(row.published), three(row.predicted), end(row, |ends| ends.0), end(row, |ends| ends.1)];
+        let quantity = format!("  {}, {}", row.quantity.name(), row.quantity.unit());
+        lines.push(std::iter::once(quantity).chain(figures).chain([ratio]).collect());
+    }
+    table(&["workload", "printed", "predicted", "low", "high", "ratio"], &lines)
+}
 
 /// What is said of a figure in CSV.
 const KEYS: &str =
@@ -65,11 +70,10 @@ fn of_kind(rows: &[PublishedRow], left_out: bool) -> impl Iterator<Item = &Publi
 
 /// For people.
 pub fn text(rows: &[PublishedRow]) -> String {
-    let mut out =
-        format!("without what a work's own authors found\n\n{}\n", table_of(of_kind(rows, true), &COLUMNS, 2));
+    let mut out = format!("without what a work's own authors found\n\n{}", table_of(of_kind(rows, true)));
     let second_hand = || rows.iter().filter(|row| !row.first_hand);
     if second_hand().next().is_some() {
-        out += &format!("\nknown second-hand\n\n{}\n", table_of(second_hand(), &COLUMNS, 2));
+        out += &format!("\nknown second-hand\n\n{}", table_of(second_hand()));
     }
     for (time, name) in [(false, "power and energy"), (true, "time")] {
         let by_work = factors_by_work(rows, time);
@@ -78,8 +82,11 @@ pub fn text(rows: &[PublishedRow]) -> String {
         else {
             continue;
         };
-        out +=
-            &format!("\n{name}, median factor of each of {} works: mean {mean:.2}, worst {worst:.2}\n", by_work.len());
+        out.push('\n');
+        out += &wrapped(&format!(
+            "{name}, median factor of each of {} works: mean {mean:.2}, worst {worst:.2}",
+            by_work.len()
+        ));
         let works = by_work.iter().map(|(work, factor)| format!("{work} {factor:.2}")).collect::<Vec<_>>();
         out += &wrapped(&works.join(", "));
     }

@@ -37,7 +37,7 @@ const BARS: [(Resource, &str); 4] = [
 ];
 
 /// The picture.
-pub fn svg<P>(compiled: &Mapping<P>, target: &Target, links: &Links) -> String {
+pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
     let mesh = compiled.placement.mesh();
     let side = f64::from(mesh.cores_per_tile).sqrt().ceil().max(1.0);
     let tile = side * CORE + LINK;
@@ -155,7 +155,7 @@ fn link(part: f64) -> String {
 }
 
 /// A bar a core for each resource.
-fn bars<P>(sheet: &mut Sheet, compiled: &Mapping<P>, target: &Target, top: f64, width: f64) {
+fn bars(sheet: &mut Sheet, compiled: &Mapping, target: &Target, top: f64, width: f64) {
     let each = (width - LEFT) / compiled.partition.cores().max(1) as f64;
     for (row, (resource, name)) in BARS.iter().enumerate() {
         let y = top + row as f64 * (BAR_HEIGHT + 22.0) + 16.0;
@@ -173,7 +173,7 @@ fn bars<P>(sheet: &mut Sheet, compiled: &Mapping<P>, target: &Target, top: f64, 
 }
 
 /// The population of one copy that most compartments of a core belong to.
-pub(crate) fn mostly<P>(compiled: &Mapping<P>, core: CoreId) -> PopulationId {
+pub(crate) fn mostly(compiled: &Mapping, core: CoreId) -> PopulationId {
     let per_copy = compiled.one.populations().len().max(1) as u32;
     let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
     for &id in &compiled.partition.members()[core] {
@@ -191,7 +191,7 @@ fn colour(population: PopulationId) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nsim_compile::{CopyPlacement, DEFAULT_RATE, Form, Options, explore};
+    use nsim_compile::{CopyPlacement, DEFAULT_RATE, Options, explore};
     use nsim_ir::firing_rates::Rates;
     use nsim_testing::{limits, slip, target};
 
@@ -200,7 +200,7 @@ mod tests {
         let board = target(2, 1, limits());
         let options = Options { copies: 40, placement: CopyPlacement::Packed, ..Options::default() };
         let rates = Rates::assumed(DEFAULT_RATE);
-        let compiled = explore::map(slip(3150).into(), &board, &options, &rates, Form::Written).unwrap();
+        let compiled = explore::map(slip(3150).into(), &board, &options, &rates).unwrap();
         let picture = svg(&compiled, &board, &compiled.links());
         assert_eq!(picture.matches(" compartments, mostly ").count(), 40);
         // 40 cores are ten tiles; every tile but the corner's has inputs come over a link.

@@ -329,8 +329,7 @@
   function spikesSection() {
     if (!sample) return;
     const cutLength = sample.steps < sample.steps_of_sample ? ` Only its first ${number(sample.steps)} of ${number(sample.steps_of_sample)} timesteps are shown.` : "";
-    const label = sample.label === null ? " The" : ` Its class is ${className(sample.label)}; the`;
-    const part = section("spikes", "Spikes", `The first sample, ${plural(sample.steps, "timestep")}.${label} network says ${className(sample.predicted)}${sample.decided_at === null ? "" : `, decided after timestep ${sample.decided_at}`}.${cutLength}${drawnOf(data.network)}`);
+    const part = section("spikes", "Spikes", `The first sample, ${plural(sample.steps, "timestep")}.${cutLength}${drawnOf(data.network)}`);
     const shown = sample.rasters.filter((raster) => raster.units > 0);
     const outputName = data.network.output;
     const heights = shown.map((raster) => Math.max(46, Math.min(170, 30 + 2.2 * Math.min(raster.units, 400 / 1))));
@@ -427,10 +426,17 @@
     const slow = (result.cores || []).filter((row) => row.slowest_steps > 0).sort((a, b) => b.slowest_steps - a.slowest_steps).slice(0, 8);
     parts("Cores by the timesteps in which they were the slowest", two, slow.map((row) => [`core ${row.core}, chip ${row.chip}`, row.slowest_steps]), "timesteps");
   }
+  // What the network says of the first sample, and how often it is right.
+  function decision() {
+    const said = sample ? `The network says ${className(sample.predicted)} of the first sample${sample.label === null ? "" : `, whose class is ${className(sample.label)}`}${sample.decided_at === null ? "" : `, decided after timestep ${sample.decided_at}`}.` : "";
+    return `${said}${isNumber(result.accuracy) ? ` It is right in ${number(100 * result.accuracy)} % of ${plural(result.samples, "sample")}.` : ""}`;
+  }
   function hardwareSection() {
     const list = rows.filter((row) => row.unit === "total" || row.hardware !== rows[0].hardware);
     if (list.length < 1 || !total) return;
-    const part = section("hardware", "Beside other hardware", "Energy and time of one timestep of one copy, on logarithmic axes. A bar is an 80 % interval: how far predictions of published measurements were off.");
+    const part = section("hardware", "Energy and time beside other hardware", `${decision()} Figures are of a timestep of one copy.`.trim());
+    part.append(table(["hardware", "static (mW)", "dynamic (mW)", "time (µs)", "energy (µJ)", "energy-delay (nJ s)", "source"], rows.map((row) => [row.unit === "total" || row.hardware !== rows[0].hardware ? row.hardware : `${row.hardware} ${row.unit}`, number(row.static_mw), number(row.dynamic_mw), number(row.latency_us), number(row.energy_uj), number(row.edp_pjs / 1e3), row.power_source && row.power_source !== row.source ? `${row.source}, power ${row.power_source}` : row.source]), [0, 6]));
+    part.append(element("p", { class: "lead" }, "On logarithmic axes; a bar is an 80 % interval: how far predictions of published measurements were off."));
     const halves = element("div", { class: "halves" });
     part.append(halves);
     const nameOf = (row) => `${row.hardware} (${row.source})`;
@@ -455,7 +461,6 @@
         ],
       });
     }
-    part.append(table(["hardware", "static (mW)", "dynamic (mW)", "time (µs)", "energy (µJ)", "energy-delay (pJ s)", "figures", "watts"], rows.map((row) => [row.unit === "total" || row.hardware !== rows[0].hardware ? row.hardware : `${row.hardware} ${row.unit}`, number(row.static_mw), number(row.dynamic_mw), number(row.latency_us), number(row.energy_uj), number(row.edp_pjs), row.source, row.power_source]), [0, 6, 7]));
   }
 
   // ---- agreement and classes -----------------------------------------------------------------------------------------
@@ -504,7 +509,7 @@
     const sumOf = (of, key, field) => ((of[key] || []).length ? sum(of[key].map((row) => row[field] || 0)) : null);
     const lines = [
       ["energy of a timestep (µJ)", ta.energy_uj, tb.energy_uj], ["time of a timestep (µs)", ta.latency_us, tb.latency_us], ["power (mW)", ta.total_mw, tb.total_mw],
-      ["energy-delay product (pJ s)", ta.edp_pjs, tb.edp_pjs], ["cores", a.cores_used, b.cores_used], ["chips", a.chips_used, b.chips_used],
+      ["energy-delay product (nJ s)", ta.edp_pjs / 1e3, tb.edp_pjs / 1e3], ["cores", a.cores_used, b.cores_used], ["chips", a.chips_used, b.chips_used],
       ["timesteps", a.timesteps, b.timesteps], ["spikes of compartments", sumOf(a, "populations", "spikes"), sumOf(b, "populations", "spikes")],
       ["synaptic events", sumOf(a, "cores", "synaptic_events") ?? activity(a).synaptic_events, sumOf(b, "cores", "synaptic_events") ?? activity(b).synaptic_events],
       ["accuracy", a.accuracy, b.accuracy],
@@ -549,13 +554,13 @@
   header();
   if (results.length > 1) comparison();
   else {
+    hardwareSection();
     networkSection();
     fitSection();
     spikesSection();
     potentialsSection();
     stepsSection();
     goesSection();
-    hardwareSection();
     agreementSection();
     classesSection();
   }

@@ -6,7 +6,7 @@ use crate::cores::CoreRow;
 use crate::populations::{ByPopulation, PopulationCounts};
 use crate::ranks::RankRow;
 use crate::warnings::Warning;
-use nsim_files::table::table_of;
+use nsim_files::table::{Column, table_of, three};
 
 /// What a run did in its parts.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -48,17 +48,20 @@ impl Detail {
         if self.sums.populations.is_empty() {
             return String::new();
         }
-        let columns = ["population", "compartments", "spikes", "each a step", "silent", "clipped", "wrapped"];
-        let mut table = nsim_files::table::table(columns);
-        for row in &self.sums.populations {
-            let PopulationCounts { name, compartments, spikes, silent, clipped, wrapped, .. } = row;
-            let rate = *spikes as f64 / (compartments * timesteps).max(1) as f64;
-            let quiet = if *compartments > 0 && *spikes == 0 { "all".to_string() } else { silent.to_string() };
-            let cells = [compartments.to_string(), spikes.to_string(), format!("{rate:.4}"), quiet];
-            table.add_row([name.clone()].into_iter().chain(cells).chain([clipped.to_string(), wrapped.to_string()]));
-        }
-        nsim_files::table::right_from(&mut table, 1);
-        format!("{}\n\n", table.trim_fmt())
+        let columns: [Column<(&PopulationCounts, u64)>; 7] = [
+            ("population", |(row, _)| row.name.clone()),
+            ("compartments", |(row, _)| row.compartments.to_string()),
+            ("spikes", |(row, _)| row.spikes.to_string()),
+            ("each a step", |(row, timesteps)| three(row.spikes as f64 / (row.compartments * timesteps).max(1) as f64)),
+            ("silent", |(row, _)| match row.compartments > 0 && row.spikes == 0 {
+                true => "all".to_string(),
+                false => row.silent.to_string(),
+            }),
+            ("clipped", |(row, _)| row.clipped.to_string()),
+            ("wrapped", |(row, _)| row.wrapped.to_string()),
+        ];
+        let rows: Vec<(&PopulationCounts, u64)> = self.sums.populations.iter().map(|row| (row, timesteps)).collect();
+        table_of(&rows, &columns) + "\n"
     }
 
     /// A line for each process that ran a part.
@@ -93,17 +96,14 @@ impl Detail {
                 ("like it", |(_, alike)| alike.to_string()),
                 ("slowest in steps", |(row, _)| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
                 ("busy us", |(row, _)| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
-                ("energy nJ", |(row, _)| {
-                    format!("{:.1}", row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))
-                }),
+                ("energy nJ", |(row, _)| three(row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))),
                 ("spikes", |(row, _)| row.counts.spikes.to_string()),
                 ("events", |(row, _)| row.counts.synaptic_events().to_string()),
             ],
-            0,
         );
         let shown =
             if self.cores.len() > most { format!(", {most} of {} cores", self.cores.len()) } else { String::new() };
-        format!("Cores by the steps in which they were the slowest{shown}:\n{}\n\n", table.trim_fmt())
+        format!("Cores by the steps in which they were the slowest{shown}:\n{table}\n")
     }
 }
 

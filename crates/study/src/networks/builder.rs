@@ -67,8 +67,7 @@ impl Builder {
         }
     }
 
-    /// Compartments with the decays of the published visual-tactile network; the last population is
-    /// the output.
+    /// Compartments with the decays of the published visual-tactile network.
     pub(crate) fn loihi(
         &mut self,
         name: &str,
@@ -83,12 +82,17 @@ impl Builder {
             refractory: Refractory::new(refractory)?,
             ..Neuron::PLAIN
         });
+        Ok(self.compartments(name, compartments, neurons))
+    }
+
+    /// Compartments with these neurons; the last population is the output.
+    pub(crate) fn compartments(&mut self, name: &str, count: u32, neurons: PerCompartment<Neuron>) -> PopulationId {
         let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
-        self.compartments += compartments;
+        self.compartments += count;
         let population =
-            Population { name: name.to_string(), shape: Shape::Line(compartments), units, message: Message::Spike };
+            Population { name: name.to_string(), shape: Shape::Line(count), units, message: Message::Spike };
         self.parts.output = self.parts.populations.push(population);
-        Ok(self.parts.output)
+        self.parts.output
     }
 
     /// Gives the last population these neurons.

@@ -8,8 +8,9 @@
 use crate::networks::builder::Builder;
 use crate::networks::layers::Layers;
 use crate::networks::{BuildError, random_synapses};
-use nsim_ir::base::fixed::{OutOfRange, SignMode};
+use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::{ChannelId, PopulationId};
+use nsim_ir::graph::PerCompartment;
 use nsim_ir::quantised::{Neuron, Quantised};
 
 /// A network and its spikes.
@@ -30,10 +31,8 @@ const NEVER: i64 = 131_071;
 const TOGETHER: u32 = 8;
 
 /// Compartments that forget at once and never fire.
-fn silent(net: &mut Builder, name: &str, compartments: u32) -> Result<PopulationId, OutOfRange> {
-    let population = net.loihi(name, compartments, NEVER, 1)?;
-    net.neurons_of_last(Neuron::PLAIN);
-    Ok(population)
+fn silent(net: &mut Builder, name: &str, compartments: u32) -> PopulationId {
+    net.compartments(name, compartments, PerCompartment::Same(Neuron::PLAIN))
 }
 
 fn every(stride: u32, spikes: u32) -> Vec<ChannelId> {
@@ -60,7 +59,7 @@ fn lists_over(
     (stride, period): (u32, u32),
 ) -> Result<DeliveryNetwork, BuildError> {
     let mut net = Builder::new(&name);
-    let ends = (net.input("in", channels), silent(&mut net, "out", compartments)?);
+    let ends = (net.input("in", channels), silent(&mut net, "out", compartments));
     net.connect(ends, 0, SignMode::Mixed, random_synapses(compartments, synapses, 1))?;
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(stride, 1_024), period })
 }
@@ -69,7 +68,7 @@ fn lists_over(
 fn dense(compartments: u32) -> Result<DeliveryNetwork, BuildError> {
     let name = format!("dense to {compartments}");
     let mut net = Builder::new(&name);
-    let ends = (net.input("in", 512), silent(&mut net, "out", compartments)?);
+    let ends = (net.input("in", 512), silent(&mut net, "out", compartments));
     net.dense(ends, (-8, 8), 1)?;
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(2, 256), period: 1 })
 }
@@ -81,7 +80,7 @@ fn groups(groups: u32, places: u32) -> Result<DeliveryNetwork, BuildError> {
     let sources = (0..groups).map(|group| net.input(&format!("in{group}"), TOGETHER)).collect::<Vec<PopulationId>>();
     for place in 0..places {
         for (group, &source) in sources.iter().enumerate() {
-            let target = silent(&mut net, &format!("out{group}.{place}"), 16)?;
+            let target = silent(&mut net, &format!("out{group}.{place}"), 16);
             // Weights of their own: what groups had in common would be stored as rows.
             net.dense((source, target), (-8, 8), u64::from(place) << 32 | group as u64)?;
         }

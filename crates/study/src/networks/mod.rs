@@ -46,6 +46,7 @@ use nsim_ir::base::fixed::{OutOfRange, SignMode};
 use nsim_ir::base::id::{ChannelId, PopulationId};
 use nsim_ir::base::names::named_variants;
 use nsim_ir::base::rng;
+use nsim_ir::graph::PerCompartment;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Inconsistent, Neuron, Quantised};
 use nsim_ir::spikes::{Sample, SampleError};
@@ -127,8 +128,7 @@ impl StandardNetwork {
         matches!(self, StandardNetwork::Random32k | StandardNetwork::Random1m | StandardNetwork::Conv10m)
     }
 
-    /// The standard network with the same compartments and synapses: its program serves both, only
-    /// the input differs.
+    /// The standard network whose program this one shares: only their inputs differ.
     pub fn program_of(self) -> StandardNetwork {
         match self {
             StandardNetwork::VtSnn5Pct => StandardNetwork::VtSnn1Pct,
@@ -168,12 +168,10 @@ impl StandardNetwork {
     }
 }
 
-/// Steps of input of the visual-tactile network: 20 samples of 150 steps, as long as the slip
-/// task's.
+/// Steps of input of the visual-tactile network: 20 samples of the slip task's 150 steps.
 const VTSNN_STEPS: u32 = 20 * 150;
 
-/// The layers, weights and thresholds of `models/vtsnn-slip.ron`, without its file: a retrained
-/// model would change what is measured.
+/// As `models/vtsnn-slip.ron`, without its file: a retrained model would change the measurement.
 pub(super) fn vtsnn(name: &str, percent: u64) -> Result<BenchNetwork, BuildError> {
     let mut net = Builder::new(name);
     let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));
@@ -211,8 +209,7 @@ pub struct Random {
     pub compartments: u32,
     /// Weak random synapses of a channel besides the driving one.
     pub background: u32,
-    /// Channels that spike in a step; drawn with replacement, so a few are drawn twice and spike
-    /// once.
+    /// Channels drawn to spike in a step, with replacement; a channel drawn twice spikes once.
     pub driven: u32,
     /// Steps of input, to be repeated.
     pub period: u32,
@@ -316,8 +313,7 @@ pub fn random(name: &str, sizes: Random, delays: &[i64]) -> Result<BenchNetwork,
 }
 
 /// A network whose steps have any number of synaptic events and nothing else: channels with 64
-/// random synapses each, onto compartments that forget at once and never fire. `driven` channels
-/// spike in each step.
+/// random synapses each, onto compartments that never fire; `driven` channels spike in a step.
 ///
 /// # Errors
 /// [`BuildError`] when there is no compartment.
@@ -334,9 +330,8 @@ fn events_over(
 ) -> Result<BenchNetwork, BuildError> {
     let mut net = Builder::new(name);
     let drive = net.input("drive", compartments);
-    let neurons = net.loihi("neurons", compartments, 131_071, 1)?;
     // Without memory, and with the greatest threshold.
-    net.neurons_of_last(Neuron::PLAIN);
+    let neurons = net.compartments("neurons", compartments, PerCompartment::Same(Neuron::PLAIN));
     spread((&mut net, (drive, neurons)), compartments, delays)?;
     // A stride that shares no factor with the number of channels visits each before any again.
     let stride = (1..).map(|k| 7_919 + 2 * k).find(|&s| gcd(s, u64::from(compartments)) == 1).unwrap_or(1);
@@ -399,8 +394,7 @@ mod tests {
 
     #[test]
     fn a_random_network_of_any_size_fires_as_it_is_driven() {
-        // random-1m in small: 1 % firing and 64 synapses give 0.64 synaptic events a compartment
-        // besides the inputs'.
+        // random-1m in small: 1 % firing and 64 synapses give 0.64 recurrent events a compartment.
         let bench =
             random("small", Random { compartments: 10_000, background: 0, driven: 102, period: 64 }, &[0]).unwrap();
         let (spikes, events, _) = settled(&bench, 120);
@@ -426,8 +420,7 @@ mod tests {
                 let parts = bench.network.parts();
                 format!("{:?} {:?}", parts.populations, parts.projections)
             };
-            // Printing a million one-to-one synapses takes long; what is described by a seed is the
-            // same code.
+            // Printing a million one-to-one synapses takes long; seeded ones are the same code.
             if own.network.compartments() < 100_000 {
                 assert_eq!(said(&own), said(&other), "{}", standard.name());
             }

@@ -51,8 +51,7 @@ impl Cell {
         format!("paper-{}-{loss}", self.name())
     }
 
-    /// The losses of a training file with the paper's spike-count loss, as the field `loss` has
-    /// them: in the order of [`LOSSES`].
+    /// Both losses of a training file with the spike-count loss, in the order of [`LOSSES`].
     ///
     /// # Errors
     /// [`Error::Fault`] for another loss.
@@ -196,8 +195,7 @@ struct At {
     high: f64,
 }
 
-/// Which sense alone leads when: a sentence for each task, loss and kind of neuron of which both
-/// senses are measured over time.
+/// Which sense leads when: a sentence for each task, loss and neuron kind with both senses.
 ///
 /// A sense leads at a time when the whole interval of its accuracy is above that of the other, and
 /// above what naming any one class reaches.

@@ -34,8 +34,7 @@ pub struct PublishedRow {
     pub published: f64,
     /// What nsim says.
     pub predicted: f64,
-    /// The interval by the class of the figure, widened by rates that are assumed; `None` where no
-    /// class bounds it.
+    /// The interval by the class of the figure and assumed rates; `None` without a class.
     pub interval: Option<(f64, f64)>,
     /// Whether the findings of the work's own authors were left out.
     pub left_out: bool,

@@ -6,19 +6,15 @@
 //! together; weights of +2 and -2 are too small to change when. Synapses, axons and messages are
 //! those of the workload, so that counts are too.
 
-use nsim_ir::neurons::Port;
-
 use crate::networks::BuildError;
+use crate::networks::builder::Builder;
 use nsim_energy::published::workload::{Between, WorkloadFile, WorkloadPopulation, WorkloadProjection};
-use nsim_ir::base::fixed::{
-    BiasExponent, BiasMantissa, Decay, Delay, SignMode, ThresholdMantissa, WeightBits, WeightExponent,
-};
-use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim_ir::base::fixed::{BiasExponent, BiasMantissa, Decay, SignMode, ThresholdMantissa};
+use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::rng;
 use nsim_ir::graph::{PerCompartment, Shape, Window};
-use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
-use nsim_ir::quantised::{Neuron, Parts, Population, Projection, Quantised, Units};
-use nsim_ir::spikes::Message;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Neuron, Quantised};
 use nsim_ir::spikes::Sample;
 use nsim_quantise::relays::{one_to_one, relay};
 
@@ -49,16 +45,14 @@ impl Rates {
     }
 }
 
-/// Steps before anything is counted: twice as many as the slowest compartment waits for its first
-/// spike.
+/// Steps before counting: twice the wait of the slowest compartment for its first spike.
 pub fn warm_up(file: &WorkloadFile, rates: Rates) -> u32 {
     let layers = file.populations.iter().filter(|population| matches!(population, WorkloadPopulation::Layer { .. }));
     let rates = layers.filter_map(|layer| Some(rates.of_range(layer.parts().2?))).filter(|&rate| rate > 0.0);
     rates.map(|rate| (2.0 / rate).ceil() as u32).max().unwrap_or(0).clamp(COUNTED, MOST_WARM_UP)
 }
 
-/// Threshold mantissa of every compartment: a threshold of 1,280,000, far above what weights of 2
-/// sum up to.
+/// Threshold mantissa of every compartment: 1,280,000, far above any sum of weights of 2.
 const THRESHOLD: i64 = 20_000;
 
 /// A bias that makes a compartment fire once in `1 / rate` steps, in mantissa and exponent.
@@ -104,17 +98,12 @@ fn local(sources: u32, targets: u32, fan_out: u32, reach: u32, seed: u64) -> Con
 /// # Errors
 /// [`BuildError`] where the shapes of a convolution do not fit each other.
 pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), BuildError> {
-    let mut parts = Parts { name: file.name.clone(), ..Parts::default() };
     let all_steps = warm_up(file, end) + COUNTED;
-    let (mut channels, mut compartments, mut input) = (0u32, 0u32, Vec::new());
+    let (mut net, mut channels, mut input, mut ids) = (Builder::new(&file.name), 0u32, Vec::new(), Vec::new());
     for (index, population) in file.populations.iter().enumerate() {
         let (name, sides, rate) = population.parts();
         let (units, own_rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, |rate| end.of_range(rate)));
-        let shape = match *sides {
-            [c, h, w] => Shape::Volume(c, h, w),
-            _ => Shape::Line(units),
-        };
-        let own = match population {
+        ids.push(match population {
             WorkloadPopulation::Input { .. } => {
                 let first = channels;
                 channels += units;
@@ -123,32 +112,23 @@ pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), Bui
                     let steps = (0..all_steps).filter(|&step| spikes(channel, step));
                     input.extend(steps.map(|step| (step, ChannelId(channel))));
                 }
-                Units::Input(ChannelId(first))
+                net.input(name, units)
             }
-            WorkloadPopulation::Layer { .. } | WorkloadPopulation::Relay { .. } => {
-                let first = CompartmentId(compartments);
-                compartments += units;
-                // A relay has no rate: its input makes it spike.
-                let neurons = if rate.is_some() {
-                    neurons(units, own_rate, index as u64)?
-                } else {
-                    PerCompartment::Same(relay()?)
-                };
-                Units::Compartments { first, neurons, start_step: 0 }
-            }
-        };
-        parts.output =
-            parts.populations.push(Population { name: name.to_string(), shape, units: own, message: Message::Spike });
+            WorkloadPopulation::Layer { .. } => net.compartments(name, units, neurons(units, own_rate, index as u64)?),
+            // A relay has no rate: its input makes it spike.
+            WorkloadPopulation::Relay { .. } => net.compartments(name, units, PerCompartment::Same(relay()?)),
+        });
+        if let [c, h, w] = *sides {
+            net.over_space(c, h, w);
+        }
     }
     let place = |name: &str| {
         let found = file.populations.iter().position(|population| population.parts().0 == name);
-        PopulationId(found.unwrap_or_default() as u32)
+        ids[found.unwrap_or_default()]
     };
-    let (exponent, bits) = (WeightExponent::new(0)?, WeightBits::new(8)?);
-    let format = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First };
     for (index, projection) in file.projections.iter().enumerate() {
         let [source, target] = projection.ends().map(place);
-        let size = |id| parts.populations[id].shape.len();
+        let size = |id| net.parts.populations[id].shape.len();
         let (sources, targets, seed) = (size(source), size(target), index as u64);
         let connectivity = match *projection {
             WorkloadProjection::Dense { .. } => {
@@ -156,7 +136,7 @@ pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), Bui
                 Connectivity::Dense { targets, weights }
             }
             WorkloadProjection::Conv { kernel, stride, .. } => {
-                let volume = |id| match parts.populations[id].shape {
+                let volume = |id| match net.parts.populations[id].shape {
                     Shape::Volume(c, h, w) => (c, h, w),
                     ref other => (other.len(), 1, 1),
                 };
@@ -177,18 +157,15 @@ pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), Bui
                 Connectivity::Random { targets, fan_out, low: 2, high: 2, step: 2, seed, first_source: 0 }
             }
         };
-        let name = projection.ends().join(" -> ");
-        parts.projections.push(Projection { name, source, target, format, delay: Delay::new(0)?, connectivity });
+        net.connect((source, target), 0, SignMode::Mixed, connectivity)?;
     }
     for population in &file.populations {
         if let WorkloadPopulation::Relay { name, of, shape } = population {
-            let units: u32 = shape.iter().product();
-            let connectivity = one_to_one(units);
-            let (source, target, name) = (place(of), place(name), format!("{of} -> {name}"));
-            parts.projections.push(Projection { name, source, target, format, delay: Delay::new(0)?, connectivity });
+            let connectivity = one_to_one(shape.iter().product());
+            net.connect((place(of), place(name)), 0, SignMode::Mixed, connectivity)?;
         }
     }
-    let network = Quantised::new(parts)?;
+    let network = net.build()?;
     let sample = Sample::new(all_steps, &input, None)?;
     Ok((network, sample))
 }
@@ -196,7 +173,7 @@ pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), Bui
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nsim_energy::published::files::workload;
+    use nsim_energy::published::workload;
     use nsim_golden::Golden;
     use nsim_ir::spikes::Engine;
 

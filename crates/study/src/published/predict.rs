@@ -6,7 +6,7 @@
 //! that price a user's network.
 
 use super::network::{COUNTED, Rates, build, warm_up};
-use nsim_compile::{CompileError, Compiled, Front, Options, with_program};
+use nsim_compile::{CompileError, Compiled, Front, Options};
 use nsim_cost::estimate::{Case, JobPower};
 use nsim_cost::job::DeployedCores;
 use nsim_cost::job::Mode;
@@ -67,8 +67,7 @@ fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Co
     let (options, rates) = (Options::default(), firing_rates::Rates::assumed(nsim_compile::DEFAULT_RATE));
     let placed =
         Front::from(network).place_on(target, &options, &rates, (members, sites), "printed").map_err(failed)?;
-    let checked = placed.emit(target, &options).and_then(|unchecked| unchecked.check(target)).map_err(failed)?;
-    with_program(checked, target).map_err(failed)
+    placed.emit(target, &options).and_then(|unchecked| unchecked.check(target)).map_err(failed)
 }
 
 /// The numbers of cores that a workload ran on.
@@ -128,12 +127,10 @@ fn figure(
     Some(all / parts.max(1.0))
 }
 
-/// The figures of a workload under each table, in the order of the file; unknown ones are not
-/// numbers.
+/// The figures of a workload under each table, in the order of the file; unknown ones are NaN.
 ///
 /// # Errors
-/// [`Error`] where the network cannot be built, does not fit the cores of its layout, or its sums
-/// could not be exact.
+/// [`Error`] where the network cannot be built, does not fit its layout, or sums are inexact.
 pub fn predict(
     file: &WorkloadFile,
     target: &Target,
@@ -144,8 +141,7 @@ pub fn predict(
     let compiled = mapped(file, network, target)?;
     let deployment = deployment(file, target);
     let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
-    // Biases keep every compartment of the network from rest; what that costs is linear in the
-    // share of steps in which it is so.
+    // Biases keep every compartment active; the cost of that is linear in the share of steps.
     let share = rates.of_range(file.active_share);
     let table = |table: &CostTable| {
         let mut table = table.clone();

@@ -94,10 +94,6 @@ pub struct AxisDesc {
     pub step: Option<f64>,
 }
 
-fn model() -> String {
-    "vtsnn-slip".to_string()
-}
-
 fn target() -> String {
     "nahuku-32".to_string()
 }
@@ -110,9 +106,12 @@ fn one() -> u32 {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Sweep")]
 pub struct SweepFile {
-    /// A model file or the name of a shipped model.
-    #[serde(default = "model")]
-    pub model: String,
+    /// A model file or the name of a shipped model; `vtsnn-slip` where nothing is trained.
+    #[serde(default)]
+    pub model: Option<String>,
+    /// A training file or the name of a shipped one, instead of a model.
+    #[serde(default)]
+    pub train: Option<String>,
     /// A target file or the name of a shipped target.
     #[serde(default = "target")]
     pub target: String,

@@ -2,21 +2,17 @@
 //!
 //! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; a figure that is not known is empty.
 //! Energies, power and latency are the total of one copy. What variants have in common is made
-//! once: models and their arrays, targets and their constants, samples, and mappings, which
-//! networks share that differ in the parameters of neurons alone.
+//! once: models and their arrays, targets and their constants, samples, and mappings.
 //!
-//! Errors: whatever no variant could be run with, such as a path that leads nowhere. What is wrong
+//! Errors: whatever no variant could be run with, such as a path without a field. What is wrong
 //! with one variant stands in its row under `error`.
 
-use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
-use crate::sweep::made::{MadeOnce, held};
-use crate::sweep::variants::{FIGURES, Job};
-use nsim_compile::reuse::{is_mapped_alike, with_neurons_of};
-use nsim_compile::{Compiled, DEFAULT_RATE, Form, explore};
+use crate::sweep::made::MadeOnce;
+use crate::sweep::variants::{FIGURES, Job, Training};
+use nsim_compile::{Compiled, Front};
 use nsim_cost::estimate::{Case, estimate};
-use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, Transport};
 use nsim_energy::options::{tables, with_preset};
 use nsim_files::changes::{Change, within};
 use nsim_files::network::Network;
@@ -24,48 +20,63 @@ use nsim_files::target::load_target;
 use nsim_import::model::{Unchanged, agreeing, load_model_with};
 use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::units::Picoseconds;
-use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_session::error::Error;
+use nsim_session::front::has_srm;
 use nsim_session::inputs::{require_scene, stimulus};
-use nsim_session::priced::{Metered, SampleRun, steps_per_sample};
-use nsim_session::samples::Run;
-use nsim_session::shapes;
-use nsim_session::{accuracy, digest};
+use nsim_session::obtain::{Request, TargetChoice, begin};
+use nsim_session::priced::{Metered, steps_per_sample};
+use nsim_session::samples::{Run, Running};
+use nsim_session::{Keep, accuracy, digest};
 use nsim_train::convert::copies::USUAL;
 use nsim_train::convert::prepare::integers;
+use nsim_train::job as train;
+use nsim_train::job::{Part, training_text, with_fields};
 
 /// The cells of a variant.
 pub type Cells = [String; FIGURES.len()];
 
-/// Mappings of networks that may be mapped alike which are kept.
-const MOST_ALIKE: usize = 16;
-
-/// A target and the constants that it is priced by.
+/// What a variant trained, and where its test samples come from.
 #[derive(Debug)]
-struct Priced {
-    target: Target,
-    table: CostTable,
+struct Trained {
+    network: Network,
+    test: Vec<String>,
 }
 
-/// The latest mappings that have been made for one key.
-type Mappings = Mutex<Vec<Arc<Compiled>>>;
+impl Trained {
+    /// Trains to the end on the samples that the training file names.
+    fn new(training: &Training) -> Result<Self, Error> {
+        let source = training_text(&training.config)?;
+        let fields = training.fields.iter().map(|(field, value)| (field.as_str(), value.as_str()));
+        let file = train::Job::new(with_fields(&source, &fields.collect::<Vec<_>>())?, None, None)?;
+        let examples = file.read(Part::Train, &[])?;
+        if examples.is_empty() {
+            let problem = Diagnostic::new("train.sources", "it names no samples to train on");
+            return Err(problem.help("list them in its field train").in_file(source.path()).into());
+        }
+        let (state, _) = train::train(&file.plan, &examples, None, |_| ())?;
+        let network = file.network(file.plan.result(&state), "trained by a sweep")?;
+        Ok(Trained { network, test: file.file.test })
+    }
+}
 
-/// What variants have to have in common to be mapped alike: all but the parameters of neurons.
+/// What variants have in common that share a mapping.
 fn shared_by(job: &Job) -> String {
-    let others: Vec<&Change> = job.of_model.iter().filter(|change| !change.is_of_population()).collect();
-    format!("{:?}", (&job.model, others, &job.target, &job.of_target, &job.options))
+    let of_model = (&job.model, &job.training, &job.of_model, job.dt_ms);
+    format!("{:?}", (of_model, &job.target, &job.of_target, &job.options))
 }
 
 /// Runs variants.
 #[derive(Debug, Default)]
 pub struct Runner {
     models: MadeOnce<String, Option<Unchanged>>,
-    targets: MadeOnce<(String, Vec<Change>, Option<String>), Priced>,
-    mappings: MadeOnce<String, Mappings>,
+    trained: MadeOnce<String, Trained>,
+    converted: MadeOnce<String, Front>,
+    /// Those that variants are priced by come first among a target's constants.
+    targets: MadeOnce<(String, Vec<Change>, Option<String>), Target>,
+    mappings: MadeOnce<String, Compiled>,
     stimuli: MadeOnce<String, Stimulus>,
 }
 
@@ -73,8 +84,8 @@ pub struct Runner {
 fn ends_all(error: &Error) -> bool {
     match error {
         Error::Usage(_) | Error::Fault(_) => true,
-        Error::Input(diagnostic) => {
-            let code = diagnostic.code;
+        Error::Input(_) | Error::DoesNotFit(_) => {
+            let code = error.code();
             code.starts_with("set.")
                 || code.starts_with("import.")
                 || code.starts_with("io.")
@@ -98,14 +109,9 @@ impl Runner {
         match self.figures(job) {
             Err(error) if ends_all(&error) => Err(error),
             Err(error) => {
-                let code = match &error {
-                    Error::Input(diagnostic) => diagnostic.code,
-                    Error::Usage(_) => "usage",
-                    Error::Fault(_) => "fault",
-                };
                 let mut cells = Cells::default();
-                cells[0] = code.to_string();
-                if code == "map.does-not-fit" {
+                cells[0] = error.code().to_string();
+                if matches!(error, Error::DoesNotFit(_)) {
                     cells[1] = "false".to_string();
                 }
                 Ok(cells)
@@ -124,7 +130,14 @@ impl Runner {
         self.models.get(name.to_string(), || Ok(Unchanged::load(name)))
     }
 
+    fn trained(&self, training: &Training) -> Result<Arc<Trained>, Error> {
+        self.trained.get(format!("{training:?}"), || Trained::new(training))
+    }
+
     fn network(&self, job: &Job) -> Result<Network, Error> {
+        if let Some(training) = &job.training {
+            return Ok(agreeing(self.trained(training)?.network.clone(), job.dt_ms)?);
+        }
         let model = self.model(&job.model)?;
         Ok(within(&job.of_model, || match &*model {
             Some(model) => agreeing(model.changed()?, job.dt_ms),
@@ -132,44 +145,45 @@ impl Runner {
         })?)
     }
 
-    fn target(&self, job: &Job) -> Result<Arc<Priced>, Error> {
+    fn target(&self, job: &Job) -> Result<Arc<Target>, Error> {
         let key = (job.target.clone(), job.of_target.clone(), job.constants.clone());
         self.targets.get(key, || {
             within(&job.of_target, || {
                 let target = load_target(&job.target)?;
                 let (target, preset) = with_preset(target, job.constants.as_deref())?;
-                let (target, table) = tables(target, preset.as_deref())?;
-                Ok(Priced { target, table })
+                Ok(tables(target, preset.as_deref())?.0)
             })
         })
     }
 
-    /// A network of a variant on its cores, which are those of one that is mapped alike where
-    /// there is one.
+    /// The network of a variant on its cores.
     fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Compiled>, Error> {
-        let options = &job.options;
-        shapes::check(network, target, options.copies)?;
-        let front = integers(network, USUAL)?;
-        let key = shared_by(job);
-        let known = self.mappings.get(key, || Ok::<_, Error>(Mappings::default()))?;
-        // Who finds none makes one, while others wait for it.
-        let mut known = held(&known);
-        let alike = |known: &&Arc<Compiled>| is_mapped_alike(&known.one, front.quantised());
-        if let Some(alike) = known.iter().rev().find(alike).cloned() {
-            drop(known);
-            return Ok(Arc::new(with_neurons_of(&alike, front.into_quantised(), target)?));
-        }
-        Form::require_written("running it on cores", front.quantised(), options.copies)?;
-        let mapping = explore::map(front, target, options, &Rates::assumed(DEFAULT_RATE), Form::Written)?;
-        let compiled = Arc::new(mapping.into_compiled()?);
-        if known.len() == MOST_ALIKE {
-            known.remove(0);
-        }
-        known.push(Arc::clone(&compiled));
-        Ok(compiled)
+        let as_integers = |network: &Network| {
+            if !has_srm(network) {
+                return integers(network, USUAL);
+            }
+            let network_of = format!("{:?}", (&job.model, &job.training, job.dt_ms, &job.of_model));
+            Ok(Front::clone(&*self.converted.get(network_of, || integers(network, USUAL))?))
+        };
+        let request = Request {
+            target: TargetChoice::Loaded(target),
+            copies: Some(job.options.copies),
+            options: job.options,
+            ..Request::new(&job.model, network, &as_integers)
+        };
+        self.mappings.get(shared_by(job), || {
+            let (front, goal) = begin(&request)?;
+            goal.compiled(front)
+        })
     }
 
-    fn stimulus(&self, job: &Job, network: &Quantised, scene: Option<&str>) -> Result<Arc<Stimulus>, Error> {
+    fn stimulus(
+        &self,
+        job: &Job,
+        input: &[String],
+        network: &Quantised,
+        scene: Option<&str>,
+    ) -> Result<Arc<Stimulus>, Error> {
         let parts = network.parts();
         let inputs: Vec<_> = parts
             .populations
@@ -177,47 +191,39 @@ impl Runner {
             .filter(|one| matches!(one.units, Units::Input(_)))
             .map(|one| (&one.name, one.shape))
             .collect();
-        let seen = (&job.input, job.seed, scene, inputs, parts.timestep_ms, &parts.classes);
-        self.stimuli.get(format!("{seen:?}"), || stimulus(network, &job.input, scene, job.seed))
+        let seen = (input, job.seed, scene, inputs, parts.timestep_ms, &parts.classes);
+        self.stimuli.get(format!("{seen:?}"), || stimulus(network, input, scene, job.seed))
     }
 
     fn figures(&self, job: &Job) -> Result<Cells, Error> {
         let network = self.network(job)?;
-        if job.input.is_empty() {
+        let input = match &job.training {
+            Some(training) if job.input.is_empty() => self.trained(training)?.test.clone(),
+            _ => job.input.clone(),
+        };
+        if input.is_empty() {
             let help = "give spikes with input: [\"FILE\"] in the sweep, or input: [\"scene:noise\"] to try";
             require_scene(&job.model, network.file().scene.as_deref(), help)?;
         }
-        let priced = self.target(job)?;
-        let target = &priced.target;
-        let compiled = self.mapped(job, &network, target)?;
+        let target = self.target(job)?;
+        let compiled = self.mapped(job, &network, &target)?;
         let scene = network.file().scene.as_deref();
-        let shown = self.stimulus(job, &compiled.one, scene)?;
+        let shown = self.stimulus(job, &input, &compiled.one, scene)?;
         let range = job.samples.clone().unwrap_or(0..usize::MAX);
         let all = shown.samples.len();
         if range.start >= all || (range.end != usize::MAX && range.end > all) {
             return Err(Diagnostic::new("sweep.value", format!("input.samples: there are {all} samples")).into());
         }
         let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
-        let (placement, copies) = (&compiled.placement, job.options.copies);
-        let work = HostWork::for_target(target);
-        let deployment = Deployment::from_placement(job.options.placement.name(), placement, target, copies, work);
-        let timestep_ms = compiled.one.parts().timestep_ms;
         let metered = Metered::new(&compiled);
-        let settings = MeterSettings {
-            tables: vec![priced.table.clone()],
-            timing: deployment.timing(Transport::default(), copies),
-            routes: metered.routes.clone(),
-            timestep: Picoseconds::from_milliseconds(timestep_ms),
-            distribution: None,
-            by_step: None,
-        };
-        let run = SampleRun { samples: &samples, early_exit: None, skip: true, progress: &|| (), ranks: None };
-        let Run { outcomes, activity, meter, .. } = metered.run(settings, run)?;
+        let (settings, deployment) = metered.offline(&target)?;
+        let keep = Keep::new(compiled.program.output());
+        let Run { outcomes, activity, meter, .. } = metered.run(settings, &samples, Running::new(&keep))?;
         let case = Case {
             mode: job.mode,
             convention: job.convention,
             steps_per_sample: steps_per_sample(&samples),
-            ..Case::new(&activity, &meter, &deployment, timestep_ms)
+            ..Case::new(&activity, &meter, &deployment, compiled.one.parts().timestep_ms)
         };
         let estimate = estimate(&case);
         let total = estimate.rows.iter().find(|row| row.unit == "total");
@@ -225,12 +231,11 @@ impl Runner {
         let mut totals = Totals::default();
         outcomes.iter().for_each(|outcome| totals += outcome.totals);
         let copies_run = u64::from(metered.copies_run());
-        let chips: BTreeSet<u32> = placement.sites().iter().map(|site| site.chip).collect();
         Ok([
             String::new(),
             true.to_string(),
             compiled.partition.cores().to_string(),
-            chips.len().to_string(),
+            compiled.placement.chips_used().to_string(),
             samples.len().to_string(),
             outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum::<u64>().to_string(),
             cell(accuracy(&outcomes, samples.iter().map(|sample| sample.label()))),

@@ -24,13 +24,11 @@ pub struct Table<'s> {
     sweep: &'s Sweep,
     /// The cells of each variant that has been run.
     pub rows: BTreeMap<u64, Cells>,
-    /// The column of checksums of the shards that were added, if there were any; none of a version
-    /// without checksums.
+    /// The checksum column of the added shards, if any; none of a version without checksums.
     column: Option<Option<String>>,
 }
 
-/// What the name of the column of checksums begins with; a digest of what the rows were made from
-/// follows.
+/// Prefix of the checksum column's name; a digest of the rows' sources follows.
 const CHECKSUM: &str = "checksum of ";
 
 /// The name of the column of checksums, for rows that were made from files of this digest.
@@ -42,8 +40,7 @@ fn checksum(column: &str, record: &[String]) -> String {
     sha256(format!("{column}\n{}", record.join("\n")).as_bytes())[..16].to_string()
 }
 
-/// What is wrong with the cells of a row, if anything: each is what
-/// [`crate::sweep::row::Runner::row`] writes.
+/// The first figure of a row that [`crate::sweep::row::Runner::row`] would not write.
 fn first_wrong(cells: &Cells) -> Option<&'static str> {
     let failed = !cells[0].is_empty();
     let is_right = |(name, cell): (&str, &String)| match name {

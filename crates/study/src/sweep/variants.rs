@@ -46,11 +46,22 @@ const OPTIONS: [&str; 7] = ["copies", "strategy", "objective", "seed", "constant
 /// What of the input a path can name, behind `input.`.
 const INPUTS: [&str; 2] = ["samples", "seed"];
 
+/// What a variant trains before it runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Training {
+    /// A training file or the name of a shipped one.
+    pub config: String,
+    /// Fields of it and their values, as `nsim train --set` takes them.
+    pub fields: Vec<(String, String)>,
+}
+
 /// What one variant runs.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Job {
-    /// A model file or the name of a shipped model.
+    /// A model file or the name of a shipped model; empty where the variant trains its own.
     pub model: String,
+    /// What is trained instead.
+    pub training: Option<Training>,
     /// Milliseconds of a timestep, where the model's file does not say.
     pub dt_ms: Option<f64>,
     /// A target file or the name of a shipped target.
@@ -95,7 +106,12 @@ fn range(value: &str) -> Result<Range<usize>, String> {
 impl Job {
     fn new(file: &SweepFile) -> Self {
         Job {
-            model: file.model.clone(),
+            model: match (&file.model, &file.train) {
+                (Some(model), _) => model.clone(),
+                (None, Some(_)) => String::new(),
+                (None, None) => "vtsnn-slip".to_string(),
+            },
+            training: file.train.clone().map(|config| Training { config, fields: Vec::new() }),
             target: file.target.clone(),
             input: file.input.clone(),
             seed: file.seed,
@@ -117,6 +133,16 @@ impl Job {
         let done = match (first, rest) {
             ("model", "") => text(&mut self.model),
             ("target", "") => text(&mut self.target),
+            ("train", field) if !field.is_empty() => match &mut self.training {
+                Some(training) => {
+                    training.fields.push((field.to_string(), value.to_string()));
+                    Ok(())
+                }
+                None => {
+                    return Err(Diagnostic::new("sweep.path", format!("{path}: this sweep trains nothing"))
+                        .help("name a training file with train: \"vtsnn-slip\" in the sweep, instead of a model"));
+                }
+            },
             ("input", "") => {
                 self.input = vec![value.to_string()];
                 Ok(())
@@ -148,6 +174,10 @@ impl Job {
             _ => {
                 let change = Change::new(path, value);
                 change.check()?;
+                if self.training.is_some() && !change.is_of_target() {
+                    return Err(Diagnostic::new("sweep.path", format!("{path}: the model of this sweep is trained"))
+                        .help("train.FIELD changes the training, such as train.layers.out.size"));
+                }
                 let changes = if change.is_of_target() { &mut self.of_target } else { &mut self.of_model };
                 changes.push(change);
                 Ok(())
@@ -188,6 +218,10 @@ impl Sweep {
         let mut base = Job::new(&file);
         if file.copies == 0 {
             return Err(in_file(Diagnostic::new("sweep.value", "copies: a mapping has at least one copy")));
+        }
+        if file.model.is_some() && file.train.is_some() {
+            let problem = Diagnostic::new("sweep.value", "model and train: a variant runs a model or trains one");
+            return Err(in_file(problem.help("leave out one of them")));
         }
         if let Some(samples) = &file.samples {
             base.assign("input.samples", samples).map_err(in_file)?;
@@ -315,28 +349,15 @@ impl Sweep {
 
     /// Models, targets, inputs and constants that variants name.
     pub fn names(&self) -> Vec<String> {
-        let mut scratch = self.base.clone();
-        let mut names = Vec::new();
+        let Job { model, training, target, input, constants, .. } = &self.base;
+        let training = training.as_ref().map(|training| &training.config);
+        let named = [model, target].into_iter().chain(training).chain(input).chain(constants);
+        let mut names: Vec<String> = named.cloned().collect();
+        let is_name = |path: &String| ["model", "target", "input", "options.constants"].contains(&path.as_str());
         let listed = self.list.iter().flat_map(|entry| self.listed.iter().zip(entry));
-        let listed = listed.filter_map(|(path, value)| Some((path, value.as_ref()?)));
-        let of_axis = |axis: &'_ Axis| -> Vec<(String, String)> {
-            let pairs =
-                axis.paths.iter().flat_map(|path| axis.values.iter().map(move |value| (path.clone(), value.clone())));
-            pairs.collect()
-        };
-        let on_axes = self.axes.iter().flat_map(of_axis);
-        let all = listed.map(|(path, value)| (path.clone(), value.clone())).chain(on_axes);
-        let names_one = |path: &String| ["model", "target", "input", "options.constants"].contains(&path.as_str());
-        let of_job = |job: &Job, names: &mut Vec<String>| {
-            let some = [&job.model, &job.target].into_iter().chain(&job.input).chain(&job.constants);
-            names.extend(some.cloned());
-        };
-        of_job(&scratch, &mut names);
-        for (path, value) in all.filter(|(path, _)| names_one(path)) {
-            // Wrong values were refused before.
-            let _ = scratch.assign(&path, &value);
-            of_job(&scratch, &mut names);
-        }
+        names.extend(listed.filter(|(path, _)| is_name(path)).filter_map(|(_, value)| value.clone()));
+        let axes = self.axes.iter().filter(|axis| axis.paths.iter().any(is_name));
+        names.extend(axes.flat_map(|axis| axis.values.iter().cloned()));
         names.sort_unstable();
         names.dedup();
         names

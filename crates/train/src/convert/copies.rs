@@ -27,8 +27,7 @@ pub const MOST: usize = 32;
 /// by up to 62 steps, then take 310 bits, which are five words of a Loihi core's memory.
 pub const USUAL: usize = 15;
 
-/// Time constants of the current in those of the response, voltages kept in a step, delays in time
-/// constants.
+/// Time constants of the current relative to the response's; voltage kept in a step.
 const CURRENTS: [f64; 4] = [1.2, 1.4, 1.65, 2.0];
 const VOLTAGES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
 /// The latest copy in time constants, and how many delays up to there are tried.
@@ -142,8 +141,7 @@ pub fn candidates(
     each.into_iter().flatten().collect()
 }
 
-/// The potential of the trained neurons without their own spikes, in thresholds, `[neuron][step]`
-/// of each sample.
+/// Potential of the trained neurons without own spikes, in thresholds, `[neuron][step]` a sample.
 pub fn potentials(task: Arrivals<'_>, srm: &SrmParameters, timestep_ms: f64) -> Vec<Vec<f64>> {
     let (tau, r) = (srm.tau_sr_ms / timestep_ms, analytic::real_keep(srm, timestep_ms));
     let gain = std::f64::consts::E * r / tau / srm.theta;
@@ -178,8 +176,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + a[rest..].iter().zip(&b[rest..]).map(|(x, y)| x * y).sum::<f64>()
 }
 
-/// Sums of products of the responses of all delays and of the potentials wanted, relevance as
-/// weight.
+/// Sums of products of delayed responses and wanted potentials, weighted by relevance.
 struct Products {
     /// Row by row, those of a delay with itself a trifle greater.
     between: Vec<Vec<f64>>,

@@ -52,8 +52,7 @@ pub struct Task {
     fits: Vec<Option<Fit>>,
     detail: Detail,
     plan: Plan,
-    /// For each projection of the graph, the layer that it leads to and the place of its first
-    /// source among the layer's.
+    /// For each projection of the graph, its target layer and the place of its first source.
     places: Vec<Place>,
     /// The plan's layers as the integers number their compartments.
     layers: Vec<Layer>,
@@ -180,8 +179,7 @@ fn unlike(graph: &Graph, message: &str) -> Diagnostic {
         .help("fine-tuning takes dense layers of spike response neurons and the training file that describes them")
 }
 
-/// Whether fine-tuning takes a network at all: dense layers of spike response neurons without loops
-/// or delays, read out by their spikes.
+/// Checks that a network has dense layers of spike response neurons without loops or delays.
 ///
 /// # Errors
 /// `convert.fine-tune` with what it does not take.
@@ -209,8 +207,7 @@ pub fn trainable(graph: &Graph) -> Result<()> {
 }
 
 impl Task {
-    /// A network, what stands for its populations, and how it is trained; the plan is that of the
-    /// training file.
+    /// A network, the fits of its populations, and the training file with its plan.
     ///
     /// # Errors
     /// `convert.fine-tune` where the training file describes another network.
@@ -319,8 +316,7 @@ impl Task {
         all
     }
 
-    /// The network with other weights. Projections that are declared as one stay one: they share an
-    /// array.
+    /// The network with other weights; projections declared as one share an array.
     #[must_use]
     pub fn with_weights(&self, weights: &Weights) -> Graph {
         let mut declared: Vec<(Arc<Tensor>, Vec<f64>)> = Vec::new();
@@ -393,8 +389,7 @@ impl Task {
         all + 2 * u64::from(epochs) * all + 2 * held_out
     }
 
-    /// Trains for this many epochs. `shown` is called after each sample, `after` with the best
-    /// epoch whenever there is a better one.
+    /// Trains; `shown` is called after each sample, `after` with each new best epoch.
     ///
     /// # Errors
     /// As [`Task::integers`], where weights grow beyond what the integers hold.

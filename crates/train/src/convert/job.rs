@@ -181,8 +181,7 @@ pub struct FineTuning {
 }
 
 impl FineTuning {
-    /// This many epochs as a training file says, on the samples that it names or those of
-    /// `sources`.
+    /// Epochs as a training file says, on the samples that it names or those of `sources`.
     ///
     /// # Errors
     /// `convert.fine-tune` for the file of another network, `train.sources` without samples,
@@ -223,8 +222,7 @@ impl FineTuning {
         Task::work(&self.examples, &self.unseen, self.epochs)
     }
 
-    /// Trains; `shown` is called after each sample, `after` with the best epoch whenever there is a
-    /// better one.
+    /// Trains; `shown` is called after each sample, `after` with each new best epoch.
     ///
     /// # Errors
     /// As [`Task::integers`].

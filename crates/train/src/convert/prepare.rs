@@ -13,19 +13,12 @@ use nsim_compile::Front;
 use nsim_files::network::Network;
 use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
-use nsim_session::front::real_and_integers;
+use nsim_session::front::{has_srm, real_and_integers};
 
 /// Samples that a model is converted on where nobody says how many.
 const CALIBRATION_SAMPLES: usize = 60;
 
-/// Whether a network has spike response neurons, which are real numbers.
-#[must_use]
-pub fn has_srm(network: &Network) -> bool {
-    network.file().populations.iter().any(|population| population.srm.is_some())
-}
-
-/// A network in integers, with at most this many delayed copies of what a spike response population
-/// takes in.
+/// A network in integers, with at most this many delayed input copies a population.
 ///
 /// # Errors
 /// [`Error`] when the network cannot be used.

@@ -23,12 +23,13 @@ use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
 use rayon::prelude::*;
 
+use nsim_agree::attribution::{ComparedSample, Measured};
 use nsim_agree::causes::{Cause, Rung};
 use nsim_agree::classes::ClassTally;
 use nsim_agree::compare::output_layer;
 use nsim_agree::ladder::Ladder;
 use nsim_agree::metrics::{TrainSums, coincidence};
-use nsim_agree::trace::{Comparison, Layer, Trace};
+use nsim_agree::trace::{Layer, Trace};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, Delay, Refractory};
 use nsim_ir::base::names::named_variants;
@@ -53,28 +54,23 @@ const DRAWING: usize = 240_000;
 const LEAST: usize = 8;
 
 /// Synapses of a compartment onto itself: the paper's refractory response is below 0.001 thresholds
-/// after this many steps. With 10 what is left of it, which decays with the current, costs 0.01 to
-/// 0.03 in coincidence.
+/// after this many steps. With 10 the rest costs 0.01 to 0.03 in coincidence.
 const OWN: usize = 12;
 
 /// How much more than on the calibration samples may arrive before a register wraps.
 const FORESEEN: f64 = 2.0;
 
-/// What a copy more of all that comes in has to gain in distance, and what it has to gain besides
-/// for each synapse.
+/// Distance that one more copy must gain, and the part of it for each synapse.
 const COPY_PRICE: f64 = 0.0005;
 const SYNAPSE_PRICE: f64 = 5e-8;
 
-/// The most synapses that the copies of a compartment's input may have together: what one core of
-/// Loihi holds of a compartment, at 20 bits a synapse.
+/// The most synapses of the copies of a compartment's input: a core at 20 bits a synapse.
 const MOST_SYNAPSES: usize = 49_152;
 
-/// Synapses that all copies of a population's input may have for it to be given twice as many
-/// copies as others: half a core.
+/// A population with at most this many copied synapses, half a core, gets twice the copies.
 const FEW_SYNAPSES: f64 = 24_576.0;
 
-/// The most compartments of a population that get synapses onto themselves, which are listed one by
-/// one.
+/// The most compartments whose synapses onto themselves are listed one by one.
 const MOST_OWN: u32 = 1 << 16;
 
 /// What of the search is done, each stage on top of the last.
@@ -82,8 +78,7 @@ const MOST_OWN: u32 = 1 << 16;
 pub enum Stage {
     /// The analytic start.
     Start,
-    /// Decays, delayed copies of what comes in, threshold and synapses onto itself of each
-    /// population together.
+    /// Decays, delayed copies, threshold and self-synapses of each population together.
     Shape,
     /// Rounding errors carried over to the next copy.
     Rounding,
@@ -317,27 +312,16 @@ impl Shape {
     }
 
     fn candidate(&self, srm: &SrmParameters, timestep_ms: f64) -> Candidate {
-        let candidate = Candidate {
-            keep_u: self.keep_u,
-            keep_v: self.keep_v,
-            threshold: self.threshold,
-            copies: self.copies,
-            own: [0.0; OWN],
-        };
-        Candidate { own: own(srm, timestep_ms, &candidate, (self.given_back, self.refractory)), ..candidate }
+        let Shape { keep_u, keep_v, copies, threshold, given_back, refractory } = *self;
+        let relative = analytic::own_synapses((srm, timestep_ms), (keep_u, keep_v), (given_back, refractory), OWN);
+        let own = std::array::from_fn(|step| relative.get(step).map_or(0.0, |relative| relative * threshold));
+        Candidate { keep_u, keep_v, threshold, copies, own }
     }
 
     /// What its copies have to gain.
     fn price(&self, synapses: f64) -> f64 {
         (COPY_PRICE + SYNAPSE_PRICE * synapses) * self.copies.as_slice().len() as f64
     }
-}
-
-fn own(srm: &SrmParameters, timestep_ms: f64, c: &Candidate, (given, refractory): (f64, f64)) -> [f64; OWN] {
-    let relative = analytic::own_synapses((srm, timestep_ms), (c.keep_u, c.keep_v), (given, refractory), OWN);
-    let mut own = [0.0; OWN];
-    own.iter_mut().zip(relative).for_each(|(own, relative)| *own = relative * c.threshold);
-    own
 }
 
 /// Searches.
@@ -404,7 +388,13 @@ impl Material<'_> {
             let output = node == graph.output();
             let count_weight = if output { 0.5 } else { 0.2 };
             let task = task(graph, node, layer, (self.samples, &as_trained, self.trained), count_weight);
-            let shape = best_shape(&task, graph, (node, srm), self.most, tried);
+            let Some(shape) = best_shape(&task, graph, (node, srm), self.most, tried) else {
+                let name = &population.name;
+                tracing::warn!(
+                    "{name}: no spikes reach it in these samples, so its integers follow from analysis alone"
+                );
+                continue;
+            };
             let mut fit = fit_of(&shape, srm, timestep_ms);
             fit.greatest_input = Some(task.greatest_input(&shape.candidate(srm, timestep_ms)));
             fits[node.index()] = Some(fit);
@@ -419,9 +409,6 @@ fn earlier(trace: &Trace) -> Trace {
     Trace { trains: trace.trains.iter().map(train).collect(), ..trace.clone() }
 }
 
-/// The class of a sample by the trained network and by the converted one.
-type Classes = (Option<u32>, Option<u32>);
-
 fn scored(
     ladder: &Ladder,
     layers: &[Layer],
@@ -429,36 +416,21 @@ fn scored(
     samples: &[&Sample],
     trained: &[Trace],
 ) -> ConversionScore {
-    let each: Vec<(Vec<TrainSums>, Classes)> = samples
-        .par_iter()
-        .zip(trained)
-        .map(|(sample, trained)| {
-            let machine = ladder.run(Rung::MACHINE, sample, false);
-            let sums = |layer: &Layer| {
-                let mut comparison = Comparison::default();
-                comparison.add(0, layer, trained, &machine, -1);
-                comparison.tally
-            };
-            (layers.iter().map(sums).collect(), (trained.class(output), machine.class(output)))
-        })
-        .collect();
-    let mut by_layer = vec![TrainSums::default(); layers.len()];
-    for (sums, _) in &each {
-        by_layer.iter_mut().zip(sums).for_each(|(all, sums)| all.merge(sums));
-    }
-    let mut all = TrainSums::default();
-    by_layer.iter().for_each(|sums| all.merge(sums));
-    let last = layers.iter().position(|layer| layer == output).map_or(all, |place| by_layer[place]);
+    let compared = |(sample, trained): (&&Sample, &Trace)| {
+        ComparedSample::new(layers, output, (trained, &ladder.run(Rung::MACHINE, sample, false)), -1)
+    };
+    let each: Vec<ComparedSample> = samples.par_iter().zip(trained).map(compared).collect();
+    let Measured { distance, layers: by_layer, classes } = Measured::new(layers.len(), each.iter());
+    let last = layers.iter().position(|layer| layer == output).map(|place| by_layer[place]).unwrap_or_default();
     ConversionScore {
-        classes: ClassTally::new(each.iter().map(|(_, classes)| *classes)),
-        coincidence: all.coincidence(),
+        classes,
+        coincidence: distance.coincidence,
         mean_coincidence: by_layer.iter().map(TrainSums::coincidence).sum::<f64>() / by_layer.len().max(1) as f64,
         count_error: last.count_error(),
     }
 }
 
-/// What arrives at a population from its sources, and what it should send, in the converted
-/// network's time.
+/// What arrives at a population and what it should send, in the converted network's time.
 fn task(
     graph: &Graph,
     node: NodeIndex,
@@ -514,13 +486,14 @@ fn task(
     Task { neurons, arrivals, wanted, count_weight }
 }
 
+/// The shape that comes closest to the trained spikes; `None` where no spikes arrive to compare by.
 fn best_shape(
     task: &Task,
     graph: &Graph,
     (node, srm): (NodeIndex, &SrmParameters),
     most: usize,
     tried: &mut u64,
-) -> Shape {
+) -> Option<Shape> {
     let timestep_ms = graph.facts().timestep_ms;
     let (sketch, drawing) = (task.part(SKETCH), task.part(DRAWING));
     let into =
@@ -577,8 +550,8 @@ fn best_shape(
     };
     let few: Vec<(Shape, f64)> = ranked(&sketch, &shapes, tried).into_iter().take(3).collect();
     let found: Vec<Shape> = few.into_iter().map(|from| descend(&sketch, from, &[1.1, 1.05], tried).0).collect();
-    let best = ranked(&drawing, &found, tried)[0];
-    descend(&drawing, best, &[1.02], tried).0
+    let best = *ranked(&drawing, &found, tried).first()?;
+    Some(descend(&drawing, best, &[1.02], tried).0)
 }
 
 /// Shapes one step away.

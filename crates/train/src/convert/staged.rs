@@ -11,7 +11,7 @@ use crate::convert::resets;
 use crate::convert::search;
 use crate::convert::search::{Conversion, SearchResult};
 use nsim_agree::attribution;
-use nsim_agree::attribution::{Attribution, Distance};
+use nsim_agree::attribution::{Attribution, Distance, Share};
 use nsim_agree::causes::{Cause, Rung};
 use nsim_agree::compare::output_layer;
 use nsim_agree::ladder::Ladder;
@@ -43,8 +43,7 @@ pub struct StageRow {
     pub kept: bool,
     /// Coincidence beyond the stage before; none for the first.
     pub gain: Option<f64>,
-    /// Coincidence that real numbers would add in the place of what the stage chooses; none for the
-    /// start.
+    /// Coincidence that real numbers would add in place of the stage's; none for the start.
     pub left: Option<f64>,
 }
 
@@ -61,15 +60,6 @@ pub struct LayerRow {
     pub clipped: u64,
     /// What keeps it from being compared, or is wrong with it.
     pub problem: Option<String>,
-}
-
-/// A kind of integer, and how near the network would be with the real number in its place.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Left {
-    /// The kind.
-    pub cause: Cause,
-    /// How near it would be.
-    pub without: Distance,
 }
 
 /// How far integers are from the network that they stand for.
@@ -95,7 +85,7 @@ pub struct Converted {
     /// Layer by layer.
     pub layers: Vec<LayerRow>,
     /// What each kind of integer still costs, on some of the calibration samples.
-    pub left: Vec<Left>,
+    pub left: Vec<Share>,
     /// To what causes the layers lose their coincidence, on the same samples.
     pub attribution: Attribution,
     /// On the calibration samples.
@@ -185,8 +175,8 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
     let mut rungs: Vec<(&Ladder, Rung)> = vec![(&ladder, Rung::MACHINE)];
     rungs.extend(stages.iter().filter_map(|stage| Some((stage.ladder.as_ref()?, Rung::MACHINE))));
     let mut all = attribution::measured((&ladder, trained), &rungs, &output, samples).into_iter();
-    let none = attribution::Measured { distance: Distance::EQUAL, layers: Vec::new() };
-    let calibration = by_layer(&ladder, all.next().unwrap_or(none), samples.len());
+    let none = || attribution::Measured::new(0, std::iter::empty());
+    let calibration = by_layer(&ladder, all.next().unwrap_or_else(none), samples.len());
     let distances_of_stages: Vec<Distance> = stages
         .iter()
         .map(|stage| stage.ladder.as_ref().and_then(|_| all.next()).map_or(calibration.distance, |own| own.distance))
@@ -194,8 +184,7 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
     let some: Vec<&Sample> = samples.iter().step_by(samples.len().div_ceil(TOLD_APART).max(1)).copied().collect();
     let attribution = attribution::attribute_from(&ladder, trained, &output, &some);
     let left_from = attribution.machine;
-    let costly = attribution.shares.iter().filter(|share| share.cause != Cause::Kernel);
-    let left: Vec<Left> = costly.map(|share| Left { cause: share.cause, without: share.without }).collect();
+    let left: Vec<Share> = attribution.shares.iter().filter(|share| share.cause != Cause::Kernel).copied().collect();
     let row = |(place, stage): (usize, StageIntegers)| {
         let distance = distances_of_stages[place];
         let before = place.checked_sub(1).map(|before| distances_of_stages[before]);

@@ -5,9 +5,9 @@
 //! them.
 
 use super::layer::{Geometry, Layer, geometry, input_of_window, volume};
-use super::neuron::integrator;
 use super::reader::{Last, Reader, units};
-use crate::foreign::window::MOST_LISTED;
+use crate::foreign::imported::integrator;
+use crate::foreign::window::{MOST_LISTED, Sliding};
 use nsim_files::network::{ProjectionKind, padding_after, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::SignMode;
@@ -177,13 +177,19 @@ impl Reader<'_> {
                 return Err(layer.wrong(format!("the window makes {least} of {from}, the shape {shape:?} has {to}")));
             }
         }
-        let many = [channels, height, width, per_group, kh, kw].iter().try_fold(1u64, |n, &axis| n.checked_mul(axis));
-        if many.is_none_or(|many| many > MOST_LISTED as u64) {
+        // The window of a convolution from the target to the source (torch, ConvTranspose).
+        let window = Sliding::new(
+            (&shape, &source.shape),
+            (kh, kw),
+            [geometry.stride, geometry.padding, geometry.dilation],
+            groups,
+        );
+        let Some(synapses) = window.and_then(Sliding::synapses) else {
             return Err(layer.unsupported(
                 format!("it would have more than {MOST_LISTED} synapses, which are listed one by one"),
                 "a transposed convolution has no compact form here",
             ));
-        }
+        };
         let name = self.neurons(layer, &shape)?;
         let weights_there = layer.numbers("weight")?.len() as u64;
         let kernel_size = if pooled { kh * kw } else { channels * per_group * kh * kw };
@@ -191,28 +197,8 @@ impl Reader<'_> {
             return Err(layer.wrong(format!("{weights_there} weights for a kernel of {kernel_size}")));
         }
         self.project(layer, &source, &name, "weight", |weights| {
-            let mut synapses = Vec::new();
-            let place = |i: u64, stride: u64, k: u64, dilation: u64, padding: u64, size: u64| {
-                (i * stride + k * dilation).checked_sub(padding).filter(|&o| o < size)
-            };
-            for c in 0..channels {
-                let group = c / (channels / groups);
-                for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
-                    for (o, ky, kx) in
-                        (0..per_group).flat_map(|o| (0..kh).flat_map(move |ky| (0..kw).map(move |kx| (o, ky, kx))))
-                    {
-                        let to_y = place(y, geometry.stride.0, ky, geometry.dilation.0, geometry.padding.0, shape[1]);
-                        let to_x = place(x, geometry.stride.1, kx, geometry.dilation.1, geometry.padding.1, shape[2]);
-                        let (Some(to_y), Some(to_x)) = (to_y, to_x) else { continue };
-                        let at = ((c * per_group + o) * kh + ky) * kw + kx;
-                        let weight = weights[(at % weights_there) as usize];
-                        let from = (c * height + y) * width + x;
-                        let to = ((group * per_group + o) * shape[1] + to_y) * shape[2] + to_x;
-                        synapses.push((from, to, weight));
-                    }
-                }
-            }
-            Ok(ProjectionKind::Sparse(synapses))
+            let synapse = |(to, from, at)| (from, to, weights[at % weights.len()]);
+            Ok(ProjectionKind::Sparse(synapses.map(synapse).collect()))
         })?;
         self.delays(layer)
     }

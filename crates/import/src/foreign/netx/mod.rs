@@ -31,10 +31,6 @@ use nsim_ir::neurons::NeuronKind;
 use reader::{Neurons, Reader, units, wrong};
 
 /// Reads the tree of a file.
-///
-/// # Errors
-/// `import.netx` for what is malformed, `import.unsupported` for what is known and has no
-/// counterpart, `import.option` for what the file does not say.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let layers = layers(root)?;
     let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
@@ -79,43 +75,18 @@ fn layers(root: &Group) -> Result<Vec<(u32, &Group)>> {
 
 /// The fields of a type of layers (`docs/import.md` says what is done with each); none for a type
 /// that is not imported.
-fn fields(kind: &str) -> &'static [&'static str] {
-    match kind {
-        "flatten" | "average" => &["type", "shape"],
-        "input" => &["type", "shape", "neuron", "weight", "bias", "messageBits"],
-        "dense" | "dense_rec" => &[
-            "type",
-            "shape",
-            "neuron",
-            "weight",
-            "weight_rec",
-            "bias",
-            "delay",
-            "inFeatures",
-            "outFeatures",
-            "messageBits",
-        ],
-        "pool" | "unpool" => {
-            &["type", "shape", "neuron", "weight", "bias", "delay", "kernelSize", "stride", "padding", "dilation"]
+fn fields(kind: &str) -> Vec<&'static str> {
+    let own = match kind {
+        "flatten" | "average" => "",
+        "input" => "neuron weight bias messageBits",
+        "dense" | "dense_rec" => "neuron weight weight_rec bias delay inFeatures outFeatures messageBits",
+        "pool" | "unpool" => "neuron weight bias delay kernelSize stride padding dilation",
+        "conv" | "convT" => {
+            "neuron weight bias delay kernelSize stride padding dilation groups inChannels outChannels messageBits"
         }
-        "conv" | "convT" => &[
-            "type",
-            "shape",
-            "neuron",
-            "weight",
-            "bias",
-            "delay",
-            "kernelSize",
-            "stride",
-            "padding",
-            "dilation",
-            "groups",
-            "inChannels",
-            "outChannels",
-            "messageBits",
-        ],
-        _ => &[],
-    }
+        _ => return Vec::new(),
+    };
+    ["type", "shape"].into_iter().chain(own.split_whitespace()).collect()
 }
 
 impl Reader<'_> {

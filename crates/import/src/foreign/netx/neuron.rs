@@ -5,25 +5,13 @@
 
 use super::layer::Layer;
 use super::reader::{BIAS_EXP, MOST_EXPANDED, Neurons, Reader, SDNN_EXP, units};
-use crate::foreign::imported::NEVER;
+use crate::foreign::imported::{NEVER, integrator};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::neurons::NeuronKind;
 
 /// The fields of a neuron; tauRho and scaleRho shape the gradient of a training.
-const FIELDS: [&str; 11] = [
-    "type",
-    "iDecay",
-    "vDecay",
-    "vThMant",
-    "refDelay",
-    "gradedSpike",
-    "wgtExp",
-    "weight_exp",
-    "theta",
-    "tauRho",
-    "scaleRho",
-];
+const FIELDS: &str = "type iDecay vDecay vThMant refDelay gradedSpike wgtExp weight_exp theta tauRho scaleRho";
 
 impl Reader<'_> {
     /// Neuron parameters of a layer of compartments, its bias included.
@@ -105,7 +93,7 @@ impl Reader<'_> {
                 "networks of CUBA, LOIHI, SDNN, RF_PHASE and RF_IZHIKEVICH neurons are imported",
             ));
         }
-        check_fields(layer, kind, &FIELDS)?;
+        check_fields(layer, kind, FIELDS)?;
         if let (Some(theta), Some(mantissa)) =
             (layer.group.number("neuron/theta"), layer.group.number("neuron/vThMant"))
             && theta != 64.0 * mantissa
@@ -138,7 +126,7 @@ impl Reader<'_> {
     /// Sigma-delta neurons as netx makes them: with 6 bits of a spike and 6 of the state, and a
     /// rectification, whatever the field `activation` says.
     fn sigma_delta(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Neurons> {
-        check_fields(layer, "SDNN", &["type", "activation", "vThMant", "sigma_output", "tauRho", "scaleRho"])?;
+        check_fields(layer, "SDNN", "type activation vThMant sigma_output tauRho scaleRho")?;
         if layer.group.get("neuron/sigma_output").is_some() {
             return Ok(Neurons { kind: NeuronKind::Sigma, ..Neurons::default() });
         }
@@ -162,7 +150,7 @@ impl Reader<'_> {
     /// its period, which lowers some by one.)
     fn resonator(&mut self, layer: &Layer<'_>, shape: &[u64], phase: bool) -> Result<Neurons> {
         let kind = if phase { NeuronKind::Rf } else { NeuronKind::RfIz };
-        check_fields(layer, kind.name(), &["type", "sinDecay", "cosDecay", "vThMant", "gradedSpike"])?;
+        check_fields(layer, kind.name(), "type sinDecay cosDecay vThMant gradedSpike")?;
         let number =
             |key: &str| -> Result<Parameter> { self.each(layer, key, layer.reals(&format!("neuron/{key}"))?, shape) };
         let parameters = vec![
@@ -176,7 +164,7 @@ impl Reader<'_> {
 }
 
 /// Refuses fields of a neuron that are not known, and graded spikes of neurons that send spikes.
-fn check_fields(layer: &Layer<'_>, kind: &str, known: &[&str]) -> Result<()> {
+fn check_fields(layer: &Layer<'_>, kind: &str, known: &str) -> Result<()> {
     if layer.group.number("neuron/gradedSpike").is_some_and(|graded| graded != 0.0) {
         return Err(layer.unsupported(
             format!("its spikes are graded, and those of {kind} neurons carry no value here"),
@@ -184,18 +172,13 @@ fn check_fields(layer: &Layer<'_>, kind: &str, known: &[&str]) -> Result<()> {
         ));
     }
     let mut keys = layer.group.group("neuron").into_iter().flat_map(|neuron| neuron.items.keys());
-    match keys.find(|key| !known.contains(&key.as_str())) {
+    match keys.find(|key| !known.split(' ').any(|known| known == *key)) {
         Some(key) => Err(layer.unsupported(
             format!("its neuron has a field '{key}', which neurons of the type {kind} do not have"),
             "remove it if the network does not depend on it",
         )),
         None => Ok(()),
     }
-}
-
-/// Compartments that sum and never spike.
-pub(super) fn integrator(du: f64, dv: f64) -> Vec<(&'static str, Parameter)> {
-    vec![("du", Parameter::Same(du)), ("dv", Parameter::Same(dv)), ("vth_mant", Parameter::Same(NEVER))]
 }
 
 pub(super) fn set_bias(parameters: &mut Vec<(&'static str, Parameter)>, biases: Vec<f64>) {

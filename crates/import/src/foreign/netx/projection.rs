@@ -3,17 +3,14 @@
 //! Input: weights of any range, delays of synapses, channels or units. Output: a projection in a
 //! synapse format, or one for each delay, listed synapse by synapse where delays differ.
 
-use std::collections::BTreeMap;
-
-use super::layer::{Geometry, Layer};
+use super::layer::Layer;
 use super::reader::{Last, Reader};
 use crate::foreign::encode;
 use crate::foreign::imported::{LONGEST_DELAY, LayerWeights};
-use crate::foreign::window::{MOST_LISTED, Sliding};
-use nsim_files::network::{NetworkFile, ProjectionDesc, ProjectionKind, tensor};
+use crate::foreign::window::{MOST_LISTED, by_delay, listed};
+use nsim_files::network::{ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::tensor::Tensor;
 
 impl Reader<'_> {
     /// The projection from the layer before, with its weights in a format that holds them.
@@ -74,40 +71,32 @@ impl Reader<'_> {
         weight_exp: Option<i64>,
         sign: SignMode,
     ) -> Result<()> {
-        let add = |model: &mut NetworkFile, kind, delay| {
-            let projection = ProjectionDesc { delay, weight_exp, sign, ..ProjectionDesc::new(&source.name, to, kind) };
-            model.projections.push(projection);
-        };
         let first = source.delays.first().copied().unwrap_or(0);
+        let mut projection =
+            ProjectionDesc { delay: first, weight_exp, sign, ..ProjectionDesc::new(&source.name, to, kind) };
         let synaptic = self.synaptic_delays(layer, source)?;
         if synaptic.is_none() && source.delays.iter().all(|&delay| delay == first) {
-            add(&mut self.model, kind, first);
+            self.model.projections.push(projection);
             return Ok(());
         }
-        let synapses =
-            list(&kind, source, self.model.population(to).map_or(&[][..], |p| &p.shape)).ok_or_else(|| {
-                layer.unsupported(
-                    format!(
-                        "its delays differ, so its synapses are listed one by one, and it has more than {MOST_LISTED}"
-                    ),
-                    "give all units of the layer before it one delay",
-                )
-            })?;
+        let target = self.model.population(to).map_or(&[][..], |population| &population.shape);
+        let kind = std::mem::replace(&mut projection.kind, ProjectionKind::Sparse(Vec::new()));
+        let synapses = listed(kind, &source.shape, target).ok_or_else(|| {
+            layer.unsupported(
+                format!("its delays differ, so its synapses are listed one by one, and it has more than {MOST_LISTED}"),
+                "give all units of the layer before it one delay",
+            )
+        })?;
         let delay_of = |from: u64, target: u64| {
             let axonal = source.delays.get(from as usize).copied().unwrap_or(0);
             let own = synaptic.as_ref().map_or(0, |delays| delays[(target * source.units() + from) as usize]);
             axonal + own
         };
-        let mut by_delay: BTreeMap<u32, Vec<(u64, u64, f64)>> = BTreeMap::new();
-        for synapse in synapses {
-            by_delay.entry(delay_of(synapse.0, synapse.1)).or_default().push(synapse);
-        }
-        if let Some((&longest, _)) = by_delay.last_key_value().filter(|&(&delay, _)| f64::from(delay) > LONGEST_DELAY) {
+        let longest = synapses.iter().map(|synapse| delay_of(synapse.0, synapse.1)).max().unwrap_or(0);
+        if f64::from(longest) > LONGEST_DELAY {
             return Err(layer.unsupported(format!("a delay of {longest} steps"), "the delay field holds 0 to 62"));
         }
-        for (delay, synapses) in by_delay {
-            add(&mut self.model, ProjectionKind::Sparse(synapses), delay);
-        }
+        self.model.projections.extend(by_delay(&projection, synapses, delay_of));
         Ok(())
     }
 
@@ -166,57 +155,4 @@ impl Reader<'_> {
     pub(super) fn last_shape(&self) -> Vec<u64> {
         self.last.as_ref().map_or_else(Vec::new, |last| last.shape.clone())
     }
-}
-
-/// The synapses of a projection one by one, unless there are too many.
-fn list(kind: &ProjectionKind, source: &Last, target: &[u64]) -> Option<Vec<(u64, u64, f64)>> {
-    let within = |many: Option<u64>| many.is_some_and(|many| many <= MOST_LISTED as u64);
-    match kind {
-        ProjectionKind::Sparse(synapses) => Some(synapses.clone()),
-        ProjectionKind::Dense(weights) => {
-            let sources = source.units();
-            let (weights, all) = (weights.tensor(), weights.tensor().len() as u64);
-            within(Some(all))
-                .then(|| (0..all).map(|at| (at % sources, at / sources, weights.real(at as usize))).collect())
-        }
-        ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
-            let geometry = Geometry { stride: *stride, padding: *padding, dilation: *dilation };
-            windowed(weights.tensor(), geometry, *groups, &source.shape, target)
-        }
-        ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
-            let geometry = Geometry { stride: *stride, padding: *padding, dilation: (1, 1) };
-            let channels = *source.shape.first()?;
-            let places = channels.checked_mul(kernel.0)?.checked_mul(kernel.1)?;
-            if !within(Some(places)) {
-                return None;
-            }
-            let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize).to_vec();
-            let weights = tensor(axes, vec![*weight; places as usize]);
-            windowed(weights.tensor(), geometry, channels, &source.shape, target)
-        }
-        ProjectionKind::Arrays(_) | ProjectionKind::Random { .. } => None,
-    }
-}
-
-/// The synapses of a convolution one by one.
-fn windowed(
-    weights: &Tensor,
-    geometry: Geometry,
-    groups: u64,
-    source: &[u64],
-    target: &[u64],
-) -> Option<Vec<(u64, u64, f64)>> {
-    let volume = |shape: &[u64]| <[usize; 3]>::try_from(shape.iter().map(|&axis| axis as usize).collect::<Vec<_>>());
-    let pair = |(y, x): (u64, u64)| (y as usize, x as usize);
-    let &[_, _, kh, kw] = weights.shape() else { return None };
-    let window = Sliding {
-        source: volume(source).ok()?,
-        target: volume(target).ok()?,
-        size: (kh, kw),
-        stride: pair(geometry.stride),
-        padding: pair(geometry.padding),
-        dilation: pair(geometry.dilation),
-        groups: (groups > 0).then_some(groups as usize)?,
-    };
-    Some(window.synapses()?.map(|(from, to, index)| (from, to, weights.real(index))).collect())
 }

@@ -8,10 +8,18 @@ use std::collections::BTreeMap;
 use super::linear::{Connection, Linear, at, scaled};
 use super::neuron::{Discrete, all};
 use super::reader::{Reader, product, resets, unsupported, wrong};
-use crate::foreign::imported::{LONGEST_DELAY, NEVER, ResetMode, every_step};
-use crate::foreign::window::MOST_LISTED;
+use crate::foreign::imported::{LONGEST_DELAY, ResetMode, every_step, integrator};
+use crate::foreign::window::{MOST_LISTED, by_delay, listed};
 use nsim_files::network::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
-use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+
+/// The problem of synapses that are too many to be listed.
+fn beyond_listed() -> Diagnostic {
+    unsupported(
+        format!("more than {MOST_LISTED} synapses would be listed one by one"),
+        "projections that are no matrix and no window are listed",
+    )
+}
 
 impl Reader<'_> {
     /// Makes all layers start a step later where a bias of a current is to reach the first of them
@@ -171,9 +179,6 @@ impl Reader<'_> {
         let equal = |list: &[u32]| list.windows(2).all(|pair| pair[0] == pair[1]);
         let own_delays = !equal(&before) || !equal(&behind);
         let kind = match linear {
-            Linear::Window(window) if own_delays => {
-                ProjectionKind::Sparse(window.list().ok_or_else(|| self.too_many(to))?)
-            }
             Linear::Dense(mut weights, sources) => {
                 // A product may not reach the last sources.
                 if sources < source_units {
@@ -211,10 +216,15 @@ impl Reader<'_> {
                 }
             }
             Linear::Diagonal(scale) => {
-                self.count(units)?;
                 ProjectionKind::Sparse((0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect())
             }
             other => ProjectionKind::Sparse(self.listed(other, to)?),
+        };
+        let kind = if own_delays {
+            let axes = |name: &str| self.shapes[name].iter().map(|&axis| axis as u64).collect::<Vec<_>>();
+            ProjectionKind::Sparse(listed(kind, &axes(from), &axes(to)).ok_or_else(beyond_listed)?)
+        } else {
+            kind
         };
         if let ProjectionKind::Sparse(synapses) = &kind {
             self.count(synapses.len())?;
@@ -232,45 +242,19 @@ impl Reader<'_> {
         }
         let mut projection =
             ProjectionDesc { delay: delay_of(0, 0), ..ProjectionDesc::new(&from_name, &to_name, kind) };
-        if !own_delays {
-            return Ok(vec![projection]);
-        }
-        let synapses: Vec<(u64, u64, f64)> = match projection.kind {
-            ProjectionKind::Sparse(synapses) => synapses,
-            ProjectionKind::Dense(weights) => {
-                let weights = weights.tensor();
-                self.count(weights.len())?;
-                let sources = source_units as u64;
-                (0..weights.len() as u64).map(|i| (i % sources, i / sources, weights.real(i as usize))).collect()
+        Ok(match &mut projection.kind {
+            ProjectionKind::Sparse(synapses) if own_delays => {
+                let synapses = std::mem::take(synapses);
+                by_delay(&projection, synapses, delay_of).collect()
             }
-            // Windows with delays of their own were listed above.
-            _ => Vec::new(),
-        };
-        let mut by_delay: BTreeMap<u32, Vec<(u64, u64, f64)>> = BTreeMap::new();
-        for synapse in synapses {
-            by_delay.entry(delay_of(synapse.0, synapse.1)).or_default().push(synapse);
-        }
-        projection.kind = ProjectionKind::Sparse(Vec::new());
-        Ok(by_delay
-            .into_iter()
-            .map(|(delay, synapses)| ProjectionDesc {
-                delay,
-                kind: ProjectionKind::Sparse(synapses),
-                ..projection.clone()
-            })
-            .collect())
+            _ => vec![projection],
+        })
     }
 
     /// Counts synapses that are listed one by one.
     pub(super) fn count(&mut self, synapses: usize) -> Result<()> {
         self.listed += synapses;
-        if self.listed > MOST_LISTED {
-            return Err(unsupported(
-                format!("more than {MOST_LISTED} synapses would be listed one by one"),
-                "projections that are no matrix and no window are listed",
-            ));
-        }
-        Ok(())
+        if self.listed > MOST_LISTED { Err(beyond_listed()) } else { Ok(()) }
     }
 
     /// The population that decides: the one that leads to the output, or integrators that show what
@@ -307,16 +291,13 @@ impl Reader<'_> {
         self.names.insert(output.clone(), name.clone());
         self.shapes.insert(output.clone(), arrived.shape.clone());
         let shape = arrived.shape.iter().map(|&axis| axis as u64).collect();
-        let memoryless = Parameter::Same(4096.0);
-        let parameters =
-            vec![("du", memoryless.clone()), ("dv", memoryless.clone()), ("vth_mant", Parameter::Same(NEVER))];
         let start_step = if neurons(&path[0]) { self.depths[&path[0]] + 1 } else { 0 };
         self.depths.insert(output.clone(), start_step);
-        let population = PopulationDesc::loihi(&name, shape, parameters);
+        let population = PopulationDesc::loihi(&name, shape, integrator(4096.0, 4096.0));
         self.model.populations.push(PopulationDesc { start_step, ..population });
         let neuron = Discrete {
-            du: memoryless.clone(),
-            dv: memoryless,
+            du: Parameter::Same(4096.0),
+            dv: Parameter::Same(4096.0),
             taus: [None, None],
             gain: Parameter::Same(1.0),
             threshold: None,

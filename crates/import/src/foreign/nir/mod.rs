@@ -45,10 +45,6 @@ use nsim_ir::neurons::NeuronKind;
 use reader::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
 
 /// Reads the tree of a file.
-///
-/// # Errors
-/// `import.nir` for what is malformed, `import.unsupported` for what a core cannot do,
-/// `import.option` for what the file does not say.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
     let mut notes = Vec::new();
@@ -214,19 +210,6 @@ impl Reader<'_> {
     }
 
     fn check_kinds(&self) -> Result<()> {
-        const LINEAR: [&str; 11] = [
-            "Linear",
-            "Affine",
-            "Scale",
-            "Conv1d",
-            "Conv2d",
-            "SumPool2d",
-            "AvgPool2d",
-            "Flatten",
-            "Delay",
-            "Pass",
-            "Output",
-        ];
         for (name, node) in &self.flat.nodes {
             let known = fields(&node.kind);
             let unknown = |key: &&String| !known.contains(&key.as_str()) && !WITHOUT_MEANING.contains(&key.as_str());
@@ -236,7 +219,7 @@ impl Reader<'_> {
                     "remove it if the network does not depend on it",
                 ));
             }
-            if !is_population(&node.kind) && !LINEAR.contains(&node.kind.as_str()) {
+            if known.is_empty() {
                 return Err(unsupported(
                     format!("node '{name}' is of the type '{}'", node.kind),
                     "imported are Input, Output, Linear, Affine, Scale, CubaLIF, LIF, IF, CubaLI, LI, I, Threshold, \

@@ -25,9 +25,6 @@ fn polarity_and_time(bytes: &[u8; 5]) -> (bool, i64) {
 }
 
 /// SLAYER `.bs2`.
-///
-/// # Errors
-/// `io.read`, and those of the sink.
 pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut bytes = [0; 5];
     while fill(input, &mut bytes, sink)? {
@@ -39,9 +36,6 @@ pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
 
 /// `.bin` of N-MNIST and N-Caltech101, in which an entry of row 240 is a turn of the clock and no
 /// event.
-///
-/// # Errors
-/// `io.read`, and those of the sink.
 pub fn bin(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (mut bytes, mut passed_us) = ([0; 5], 0);
     while fill(input, &mut bytes, sink)? {
@@ -57,9 +51,6 @@ pub fn bin(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
 }
 
 /// SLAYER `.bs1`.
-///
-/// # Errors
-/// `io.read`, and those of the sink.
 pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut bytes = [0; 5];
     while fill(input, &mut bytes, sink)? {
@@ -110,9 +101,6 @@ pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [
 }
 
 /// Prophesee `.dat` with events of type 0, 12 or 40, which are all addresses.
-///
-/// # Errors
-/// `input.events` for events of another type or size, and for polarities beyond 1.
 pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (lines, begun) = header(input)?;
     let input = &mut begun.chain(input);

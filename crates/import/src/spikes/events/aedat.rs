@@ -92,10 +92,6 @@ fn several(streams: &BTreeMap<i32, Stream<'_>>, found: &[i32]) -> Diagnostic {
 }
 
 /// Reads one stream of a file: the chosen one, or the only one with events.
-///
-/// # Errors
-/// `input.events` for what is no AEDAT4, is damaged, is compressed in another way, or has several
-/// streams of events.
 pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut magic = [0; 14];
     let there = fill(input, &mut magic, sink)?;

@@ -28,9 +28,6 @@ pub struct Window {
 
 impl Window {
     /// A window for a population.
-    ///
-    /// # Errors
-    /// `input.option` for a timestep that is none.
     pub fn new(
         expected: &Expected,
         options: &EventOptions,
@@ -75,7 +72,6 @@ pub struct Bins {
 
 impl Bins {
     /// Empty bins.
-    #[must_use]
     pub fn new(window: Window) -> Self {
         Bins {
             window,
@@ -177,9 +173,6 @@ impl Bins {
     /// Asks for the unit of times that nothing names and that are hardly microseconds: a camera has
     /// from one event a second to a thousand a microsecond, and a recording is longer than a
     /// timestep.
-    ///
-    /// # Errors
-    /// `input.unit`.
     fn check_unit(&self) -> Result<()> {
         let Counts { events, span_us: Some((first, last)), unit_assumed: true, .. } = self.counts else {
             return Ok(());
@@ -198,10 +191,6 @@ impl Bins {
     }
 
     /// The sample, and what was counted.
-    ///
-    /// # Errors
-    /// `input.unit` for times that are hardly microseconds and of which nothing says the unit;
-    /// `input.empty` when nothing says how long it is; `input.shape`, `input.too-many`.
     pub fn finish(mut self, name: &str) -> Result<(PopulationSpikes, Counts)> {
         self.grid()?;
         self.settle()?;

@@ -13,9 +13,6 @@ use super::event::{Event, Remark, Sink, fill, no_streams, wrong};
 use nsim_ir::base::diagnostic::Result;
 
 /// A `.raw` file; its header says which encoding it has.
-///
-/// # Errors
-/// `input.events` for a header without encoding or with two, EVT2.1, events of two cameras.
 pub fn raw(camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (lines, begun) = header(input)?;
     let input = &mut begun.chain(input);

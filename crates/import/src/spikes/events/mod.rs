@@ -7,17 +7,17 @@
 //! events earlier than one before them are counted as out of order and kept in the bin of their
 //! time.
 //!
-//! Formats: [`address`] (N-MNIST `.bin`, SLAYER `.bs1` and `.bs2`, Prophesee `.dat`), [`evt`]
-//! (Prophesee EVT2 and EVT3), [`aedat`] (AEDAT4), [`tact`] (VT_SNN's NeuTouch text), [`mod@text`]
+//! Formats: `address` (N-MNIST `.bin`, SLAYER `.bs1` and `.bs2`, Prophesee `.dat`), `evt`
+//! (Prophesee EVT2 and EVT3), `aedat` (AEDAT4), `tact` (VT_SNN's NeuTouch text), [`mod@text`]
 //! (CSV with a header of x, y and time), [`nir_data`] (NIR's event and time-gridded data, which are
 //! whole arrays and not streams).
 
-pub mod address;
-pub mod aedat;
-pub mod bins;
+mod address;
+pub(crate) mod aedat;
+mod bins;
 pub mod event;
-pub mod evt;
+mod evt;
 pub mod nir_data;
 pub mod read;
-pub mod tact;
+mod tact;
 pub mod text;

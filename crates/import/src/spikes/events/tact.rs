@@ -16,9 +16,6 @@ pub const TAXELS: u32 = 78;
 const MOST_ROW: usize = 256;
 
 /// Reads a file.
-///
-/// # Errors
-/// `input.events` with the row.
 pub fn tact(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     rows(input, MOST_ROW, sink, |text, sink| {
         let bad = |what: String| wrong(what).help("a row is: polarity (0 or 1), cell (1 to 80), seconds");

@@ -11,8 +11,39 @@ use std::fmt::Write as _;
 use std::io::{Error, Result, Write};
 use std::path::Path;
 
-pub use super::column::{Column, Unit};
-use crate::text::NPY_MAGIC;
+use crate::npy;
+
+/// What a column counts, and how it is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// Things.
+    Count,
+    /// Picoseconds, written as microseconds.
+    Microseconds,
+    /// Femtojoules, written as picojoules.
+    Picojoules,
+}
+
+impl Unit {
+    /// Of what is counted, how many make a unit of what is written.
+    #[must_use]
+    pub fn divisor(self) -> u64 {
+        match self {
+            Unit::Count => 1,
+            Unit::Microseconds => 1_000_000,
+            Unit::Picojoules => 1_000,
+        }
+    }
+}
+
+/// A column behind `sample` and `timestep`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Column {
+    /// Its name.
+    pub name: String,
+    /// What it counts.
+    pub unit: Unit,
+}
 
 /// The form of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -88,7 +119,7 @@ impl<'w> StepWriter<'w> {
                 header.write_record(["sample", "timestep"].into_iter().chain(names)).map_err(Error::other)?;
                 header.flush()?;
             }
-            (StepFormat::Npy, Some(rows)) => out.write_all(&array_header(columns, rows)?)?,
+            (StepFormat::Npy, Some(rows)) => out.write_all(&npy::header(&record(columns), &[rows])?)?,
             (StepFormat::Npy, None) => return Err(Error::other("an array needs its number of rows")),
         }
         Ok(table(out))
@@ -160,33 +191,15 @@ impl<'w> StepWriter<'w> {
     }
 }
 
-/// The header of an array of records (NumPy, `numpy/lib/format.py`): version 1.0 where it is short
-/// enough, else 2.0, padded so that the records begin at a multiple of 64.
-fn array_header(columns: &[Column], rows: u64) -> Result<Vec<u8>> {
-    let mut fields = "{'descr': [('sample', '<u4'), ('timestep', '<u4')".to_string();
+/// The type of the records of an array.
+fn record(columns: &[Column]) -> String {
+    let mut fields = "[('sample', '<u4'), ('timestep', '<u4')".to_string();
     for Column { name, unit } in columns {
         let name = name.replace('\\', "\\\\").replace('\'', "\\'");
         let kind = if *unit == Unit::Count { "<u8" } else { "<f8" };
         let _ = write!(fields, ", ('{name}', '{kind}')");
     }
-    let _ = write!(fields, "], 'fortran_order': False, 'shape': ({rows},), }}");
-    let header = |version: u8, length_bytes: usize| {
-        let before = NPY_MAGIC.len() + 2 + length_bytes;
-        let padded = (before + fields.len() + 1).next_multiple_of(64) - before;
-        let length = (padded as u32).to_le_bytes();
-        let mut header = NPY_MAGIC.to_vec();
-        header.extend([version, 0]);
-        header.extend(&length[..length_bytes]);
-        header.extend(fields.bytes());
-        header.resize(before + padded - 1, b' ');
-        header.push(b'\n');
-        header
-    };
-    match fields.len() {
-        0..65_000 => Ok(header(1, 2)),
-        65_000..0x7fff_ffff => Ok(header(2, 4)),
-        _ => Err(Error::other("the columns have too many names")),
-    }
+    fields + "]"
 }
 
 #[cfg(test)]

@@ -1,4 +1,0 @@
-//! What a run recorded, as files: a row for each timestep, and columns.
-
-pub mod column;
-pub mod steps;

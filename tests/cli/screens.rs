@@ -1,0 +1,89 @@
+//! Screens: what a command prints fits the columns of a terminal and breaks no word, and `-h` is
+//! one screen.
+
+use std::collections::BTreeSet;
+
+use crate::{MODEL, SRM, nsim, write};
+
+/// Longest `-h`, in lines.
+const HELP_LINES: usize = 30;
+
+/// Commands on files that the test writes. Of those marked `timed`, figures differ between runs.
+const SCREENS: [(&str, bool); 23] = [
+    ("map vtsnn-slip", true),
+    ("map m.ron --target tiny --copies 3 --prune static", true),
+    ("run vtsnn-slip --samples 0..2", true),
+    ("run m.ron --input scene:noise?samples=14&steps=20&rate=0.3 --early-exit 1", true),
+    ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline rtx-2080-ti", false),
+    ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline rtx-2080-ti --full", false),
+    ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline --accounting rails --full", false),
+    ("agree srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 --calibration-samples 2", false),
+    ("agree srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 --against c.ron --against c.ron", false),
+    ("convert srm.ron --input scene:noise?samples=4&steps=20&rate=0.3", true),
+    ("import net.nir", false),
+    ("export m.ron -o net.nir --force", false),
+    ("inspect nahuku-32", false),
+    ("inspect vtsnn-slip", false),
+    ("inspect rtx-2080-ti", false),
+    ("scene slip --samples 2", false),
+    ("scene container --samples 2", false),
+    ("stress --case weight-exponent-least thresholds-at-both-ends denormals-f64", false),
+    ("bench step --network vtsnn-1pct --steps 2", true),
+    ("bench pareto m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --seconds 0.01", true),
+    ("bench published", false),
+    ("bench paper --stored", false),
+    ("sweep sweep.ron -o table.csv --force", true),
+];
+
+/// What a command prints where a terminal has this many columns.
+fn printed(folder: &std::path::Path, words: &[&str], columns: usize) -> String {
+    let output = nsim(words).current_dir(folder).env("COLUMNS", columns.to_string()).output().unwrap();
+    assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn every_command_fits_its_columns_and_breaks_no_word() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "m.ron", MODEL);
+    write(folder.path(), "srm.ron", SRM);
+    write(folder.path(), "sweep.ron", "Sweep(model: \"m.ron\", input: [\"scene:noise?samples=1&steps=9&rate=0.3\"])");
+    let ready = ["export m.ron -o net.nir", "convert srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 -o c.ron"];
+    for line in ready {
+        printed(folder.path(), &line.split(' ').collect::<Vec<_>>(), 80);
+    }
+    for (line, timed) in SCREENS {
+        let words: Vec<&str> = line.split(' ').collect();
+        let parts = |text: &str| -> BTreeSet<String> {
+            let all = text.split_whitespace().filter(|word| !timed || word.contains(char::is_alphabetic));
+            all.map(str::to_string).collect()
+        };
+        let whole = parts(&printed(folder.path(), &words, 10_000));
+        for columns in [80, 120] {
+            let screen = printed(folder.path(), &words, columns);
+            let widest = screen.lines().max_by_key(|line| line.chars().count()).unwrap();
+            assert!(widest.chars().count() <= columns, "nsim {line} at {columns} columns: {widest}");
+            assert_eq!(parts(&screen), whole, "nsim {line} at {columns} columns: {screen}");
+        }
+    }
+    let lines = |name| printed(folder.path(), &["inspect", name], 80).lines().count();
+    assert!(lines("nahuku-32") <= 40 && lines("vtsnn-slip") <= 40);
+}
+
+#[test]
+fn short_help_is_a_screen_and_long_help_has_every_option() {
+    let root = printed(std::path::Path::new("."), &["-h"], 80);
+    let names = root.lines().filter_map(|line| line.strip_prefix("  ")?.split("  ").next());
+    let commands: Vec<&str> = names.take_while(|name| !name.starts_with('-')).filter(|name| !name.is_empty()).collect();
+    assert!(commands.len() > 16, "{root}");
+    let below = ["bench map", "bench step", "bench pareto", "bench published"];
+    for command in commands.into_iter().chain(below) {
+        let words: Vec<&str> = command.split(' ').collect();
+        let help = |option| printed(std::path::Path::new("."), &[&words[..], &[option]].concat(), 80);
+        let (short, long) = (help("-h"), help("--help"));
+        assert!(short.lines().count() <= HELP_LINES, "nsim {command} -h: {}\n{short}", short.lines().count());
+        assert!(short.contains("EXAMPLES:") && short.contains("--help"), "{short}");
+        assert!(long.contains("Options of every command:") && long.len() > short.len(), "{long}");
+        assert!([short, long].iter().all(|help| help.lines().all(|line| line.chars().count() <= 80)), "{command}");
+    }
+}
