@@ -66,7 +66,7 @@ impl Trace {
     }
 }
 
-/// Runs a sample; silence is passed over where the engine can, at once or by single steps.
+/// Runs a sample; silence is skipped where the engine can, whole or by single steps.
 pub fn trace(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> Trace {
     let neurons = network.populations().iter().filter_map(|population| match &population.units {
         Units::Compartments { neurons, .. } => {

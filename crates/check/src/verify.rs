@@ -367,7 +367,7 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
     sum
 }
 
-/// Checks the rules for a core's own tables; returns what they use, output axons left out.
+/// Checks the rules for a core's own tables; returns what they use, without output axons.
 ///
 /// # Errors
 /// The first [`Violation`].

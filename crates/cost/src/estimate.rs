@@ -231,7 +231,7 @@ pub struct Case<'a> {
     pub errors: &'a [ClassError],
     /// The preset by the status of its constants.
     pub by_status: Option<&'a ByStatus>,
-    /// Copies whose activity was counted: 1 when one stands for all, else the mapping's.
+    /// Copies whose activity was counted: 1 when one represents all, else the mapping's.
     pub copies_counted: u32,
     /// Where the copies are.
     pub deployment: &'a Deployment,

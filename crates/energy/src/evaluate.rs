@@ -136,7 +136,7 @@ pub fn evaluate(
     let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
     let metered = workload.metered(vec![table], &deployment, options.transport);
     let metered = MeterSettings { distribution: Some((0, price)), ..metered };
-    // Copies see the same samples and decide alike; the first one's outputs are watched.
+    // Copies see the same samples and decide the same; the first one's outputs are watched.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;

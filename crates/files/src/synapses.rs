@@ -1,8 +1,9 @@
 //! Synapses as arrays of one entry each, for networks too large to be listed in a model file.
 //!
 //! Input: the arrays that a `Sparse` projection names. Output: its synapses, each index within its
-//! populations and each delay an integer, by their delays. Sources are given one by one, or as the place where each
-//! source's synapses begin (compressed rows). Errors point at the array and name the entry.
+//! populations and each delay an integer, by their delays. Sources are given one by one, or as the
+//! place where each source's synapses begin (compressed rows). Errors point at the array and name
+//! the entry.
 
 use std::collections::BTreeMap;
 

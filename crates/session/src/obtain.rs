@@ -100,7 +100,7 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Whether anything is to be left out.
+    /// Whether anything is to be pruned.
     fn prunes(&self) -> bool {
         !self.prune.is_empty() && self.prune != ["none"]
     }
@@ -121,7 +121,7 @@ impl<'a> Request<'a> {
         Ok(Some(plan.probing(probed.map(|(id, _)| id).collect::<Vec<PopulationId>>())))
     }
 
-    /// The network in integers, without what is to be left out.
+    /// The network in integers, without what is to be pruned.
     fn front(&self) -> Result<Front, Error> {
         let front = (self.integers)(self.network)?;
         let Some(plan) = self.plan(front.quantised())? else { return Ok(front) };
@@ -147,7 +147,7 @@ pub enum Job {
     Mapped(Box<Compiled>, Box<Target>, Option<String>),
     /// Only quantised, for the golden engine.
     Quantised(Box<Quantised>, Option<String>),
-    /// In real numbers, for the reference engine; and in integers, which number its units alike.
+    /// In real numbers, for the reference engine; and in integers, with the same unit numbers.
     Real(Box<Graph>, Box<Quantised>, Option<String>),
 }
 

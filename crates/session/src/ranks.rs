@@ -1,8 +1,8 @@
 //! What the processes that run a program together hold, and what they tell the first of them.
 //!
-//! Input: a program that is dealt out, and what a rank found of the samples ([`super::samples`]).
-//! Output: the part that a rank holds; on rank 0 what one process alone would have found. Invariant:
-//! every count is found by one rank only, so that adding is all there is to do.
+//! Input: a program assigned to ranks, and the counts of a rank ([`super::samples`]). Output: the
+//! part that a rank holds; on rank 0 the counts of one process alone. Invariant: every
+//! count is found by one rank only, so that adding is all there is to do.
 //!
 //! Why rank 0 gathers after the run and not after each step: counts add up in any order, and only
 //! what a step costs, or when a sample is decided, has to be known at once
@@ -74,8 +74,8 @@ pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Di
     }
 }
 
-/// What a rank found of the samples: outcomes, counts of its cores and of its compartments, updates
-/// that it left out; and what it held.
+/// The results of a rank: outcomes, counts of its cores and of its compartments, updates that it
+/// skipped, and its part.
 pub(super) type Found = (Vec<Outcome>, Activity, SourceCounts, u64, RankRow);
 
 /// Adds what another rank found of a sample; `shown`: every rank has seen the output spikes.

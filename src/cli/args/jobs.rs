@@ -131,8 +131,8 @@ impl Refusal {
     }
 }
 
-/// Loads a model and makes it ready for an engine, with as many copies as a saved mapping has, or 1,
-/// unless it is said. Populations that fit the patterns stay whole however much is pruned.
+/// Loads a model and makes it ready for an engine, with this many copies, else those of the saved
+/// mapping, else 1. Populations that fit the patterns stay whole however much is pruned.
 ///
 /// # Errors
 /// [`Error`] when a file cannot be used.

@@ -28,7 +28,7 @@ pub const REMOVED: &[(&str, &str)] = &[
     ),
     (
         "train --study",
-        "`nsim sweep` trains each variant of a sweep file that has `train: \"CONFIG.ron\"` and paths such as `train.seed`",
+        "`nsim sweep` trains each variant of a sweep file with `train: \"CONFIG.ron\"` and paths such as `train.seed`",
     ),
     ("train --seeds", "train with each seed by `nsim train CONFIG.ron --seed N -o MODEL.ron` in a loop of the shell"),
     ("bench batch", "`nsim energy --baseline rtx-2080-ti gpu-roofline` has the rows of a GPU, a sample at a time"),

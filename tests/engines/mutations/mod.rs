@@ -199,8 +199,8 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
         .into_par_iter()
         .map(|seed| {
             let network = if seed % 2 == 0 { random::network(seed) } else { random::mixed(seed) };
-            // Where cores stand is drawn by a mutation, not searched for. The tables of one copy are
-            // those of all, until a mutation gives a core tables of its own.
+            // A mutation draws the places of cores; none are searched for. The tables of one copy
+            // are those of all, until a mutation gives a core tables of its own.
             let copies = if network.compartments() < 100 { 3 } else { 1 };
             let options = Options { place: false, copies, ..Options::default() };
             let mut tallies = vec![Tally::default(); KINDS.len()];

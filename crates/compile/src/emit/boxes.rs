@@ -1,10 +1,11 @@
 //! The program of a network of layers, written pattern by pattern.
 //!
 //! Input: a network that is mapped by its kernels, its partition and placement. Output: a
-//! [`Program`]. Boxes of a layer that hold the same channels, and whose rows and columns are reached
-//! in the same pattern, are of one class. Its tables are written once; the other boxes differ in the sources of their input axons,
-//! which are the same ones some rows and columns further on. So a program of thousands of millions
-//! of synapses takes the memory of its messages, not of its synapses.
+//! [`Program`]. Boxes of a layer are of one class if they hold the same channels, and their rows
+//! and columns are reached in the same pattern. The tables of a class are written once; its other
+//! boxes have the same sources of input axons, some rows and columns further on. So a
+//! program of thousands of millions of synapses takes the memory of its messages, not of its
+//! synapses.
 //!
 //! Why it is right: a window reaches rows and columns independently of each other, and what a
 //! source reaches of a box depends on its field in both, which [`WindowAxis::pattern`] lists in

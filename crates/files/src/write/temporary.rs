@@ -1,7 +1,7 @@
 //! Temporary files, which a signal removes.
 //!
-//! Input: a folder. Output: a file in it under a name `.nsim-*.tmp`. A process that is killed leaves
-//! it behind.
+//! Input: a folder. Output: a file in it under a name `.nsim-*.tmp`. A killed process leaves it
+//! there.
 
 use std::collections::BTreeSet;
 use std::io::Result;

@@ -4,7 +4,7 @@
 //! target with their place in the kernel, in the order of the targets. An output `o` receives the
 //! input `o * stride + k * dilation - padding` over the kernel's place `k` (torch, `Conv2d`; what
 //! lies outside of the volume is silent). A transposed convolution is the same window with source
-//! and target exchanged. Also lists the synapses of any projection, and splits them by their delays.
+//! and target exchanged. Also lists the synapses of any projection, and splits them by delay.
 
 use std::collections::BTreeMap;
 

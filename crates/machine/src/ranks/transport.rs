@@ -84,7 +84,7 @@ impl Ranks {
         let written = |found| postcard::to_stdvec(found).expect("values without maps and unknown lengths");
         let own = if self.rank == 0 { Vec::new() } else { written(found) };
         let all = self.transport().gather(own);
-        all.iter().skip(1).map(|bytes| postcard::from_bytes(bytes).expect("ranks write alike")).collect()
+        all.iter().skip(1).map(|bytes| postcard::from_bytes(bytes).expect("ranks write the same form")).collect()
     }
 
     /// What carries words.

@@ -246,7 +246,7 @@ impl CoreTotals {
         with_runs.words < plain.words && with_runs.formats <= limits[Resource::SynapseFormats]
     }
 
-    /// What the core uses, output axons left out.
+    /// What the core uses, without output axons.
     #[inline]
     #[must_use]
     pub fn usage(&self, limits: &Limits) -> CoreUsage {
