@@ -182,7 +182,8 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             object["pareto"] = report::pareto_json(&candidates);
             object
         };
-        output::print(context.format, text, json, || report::csv(outcome))?;
+        let csv = || if candidates.is_empty() { report::csv(outcome) } else { report::pareto_csv(&candidates) };
+        output::print(context.format, text, json, csv)?;
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
 }

@@ -64,6 +64,35 @@ fn a_model_without_a_scenario_has_one_copy_everywhere() {
     assert_eq!(object(&["inspect", &own], 0)["kind"], "scenario");
 }
 
+/// Relays are the chip's need: hardware that was measured without them, and a comparison with the
+/// trained network, leave them out.
+#[test]
+fn relays_of_the_measured_job_are_not_the_networks() {
+    let folder = tempfile::tempdir().unwrap();
+    let paper = ["--deployment", "paper", "--samples", "0..2"];
+    let energy = object(&[&["energy", "--baseline", "rtx-2080-ti"], &paper[..]].concat(), 0);
+    let rows = energy["rows"].as_array().unwrap();
+    assert!(rows.iter().any(|row| row["hardware"] == "RTX 2080 Ti"), "{rows:?}");
+    let page = folder.path().join("paper.html").display().to_string();
+    let (status, _, error) = said(&[&["report", "-o", &page, "--baseline"], &paper[..]].concat());
+    assert_eq!(status, 0, "{error}");
+    assert!(std::fs::read_to_string(&page).unwrap().contains("the trained network"));
+    let (status, _, error) = said(&["energy", "--deployment", "papper"]);
+    assert!(status == 3 && error.contains("--deployment is spread, packed, paper"), "{error}");
+}
+
+/// A target's own constants do not hide the shipped ones.
+#[test]
+fn a_shipped_preset_is_for_every_target() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "own.ron", "Constants(base: \"loihi1-evidence\")");
+    let target = "Target(base: \"loihi1-chip\", name: \"mine\", constants: [\"own\"])";
+    let target = write(folder.path(), "mine.ron", target);
+    let energy = ["energy", "--samples", "0..1", "--baseline", "--target", &target, "--constants"];
+    assert_eq!(object(&[&energy[..], &["davies2018"]].concat(), 0)["target"], "mine");
+    assert_eq!(said(&[&energy[..], &["davies2017"]].concat()).0, 2);
+}
+
 #[test]
 fn energy_is_of_as_many_copies_as_a_mapping_has() {
     let folder = tempfile::tempdir().unwrap();

@@ -82,7 +82,8 @@ fn fields_of_model_target_and_constants_are_set() {
     assert!(energy("") >= energy(hop));
     for (wrong, says) in [
         ("nothing=1", "field named `nothing`"),
-        ("populations.c.du=1", "populations has no c"),
+        ("populations.c.du=1", "populations has no c; it has in, a"),
+        ("populations.a.vt_mant=1", "did you mean 'vth_mant'?"),
         ("populations.a.vth=x", "model."),
         ("target.nothing=1", "nothing"),
         ("constants.nothing=1", "no such number"),

@@ -197,21 +197,23 @@ pub struct ByStatus {
 }
 
 impl ByStatus {
-    /// Of these constants.
+    /// Of these constants, on so many chips: what is between chips counts where there are several.
     ///
     /// # Errors
     /// As [`CostTable::new`].
-    pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
+    pub fn new(constants: &Constants, chips: u64) -> Result<Self, Diagnostic> {
         let worst = |names: &dyn Fn(&str) -> bool| {
             let of = constants.list().into_iter().filter(|(name, constant)| names(name) && constant.value.value > 0.0);
             of.map(|(_, constant)| constant.status).max().unwrap_or(Status::Published)
         };
         let one = |name: &'static str| worst(&move |own: &str| own == name);
-        let host = ["injection_time", "turn_time", "chip_hop_time", "reset_word_time"];
-        let events = worst(&|name: &str| name.ends_with("_time") && !host.contains(&name));
+        let core = ["synapse_", "dendrite_", "compartment_", "spike_", "axon_"];
+        let of_core = worst(&|name: &str| name.ends_with("_time") && core.iter().any(|of| name.starts_with(of)));
+        let mesh = |name: &str| name.ends_with("hop_time") || name.starts_with("link_");
+        let of_mesh = worst(&|name: &str| mesh(name) && (chips > 1 || !name.contains("chip")));
         let tiles = constants.barrier.iter().map(|entry| entry.time.status).max().unwrap_or(Status::Published);
-        let barrier = tiles.max(one("chip_hop_time"));
-        let time = [one(host[0]), one(host[1]), events, events, barrier, one(host[3])];
+        let barrier = if chips > 1 { tiles.max(one("chip_hop_time")) } else { tiles };
+        let time = [one("injection_time"), one("turn_time"), of_core, of_mesh, barrier, one("reset_word_time")];
         Ok(ByStatus { tables: CostTable::by_status(constants)?, time })
     }
 }

@@ -140,7 +140,7 @@ pub fn evaluate(
     let rule = options.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;
-    let by_status = ByStatus::new(&target.constants()[0])?;
+    let by_status = ByStatus::new(&target.constants()[0], deployment.chips_used)?;
     let case = Case {
         copies_counted: workload.copies,
         hardware: target.chip().hardware(),

@@ -94,14 +94,19 @@ pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, CostTable
     Ok((target.with_preset(chosen), table))
 }
 
-/// The target with the preset that is asked for, which may be a file; returns the preset's name.
+/// The target with the preset that is asked for, which may be a file, or a shipped one that the
+/// target does not name; returns the preset's name.
 ///
 /// # Errors
 /// [`Error::Input`] when the file cannot be used.
 pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Option<String>)> {
     match asked {
-        Some(path) if io::shipped::is_path(path) => {
-            let preset = io::target::load_constants(path)?;
+        Some(named)
+            if io::shipped::is_path(named)
+                || !target.constants().iter().any(|preset| preset.name == named)
+                    && io::shipped::Shipped::find(io::shipped::CONSTANTS, named).is_some() =>
+        {
+            let preset = io::target::load_constants(named)?;
             let name = preset.name.clone();
             Ok((target.with_preset(preset), Some(name)))
         }
@@ -149,15 +154,16 @@ impl DeploymentSource {
             })?;
             return Ok(DeploymentSource::Scenario("paper".to_string(), Box::new(scenario.clone())));
         }
-        let source = io::text::read_text(Path::new(named))?;
+        const CHOICES: &str =
+            "--deployment is spread, packed, paper, CORES,CHIPS,X86, a scenario, or a mapping saved by nsim map -o";
+        let source = io::text::read_text(Path::new(named));
+        let source = source.map_err(|error| if error.code == "io.missing" { error.help(CHOICES) } else { error })?;
         if root_name(source.text()) == "Scenario" {
             let scenario = scenario(&source)?;
             return Ok(DeploymentSource::Scenario(named.to_string(), Box::new(scenario)));
         }
         let mapping = io::mapping::mapping(&source).map_err(|error| match error.help {
-            None => error.help(
-                "--deployment is spread, packed, paper, CORES,CHIPS,X86, a scenario, or a mapping saved by nsim map -o",
-            ),
+            None => error.help(CHOICES),
             Some(_) => error,
         })?;
         Ok(DeploymentSource::Mapping(named.into(), Box::new(mapping)))

@@ -508,9 +508,10 @@ impl Declared<'_> {
                 self.to(),
                 tensor.shape()
             );
-            return Err(self
-                .error("model.weights-shape", message, "weights")
-                .help("weights are [target][source], kernels [out channel][in channel / groups][height][width]"));
+            return Err(self.error("model.weights-shape", message, "weights").help(
+                "weights are [target][source], kernels [out channel][in channel / groups][height][width]; a \
+                     layer of another size is trained: nsim train NAME --set layers.LAYER.size=N",
+            ));
         }
         Ok(tensor)
     }

@@ -163,10 +163,21 @@ pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
                 let comma = if before.ends_with(['(', ',']) { "" } else { "," };
                 return Ok(format!("{before}{comma} {part}: {value}{}", &text[end..]));
             }
-            Part::NotYet(_) | Part::Nothing => return Err(format!("{within} has no {part}")),
+            Part::NotYet(_) | Part::Nothing => {
+                let names: Vec<String> =
+                    items(text, &within).into_iter().filter_map(|item| name_of(text, item)).collect();
+                let names = if names.is_empty() { String::new() } else { format!("; it has {}", names.join(", ")) };
+                return Err(format!("{within} has no {part}{names}"));
+            }
         }
     }
     Ok(format!("{}{value}{}", &text[..place.start], &text[place.end..]))
+}
+
+/// The name of an item of a list, which paths call it by.
+fn name_of(text: &str, item: Span) -> Option<String> {
+    let Span { start, end } = locate(text, item, "name")?;
+    Some(text[start..end].trim_matches('"').to_string())
 }
 
 /// The place of a path that begins at a value of the text; nothing when there is no such place.

@@ -14,6 +14,7 @@ use serde::de::{Deserialize, DeserializeOwned, DeserializeSeed, Deserializer};
 use serde::ser::{Serialize, Serializer};
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use crate::base::names::did_you_mean;
 use crate::locate::too_deep;
 
 thread_local! {
@@ -165,7 +166,13 @@ pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Re
         let place = |&(at, _): &(usize, String)| source.position(at).line;
         let others: Vec<String> = others.iter().map(|one| format!("{} (line {})", one.1, place(one))).collect();
         let also = if others.is_empty() { String::new() } else { format!("; also missing: {}", others.join(", ")) };
-        Diagnostic::new(code, malformed.message + &also).at(source, malformed.span)
+        let problem = Diagnostic::new(code, malformed.message.clone() + &also).at(source, malformed.span);
+        match malformed.message.contains("field named") {
+            true => {
+                problem.help("nsim show NAME prints a shipped file with its fields; docs/formats.md has all of them")
+            }
+            false => problem,
+        }
     })
 }
 
@@ -274,6 +281,12 @@ fn plain(error: &ron::Error) -> String {
     match error {
         ron::Error::ExceededRecursionLimit => return "brackets are nested too deeply".to_string(),
         ron::Error::ExpectedComma => return "expected a comma or a closing bracket".to_string(),
+        ron::Error::NoSuchStructField { expected, found, outer } => {
+            let of = outer.as_ref().map_or(String::new(), |outer| format!(" in `{outer}`"));
+            let meant = did_you_mean(found, expected.iter().copied());
+            let meant = meant.strip_suffix("? ").map_or(String::new(), |meant| format!("; {meant}?"));
+            return format!("Unexpected field named `{found}`{of}, expected one of `{}`{meant}", expected.join("`, `"));
+        }
         _ => {}
     }
     let mut message = error.to_string().replace('\n', " ");

@@ -141,6 +141,12 @@ pub fn pareto_json(found: &[Found]) -> Value {
     found.iter().map(row).collect()
 }
 
+/// Candidates of mappings as CSV.
+pub fn pareto_csv(found: &[Found]) -> String {
+    let columns = "strategy,divisor,placed,cores,energy_uj,step_us,static_mw,on_front";
+    nsim_files::table::csv(pareto_json(found).as_array().into_iter().flatten(), columns)
+}
+
 /// Candidates of mappings, for people; nothing when there are none.
 pub fn pareto_text(found: &[Found]) -> String {
     if found.is_empty() {
@@ -285,7 +291,9 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 let _ = write!(text, "\n{}\n", pruned_table(pruned));
             }
             let rates = match compiled.rates {
-                Rates::Assumed(_) => format!("an assumed {DEFAULT_RATE} spikes a source"),
+                Rates::Assumed(_) => {
+                    format!("an assumed {DEFAULT_RATE} spikes a source (--profile scene measures them)")
+                }
                 Rates::Profile { .. } => "the rates of the profile".to_string(),
             };
             text += &wrapped(&format!(
@@ -298,8 +306,6 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 three(traffic.max_link_load)
             ));
             text += &expected_text(&score);
-            let stage = |&(name, seconds): &(&str, f64)| format!("{name} {:.1}", seconds * 1e3);
-            text += &wrapped(&format!("ms: {}", compiled.seconds.iter().map(stage).collect::<Vec<_>>().join(", ")));
         }
     }
     text
@@ -329,7 +335,7 @@ const TIGHTEST_COLUMNS: [Column<Tightest>; 7] = [
     ("compartments", |row| row.compartments.to_string()),
     ("cores", |row| row.cores.to_string()),
     ("tightest resource", |row| row.resource.clone()),
-    ("on a core", |row| row.need.to_string()),
+    ("fullest core", |row| row.need.to_string()),
     ("limit", |row| row.limit.to_string()),
     ("used", |row| format!("{:.0} %", 100.0 * row.share())),
 ];

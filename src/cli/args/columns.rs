@@ -61,8 +61,8 @@ pub(in crate::cli) fn folded(command: Command) -> Command {
         .disable_version_flag(true)
         .arg(version.hide_short_help(true).help("Print version"))
         .about(groups.trim_end().to_string())
-        .long_about(format!("{groups}\n"))
-        .help_template("{usage-heading} {usage}\n\n{about}{all-args}{after-help}")
+        .long_about(groups)
+        .help_template("{usage-heading} {usage}\n\n{about}\n\n{all-args}{after-help}")
 }
 
 fn folded_as(command: Command, path: &str) -> Command {

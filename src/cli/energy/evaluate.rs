@@ -54,7 +54,8 @@ pub fn evaluate(
         Some((compiled, target)) => workload_of((compiled, target), &job, &args.input)?,
         None => workload(&job, &args.input)?,
     };
-    let alone = match options.baselines.cpu && (workload.copies > 1 || of_job.is_some()) {
+    // Other hardware runs the network without what the chip needs, such as relays.
+    let alone = match of_job.is_some() || options.baselines.cpu && workload.copies > 1 {
         true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, Some(1), &[])?),
         false => None,
     };

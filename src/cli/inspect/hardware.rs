@@ -45,7 +45,8 @@ fn constants_table(presets: &[Constants]) -> FindingsTable {
 /// A preset with the number of its constants by status.
 fn preset_summary(preset: &Constants) -> String {
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
-    for (_, constant) in preset.list() {
+    let barriers = preset.barrier.iter().map(|entry| &entry.time);
+    for constant in preset.list().into_iter().map(|(_, constant)| constant).chain(barriers) {
         *counts.entry(format!("{:?}", constant.status).to_lowercase()).or_default() += 1;
     }
     let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();

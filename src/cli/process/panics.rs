@@ -22,7 +22,11 @@ pub fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
         let message = message.unwrap_or("a panic without a message");
         let place = panic.location().map_or(String::new(), |at| format!(" ({}:{})", at.file(), at.line()));
         if let Ok(mut first) = FIRST.lock() {
-            first.get_or_insert(format!("{message}{place}"));
+            // Other threads that stop with the first would hide its trace.
+            if first.is_some() {
+                return;
+            }
+            *first = Some(format!("{message}{place}"));
         }
         let trace = std::backtrace::Backtrace::capture();
         if trace.status() == std::backtrace::BacktraceStatus::Captured {

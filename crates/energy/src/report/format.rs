@@ -7,15 +7,14 @@ pub(super) fn unknown() -> String {
     "unknown".to_string()
 }
 
-/// An end of an interval: two significant digits, `2.8k` for thousands, no leading zero.
+/// An end of an interval: two significant digits, `2.8k` for thousands.
 pub(super) fn brief(x: f64) -> String {
-    let text = match x {
+    match x {
         1e6.. => format!("{}M", digits(x / 1e6, 2)),
         1e3.. => format!("{}k", digits(x / 1e3, 2)),
         100.0.. => format!("{x:.0}"),
         _ => digits(x, 2),
-    };
-    text.strip_prefix('0').filter(|rest| rest.starts_with('.')).map_or(text.clone(), str::to_string)
+    }
 }
 
 /// A figure of five significant digits or more, at most six decimals, no trailing zeros.

@@ -163,11 +163,11 @@ fn row_name(row: &EnergyRow, chip: &str) -> String {
 }
 
 /// A line of the table.
-fn line(name: &str, cells: &[String; 6], source: &str) -> String {
-    let mut out = format!("{name:<width$}", width = WIDTHS[0]);
+fn line(widths: &[usize; 7], name: &str, cells: &[String; 6], source: &str) -> String {
+    let mut out = format!("{name:<width$}", width = widths[0]);
     // A name that is too long takes room from the first column.
-    let mut over = out.chars().count().saturating_sub(WIDTHS[0]);
-    for (cell, width) in cells.iter().zip(&WIDTHS[1..]) {
+    let mut over = out.chars().count().saturating_sub(widths[0]);
+    for (cell, width) in cells.iter().zip(&widths[1..]) {
         let width = width.saturating_sub(over).max(cell.chars().count().min(*width));
         over = 0;
         let _ = write!(out, "{cell:>width$}");
@@ -269,9 +269,19 @@ impl EnergyReport {
         csv(self.rows(), columns)
     }
 
-    /// The energy-delay product of a row in the table's unit: nJ s, or the paper's pJ s.
-    fn edp(&self, pjs: f64) -> f64 {
-        if self.convention() == Convention::Physical { pjs / 1e3 } else { pjs }
+    /// The units of the energy and of its product with the delay, and what a number in uJ and in
+    /// pJ s is multiplied by: those in which the chip's total is read easily.
+    fn units(&self) -> [(&'static str, f64); 2] {
+        if self.convention() == Convention::Published {
+            return [("(mW/steps)", 1.0), ("(pJ s)", 1.0)];
+        }
+        let below = |figure: fn(&EnergyRow) -> Option<f64>, least: f64| {
+            self.total().and_then(figure).is_some_and(|figure| figure > 0.0 && figure < least)
+        };
+        [
+            if below(|row| row.energy_uj, 0.1) { ("(nJ/step)", 1e3) } else { ("(uJ/step)", 1.0) },
+            if below(|row| row.edp_pjs, 10.0) { ("(pJ s)", 1.0) } else { ("(nJ s)", 1e-3) },
+        ]
     }
 
     /// The cells of a row: static, dynamic and total power, latency, energy, energy-delay product.
@@ -286,6 +296,7 @@ impl EnergyReport {
             Some(figure) => three(figure),
         };
         let power = |figure: Option<f64>| cell(figure, printed) + if assumed { "?" } else { "" };
+        let [(_, of_energy), (_, of_edp)] = self.units();
         let product = |figure: Option<f64>| {
             let text = match figure {
                 Some(figure) if computed && figure >= 1e3 => format!("{figure:.0}"),
@@ -299,23 +310,21 @@ impl EnergyReport {
             power(row.dynamic_mw),
             power(row.total_mw),
             if is_part { String::new() } else { cell(row.latency_us, printed) },
-            if is_part { String::new() } else { product(row.energy_uj) },
-            if is_part { String::new() } else { product(row.edp_pjs.map(|pjs| self.edp(pjs))) },
+            if is_part { String::new() } else { product(row.energy_uj.map(|uj| uj * of_energy)) },
+            if is_part { String::new() } else { product(row.edp_pjs.map(|pjs| pjs * of_edp)) },
         ]
     }
 
     /// The interval of a row, where it has one.
     fn interval(&self, row: &EnergyRow) -> Option<[String; 6]> {
         let (low, high) = (row.low?, row.high?);
-        let range = |figure: fn(&Bound) -> Option<f64>| match (figure(&low), figure(&high)) {
-            (Some(low), Some(high)) => format!("{}..{}", brief(low), brief(high)),
+        let range = |figure: fn(&Bound) -> Option<f64>, unit: f64| match (figure(&low), figure(&high)) {
+            (Some(low), Some(high)) => format!("{}-{}", brief(low * unit), brief(high * unit)),
             _ => String::new(),
         };
-        let edp = match (low.edp_pjs, high.edp_pjs) {
-            (Some(low), Some(high)) => format!("{}..{}", brief(self.edp(low)), brief(self.edp(high))),
-            _ => String::new(),
-        };
-        let [total, latency, energy] = [range(|b| b.total_mw), range(|b| b.latency_us), range(|b| b.energy_uj)];
+        let [(_, of_energy), (_, of_edp)] = self.units();
+        let [total, latency] = [range(|b| b.total_mw, 1.0), range(|b| b.latency_us, 1.0)];
+        let [energy, edp] = [range(|b| b.energy_uj, of_energy), range(|b| b.edp_pjs, of_edp)];
         Some([String::new(), String::new(), total, latency, energy, edp])
     }
 
@@ -346,10 +355,7 @@ impl EnergyReport {
 
     /// The headings of the six columns, and of the groups that they are in.
     fn headings(&self) -> [String; 6] {
-        let (energy, edp) = match self.convention() {
-            Convention::Physical => ("(uJ/step)", "(nJ s)"),
-            Convention::Published => ("(mW/steps)", "(pJ s)"),
-        };
+        let [(energy, _), (edp, _)] = self.units();
         ["static", "dynamic", "total", "(us/step)", energy, edp].map(str::to_string)
     }
 
@@ -387,10 +393,16 @@ impl EnergyReport {
         let mut out = self.head();
         let groups = ["", "power", "(mW)", "latency", "energy", "EDP"].map(str::to_string);
         out.push('\n');
-        out += &line("", &groups, "");
-        out += &line("", &self.headings(), "");
-        for (name, cells, source) in self.lines(every_interval) {
-            out += &line(&name, &cells, &source);
+        let lines = self.lines(every_interval);
+        let mut widths = WIDTHS;
+        for (width, column) in widths[1..].iter_mut().zip(0..) {
+            let longest = lines.iter().map(|(_, cells, _)| cells[column].chars().count()).max();
+            *width = longest.map_or(*width, |longest| (*width).max(longest + 1));
+        }
+        out += &line(&widths, "", &groups, "");
+        out += &line(&widths, "", &self.headings(), "");
+        for (name, cells, source) in lines {
+            out += &line(&widths, &name, &cells, &source);
         }
         out
     }
@@ -433,8 +445,11 @@ impl EnergyReport {
         }
         said.extend(Some(marks.join(" ")).filter(|marks| !marks.is_empty()));
         said.extend(self.dominant());
-        let packing = "Fewer cores save profiler milliwatts, not board watts (--accounting rails).";
-        said.extend((said.len() < 4).then(|| packing.to_string()));
+        let last = match job {
+            Some(_) => "Constants rest on findings of the paper too; nsim bench published omits them.",
+            None => "Fewer cores save profiler milliwatts, not board watts (--accounting rails).",
+        };
+        said.extend((said.len() < 4).then(|| last.to_string()));
         said
     }
 
@@ -444,7 +459,7 @@ impl EnergyReport {
         let all: f64 = times.iter().map(|(_, us)| us).sum();
         let (name, most) = times.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| all > 0.0)?;
         let what = match name {
-            "injection" => "injecting input spikes",
+            "injection" => &self.injecting(most),
             "turn" => "the turn of the x86 core",
             "slowest core" => "the slowest core",
             "transport" => "messages on the mesh",
@@ -454,6 +469,15 @@ impl EnergyReport {
         let free = if self.mode == Mode::Realtime { "A step's work takes" } else { "A step takes" };
         let share = (100.0 * most / all).floor();
         Some(format!("{free} {} us, {share} % of it for {what}.", three(all)))
+    }
+
+    /// What injecting takes: so many input spikes of a step at the constants' time of one.
+    fn injecting(&self, injection_us: f64) -> String {
+        let of_one = self.constants.iter().find(|entry| entry.name == "injection_time").map(|entry| entry.value);
+        match of_one {
+            Some(us) if us > 0.0 => format!("{} input spikes of {} us", three(injection_us / us), three(us)),
+            _ => "injecting input spikes".to_string(),
+        }
     }
 
     /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
@@ -547,7 +571,7 @@ impl EnergyReport {
         if rows.is_empty() {
             return String::new();
         }
-        table(&["From constants", "published", "fitted", "assumed"], &rows) + "\n"
+        table(&["From constants", "published", "calibrated", "assumed"], &rows) + "\n"
     }
 
     fn breakdown(&self) -> String {

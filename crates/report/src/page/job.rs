@@ -62,14 +62,14 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Trans
     Ok(sections)
 }
 
-/// The network as it was trained, from its file, where it has real numbers and is small enough to
-/// be compared with its deployed form.
+/// The network as it was trained and its integers, from its file, where it has real numbers and is
+/// small enough to be compared.
 ///
 /// # Errors
 /// As [`real_and_integers`].
-pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<Graph>, Error> {
-    let (graph, _) = real_and_integers(file)?;
-    Ok(Some(graph).filter(|graph| is_real(graph) && workload.compiled.one.synapses() <= MOST_COMPARED))
+pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<(Graph, Quantised)>, Error> {
+    let both = real_and_integers(file)?;
+    Ok(Some(both).filter(|(graph, _)| is_real(graph) && workload.compiled.one.synapses() <= MOST_COMPARED))
 }
 
 /// Samples of which the trained and the deployed network are compared.
@@ -77,13 +77,17 @@ pub fn compared(workload: &Workload<'_>) -> usize {
     workload.samples().len().min(COMPARED)
 }
 
-/// How the deployed network agrees with the trained one, as [`Sections`] has it; `progress` is
-/// called after each sample.
+/// How the network in integers agrees with the trained one, as [`Sections`] has it; `progress` is
+/// called after each sample. Relays and pruning are left out: neither changes a decision, and the
+/// trained network has no such populations.
 ///
 /// # Errors
-/// As [`compare_networks`].
-pub fn agreement(workload: &Workload<'_>, trained: &Graph, progress: Progress<'_>) -> Result<Value, Error> {
-    let network = &workload.compiled.one;
+/// As [`compile()`] and [`compare_networks`].
+pub fn agreement(
+    workload: &Workload<'_>,
+    (trained, network): &(Graph, Quantised),
+    progress: Progress<'_>,
+) -> Result<Value, Error> {
     let samples = workload.samples();
     let some = &samples[..compared(workload)];
     let one = compile(network.clone(), workload.target, &Options::default())?;
