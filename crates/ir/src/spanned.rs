@@ -109,7 +109,9 @@ fn malformed(text: &str, error: &ron::error::SpannedError) -> Malformed {
     let (before, after) = text.split_at(end);
     let part = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
     let start = before.trim_end_matches(part).len();
-    let token = Span { start, end: end + after.len() - after.trim_start_matches(part).len() };
+    // A text ends with its next quote.
+    let quote = text[start..].strip_prefix('"').and_then(|rest| rest.find('"')).map(|quote| start + quote + 2);
+    let token = Span { start, end: quote.unwrap_or(end + after.len() - after.trim_start_matches(part).len()) };
     let found = &text[token.start..token.end];
     let message = match (&error.code, found.len()) {
         (ExpectedArray, 1..=40) => format!("expected a list and found {found}: write [{found}]"),
@@ -311,7 +313,9 @@ mod tests {
 
     #[test]
     fn a_single_value_in_the_place_of_a_list_is_told_how_a_list_is_written() {
-        for (value, written) in [("16", "write [16]"), ("\"a\"", "write [\"a\"]"), ("(1, 2)", "Expected opening `[`")] {
+        for (value, written) in
+            [("16", "write [16]"), ("\"a:b c\"", "write [\"a:b c\"]"), ("(1, 2)", "Expected opening `[`")]
+        {
             let text = SourceText::new("f.ron", format!("Outer(name: \"n\", inner: {value})"));
             let error = parse::<Outer>(&text, "x.syntax").unwrap_err();
             assert!(error.message.contains(written), "{value}: {}", error.message);
