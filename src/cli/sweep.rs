@@ -12,15 +12,18 @@ use std::time::{Instant, UNIX_EPOCH};
 use serde_json::json;
 
 use crate::cli::args::timestep::TimestepArgs;
-use crate::cli::context::{Answer, Context};
+use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cli::process::signals;
 use nsim_files as io;
+use nsim_files::table::without_column;
 use nsim_files::write::journal::Journal;
+use nsim_report::charts::picture::FILE;
 use nsim_report::sweep as picture;
 use nsim_session::error::Error;
+use nsim_study::sweep::row::place;
 use nsim_study::sweep::table::{Table, checksum_column, from_line, line};
-use nsim_study::sweep::variants::{FIGURES, Sweep};
+use nsim_study::sweep::variants::Sweep;
 use nsim_study::sweep::work;
 
 const EXAMPLES: &str = "\
@@ -86,10 +89,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE.csv", num_args = 1..)]
     merge: Vec<PathBuf>,
     /// Draw the column that --axes names second over the first
-    #[arg(long, value_name = "FILE.svg|png|pdf", requires = "axes")]
+    #[arg(long, value_name = FILE, requires = "axes")]
     plot: Option<PathBuf>,
-    /// The columns to draw
-    #[arg(long, value_name = "X,Y", requires = "plot")]
+    /// Two columns; the table of a whole sweep gets a column that says which rows are on their front
+    #[arg(long, value_name = "X,Y")]
     axes: Option<Columns>,
 }
 
@@ -132,6 +135,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     };
     let (done, journal) = done;
     let mut batch = io::write::Batch::new(all.force);
+    if let (Some(Columns { x, y }), None) = (&args.axes, args.shard) {
+        table.front = picture::front(&table, [x, y])?;
+    }
     if let (Some(Columns { x, y }), Some(path)) = (&args.axes, &args.plot) {
         let picture = output::picture_bytes(path, &picture::svg(&table, [x, y])?)?;
         batch.add(path, |out| out.write_all(&picture))?;
@@ -229,12 +235,15 @@ fn say(
     file: Option<&Path>,
     context: Context,
 ) -> Result<Answer, Error> {
-    let place = |name: &str| FIGURES.iter().position(|figure| *figure == name).unwrap_or_default();
     let count = |name: &str, value: &dyn Fn(&str) -> bool| {
         table.rows.values().filter(|cells| value(&cells[place(name)])).count()
     };
     let (errors, refused) = (count("error", &|cell| !cell.is_empty()), count("fits", &|cell| cell == "false"));
-    let csv = || table.csv(checksums);
+    // In a document a row has no room for its digest.
+    let csv = || match context.format {
+        Format::Markdown | Format::Latex => without_column(&table.csv(None), "digest"),
+        _ => table.csv(checksums),
+    };
     let Some(file) = file else {
         output::print(context.format, csv, || json(sweep, table, done, [errors, refused]), csv)?;
         return Ok(Answer::Yes);

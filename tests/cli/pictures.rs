@@ -65,7 +65,7 @@ fn probes_choose_what_is_drawn() {
         ("voltage m.ron --probe in -o a.svg", "there are hidden, out"),
         ("raster m.ron --probe hidden[0] -o a.svg", "whole populations"),
         ("energy m.ron --probe hidden -o a.svg", "raster and voltage"),
-        ("raster m.ron -o a.gif", "name the picture .svg, .png or .pdf"),
+        ("raster m.ron -o a.gif", "name the picture .svg"),
         ("pareto m.ron -o a.svg", "nsim bench pareto m.ron --format json"),
         ("raster m.ron -o a.svg --format json", "--format is for results"),
     ] {

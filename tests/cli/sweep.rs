@@ -42,7 +42,8 @@ fn rows_are_those_of_the_single_commands() {
         r#"Sweep(samples: "0..2", list: [
             {"model": "slip-tactile", "target": "loihi1-chip"}, {"constants.injection_time": "0.4us"},
             {"options.copies": 3, "options.mode": "realtime"}, {"options.constants": "davies2018", "input.seed": 9},
-            {"model": "container-tactile-srm"}, {"target.limits.axons_in": 100}, {"populations.out.vth_mant": -7},
+            {"model": "container-tactile-srm"}, {"options.host": "none"}, {"options.copies": 3, "options.deployment": "packed"},
+            {"target.limits.axons_in": 100}, {"populations.out.vth_mant": -7},
         ])"#,
     )
     .unwrap();
@@ -56,13 +57,15 @@ fn rows_are_those_of_the_single_commands() {
                 "vtsnn-slip --copies 3 --mode realtime",
                 "vtsnn-slip --constants davies2018 --seed 9",
                 "container-tactile-srm",
+                "vtsnn-slip --host none",
+                "vtsnn-slip --copies 3 --deployment packed",
                 "",
                 "",
             ]),
         ),
     ] {
         let found = rows(&ran(folder, &format!("sweep {file}")));
-        assert_eq!(found.len(), if settings.is_some() { 7 } else { 8 });
+        assert_eq!(found.len(), if settings.is_some() { 9 } else { 8 });
         for (number, row) in found.iter().enumerate() {
             assert_eq!(cell(row, "variant"), number.to_string());
             let line = match settings {
@@ -79,9 +82,11 @@ fn rows_are_those_of_the_single_commands() {
                 }
             };
             if line.is_empty() {
-                let code = ["map.does-not-fit", "model.range"][number - 5];
-                assert_eq!(cell(row, "fits"), ["false", ""][number - 5]);
+                let code = ["map.does-not-fit", "model.range"][number - 7];
+                assert_eq!(cell(row, "fits"), ["false", ""][number - 7]);
                 assert_eq!(cell(row, "error").split('.').next(), code.split('.').next(), "{row:?}");
+                assert_eq!(cell(row, "tightest"), ["axons_in", ""][number - 7]);
+                assert!(cell(row, "reason").contains(["input axons", "-7"][number - 7]), "{row:?}");
                 continue;
             }
             let copies = if line.contains("--copies") { "" } else { " --copies 1" };
@@ -91,8 +96,15 @@ fn rows_are_those_of_the_single_commands() {
                 let number = cell(row, figure).parse::<f64>().ok();
                 assert_eq!(number, total[figure].as_f64(), "{line}: {figure}");
             }
-            let line: Vec<&str> = line.split(" --copies 3 --mode realtime").collect();
-            let line = line.concat().replace(" --constants davies2018", "");
+            let parts = energy["breakdown_pj_per_timestep"].as_object().unwrap().values();
+            let events_uj: f64 = parts.map(|pj| pj.as_f64().unwrap() / 1e6).sum();
+            let neuron_dynamic_uj: f64 = cell(row, "neuron_dynamic_uj").parse().unwrap();
+            assert!(
+                (neuron_dynamic_uj - events_uj).abs() < 1e-9 * events_uj,
+                "{line}: {neuron_dynamic_uj} {events_uj}"
+            );
+            let own = [" --copies 3 --mode realtime", " --copies 3 --deployment packed", " --constants davies2018"];
+            let line = own.iter().fold(line.replace(" --host none", ""), |line, own| line.replace(own, ""));
             // The reference engine is what runs spike response neurons otherwise.
             let run = object(folder, &format!("run {line} --engine fast --samples 0..2"), 0);
             for (column, value) in [
@@ -178,6 +190,50 @@ fn threads_shards_and_kills_change_nothing() {
     assert!(status == 3 && error.contains("variant 2 has no row"), "{error}");
     ran(folder, "sweep s.ron -o p.csv --plot p.svg --axes populations.out.vth_mant,energy_uj");
     assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ)"));
+    assert!(!std::fs::read_to_string(folder.join("p.csv")).unwrap().contains("front"), "no threshold is better");
+}
+
+#[test]
+fn a_table_says_what_limits_and_what_is_on_the_front() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let text = r#"Sweep(model: "slip-tactile", samples: "0..1", grid: [
+        (name: "compartments", paths: ["target.limits.compartments"], values: [2, 8, 64]),
+        (name: "axons", paths: ["target.limits.axons_in"], values: [4096, 100]),
+    ])"#;
+    std::fs::write(folder.join("s.ron"), text).unwrap();
+    ran(folder, "sweep s.ron -o t.csv --plot t.svg --axes cores,latency_us");
+    let table = std::fs::read_to_string(folder.join("t.csv")).unwrap();
+    let found = rows(&table);
+    // Each row is on the front unless another has at most as many cores and is as fast.
+    let figure = |row: &[(String, String)], column: &str| cell(row, column).parse::<f64>().ok();
+    let point = |row: &[(String, String)]| Some((figure(row, "cores")?, figure(row, "latency_us")?));
+    let points: Vec<(f64, f64)> = found.iter().filter_map(|row| point(row)).collect();
+    assert_eq!(points.len(), 3);
+    for row in &found {
+        let beaten = |own: (f64, f64)| points.iter().any(|p| p.0 <= own.0 && p.1 <= own.1 && *p != own);
+        assert_eq!(cell(row, "front"), point(row).is_some_and(|own| !beaten(own)).to_string(), "{row:?}");
+        assert_eq!(cell(row, "fits") == "false", cell(row, "axons") == "100");
+        let used = figure(row, "used_percent").unwrap();
+        assert!(if cell(row, "axons") == "100" { used > 100.0 } else { used <= 100.0 }, "{row:?}");
+    }
+    // Two compartments of a core are all of its limit.
+    assert_eq!((cell(&found[0], "tightest"), cell(&found[0], "used_percent")), ("compartments", "100"));
+    let picture = std::fs::read_to_string(folder.join("t.svg")).unwrap();
+    assert!(picture.contains("on the front") && picture.contains("64, 4096"), "{picture}");
+    // Words of a reason go through a journal and the tables of parts.
+    for shard in 1..=2 {
+        ran(folder, &format!("sweep s.ron -o {shard}.csv --shard {shard}/2"));
+    }
+    ran(folder, "sweep s.ron -o merged.csv --merge 1.csv 2.csv --axes cores,latency_us");
+    assert_eq!(std::fs::read_to_string(folder.join("merged.csv")).unwrap(), table);
+    let page = ran(folder, "sweep s.ron --format markdown");
+    assert!(
+        !page.contains("digest") && page.contains(&format!("| {} |", cell(&found[0], "synaptic_events"))),
+        "{page}"
+    );
+    std::fs::write(folder.join("n.ron"), "Sweep(input: \"scene:noise\")").unwrap();
+    assert!(said(folder, "sweep n.ron").2.contains("write [\"scene:noise\"]"));
 }
 
 #[test]

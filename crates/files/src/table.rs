@@ -162,14 +162,29 @@ pub fn markdown_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[
     out
 }
 
-/// The records of CSV whose cells are numbers with at most four digits; the first is the header.
+/// The cells of CSV; the first record is the header.
+fn cells(csv: &str) -> impl Iterator<Item = Vec<String>> {
+    let reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(csv.as_bytes());
+    reader.into_records().flatten().map(|record| record.iter().map(str::to_string).collect())
+}
+
+/// CSV without the column of this name.
+#[must_use]
+pub fn without_column(csv: &str, name: &str) -> String {
+    let mut records = cells(csv);
+    let mut header = records.next().unwrap_or_default();
+    let Some(place) = header.iter().position(|heading| heading == name) else { return csv.to_string() };
+    header.remove(place);
+    csv_text(header, records.map(|record| [&record[..place], &record[place + 1..]].concat()))
+}
+
+/// The records of CSV, whole numbers exact and other numbers with at most four digits.
 fn records(csv: &str) -> Vec<Vec<String>> {
-    let short = |cell: &str| match cell.parse::<f64>() {
-        Ok(x) if x.is_finite() && cell.len() > 6 => format!("{}", four_digits(x)),
-        _ => cell.to_string(),
+    let short = |cell: String| match cell.parse::<f64>() {
+        Ok(x) if x.is_finite() && cell.len() > 6 && cell.contains(['.', 'e', 'E']) => four_digits(x).to_string(),
+        _ => cell,
     };
-    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(csv.as_bytes());
-    reader.records().flatten().map(|record| record.iter().map(short).collect()).collect()
+    cells(csv).map(|record| record.into_iter().map(short).collect()).collect()
 }
 
 /// A number with four significant digits.
@@ -330,7 +345,9 @@ mod tests {
 
     #[test]
     fn csv_becomes_a_table_for_papers() {
-        let csv = "name,power_mw\na|b & c,1.23456\n\"100 %\",2\n";
+        let csv = "name,power_mw,digest,events\na|b & c,1.23456,ab,1751840\n\"100 %\",2,,3\n";
+        assert!(markdown(csv).contains("| 1751840 |"), "counts are exact");
+        let csv = &without_column(&without_column(csv, "digest"), "events");
         assert_eq!(markdown(csv), "| name | power_mw |\n| --- | --- |\n| a\\|b & c | 1.235 |\n| 100 % | 2 |\n");
         let latex = latex(csv);
         assert!(latex.contains("\\begin{tabular}{lr}") && latex.contains("name & power\\_mw \\\\"), "{latex}");

@@ -1,14 +1,18 @@
 //! A picture of two columns of a table.
 //!
-//! Input: a table, the names of two of its columns. Output: an SVG with a point for each row that
-//! has a number in both; nothing else is shown. Errors: `sweep.column` for a name that no column
-//! has, or one without numbers.
+//! Input: a table, the names of two of its columns. Output: the rows on the front; an SVG with a
+//! point for each row that has a number in both, and the front. Errors: `sweep.column` for a name
+//! that no column has, or one without numbers.
+
+use std::collections::{BTreeSet, HashMap};
 
 use crate::charts::draw::Axis;
-use crate::charts::plot::{Series, chart};
+use crate::charts::plot::{self, Series};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::names::did_you_mean;
+use nsim_study::pareto::on_front;
 use nsim_study::sweep::table::Table;
+use nsim_study::sweep::variants::FIGURES;
 
 /// Columns whose unit is not in their name.
 fn label(column: &str) -> String {
@@ -40,20 +44,63 @@ pub fn check(columns: &[&str], name: &str) -> Result<usize> {
     })
 }
 
-/// The picture of a column over another.
+/// By which factor a column is multiplied for less of it to be better, where one direction is.
+fn to_less(column: &str) -> Option<f64> {
+    let unit = column.rsplit('_').next().unwrap_or_default();
+    match column {
+        "accuracy" => Some(-1.0),
+        "cores" | "chips" | "spikes" | "synaptic_events" | "used_percent" => Some(1.0),
+        _ => FIGURES.contains(&column).then_some(1.0).filter(|_| ["mw", "us", "uj", "pjs"].contains(&unit)),
+    }
+}
+
+/// The rows with a number in both columns: the best first, where one direction of x is better.
+fn points(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<Vec<(u64, f64, f64)>> {
+    let columns = table.columns();
+    let places = [check(&columns, x)?, check(&columns, y)?];
+    let number = |record: &[String], place: usize| record[place].parse::<f64>().ok().filter(|x| x.is_finite());
+    let point = |(record, (variant, ..)): (Vec<String>, (u64, String, bool))| {
+        Some((variant, number(&record, places[0])?, number(&record, places[1])?))
+    };
+    let mut points: Vec<_> = table.records().zip(table.places()).filter_map(point).collect();
+    let sign = to_less(x).unwrap_or(1.0);
+    points.sort_by(|a, b| (sign * a.1).total_cmp(&(sign * b.1)));
+    Ok(points)
+}
+
+/// The variants that no other is at least as good as in both columns, and better in one; none where
+/// neither less nor more of a column is better.
+///
+/// # Errors
+/// `sweep.column`.
+pub fn front(table: &Table<'_>, axes: [&str; 2]) -> Result<Option<BTreeSet<u64>>> {
+    let points = points(table, axes)?;
+    let [Some(x), Some(y)] = axes.map(to_less) else { return Ok(None) };
+    let on = on_front(&points.iter().map(|point| (x * point.1, y * point.2)).collect::<Vec<_>>());
+    Ok(Some(points.iter().zip(on).filter(|(_, on)| *on).map(|(point, _)| point.0).collect()))
+}
+
+/// The picture of a column over another: the front of the table, and each point with its values on
+/// the axes of the sweep.
 ///
 /// # Errors
 /// `sweep.column`.
 pub fn svg(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<String> {
-    let columns = table.columns();
-    let places = [check(&columns, x)?, check(&columns, y)?];
-    let number = |record: &[String], place: usize| record[place].parse::<f64>().ok().filter(|x| x.is_finite());
-    let point = |record: Vec<String>| Some((number(&record, places[0])?, number(&record, places[1])?, String::new()));
-    let points: Vec<_> = table.records().filter_map(point).collect();
+    let places: HashMap<u64, (String, bool)> =
+        table.places().map(|(variant, values, on_front)| (variant, (values, on_front))).collect();
+    let points = points(table, [x, y])?.into_iter().map(|(variant, x, y)| {
+        let (values, on_front) = places[&variant].clone();
+        ((x, y, values), on_front)
+    });
+    let points: Vec<_> = points.collect();
     if points.is_empty() {
         return Err(Diagnostic::new("sweep.column", format!("no row has a number under both {x} and {y}")));
     }
+    let (title, x, y) = (format!("{y} over {x}"), Axis::linear(label(x)), Axis::linear(label(y)));
+    if table.front.is_some() {
+        return Ok(plot::front(&title, &x, &y, points.into_iter()));
+    }
     let name = format!("{} variants", points.len());
-    let series = [Series::Points { name, points, joined: false }];
-    Ok(chart(&format!("{y} over {x}"), &Axis::linear(label(x)), &Axis::linear(label(y)), &series))
+    let points = points.into_iter().map(|(point, _)| point).collect();
+    Ok(plot::chart(&title, &x, &y, &[Series::Points { name, points, joined: false }]))
 }

@@ -70,9 +70,16 @@ impl<'c> Metered<'c> {
     /// # Errors
     /// A constant that no integer holds.
     pub fn offline(&self, target: &Target) -> Result<(MeterSettings, Deployment)> {
+        self.offline_with(target, HostWork::for_target(target))
+    }
+
+    /// The same where x86 cores do this work.
+    ///
+    /// # Errors
+    /// As [`Self::offline`].
+    pub fn offline_with(&self, target: &Target, work: HostWork) -> Result<(MeterSettings, Deployment)> {
         let Compiled { placement, options, one, .. } = self.compiled;
-        let (name, work) = (options.placement.name(), HostWork::for_target(target));
-        let deployment = Deployment::from_placement(name, placement, target, options.copies, work);
+        let deployment = Deployment::from_placement(options.placement.name(), placement, target, options.copies, work);
         let settings = MeterSettings {
             tables: vec![CostTable::new(&target.constants()[0])?],
             routes: self.routes.clone(),

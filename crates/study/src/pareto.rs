@@ -354,13 +354,22 @@ impl<'a> Subject<'a> {
     }
 }
 
+/// Whether each point is on the front: no other is at most as large in both and smaller in one.
+pub fn on_front(points: &[(f64, f64)]) -> Vec<bool> {
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by(|&a, &b| points[a].0.total_cmp(&points[b].0).then(points[a].1.total_cmp(&points[b].1)));
+    let (mut on, mut last) = (vec![false; points.len()], None);
+    for at in order {
+        on[at] = last.is_none_or(|last: (f64, f64)| points[at].1 < last.1 || points[at] == last);
+        last = if on[at] { Some(points[at]) } else { last };
+    }
+    on
+}
+
 /// Marks the rows that no other is faster and nearer than; distance is 1 minus the coincidence.
 pub fn mark_front(rows: &mut [VariantRow]) {
     let points: Vec<(f64, f64)> = rows.iter().map(|row| (row.us_per_timestep, 1.0 - row.coincidence)).collect();
-    for (row, own) in rows.iter_mut().zip(&points) {
-        let beats = |other: &(f64, f64)| other.0 <= own.0 && other.1 <= own.1 && other != own;
-        row.on_front = !points.iter().any(beats);
-    }
+    rows.iter_mut().zip(on_front(&points)).for_each(|(row, on)| row.on_front = on);
 }
 
 fn drive<E: Engine>(engine: &mut E, sample: &Sample) {
@@ -482,6 +491,11 @@ mod tests {
         let mut rows = [row(3.0, 1.0), row(1.0, 0.9), row(2.0, 0.8), row(0.5, 0.2), row(1.0, 0.9)];
         mark_front(&mut rows);
         assert_eq!(rows.map(|row| row.on_front), [true, true, false, true, true]);
+        // Against every pair, with equal points and equal numbers.
+        let points: Vec<(f64, f64)> =
+            (0..400u32).map(|k| (f64::from(k * 7919 % 23), f64::from(k * 104_729 % 31 / 2))).collect();
+        let beaten = |own: &(f64, f64)| points.iter().any(|p| p.0 <= own.0 && p.1 <= own.1 && p != own);
+        assert_eq!(on_front(&points), points.iter().map(|own| !beaten(own)).collect::<Vec<_>>());
     }
 
     #[test]

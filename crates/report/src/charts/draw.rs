@@ -203,7 +203,9 @@ impl Scale {
             // The difference of the greatest numbers is none.
             (low, high) = (low.max(f64::MIN), high.min(f64::MAX));
             between = step((high / 2.0 - low / 2.0) / 3.0);
-            (low, high) = ((low / between).floor() * between, (high / between).ceil() * between);
+            // A sum of shares may miss its tick by its last digit.
+            let [first, last] = [(low / between + 1e-9).floor(), (high / between - 1e-9).ceil()];
+            (low, high) = (first * between, last * between);
             (low, high) = (low.max(f64::MIN), high.min(f64::MAX));
         }
         Scale { log: axis.log, step: between, low, high, from, to }
@@ -304,6 +306,8 @@ mod tests {
         let ticks: Vec<String> = log.ticks().into_iter().map(|(_, label)| label).collect();
         assert_eq!(ticks, ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]);
         let both = Scale::new(&Axis::linear(""), [-0.58, 0.59].into_iter(), 0.0, 120.0);
+        let shares = Scale::new(&Axis::linear(""), [0.0, 100.000_000_000_000_01].into_iter(), 0.0, 120.0);
+        assert_eq!(shares.ticks().last().map(|(_, label)| label.clone()), Some("100".to_string()));
         let ticks: Vec<String> = both.ticks().into_iter().map(|(_, label)| label).collect();
         assert_eq!(ticks, ["-0.6", "-0.4", "-0.2", "0", "0.2", "0.4", "0.6"]);
         for ends in [[f64::MIN, f64::MAX], [-1e308, 1e308], [f64::MAX; 2], [0.0, 5e-324], [5e-324, f64::MAX]] {

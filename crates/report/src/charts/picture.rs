@@ -20,8 +20,15 @@ pub enum PictureFormat {
     Pdf,
 }
 
-/// Endings of the names of pictures.
-pub const ENDINGS: &str = ".svg, .png or .pdf";
+/// Endings of the names of the pictures that this build draws.
+pub const ENDINGS: &str = if cfg!(feature = "pictures") {
+    ".svg, .png or .pdf"
+} else {
+    ".svg (.png and .pdf need an nsim built with --features pictures)"
+};
+
+/// What help calls the file of a picture.
+pub const FILE: &str = if cfg!(feature = "pictures") { "FILE.svg|png|pdf" } else { "FILE.svg" };
 
 impl PictureFormat {
     /// The kind that a file's name says; none when it says none.

@@ -27,7 +27,7 @@ pub enum Series {
         name: String,
         /// x, y, and the text.
         points: Vec<(f64, f64, String)>,
-        /// Whether steps join them, as for a front on which less is better.
+        /// Whether steps join them, as for a front; then the best x is first.
         joined: bool,
     },
     /// Upright lines between two numbers.
@@ -73,9 +73,8 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
             }
             Series::Points { name, points, joined } => {
                 let placed = |(x, y, label): &'_ (f64, f64, String)| Some((place(*x, *y)?, label.clone()));
-                let mut placed: Vec<((f64, f64), String)> = points.iter().filter_map(placed).collect();
+                let placed: Vec<((f64, f64), String)> = points.iter().filter_map(placed).collect();
                 if *joined {
-                    placed.sort_by(|a, b| a.0.0.total_cmp(&b.0.0));
                     let corners = placed.windows(2).flat_map(|pair| [(pair[1].0.0, pair[0].0.1), pair[1].0]);
                     let line: Vec<(f64, f64)> = placed.first().map(|p| p.0).into_iter().chain(corners).collect();
                     sheet.through(&line, &stroked(colour, 1.5, "5 3"));
@@ -91,6 +90,20 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     }
     labels.write(&mut sheet);
     sheet.svg()
+}
+
+/// A chart of points, each with words and whether it is on the front; the best x is first.
+pub fn front(title: &str, x: &Axis, y: &Axis, points: impl Iterator<Item = ((f64, f64, String), bool)>) -> String {
+    let (front, others): (Vec<_>, Vec<_>) = points.partition(|(_, on_front)| *on_front);
+    let series = [("on the front", front, true), ("behind it", others, false)];
+    let shown = series.into_iter().filter(|(_, points, joined)| *joined || !points.is_empty());
+    let shown: Vec<Series> = shown
+        .map(|(name, points, joined)| {
+            let points = points.into_iter().map(|(point, _)| point).collect();
+            Series::Points { name: name.to_string(), points, joined }
+        })
+        .collect();
+    chart(title, x, y, &shown)
 }
 
 /// A chart of bars: one group a category, one bar a series in it.
@@ -110,6 +123,49 @@ fn colour(index: usize) -> String {
     format!("{}{half}", COLOURS[index % COLOURS.len()])
 }
 
+/// Writes the names of groups below the chart, a line each of theirs, and returns the width of a group.
+fn name_groups(sheet: &mut Sheet, names: &[String]) -> f64 {
+    let group = (RIGHT - LEFT) / names.len().max(1) as f64;
+    let lines = || names.iter().flat_map(|name| name.lines());
+    // They stand straight if all have room.
+    let has_room = lines().all(|line| 6.2 * line.chars().count() as f64 <= group);
+    for (place, name) in names.iter().enumerate() {
+        for (number, line) in name.lines().enumerate() {
+            let (x, y) = (LEFT + group * (place as f64 + 0.5), BOTTOM + 14.0 * (number + 1) as f64);
+            let turned = format!(r#"{END} {SMALL} transform="rotate(-20 {x:.1} {y:.1})""#);
+            sheet.text((x, y + if has_room { 4.0 } else { 0.0 }), if has_room { MIDDLE } else { &turned }, line);
+        }
+    }
+    group
+}
+
+/// A number, and the ends of its interval where one is known.
+pub type Marked = (f64, Option<(f64, f64)>);
+
+/// A chart of points: one group a category, one point a series in it, with its interval. Unlike bars
+/// they need no ground, which an axis of factors has not.
+pub fn marks(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<Option<Marked>>)]) -> String {
+    let all = series.iter().flat_map(|(_, marks)| marks.iter().flatten());
+    let ends =
+        all.flat_map(|(value, interval)| [*value, interval.map_or(*value, |i| i.0), interval.map_or(*value, |i| i.1)]);
+    let up = Scale::new(y, ends, BOTTOM, TOP);
+    let mut sheet = Sheet::chart(title, "", &y.label);
+    sheet.ticks_up(&up);
+    let group = name_groups(&mut sheet, categories);
+    for (index, (name, marks)) in series.iter().enumerate() {
+        let colour = colour(index);
+        for (place, (value, interval)) in marks.iter().enumerate().filter_map(|(place, mark)| Some((place, (*mark)?))) {
+            let x = LEFT + group * (place as f64 + (index as f64 + 1.0) / (series.len() as f64 + 1.0));
+            if let Some([low, high]) = interval.and_then(|(low, high)| Some([up.place(low)?, up.place(high)?])) {
+                sheet.line([x, low, x, high], &stroked(&colour, 2.0, ""));
+            }
+            up.place(value).into_iter().for_each(|y| sheet.dot((x, y), &colour));
+        }
+        sheet.legend(index, (&colour, Mark::Dot), name);
+    }
+    sheet.svg()
+}
+
 fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)], stacked: bool) -> String {
     let value = |series: &(String, Vec<f64>), place: usize| series.1.get(place).copied().unwrap_or(0.0);
     let tops: Vec<f64> = match stacked {
@@ -121,11 +177,9 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
     let mut sheet = Sheet::chart(title, "", &y.label);
     sheet.ticks_up(&up);
     let ground = up.place(0.0).unwrap_or(BOTTOM);
-    let group = (RIGHT - LEFT) / categories.len().max(1) as f64;
+    let group = name_groups(&mut sheet, categories);
     let bar = group * 0.8 / if stacked { 1.0 } else { series.len().max(1) as f64 };
-    // Labels stand straight below their groups if all have room.
-    let has_room = categories.iter().all(|category| 6.2 * category.chars().count() as f64 <= group);
-    for (place, category) in categories.iter().enumerate() {
+    for place in 0..categories.len() {
         let from = LEFT + group * (place as f64 + 0.1);
         let mut below = 0.0;
         for (index, one) in series.iter().enumerate().filter(|(_, one)| place < one.1.len()) {
@@ -136,14 +190,6 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
             let left = from + if stacked { 0.0 } else { bar * index as f64 };
             let size = [left, top.min(foot), (bar - 1.0).max(0.5), (top - foot).abs()];
             sheet.rect(size, &filled(&colour(index)));
-        }
-        let middle = from + group * 0.4;
-        if has_room {
-            sheet.text((middle, BOTTOM + 18.0), MIDDLE, category);
-        } else {
-            let y = BOTTOM + 14.0;
-            let style = format!(r#"{END} font-size="10" transform="rotate(-24 {middle:.1} {y:.1})""#);
-            sheet.text((middle, y), &style, category);
         }
     }
     sheet.line([LEFT, ground, RIGHT, ground], &stroked("#333", 1.0, ""));
@@ -198,7 +244,7 @@ mod tests {
         let line = Series::Line { name: "a<b".into(), points: vec![(0.0, 1.0), (1.0, 2.0)] };
         let points = Series::Points {
             name: "p".into(),
-            points: vec![(0.2, 1.0, "x".into()), (0.1, 2.0, "y".into())],
+            points: vec![(0.1, 2.0, "y".into()), (0.2, 1.0, "x".into())],
             joined: true,
         };
         let svg = chart("t & u", &Axis::linear("x"), &Axis::linear("y"), &[line, points]);
@@ -218,6 +264,10 @@ mod tests {
         assert!((tops[1] / tops[0] - 70.0 / 30.0).abs() < 0.01, "{tops:?} {svg}");
         let svg = bars("b", &Axis::linear("y"), &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
         assert_eq!(svg.matches("<rect").count(), 1 + 2 + 1);
+        let known = vec![Some((3.0, Some((1.0, 9.0)))), None];
+        let svg = marks("m", &Axis::log("y"), &["c".into(), "d".into()], &[("s".into(), known)]);
+        // A point with its interval, and the legend's.
+        assert_eq!((svg.matches("<circle").count(), svg.matches("stroke-width=\"2.00\"").count()), (2, 1), "{svg}");
     }
 
     #[test]

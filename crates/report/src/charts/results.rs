@@ -7,7 +7,7 @@
 use serde_json::Value;
 
 use super::draw::Axis;
-use super::plot::{self, Series};
+use super::plot;
 use nsim_files::table::three;
 
 fn number(value: &Value) -> Option<f64> {
@@ -30,21 +30,27 @@ fn parts(value: &Value) -> Vec<(String, f64)> {
         .collect()
 }
 
-/// Power, time and energy of a timestep on all hardware of `nsim.energy/1`, side by side.
+/// Power, time, energy and energy-delay product of a timestep on all hardware of `nsim.energy/1`,
+/// with their intervals; the name of hardware says where its figures come from.
 pub fn hardware(result: &Value) -> Option<String> {
     let totals: Vec<&Value> = rows(&result["rows"]).iter().filter(|row| row["unit"] == "total").collect();
-    let names: Vec<String> = totals.iter().map(|row| words(&row["hardware"]).to_string()).collect();
-    let column = |name: &str, key: &str| {
-        let values = totals.iter().map(|row| number(&row[key]).unwrap_or(0.0)).collect();
-        (name.to_string(), values)
-    };
-    let columns =
-        [column("power (mW)", "total_mw"), column("time (us)", "latency_us"), column("energy (uJ)", "energy_uj")];
+    let name = |row: &&Value| format!("{}\n({})", words(&row["hardware"]), words(&row["source"]));
+    let names: Vec<String> = totals.iter().map(name).collect();
+    let columns = [
+        ("power (mW)", "total_mw"),
+        ("time (us)", "latency_us"),
+        ("energy (uJ)", "energy_uj"),
+        ("EDP (pJ s)", "edp_pjs"),
+    ];
+    let columns = columns.map(|(name, key)| {
+        let interval = |row: &Value| Some((number(&row["low"][key])?, number(&row["high"][key])?));
+        (name.to_string(), totals.iter().map(|row| Some((number(&row[key])?, interval(row)))).collect())
+    });
     let title = format!("{} on {}: a timestep on each hardware", words(&result["model"]), words(&result["target"]));
     totals
         .iter()
         .any(|row| number(&row["energy_uj"]).is_some())
-        .then(|| plot::bars(&title, &Axis::log("mW, us, uJ"), &names, &columns))
+        .then(|| plot::marks(&title, &Axis::log("mW, us, uJ, pJ s; lines: intervals"), &names, &columns))
 }
 
 /// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the
@@ -112,18 +118,11 @@ pub fn pareto(result: &Value) -> Option<String> {
             ),
         })
     };
-    let pick = |front: bool| -> Vec<(f64, f64, String)> {
-        all.iter().filter(|row| (row["on_front"] == true) == front).filter_map(point).collect()
-    };
-    let (front, others) = (pick(true), pick(false));
-    if front.is_empty() && others.is_empty() {
+    let mut points: Vec<_> = all.iter().filter_map(|row| Some((point(row)?, row["on_front"] == true))).collect();
+    if points.is_empty() {
         return None;
     }
-    let series = [
-        Series::Points { name: "on the front".to_string(), points: front, joined: true },
-        Series::Points { name: "behind it".to_string(), points: others, joined: false },
-    ];
-    let series = &series[..if all.iter().all(|row| row["on_front"] == true) { 1 } else { 2 }];
+    points.sort_by(|a, b| a.0.0.total_cmp(&b.0.0));
     let model = words(&result["model"]);
     let (title, x, y) = match benched {
         true => (
@@ -137,7 +136,7 @@ pub fn pareto(result: &Value) -> Option<String> {
             Axis::linear("energy of a mean step (uJ)"),
         ),
     };
-    Some(plot::chart(&title, &x, &y, series))
+    Some(plot::front(&title, &x, &y, points.into_iter()))
 }
 
 /// Causes of disagreement of `nsim agree`, forward and reversed; without them, how far each layer

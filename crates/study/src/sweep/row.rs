@@ -1,11 +1,13 @@
 //! Runs one variant: what `nsim run` and `nsim energy --baseline` print of it, in a row.
 //!
 //! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; a figure that is not known is empty.
-//! Energies, power and latency are the total of one copy. What variants have in common is made
-//! once: models and their arrays, targets and their constants, samples, and mappings.
+//! Energies, power and latency are the total of one copy. The tightest resource is the one of which
+//! some core uses most of its limit, or of which a variant that does not fit needs too much. What
+//! variants have in common is made once: models and their arrays, targets and their constants,
+//! samples, and mappings.
 //!
 //! Errors: whatever no variant could be run with, such as a path without a field. What is wrong
-//! with one variant stands in its row under `error`.
+//! with one variant stands in its row under `error`, in words under `reason`.
 
 use std::sync::Arc;
 
@@ -13,6 +15,7 @@ use crate::sweep::made::MadeOnce;
 use crate::sweep::variants::{FIGURES, Job, Training};
 use nsim_compile::{Compiled, Front};
 use nsim_cost::estimate::{Case, estimate};
+use nsim_cost::{Host, HostWork};
 use nsim_energy::options::{tables, with_preset};
 use nsim_files::changes::{Change, within};
 use nsim_files::network::Network;
@@ -22,6 +25,7 @@ use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::resource::Capacity;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_session::error::Error;
 use nsim_session::front::has_srm;
@@ -100,6 +104,41 @@ fn cell<T: ToString>(value: Option<T>) -> String {
     value.map_or_else(String::new, |value| value.to_string())
 }
 
+/// The place of a figure among the cells of a row.
+pub fn place(figure: &str) -> usize {
+    FIGURES.iter().position(|name| *name == figure).unwrap_or_default()
+}
+
+/// The cells of a resource and of what is needed of its limit, in per cent with one decimal.
+fn share(of: Option<(&Capacity, u64, u64)>) -> [String; 2] {
+    of.map_or_else(Default::default, |(resource, need, limit)| {
+        let percent = (1e3 * need as f64 / limit.max(1) as f64).round() / 10.0;
+        [resource.name().to_string(), percent.to_string()]
+    })
+}
+
+/// The resource of which a core uses most of its limit, of all cores: what it uses, and the limit.
+fn tightest(compiled: &Compiled, target: &Target) -> Option<(Capacity, u64, u64)> {
+    let cores = compiled.partition.usage().iter().flat_map(|used| target.limits().against(used.of));
+    let of_cores = cores.filter(|(resource, ..)| resource.heading().is_some());
+    of_cores.reduce(|a, b| if b.1 * a.2.max(1) > a.1 * b.2.max(1) { b } else { a })
+}
+
+/// What the x86 cores of a variant do.
+///
+/// # Errors
+/// `sweep.value` for a host on a chip without x86 cores.
+fn host_work(host: Option<Host>, target: &Target) -> Result<HostWork, Diagnostic> {
+    let usual = HostWork::for_target(target);
+    match host {
+        Some(host) if host != Host::None && usual.host == Host::None => {
+            let (host, chip) = (host.name(), target.chip().hardware());
+            Err(Diagnostic::new("sweep.value", format!("options.host: {host}: {chip} keeps no x86 core busy")))
+        }
+        host => Ok(HostWork { host: host.unwrap_or(usual.host), ..usual }),
+    }
+}
+
 impl Runner {
     /// The cells of a variant.
     ///
@@ -109,10 +148,19 @@ impl Runner {
         match self.figures(job) {
             Err(error) if ends_all(&error) => Err(error),
             Err(error) => {
+                let first = if let Error::DoesNotFit(reasons) = &error { reasons.first() } else { None };
+                let (of, reason) = match (first, &error) {
+                    (Some(first), _) => (Some((&first.resource, first.need, first.limit)), first.to_string()),
+                    (None, Error::Input(problem)) => (None, problem.message.clone()),
+                    (None, error) => (None, error.to_string()),
+                };
+                let [tightest, used] = share(of);
+                let one_line = reason.split_whitespace().collect::<Vec<_>>().join(" ");
+                let fits = if matches!(error, Error::DoesNotFit(_)) { "false" } else { "" };
+                let known = [error.code(), fits, &tightest, &used, &one_line];
                 let mut cells = Cells::default();
-                cells[0] = error.code().to_string();
-                if matches!(error, Error::DoesNotFit(_)) {
-                    cells[1] = "false".to_string();
+                for (name, text) in ["error", "fits", "tightest", "used_percent", "reason"].iter().zip(known) {
+                    cells[place(name)] = text.to_string();
                 }
                 Ok(cells)
             }
@@ -216,7 +264,7 @@ impl Runner {
         }
         let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
         let metered = Metered::new(&compiled);
-        let (settings, deployment) = metered.offline(&target)?;
+        let (settings, deployment) = metered.offline_with(&target, host_work(job.host, &target)?)?;
         let keep = Keep::new(compiled.program.output());
         let Run { outcomes, activity, meter, .. } = metered.run(settings, &samples, Running::new(&keep))?;
         let case = Case {
@@ -231,6 +279,9 @@ impl Runner {
         let mut totals = Totals::default();
         outcomes.iter().for_each(|outcome| totals += outcome.totals);
         let copies_run = u64::from(metered.copies_run());
+        let neuron_dynamic_uj = estimate.breakdown_pj.iter().flatten().map(|(_, pj)| pj / 1e6);
+        let of_core = tightest(&compiled, &target);
+        let [resource, used] = share(of_core.as_ref().map(|(resource, need, limit)| (resource, *need, *limit)));
         Ok([
             String::new(),
             true.to_string(),
@@ -248,6 +299,10 @@ impl Runner {
             figure("latency_us"),
             figure("energy_uj"),
             figure("edp_pjs"),
+            cell(estimate.breakdown_pj.is_some().then(|| neuron_dynamic_uj.sum::<f64>())),
+            resource,
+            used,
+            String::new(),
         ])
     }
 }

@@ -2,17 +2,18 @@
 //!
 //! Input: rows by number of variant, as they were run, read from a journal or from the tables of
 //! shards. Output: CSV, sorted by variant, the same bytes whatever the order in which rows came.
-//! Columns: `variant`, what varies, [`FIGURES`]; the table of a shard has one more, a checksum of
-//! each row, whose name says of which files the rows are.
+//! Columns: `variant`, what varies, [`FIGURES`]; where a front is asked for, whether a row is on it.
+//! The table of a shard has one more, a checksum of each row, whose name says of which files the
+//! rows are.
 //!
 //! Errors: `sweep.shard` for a table of other work, one that was cut or changed, a variant that is
 //! missing or there twice.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::sweep::row::Cells;
-use crate::sweep::variants::{FIGURES, Sweep};
+use crate::sweep::variants::{FIGURES, FRONT, Sweep};
 use nsim_files::table::csv_text;
 use nsim_files::text::sha256;
 use nsim_files::write::Batch;
@@ -24,6 +25,8 @@ pub struct Table<'s> {
     sweep: &'s Sweep,
     /// The cells of each variant that has been run.
     pub rows: BTreeMap<u64, Cells>,
+    /// The variants on the front, where one is asked for.
+    pub front: Option<BTreeSet<u64>>,
     /// The checksum column of the added shards, if any; none of a version without checksums.
     column: Option<Option<String>>,
 }
@@ -43,6 +46,8 @@ fn checksum(column: &str, record: &[String]) -> String {
 /// The first figure of a row that [`crate::sweep::row::Runner::row`] would not write.
 fn first_wrong(cells: &Cells) -> Option<&'static str> {
     let failed = !cells[0].is_empty();
+    let is_number =
+        |cell: &String| cell.parse().is_ok_and(|number: f64| number.is_finite() && number.to_string() == *cell);
     let is_right = |(name, cell): (&str, &String)| match name {
         "error" => cell.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || ".-".contains(c)),
         "fits" => {
@@ -52,12 +57,15 @@ fn first_wrong(cells: &Cells) -> Option<&'static str> {
                 cell == "true"
             }
         }
+        "reason" => failed != cell.is_empty() && !cell.contains(char::is_control),
+        "tightest" => !cell.contains(char::is_control) && (failed || !cell.is_empty()),
+        "used_percent" if failed && cell.is_empty() => true,
+        "used_percent" => is_number(cell),
         _ if failed => cell.is_empty(),
         "digest" => cell.len() == 64 && cell.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f')),
         // Samples without labels have no accuracy, those without steps no costs.
-        "accuracy" | "static_mw" | "dynamic_mw" | "total_mw" | "latency_us" | "energy_uj" | "edp_pjs" => {
-            cell.is_empty() || cell.parse().is_ok_and(|number: f64| number.is_finite() && number.to_string() == *cell)
-        }
+        "accuracy" | "static_mw" | "dynamic_mw" | "total_mw" | "latency_us" | "energy_uj" | "edp_pjs"
+        | "neuron_dynamic_uj" => cell.is_empty() || is_number(cell),
         _ => cell.parse().is_ok_and(|number: u64| number.to_string() == *cell),
     };
     FIGURES.into_iter().zip(cells).find(|&one| !is_right(one)).map(|(name, _)| name)
@@ -69,22 +77,24 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("sweep.shard", message).help(help)
 }
 
-/// A row as a journal keeps it.
+/// A row as a journal keeps it: a record of CSV.
 pub fn line(variant: u64, cells: &Cells) -> String {
-    format!("{variant},{}", cells.join(","))
+    let record = std::iter::once(variant.to_string()).chain(cells.iter().cloned()).collect();
+    csv_text(record, std::iter::empty()).trim_end().to_string()
 }
 
 /// A row from a journal.
 pub fn from_line(line: &str) -> Option<(u64, Cells)> {
-    let (variant, cells) = line.split_once(',')?;
-    let cells: Vec<String> = cells.split(',').map(str::to_string).collect();
-    Some((variant.parse().ok()?, cells.try_into().ok()?))
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).from_reader(line.as_bytes());
+    let record = reader.records().next()?.ok()?;
+    let cells: Vec<String> = record.iter().skip(1).map(str::to_string).collect();
+    Some((record.get(0)?.parse().ok()?, cells.try_into().ok()?))
 }
 
 impl<'s> Table<'s> {
     /// A table without rows.
     pub fn new(sweep: &'s Sweep) -> Self {
-        Table { sweep, rows: BTreeMap::new(), column: None }
+        Table { sweep, rows: BTreeMap::new(), front: None, column: None }
     }
 
     /// Names of the columns.
@@ -100,10 +110,20 @@ impl<'s> Table<'s> {
         })
     }
 
+    /// The values of each row, in order, with its number and whether it is on the front.
+    pub fn places(&self) -> impl Iterator<Item = (u64, String, bool)> {
+        self.rows.keys().map(|&variant| {
+            let on_front = self.front.as_ref().is_some_and(|front| front.contains(&variant));
+            (variant, self.sweep.values(variant).join(", "), on_front)
+        })
+    }
+
     /// The table as CSV; of a shard with its column of checksums.
     pub fn csv(&self, checksums: Option<&str>) -> String {
-        let header = self.columns().into_iter().chain(checksums).map(str::to_string).collect();
-        let rows = self.records().map(|mut record| {
+        let front = self.front.as_ref().map(|_| FRONT);
+        let header = self.columns().into_iter().chain(front).chain(checksums).map(str::to_string).collect();
+        let rows = self.records().zip(self.places()).map(|(mut record, (.., on_front))| {
+            record.extend(front.map(|_| on_front.to_string()));
             record.extend(checksums.map(|column| checksum(column, &record)));
             record
         });
@@ -199,6 +219,7 @@ mod tests {
                 "fits" => "true".to_string(),
                 "digest" => "0a".repeat(32),
                 "edp_pjs" => "0.158".to_string(),
+                "reason" => String::new(),
                 _ => spikes.to_string(),
             }))
         };

@@ -9,7 +9,8 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 use crate::sweep::file::{AxisDesc, SweepFile, ValueText};
-use nsim_compile::{Objective, Options, Strategy};
+use nsim_compile::{CopyPlacement, Objective, Options, Strategy};
+use nsim_cost::Host;
 use nsim_cost::estimate::Convention;
 use nsim_cost::job::Mode;
 use nsim_files::changes::Change;
@@ -18,7 +19,7 @@ use nsim_ir::base::names::did_you_mean;
 use nsim_ir::spanned::parse;
 
 /// The columns behind those of what varies.
-pub const FIGURES: [&str; 16] = [
+pub const FIGURES: [&str; 20] = [
     "error",
     "fits",
     "cores",
@@ -35,14 +36,22 @@ pub const FIGURES: [&str; 16] = [
     "latency_us",
     "energy_uj",
     "edp_pjs",
+    "neuron_dynamic_uj",
+    "tightest",
+    "used_percent",
+    "reason",
 ];
+
+/// The column behind those, where a front is asked for.
+pub const FRONT: &str = "front";
 
 /// The most variants of a sweep.
 const MOST_VARIANTS: u64 = 10_000_000;
 /// The most values of an axis that are said by a step.
 const MOST_STEPS: u64 = 1_000_000;
 /// Options that a path can name, behind `options.`.
-const OPTIONS: [&str; 7] = ["copies", "strategy", "objective", "seed", "constants", "mode", "convention"];
+const OPTIONS: [&str; 9] =
+    ["copies", "strategy", "objective", "seed", "deployment", "host", "constants", "mode", "convention"];
 /// What of the input a path can name, behind `input.`.
 const INPUTS: [&str; 2] = ["samples", "seed"];
 
@@ -76,6 +85,8 @@ pub struct Job {
     pub options: Options,
     /// A preset of constants; the target's first when `None`.
     pub constants: Option<String>,
+    /// What feeds its spikes; an x86 core of each chip that has one when `None`.
+    pub host: Option<Host>,
     /// As fast as possible, or held to the model's timestep.
     pub mode: Mode,
     /// How energy is computed.
@@ -160,6 +171,10 @@ impl Job {
             ("options", "objective") => {
                 named(&Objective::ALL, Objective::name, value).map(|objective| self.options.objective = objective)
             }
+            ("options", "deployment") => {
+                named(&CopyPlacement::ALL, CopyPlacement::name, value).map(|copies| self.options.placement = copies)
+            }
+            ("options", "host") => named(&Host::ALL, Host::name, value).map(|host| self.host = Some(host)),
             ("options", "constants") => text(self.constants.get_or_insert_default()),
             ("options", "mode") => named(&Mode::ALL, Mode::name, value).map(|mode| self.mode = mode),
             ("options", "convention") => {
@@ -266,7 +281,7 @@ impl Sweep {
         }
         let sweep = Sweep { base, listed, list, axes, text: source.text().to_string() };
         let mut names = sweep.columns();
-        names.extend(std::iter::once("variant").chain(FIGURES));
+        names.extend(["variant", FRONT].into_iter().chain(FIGURES));
         names.sort_unstable();
         if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
             let problem = Diagnostic::new("sweep.axis", format!("two columns would be named {}", twice[0]));
@@ -479,6 +494,8 @@ mod tests {
             ("Sweep(grid: [(paths: [\"options.copys\"], values: [1])])", "sweep.path"),
             ("Sweep(grid: [(paths: [\"options.copies\"], values: [0])])", "sweep.value"),
             ("Sweep(list: [{\"options.strategy\": \"best\"}])", "sweep.value"),
+            ("Sweep(list: [{\"options.host\": \"x86\"}])", "sweep.value"),
+            ("Sweep(list: [{\"options.deployment\": \"paper\"}])", "sweep.value"),
             ("Sweep(samples: \"5..5\")", "sweep.value"),
             ("Sweep(copies: 0)", "sweep.value"),
             ("Sweep(grids: [])", "sweep.syntax"),
