@@ -9,7 +9,7 @@ use crate::{MODEL, SRM, nsim, write};
 const HELP_LINES: usize = 30;
 
 /// Commands on files that the test writes. Of those marked `timed`, figures differ between runs.
-const SCREENS: [(&str, bool); 23] = [
+const SCREENS: [(&str, bool); 24] = [
     ("map vtsnn-slip", true),
     ("map m.ron --target tiny --copies 3 --prune static", true),
     ("run vtsnn-slip --samples 0..2", true),
@@ -31,7 +31,8 @@ const SCREENS: [(&str, bool); 23] = [
     ("bench step --network vtsnn-1pct --steps 2", true),
     ("bench pareto m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --seconds 0.01", true),
     ("bench published", false),
-    ("bench paper --stored", false),
+    ("bench paper", false),
+    ("bench paper --full --stored", false),
     ("sweep sweep.ron -o table.csv --force", true),
 ];
 

@@ -238,7 +238,7 @@ fn cells_of_the_paper_are_trained_anew_and_taken_up_where_they_were_left() {
     // A result, a model and its weights for each fold, loss and kind of neurons.
     assert_eq!(std::fs::read_dir(folder.join("runs")).unwrap().count(), 3 * 2 * 2 * 2);
     assert_eq!(nsim(folder, &command), first);
-    assert_eq!(nsim(folder, &["bench", "paper", "--stored", "--results", "rows.json"]), first);
+    assert_eq!(nsim(folder, &["bench", "paper", "--cell", "slip-tactile", "--results", "rows.json"]), first);
 
     let rows = first["rows"].as_array().unwrap();
     let cell = |table: &str, loss: &str, quantity: &str| {
@@ -265,7 +265,7 @@ fn cells_of_the_paper_are_trained_anew_and_taken_up_where_they_were_left() {
 #[test]
 fn the_shipped_network_of_each_cell_comes_to_what_is_stored() {
     let folder = tempfile::tempdir().unwrap();
-    let paper = nsim(folder.path(), &["bench", "paper"]);
+    let paper = nsim(folder.path(), &["bench", "paper", "--full"]);
     let rows = paper["rows"].as_array().unwrap();
     let cells: Vec<&Value> =
         rows.iter().filter(|row| row["table"] == "accuracy" && !row["shipped"].is_null()).collect();
@@ -274,4 +274,26 @@ fn the_shipped_network_of_each_cell_comes_to_what_is_stored() {
         assert_eq!(cell["shipped"], cell["folds"][0], "{} {} {}", cell["task"], cell["modality"], cell["loss"]);
         assert_eq!(cell["folds"].as_array().unwrap().len(), 5);
     }
+}
+
+#[test]
+fn tables_of_the_paper_are_of_the_cells_and_neurons_that_are_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let paper = |arguments: &[&str]| nsim(folder.path(), &[&["bench", "paper"][..], arguments].concat());
+    let all = paper(&[]);
+    let some = paper(&["--stored", "--cell", "slip-both", "--neurons", "loihi"]);
+    let wanted = all["rows"].as_array().unwrap().iter().filter(|row| {
+        row["task"] == "slip" && row["modality"] == "both" && !["srm", "ann"].contains(&row["table"].as_str().unwrap())
+    });
+    assert_eq!(some["rows"].as_array().unwrap(), &wanted.cloned().collect::<Vec<_>>());
+    let said = |arguments: &str| ran(folder.path(), &format!("bench paper {arguments}"));
+    for refused in ["--stored -o t.md", "--stored --folds 3", "--stored --train runs"] {
+        assert_eq!(said(refused).0, 2, "{refused}");
+    }
+    let grid = said("--format latex --cell slip-both").1;
+    assert!(grid.contains("CNN-3D & 1.000* (0.77)") && !grid.contains("container"), "{grid}");
+    // A training file ships by its own name.
+    let shown = nsim(folder.path(), &["show", "paper-slip-both"]);
+    assert_eq!(shown["name"], "models/train/paper/slip-both");
+    assert_eq!(ran(folder.path(), "train paper-slip-tactile --epochs 0 --train scene:slip?samples=4").0, 0);
 }

@@ -158,3 +158,18 @@ fn with_block(page: &str, name: &str, block: &str) -> String {
     let (_, after) = rest.split_once(&end).unwrap();
     format!("{before}{begin}{block}{end}{after}")
 }
+
+#[test]
+fn stored_figures_of_the_hardware_are_those_that_energy_prints() {
+    let stored = nsim::study::published::paper::rows(Vec::new()).unwrap();
+    for mode in ["offline", "realtime"] {
+        let printed =
+            energy(&["--deployment", "paper", "--mode", mode, "--baseline"])["rows"].as_array().unwrap().clone();
+        let modelled = stored.iter().filter(|row| row.table == mode && row.measured.is_some());
+        let quantities = modelled.map(|row| {
+            let now = figure(&printed, "total", &row.quantity);
+            assert!((row.measured.unwrap() - now).abs() < 5.1e-5, "{mode} {}: {now}, stored {row:?}", row.quantity);
+        });
+        assert_eq!(quantities.count(), 4);
+    }
+}

@@ -21,13 +21,17 @@ pub struct Shipped {
     pub text: &'static str,
 }
 
+/// Files of a folder, by their names; or of several folders, each with a prefix of the names.
 macro_rules! shipped {
     ($folder:literal: $($name:literal),* $(,)?) => {
-        &[$(Shipped {
-            name: $name,
+        shipped!($folder as "": $($name),*)
+    };
+    ($($folder:literal as $prefix:literal: $($name:literal),* $(,)?);*) => {
+        &[$($(Shipped {
+            name: concat!($prefix, $name),
             path: concat!($folder, "/", $name, ".ron"),
             text: include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../", $folder, "/", $name, ".ron")),
-        }),*]
+        },)*)*]
     };
 }
 
@@ -66,9 +70,9 @@ models!(
     "vtsnn-slip",
     "vtsnn-slip-srm",
 );
-/// The training files of shipped models.
+/// Training files: those of shipped models, and of the cells of the paper's tables.
 pub const TRAININGS: &[Shipped] = shipped!(
-    "models/train":
+    "models/train" as "":
     "container-tactile",
     "container-tactile-clock",
     "container-tactile-clock-srm",
@@ -77,11 +81,8 @@ pub const TRAININGS: &[Shipped] = shipped!(
     "slip-vision",
     "vtsnn-container",
     "vtsnn-slip",
-    "vtsnn-slip-srm",
-);
-/// The training files of the tables of the paper, by task and senses.
-pub const CELLS: &[Shipped] = shipped!(
-    "models/train/paper":
+    "vtsnn-slip-srm";
+    "models/train/paper" as "paper-":
     "slip-tactile",
     "slip-vision",
     "slip-both",

@@ -30,7 +30,7 @@ const MOST_USED: [(&str, &str); 12] = [
     ("nsim plot", "target input samples probe output"),
     ("nsim train", "train test seed epochs folds set log output"),
     ("nsim bench pareto", "input samples seconds plot"),
-    ("nsim bench paper", "stored train cell results output"),
+    ("nsim bench paper", "full train cell results output"),
 ];
 
 /// Commands by what they are for, as `nsim -h` lists them.

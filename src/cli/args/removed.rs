@@ -32,7 +32,7 @@ pub const REMOVED: &[(&str, &str)] = &[
     ),
     ("train --seeds", "train with each seed by `nsim train CONFIG.ron --seed N -o MODEL.ron` in a loop of the shell"),
     ("bench batch", "`nsim energy --baseline rtx-2080-ti gpu-roofline` has the rows of a GPU, a sample at a time"),
-    ("bench paper --markdown", "`nsim bench paper --format markdown > FILE.md` has a row a figure"),
+    ("bench paper --markdown", "`nsim bench paper --format markdown > FILE.md` has a row a network"),
     (
         "bench early",
         "`nsim bench paper --train DIR` has accuracy, time and energy of early decisions in its rows `early`",

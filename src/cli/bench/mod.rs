@@ -5,6 +5,7 @@ pub mod ann;
 pub mod paper;
 pub mod pareto;
 pub mod published;
+mod scenes;
 
 use std::cell::OnceCell;
 use std::hint::black_box;

@@ -8,7 +8,8 @@ use serde_json::json;
 use crate::cli::args::jobs;
 use crate::cli::args::jobs::{JobArgs, Prepared};
 use crate::cli::args::values::one_of;
-use crate::cli::context::{Answer, Context};
+use crate::cli::bench::scenes::each_cell;
+use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::workload::simulate;
 use crate::cli::output;
 use crate::cli::train::train;
@@ -19,17 +20,15 @@ use nsim_energy::workload::Workload;
 use nsim_files as io;
 use nsim_files::shipped::{MODELS, Shipped};
 use nsim_ir::base::diagnostic::SourceText;
-use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_reference::{Model, Options};
 use nsim_report::bench::paper as report;
 use nsim_session::Keep;
 use nsim_session::error::{Error, Result};
-use nsim_session::inputs::{seen_by, stimulus};
 use nsim_session::obtain::{Job, Wanted};
 use nsim_session::samples::reference;
 use nsim_study::early::Trial;
-use nsim_study::published::cells::{Cell, LOSSES, Neurons, Tested, cells};
+use nsim_study::published::cells::{LOSSES, Neurons, Tested, is_among};
 use nsim_study::published::paper::{self, PaperRow};
 use nsim_train::checkpoint::fingerprint;
 use nsim_train::fit::{Example, Plan};
@@ -37,8 +36,9 @@ use nsim_train::job::{Job as Training, cross_validate, with_fields};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
-  nsim bench paper                          every table; the shipped networks are run, a fold of each cell
-  nsim bench paper --stored                 stored results alone
+  nsim bench paper                          stored results beside the printed ones, in grids like the paper's
+  nsim bench paper --full                   every figure; the shipped networks are run, a fold of each cell, in about a minute
+  nsim bench paper --full --stored --cell slip-both    every stored figure of a cell
   nsim bench paper --train runs -o my.json  train every fold of every cell anew; the same command goes on where it was broken off
   nsim bench paper --train runs --cell slip-tactile --folds 5 --epochs 20
   nsim bench paper --results my.json        with rows of one's own instead of those stored";
@@ -52,8 +52,11 @@ pub struct PaperArgs {
     /// "measured": ..}]}
     #[arg(long, value_name = "FILE.json")]
     results: Vec<PathBuf>,
-    /// Run no network: stored results alone
-    #[arg(long, conflicts_with = "train")]
+    /// Every figure, with its interval and note; the shipped networks are run
+    #[arg(long)]
+    full: bool,
+    /// Run no network with --full: stored results alone
+    #[arg(long)]
     stored: bool,
     /// Train the folds of the cells, keep them in this folder, and run each network on simulated
     /// cores
@@ -63,10 +66,7 @@ pub struct PaperArgs {
     #[arg(long, value_name = "TASK-SENSES", num_args = 1.., value_parser = one_of(&NAMES, |name| name))]
     cell: Vec<&'static str>,
     /// Only these neurons [default: both]
-    #[arg(
-        long, value_name = "NEURONS", num_args = 1.., requires = "train",
-        value_parser = one_of(&Neurons::ALL, Neurons::name)
-    )]
+    #[arg(long, value_name = "NEURONS", num_args = 1.., value_parser = one_of(&Neurons::ALL, Neurons::name))]
     neurons: Vec<Neurons>,
     /// Stratified folds of the scenes
     #[arg(
@@ -92,42 +92,6 @@ const NAMES: [&str; 6] =
 const FOLDS: u32 = 5;
 /// Copies of a network on the target, as in the paper's power measurement.
 const COPIES: u32 = 32;
-
-/// The scenes of a task as the network of both senses sees them, made once for all its cells.
-struct Scenes {
-    task: &'static str,
-    network: Quantised,
-    stimulus: Stimulus,
-}
-
-impl Scenes {
-    fn new(cell: Cell, scenes: Option<u32>) -> Result<Self> {
-        let both = cells().find(|other| other.task == cell.task && other.modality == "both").unwrap_or(cell);
-        let job = Training::new(SourceText::new(both.training.path, both.training.text), None, None)?;
-        let network = job.inputs()?;
-        let sources: Vec<String> = job.file.train.iter().map(|source| with_scenes(source, scenes)).collect();
-        let stimulus = stimulus(&network, &sources, None, None)?;
-        Ok(Scenes { task: cell.task, network, stimulus })
-    }
-
-    /// What a network with some of the senses sees.
-    fn seen_by(&self, network: &Quantised) -> Result<Vec<Sample>> {
-        let seen = self.stimulus.samples.iter().map(|sample| seen_by(network, &self.network, sample));
-        let unlike = || Error::Fault(format!("a network of the task {} has other inputs than its scenes", self.task));
-        seen.collect::<Option<_>>().ok_or_else(unlike)
-    }
-}
-
-/// A source with this many scenes.
-fn with_scenes(source: &str, scenes: Option<u32>) -> String {
-    match (scenes, source.split_once("samples=")) {
-        (Some(scenes), Some((before, after))) => {
-            let rest = after.trim_start_matches(|digit: char| digit.is_ascii_digit());
-            format!("{before}samples={scenes}{rest}")
-        }
-        _ => source.to_string(),
-    }
-}
 
 /// What a network does with samples: on simulated cores, or in real numbers where its neurons are
 /// no chip's.
@@ -170,24 +134,11 @@ fn chosen(samples: &[Sample], numbers: &[usize]) -> Vec<Sample> {
     numbers.iter().map(|&number| samples[number].clone()).collect()
 }
 
-/// The cells that are asked for, with the scenes of their tasks.
-fn each_cell(args: &PaperArgs, mut each: impl FnMut(Cell, &Scenes) -> Result<()>) -> Result<()> {
-    let mut scenes: Option<Scenes> = None;
-    for cell in cells().filter(|cell| args.cell.is_empty() || args.cell.contains(&cell.name())) {
-        let scenes = match scenes.take().filter(|scenes| scenes.task == cell.task) {
-            Some(kept) => scenes.insert(kept),
-            None => scenes.insert(Scenes::new(cell, args.scenes)?),
-        };
-        each(cell, scenes)?;
-    }
-    Ok(())
-}
-
 /// Trains the folds that the folder does not have, and runs every fold's network on the scenes that
 /// it was not trained on.
 fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<PaperRow>> {
     let mut rows = Vec::new();
-    each_cell(args, |cell, scenes| {
+    each_cell(&args.cell, args.scenes, |cell, scenes| {
         let source = SourceText::new(cell.training.path, cell.training.text);
         let job = Training::new(source, None, args.epochs)?;
         let network = job.inputs()?;
@@ -232,7 +183,7 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
 /// Runs the shipped network of each cell on the scenes that its training left out, and puts what
 /// came out beside what is stored.
 fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Result<()> {
-    each_cell(args, |cell, scenes| {
+    each_cell(&args.cell, args.scenes, |cell, scenes| {
         for loss in LOSSES {
             let model = cell.model(loss);
             if Shipped::find(MODELS, &model).is_none() {
@@ -260,6 +211,9 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
 /// [`Error`] when a file of results cannot be read, a training cannot be kept, or the document
 /// cannot be written.
 pub fn run(args: &PaperArgs, context: Context) -> Result<Answer> {
+    if args.stored && args.train.is_some() {
+        return Err(Error::Usage("--stored runs no network, and --train trains some: leave one out".to_string()));
+    }
     let taken = output::check_files(&args.output, None, context)?;
     let mut given = Vec::new();
     if let Some(folder) = &args.train {
@@ -277,11 +231,22 @@ pub fn run(args: &PaperArgs, context: Context) -> Result<Answer> {
         given.extend(paper::parse(&path.display().to_string(), source.text())?);
     }
     let mut rows = paper::rows(given)?;
-    if !args.stored && args.train.is_none() {
+    rows.retain(|row| is_among(row, &args.cell, &args.neurons));
+    if args.full && !args.stored && args.train.is_none() {
         run_shipped(args, &mut rows, context)?;
     }
-    if !taken {
-        output::print(context.format, || report::text(&rows), || report::json(&rows), || report::csv(&rows))?;
+    let text = || match context.format {
+        Format::Markdown => report::document(&rows, "", io::table::markdown),
+        Format::Latex => report::document(&rows, "% ", io::table::latex),
+        _ if args.full => report::text(&rows),
+        _ => report::summary(&rows),
+    };
+    match context.format {
+        _ if taken => {}
+        Format::Json | Format::Csv => {
+            output::print(context.format, text, || report::json(&rows), || report::csv(&rows))?;
+        }
+        _ => io::write::stdout(&text())?,
     }
     Ok(Answer::Yes)
 }
@@ -291,10 +256,7 @@ mod tests {
     use crate::cli::bench::paper::*;
 
     #[test]
-    fn names_are_those_of_the_cells_and_sources_take_another_number_of_scenes() {
-        assert_eq!(cells().map(|cell| cell.name()).collect::<Vec<_>>(), NAMES);
-        let source = "scene:slip?samples=1000&seed=1&shear=0.32";
-        assert_eq!(with_scenes(source, Some(20)), "scene:slip?samples=20&seed=1&shear=0.32");
-        assert_eq!((with_scenes(source, None), with_scenes("a", Some(2))), (source.to_string(), "a".to_string()));
+    fn names_are_those_of_the_cells() {
+        assert_eq!(nsim_study::published::cells::cells().map(|cell| cell.name()).collect::<Vec<_>>(), NAMES);
     }
 }

@@ -1,7 +1,7 @@
 //! `nsim show NAME`: a shipped file as it is, or a stage of the compiler (`--as`), as RON.
 //!
-//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it;
-//! with `--as` a model. Output: its text, which can be saved, changed and used in its place; or the
+//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it; a
+//! training file is found by its name where no other file has it. With `--as` a model. Output: its text, which can be saved, changed and used in its place; or the
 //! network in integers, its cores, their places, or their tables, as `nsim::ir` reads them.
 
 use std::path::PathBuf;
@@ -40,7 +40,7 @@ named_variants!(Stage {
     Program = "program",
 });
 
-/// Print a shipped model, target, chip or preset of constants, or a stage of the compiler, as RON
+/// Print a shipped model, training file, target, chip or preset of constants, or a stage of the compiler, as RON
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
   nsim show nahuku-32                      a target
@@ -118,7 +118,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 }
 
 fn all() -> impl Iterator<Item = &'static Shipped> {
-    shipped::TABLES.iter().flat_map(|table| table.iter())
+    shipped::TABLES.iter().flat_map(|table| table.iter()).chain(shipped::TRAININGS)
 }
 
 fn without_extension(file: &'static Shipped) -> &'static str {
@@ -129,11 +129,16 @@ fn find(name: &str) -> Result<&'static Shipped, Error> {
     let given = name.strip_suffix(".ron").unwrap_or(name);
     let is = |file: &&'static Shipped| {
         let path = without_extension(file);
-        path == given || path.strip_suffix(given).is_some_and(|folder| folder.ends_with('/'))
+        path == given || file.name == given || path.strip_suffix(given).is_some_and(|folder| folder.ends_with('/'))
     };
-    let found: Vec<&'static Shipped> = all().filter(is).collect();
+    // Many a training file has the name of its model.
+    let is_training = |file: &&'static Shipped| file.path.starts_with("models/train/");
+    let (trainings, mut found): (Vec<_>, Vec<_>) = all().filter(is).partition(is_training);
+    if found.is_empty() {
+        found = trainings;
+    }
     match found.as_slice() {
-        [one] => Ok(one),
+        [one] => Ok(*one),
         [] => Err(Error::Usage(format!("no shipped file is called {name}; nsim show lists them"))),
         several => {
             let names: Vec<&str> = several.iter().map(|file| without_extension(file)).collect();
@@ -151,6 +156,9 @@ mod tests {
         assert!(find("nahuku-32").unwrap().text.contains("Target("));
         assert!(find("chips/tiny").unwrap().text.contains("Chip("));
         assert_eq!(find("mapping/chips/tiny.ron").unwrap().text, find("chips/tiny").unwrap().text);
+        assert_eq!(find("slip-tactile").unwrap().path, "models/slip-tactile.ron");
+        assert_eq!(find("train/slip-tactile").unwrap().path, "models/train/slip-tactile.ron");
+        assert_eq!(find("paper-slip-both").unwrap().path, "models/train/paper/slip-both.ron");
         assert!(find("tiny").unwrap_err().to_string().contains("mapping/targets/tiny"));
         assert_eq!(find("iny").unwrap_err().exit_status(), 2);
         assert!(all().count() > 20);

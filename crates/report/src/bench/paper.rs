@@ -1,9 +1,12 @@
-//! The result of `nsim bench paper` as text, JSON and CSV.
+//! The result of `nsim bench paper`: grids like the paper's, tables of every figure, JSON and CSV.
+//!
+//! Input: the rows of the tables. Output: a grid has networks by senses, each cell what was measured
+//! here and, in brackets, as the paper prints it; JSON and CSV have every figure, a row each.
 
 use serde_json::{Value, json};
 
-use nsim_files::table::{table, wrapped};
-use nsim_study::published::cells::leads;
+use nsim_files::table::{csv_text, table, three, wrapped};
+use nsim_study::published::cells::{LOSSES, leads};
 use nsim_study::published::paper::{PaperRow, TABLES};
 
 /// Ends of an interval.
@@ -35,6 +38,146 @@ pub fn csv(rows: &[PaperRow]) -> String {
     nsim_files::table::csv(rows, KEYS)
 }
 
+/// A table like one of the paper's.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Grid {
+    /// What it shows.
+    pub title: String,
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Grid {
+    /// A grid without the columns and the rows that are empty; none where all are.
+    fn new(title: &str, header: Vec<String>, rows: Vec<Vec<String>>) -> Option<Grid> {
+        let used = |place: &usize| *place == 0 || rows.iter().any(|row| !row[*place].is_empty());
+        let places: Vec<usize> = (0..header.len()).filter(used).collect();
+        let kept = |row: &Vec<String>| places.iter().map(|&place| row[place].clone()).collect();
+        let full = rows.iter().filter(|row| row[1..].iter().any(|cell| !cell.is_empty()));
+        let rows: Vec<Vec<String>> = full.map(kept).collect();
+        (!rows.is_empty()).then(|| Grid { title: title.to_string(), header: kept(&header), rows })
+    }
+
+    /// For people.
+    pub fn text(&self) -> String {
+        let header: Vec<&str> = self.header.iter().map(String::as_str).collect();
+        format!("{}\n\n{}\n", self.title, table(&header, &self.rows))
+    }
+
+    /// As CSV.
+    pub fn csv(&self) -> String {
+        csv_text(self.header.clone(), self.rows.iter().cloned())
+    }
+}
+
+/// The networks of the tables of accuracy: the name in a grid, the table, the loss, and how the note
+/// of a row begins.
+const NETWORKS: [(&str, &str, Option<&str>, &str); 6] = [
+    ("SNN (L), chip", "accuracy", Some("count"), ""),
+    ("SNN (L_w), chip", "accuracy", Some("weighted"), ""),
+    ("SNN (L), SRM", "srm", Some("count"), ""),
+    ("SNN (L_w), SRM", "srm", Some("weighted"), ""),
+    ("MLP-GRU", "ann", None, "MLP-GRU"),
+    ("CNN-3D", "ann", None, "CNN-3D"),
+];
+/// Tasks, as a grid names them.
+const TASKS: [(&str, &str); 2] = [("slip", "Slip detection"), ("container", "Containers and weights")];
+/// Senses, as a grid names them.
+const SENSES: [(&str, &str); 3] = [("tactile", "touch"), ("vision", "vision"), ("both", "both")];
+
+/// What is said in a cell of a figure: as it came out here, and as it was printed.
+fn here_and_printed(here: Option<String>, printed: Option<String>) -> String {
+    match (here, printed) {
+        (here, None) => here.unwrap_or_default(),
+        (here, Some(printed)) => format!("{} ({printed})", here.unwrap_or_else(|| "-".to_string())),
+    }
+}
+
+/// The grids of what there are rows of: accuracies of each task, hardware, accuracy by time.
+pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
+    let header =
+        |first: &str, rest: &[&str]| [first].iter().chain(rest).map(|name| (*name).to_string()).collect::<Vec<_>>();
+    let found = |table: &str, [task, senses, quantity]: [&str; 3], loss: Option<&str>, note: &str| {
+        rows.iter().find(|row| {
+            [&*row.table, &row.task, &row.modality, &row.quantity] == [table, task, senses, quantity]
+                && row.loss.as_deref() == loss
+                && row.note.starts_with(note)
+        })
+    };
+    let accuracy = |(task, title): (&str, &str)| {
+        let network = |(name, table, loss, note): &(&str, &str, Option<&str>, &str)| {
+            let cell = |(senses, _)| {
+                let row = found(table, [task, senses, "accuracy"], *loss, note);
+                row.map_or(String::new(), |row| {
+                    let folds = if row.deviation.is_some() { "" } else { "*" };
+                    let here = row.measured.map(|share| format!("{share:.3}{folds}"));
+                    here_and_printed(here, row.published.map(|share| format!("{share:.2}")))
+                })
+            };
+            std::iter::once((*name).to_string()).chain(SENSES.map(cell)).collect()
+        };
+        let rows = NETWORKS.iter().map(network).collect();
+        Grid::new(&format!("{title}: accuracy here (in the paper)"), header("", &SENSES.map(|(_, name)| name)), rows)
+    };
+    let hardware = || {
+        let kinds = [("offline", "offline"), ("realtime", "real time")];
+        let of_kinds = kinds.iter().flat_map(|kind| [("Loihi", ""), ("RTX 2080 Ti", "gpu_")].map(|chip| (kind, chip)));
+        let quantities = ["static_mw", "dynamic_mw", "total_mw", "latency_us"];
+        let row = |((table, how), (chip, before)): (&(&str, &str), (&str, &str))| {
+            let cell = |quantity| {
+                let row = found(table, ["slip", "both", &format!("{before}{quantity}")], None, "");
+                row.map_or(String::new(), |row| {
+                    here_and_printed(row.measured.map(three), row.published.map(|figure| figure.to_string()))
+                })
+            };
+            std::iter::once(format!("{chip}, {how}")).chain(quantities.map(cell)).collect()
+        };
+        let header = header("", &["static (mW)", "dynamic (mW)", "total (mW)", "step (us)"]);
+        Grid::new("One of 32 copies: modelled here (in the paper)", header, of_kinds.map(row).collect())
+    };
+    let early = |(task, title): (&str, &str)| {
+        let of_time =
+            |row: &PaperRow| Some(row.quantity.strip_prefix("accuracy_by_")?.strip_suffix("_ms")?.to_string());
+        let mut times: Vec<String> = Vec::new();
+        for time in rows.iter().filter(|row| row.table == "early" && row.task == task).filter_map(of_time) {
+            times.extend((!times.contains(&time)).then_some(time));
+        }
+        let row = |((senses, name), loss): ((&str, &str), &str)| {
+            let share = |quantity: &str| found("early", [task, senses, quantity], Some(loss), "")?.measured;
+            let by = times.iter().map(|time| share(&format!("accuracy_by_{time}_ms")));
+            let by = by.map(|share| share.map_or(String::new(), |share| format!("{share:.2}")));
+            let name = format!("{name} ({})", if loss == "count" { "L" } else { "L_w" });
+            let decided = share("decided_ms").map_or(String::new(), three);
+            std::iter::once(name).chain(by).chain([decided]).collect()
+        };
+        let cells = SENSES.iter().flat_map(|senses| LOSSES.map(|loss| row((*senses, loss)))).collect();
+        let names: Vec<&str> = times.iter().map(String::as_str).chain(["decided"]).collect();
+        Grid::new(&format!("{title}: accuracy here by time (ms), and when it is decided"), header("", &names), cells)
+    };
+    TASKS.into_iter().map(accuracy).chain([hardware()]).chain(TASKS.into_iter().map(early)).flatten().collect()
+}
+
+/// The grids of a document; `before` begins the line of a title, `of` makes a table of CSV.
+pub fn document(rows: &[PaperRow], before: &str, of: fn(&str) -> String) -> String {
+    grids(rows).iter().map(|grid| format!("{before}{}\n\n{}\n", grid.title, of(&grid.csv()))).collect()
+}
+
+/// The grids for people, and what they leave out.
+pub fn summary(rows: &[PaperRow]) -> String {
+    let mut out: String = grids(rows).iter().map(Grid::text).collect();
+    out += &wrapped(
+        "L: spike-count loss; L_w: weighted loss. chip: Loihi neurons on simulated cores; SRM: spike-response neurons, \
+         as in the paper. Here scenes are synthetic unless --full says otherwise, and accuracies are means over folds; \
+         *: of one fold.",
+    );
+    let modelled = rows.iter().find(|row| row.table == "offline" && row.measured.is_some());
+    modelled.iter().for_each(|row| out += &wrapped(&format!("Loihi's figures are {}.", row.note)));
+    out + &wrapped(
+        "Not shown: the appendix's table of containers on a second version of the data; power of x86 and neuron cores, \
+         energy (nsim energy --deployment paper has them). Deviations, intervals and notes: --full.",
+    )
+}
+
 /// The tables alone, those that have rows.
 pub fn tables(rows: &[PaperRow]) -> String {
     let of = |name: &str| rows.iter().filter(|row| row.table == name).collect::<Vec<_>>();
@@ -56,14 +199,16 @@ fn table_with_notes(rows: &[&PaperRow]) -> String {
         let note = if row.note.is_empty() { String::new() } else { (note + 1).to_string() };
         lines.push([cell, row.quantity.clone()].into_iter().chain(figures).chain([note]).collect());
     }
-    let mut out = table(&["cell", "quantity", "published", "measured", "95 % interval", "note"], &lines);
+    let is_modelled = rows.iter().all(|row| ["offline", "realtime"].contains(&&*row.table));
+    let here = if is_modelled { "modelled" } else { "measured" };
+    let mut out = table(&["cell", "quantity", "published", here, "95 % interval", "note"], &lines);
     for (number, note) in (1..).zip(notes).filter(|(_, note)| !note.is_empty()) {
         out += &wrapped(&format!("{number}: {note}"));
     }
     out
 }
 
-/// For people.
+/// Every figure, for people.
 pub fn text(rows: &[PaperRow]) -> String {
     let accuracies = || rows.iter().filter(|row| row.table == "accuracy");
     let have = accuracies().filter(|row| row.measured.is_some()).count();
@@ -97,5 +242,28 @@ mod tests {
         assert_eq!(csv(&rows).lines().count(), rows.len() + 1);
         let text = text(&rows);
         assert!(TABLES.iter().all(|(_, title)| text.contains(title)), "{text}");
+        assert!(text.contains("modelled") && text.contains("measured"), "{text}");
+    }
+
+    #[test]
+    fn a_grid_has_every_printed_figure_of_its_table() {
+        let rows = rows(Vec::new()).unwrap();
+        let grids = grids(&rows);
+        assert_eq!(grids.len(), 5);
+        for (table, task, grid) in [("accuracy", "slip", 0), ("accuracy", "container", 1)] {
+            assert_eq!((grids[grid].rows.len(), grids[grid].header.len()), (6, 4));
+            for (at, (senses, _)) in SENSES.iter().enumerate() {
+                let of = |row: &&PaperRow| row.table == table && row.task == task && row.modality == *senses;
+                let row = rows.iter().filter(of).find(|row| row.loss.as_deref() == Some("weighted")).unwrap();
+                let cell = format!("{:.3} ({:.2})", row.measured.unwrap(), row.published.unwrap());
+                assert_eq!(grids[grid].rows[1][at + 1], cell);
+            }
+        }
+        assert_eq!(grids[2].rows[1], ["RTX 2080 Ti, offline", "- (3594)", "- (56296)", "- (59890)", "- (21)"]);
+        assert!(summary(&rows).lines().count() <= 70, "{}", summary(&rows));
+        // Of one cell there is one column of figures.
+        let tactile: Vec<PaperRow> = rows.into_iter().filter(|row| row.modality == "tactile").collect();
+        let grids = super::grids(&tactile);
+        assert_eq!((grids.len(), grids[0].header.len()), (4, 2));
     }
 }

@@ -8,11 +8,14 @@
 
 use crate::early::Trial;
 use crate::published::paper::PaperRow;
-use nsim_files::shipped::{CELLS, Shipped};
+use nsim_files::shipped::{Shipped, TRAININGS};
 use nsim_files::table::rounded;
 use nsim_files::training::{LossDesc, TrainingFile};
 use nsim_ir::base::stats::{mean_sd, wilson};
 use nsim_session::error::{Error, Result};
+
+/// How names of training files of the tables begin.
+const PAPER: &str = "paper-";
 
 /// The losses of the tables, by name.
 pub const LOSSES: [&str; 2] = ["count", "weighted"];
@@ -34,8 +37,8 @@ pub struct Cell {
 
 /// The cells, those of a task together.
 pub fn cells() -> impl Iterator<Item = Cell> {
-    CELLS.iter().filter_map(|training| {
-        let (task, modality) = training.name.split_once('-')?;
+    TRAININGS.iter().filter_map(|training| {
+        let (task, modality) = training.name.strip_prefix(PAPER)?.split_once('-')?;
         Some(Cell { task, modality, training })
     })
 }
@@ -43,12 +46,12 @@ pub fn cells() -> impl Iterator<Item = Cell> {
 impl Cell {
     /// `TASK-MODALITY`.
     pub fn name(&self) -> &'static str {
-        self.training.name
+        self.training.name.strip_prefix(PAPER).unwrap_or(self.training.name)
     }
 
     /// The name under which the network of the first fold ships.
     pub fn model(&self, loss: &str) -> String {
-        format!("paper-{}-{loss}", self.name())
+        format!("{}-{loss}", self.training.name)
     }
 
     /// Both losses of a training file with the spike-count loss, in the order of [`LOSSES`].
@@ -103,6 +106,18 @@ impl Neurons {
         };
         (self == Neurons::Srm).then(srm)
     }
+}
+
+/// Whether a row is of one of these cells and neurons; of any where none is named.
+pub fn is_among(row: &PaperRow, cells: &[&str], neurons: &[Neurons]) -> bool {
+    let of_row = match &*row.table {
+        "srm" => Some(Neurons::Srm),
+        "ann" => None,
+        _ => Some(Neurons::Loihi),
+    };
+    (cells.is_empty()
+        || cells.iter().any(|cell| cell.split_once('-') == Some((row.task.as_str(), row.modality.as_str()))))
+        && (neurons.is_empty() || of_row.is_some_and(|kind| neurons.contains(&kind)))
 }
 
 /// The networks of a cell that were tested, a fold each.
