@@ -16,6 +16,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
+use nsim_report::charts::picture::FILE;
 use nsim_report::map as report;
 use nsim_report::map::{Outcome, Question};
 use nsim_session::error::{Error, Result};
@@ -90,10 +91,10 @@ pub struct MapArgs {
     #[arg(help_heading = "Mapping", long, value_name = "SOURCE")]
     pub profile: Vec<String>,
     /// Compare several mappings and draw cores, energy and step time, with the Pareto front
-    #[arg(long, value_name = "FILE.svg|png|pdf", conflicts_with = "mapping")]
+    #[arg(long, value_name = FILE, conflicts_with = "mapping")]
     pub pareto: Option<PathBuf>,
     /// Draw the cores on their chips, what they hold, and the traffic of the links
-    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    #[arg(long, visible_alias = "svg", value_name = FILE)]
     pub plot: Option<PathBuf>,
     /// Where to save the mapping
     #[arg(short, long)]

@@ -15,6 +15,7 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::folds::stratified_folds;
 use nsim_ir::spanned::Spanned;
 use nsim_ir::stimulus::SceneArg;
+use nsim_report::charts::picture::FILE;
 use nsim_report::charts::sample::{Content, Panel, Panels};
 use nsim_report::scene::{ByMarkers, ClassSummary, Onsets, SceneReport};
 use nsim_scene::markers::Annotated;
@@ -54,7 +55,7 @@ pub struct Args {
     #[arg(long, requires = "output")]
     pub polarity: bool,
     /// Draw the spikes of one sample: taxels and pixels over time, with the onset
-    #[arg(long, value_name = "FILE.svg|png|pdf")]
+    #[arg(long, value_name = FILE)]
     pub plot: Option<PathBuf>,
     /// The sample to draw [default: the first with an onset]
     #[arg(long, value_name = "N", requires = "plot")]

@@ -15,6 +15,7 @@ use nsim_agree::compare::LayerRow;
 use nsim_compile::Compiled;
 use nsim_ir::spikes::Sample;
 use nsim_report::agree::AgreeReport;
+use nsim_report::charts::picture::FILE;
 use nsim_session::error::Error;
 use nsim_session::warnings::{Warning, warnings_of};
 
@@ -61,10 +62,10 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) attribution_samples: u32,
     /// Write a bar chart of the causes
-    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    #[arg(long, visible_alias = "svg", value_name = FILE)]
     pub(super) plot_causes: Option<PathBuf>,
     /// Draw both potentials around the first spike in which the two part
-    #[arg(long, value_name = "FILE.svg|png|pdf")]
+    #[arg(long, value_name = FILE)]
     pub(super) plot: Option<PathBuf>,
     /// Replace the section `<!-- agree MODEL -->` of this document, and write the bar chart next to
     /// it

@@ -13,6 +13,7 @@ use nsim_compile::Form;
 use nsim_energy::environment::Environment;
 use nsim_files as io;
 use nsim_report::bench::pareto::ParetoReport;
+use nsim_report::charts::picture::FILE;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
 use nsim_session::inputs;
@@ -45,7 +46,7 @@ pub struct ParetoArgs {
     #[arg(long, default_value = "nahuku-32")]
     target: String,
     /// Write a chart with the Pareto front
-    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    #[arg(long, visible_alias = "svg", value_name = FILE)]
     plot: Option<PathBuf>,
     /// Replace the section `<!-- pareto MODEL -->` of this document, and write the chart next to it
     #[arg(long, value_name = "FILE.md")]

@@ -7,6 +7,7 @@ use crate::cli::output;
 use nsim_energy::published::workload;
 use nsim_files as io;
 use nsim_report::bench::published as report;
+use nsim_report::charts::picture::FILE;
 use nsim_session::error::Error;
 use nsim_study::published::rows;
 
@@ -30,7 +31,7 @@ pub struct PublishedArgs {
     #[arg(long, value_name = "WORK")]
     only: Option<String>,
     /// Write a chart of published against predicted figures
-    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    #[arg(long, visible_alias = "svg", value_name = FILE)]
     plot: Option<PathBuf>,
 }
 

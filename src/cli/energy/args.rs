@@ -12,6 +12,7 @@ use nsim_cost::job::Convention;
 use nsim_cost::job::Mode;
 use nsim_cost::{Host, Streams, Transport};
 use nsim_energy::options::Watts;
+use nsim_report::charts::picture::FILE;
 use nsim_session::decision::Rule;
 
 const EXAMPLES: &str = "\
@@ -123,7 +124,7 @@ pub struct EnergyArgs {
     #[command(flatten)]
     pub cost: CostArgs,
     /// A chart of power, time and energy of all hardware
-    #[arg(long, visible_alias = "svg", value_name = "FILE.svg|png|pdf")]
+    #[arg(long, visible_alias = "svg", value_name = FILE)]
     pub plot: Option<PathBuf>,
     /// A row for each timestep of each sample: spikes by population, events, messages, hops, time
     /// and energy by part

@@ -27,6 +27,7 @@ use nsim_ir::base::names::fits_pattern;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
+use nsim_report::charts::picture::FILE;
 use nsim_report::charts::results;
 use nsim_report::charts::sample::{raster, traced, voltage};
 use nsim_session::error::Error;
@@ -87,7 +88,7 @@ impl What {
     }
 }
 
-/// Draw a picture as SVG, PNG or PDF: of a run, of a mapping, or of a saved result
+/// Draw a picture of a run, of a mapping, or of a saved result
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -100,8 +101,9 @@ pub struct Args {
     /// 'out[2]' [default: all; of potentials those that spike most]
     #[arg(long, value_name = "POP")]
     probe: Vec<String>,
-    /// The picture; its name says what kind it is
-    #[arg(short, long, value_name = "FILE.svg|png|pdf")]
+    /// The picture; its name says what kind it is: SVG in every build of nsim, PNG and PDF in those
+    /// with the feature pictures
+    #[arg(short, long, value_name = FILE)]
     output: PathBuf,
 }
 

@@ -77,10 +77,13 @@ fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
         origins.push(origin("result", &path.display().to_string(), text.text().as_bytes()));
         results.push(result);
     }
-    let names: Vec<String> =
-        results.iter().map(|result| result["model"].as_str().unwrap_or("a run").to_string()).collect();
+    // Two results are often of one model.
+    let title = match results.as_slice() {
+        [one] => one["model"].as_str().unwrap_or("a run").to_string(),
+        _ => origins.iter().map(|origin| origin.name.as_str()).collect::<Vec<_>>().join(" beside "),
+    };
     let sections = Sections { results, ..Sections::default() };
-    write(args, &names.join(" beside "), &sections, origins, context)
+    write(args, &title, &sections, origins, context)
 }
 
 /// The page of a run.

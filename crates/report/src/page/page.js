@@ -502,13 +502,14 @@
   // ---- two results ---------------------------------------------------------------------------------------------------
   function comparison() {
     const [a, b] = results;
-    const names = results.map((one, index) => `${"AB"[index]}: ${one.model ?? "run"}${one.copies > 1 ? ` (${one.copies} copies)` : ""}`);
+    const names = results.map((one, index) => `${"AB"[index]}: ${data.origins[index]?.name ?? one.model ?? "run"}${one.copies > 1 ? ` (${one.copies} copies)` : ""}`);
     const part = section("compared", "Side by side");
     const ta = totalOf(a) || {}, tb = totalOf(b) || {};
     const activity = (of) => of.activity || {};
     const sumOf = (of, key, field) => ((of[key] || []).length ? sum(of[key].map((row) => row[field] || 0)) : null);
+    const ofCores = (of) => (of.breakdown_pj_per_timestep ? sum(Object.values(of.breakdown_pj_per_timestep)) / 1e3 : null);
     const lines = [
-      ["energy of a timestep (µJ)", ta.energy_uj, tb.energy_uj], ["time of a timestep (µs)", ta.latency_us, tb.latency_us], ["power (mW)", ta.total_mw, tb.total_mw],
+      ["energy of a timestep (µJ)", ta.energy_uj, tb.energy_uj], ["of that, events of the neuron cores (nJ)", ofCores(a), ofCores(b)], ["time of a timestep (µs)", ta.latency_us, tb.latency_us], ["power (mW)", ta.total_mw, tb.total_mw],
       ["energy-delay product (nJ s)", ta.edp_pjs / 1e3, tb.edp_pjs / 1e3], ["cores", a.cores_used, b.cores_used], ["chips", a.chips_used, b.chips_used],
       ["timesteps", a.timesteps, b.timesteps], ["spikes of compartments", sumOf(a, "populations", "spikes"), sumOf(b, "populations", "spikes")],
       ["synaptic events", sumOf(a, "cores", "synaptic_events") ?? activity(a).synaptic_events, sumOf(b, "cores", "synaptic_events") ?? activity(b).synaptic_events],
