@@ -50,7 +50,8 @@ def from_nir(
     """A `nir.NIRGraph` as a network, as `nsim import` reads its file; `dt_ms` is the timestep in ms."""
 
 def from_torch(module: Any, sample: Any, *, export: Any = None, **options: Any) -> Network:
-    """A `torch.nn.Module` of snnTorch, Norse or nirtorch as a network; `sample` is an input of one timestep, `[batch, channels..]`."""
+    """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`. Of snnTorch, what would spike
+    otherwise is refused; others are exported to NIR by Norse or nirtorch."""
 
 def sweep(
     sweep: Path, *, threads: Optional[int] = None, client: Any = None, parts: Optional[int] = None

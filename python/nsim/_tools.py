@@ -23,73 +23,48 @@ def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, thres
     return _nsim.from_bytes(name, file.getvalue(), dt_ms=dt_ms, reset=reset, decay=decay, threshold=threshold)
 
 
-class _Subtracting:
-    """A graph whose neurons subtract, though the exporter wrote v_reset: `nir.write` then leaves the field out."""
-
-    def __init__(self, graph):
-        self.graph = graph
-
-    def to_dict(self):
-        def without(node):
-            return {key: without(value) for key, value in node.items() if key != "v_reset"} if isinstance(node, dict) else node
-
-        return without(self.graph.to_dict())
-
-
 def from_torch(module, sample, *, export=None, **options):
-    """A `torch.nn.Module` as a network, by way of NIR; `sample` is an input of one timestep, `[batch, channels..]`.
+    """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`.
 
-    Modules of snnTorch and Norse are exported by their own exporters, others by `nirtorch`; `export` is another function from (module,
-    sample) to a graph. `options` are those of `from_nir`. Of snnTorch, the timestep is the 0.1 ms that its exporter writes time
-    constants for, and the reset is the modules', unless options say otherwise.
+    A network of snnTorch is read from its modules and compared with them on random samples: what would differ is refused. Modules of
+    Norse are exported to NIR by Norse, others by `nirtorch`, which no comparison follows; `export` is another function from (module,
+    sample) to a graph. `options` are those of `from_nir`. Of snnTorch, the timestep is 0.1 ms as in its own exporter, and the reset is
+    the modules', unless options say otherwise.
     """
+    from . import _torch
+
     kinds = {type(part).__module__.split(".")[0] for part in module.modules()}
-    if export is not None:
+    if export is None and "snntorch" in kinds:
+        return _torch.network_of(module, sample, **options)
+    for name, part in module.named_modules():
+        _torch.check(part, name)
+    try:
+        if export is None and "norse" in kinds:
+            from norse.torch import to_nir as export
+        elif export is None:
+            import nirtorch
+
+            export = lambda module, _: nirtorch.torch_to_nir(module, {})
         graph = export(module, sample)
-    elif "snntorch" in kinds:
-        graph, found = _of_snntorch(module, sample)
-        options = {**found, **options}
-    elif "norse" in kinds:
-        from norse.torch import to_nir
-
-        graph = to_nir(module, sample)
-    else:
-        import nirtorch
-
-        graph = nirtorch.torch_to_nir(module, {})
+    except _nsim.Error:
+        raise
+    except Exception as error:
+        message = f"the exporter to NIR stopped: {type(error).__name__}: {error}"
+        raise _torch.refusal(message, f"installed are {_versions()}; {WITHOUT_EXPORTER}") from error
     return from_nir(graph, **options)
 
 
-def _of_snntorch(module, sample):
-    """The graph of a module of snnTorch, and what the graph does not say of it."""
-    import copy
+WITHOUT_EXPORTER = "docs/tutorials/from-pytorch.md lists what is read of each tool, and which versions go together"
 
-    import snntorch
-    import torch
-    from snntorch.export_nir import export_to_nir
-    from snntorch.utils import reset
 
-    module = copy.deepcopy(module).eval()
-    layers = [part for part in module.modules() if isinstance(part, snntorch.SpikingNeuron)]
-    resets = {layer.reset_mechanism for layer in layers}
-    if not resets <= {"subtract", "zero"} or len(resets) > 1:
-        raise ValueError(f"all layers reset alike, to 'zero' or by 'subtract', on the chip; these do so by {sorted(resets)}")
-    shapes = {}
-    hooks = [layer.register_forward_pre_hook(lambda one, given: shapes.update({one: given[0].shape[1:]})) for layer in layers]
-    with torch.no_grad():
-        module(sample)
-    for hook in hooks:
-        hook.remove()
-    # A graph has a parameter for each neuron, where snnTorch has one for all.
-    for layer in layers:
-        for name in ("alpha", "beta", "threshold"):
-            value = getattr(layer, name, None)
-            if isinstance(value, torch.Tensor) and value.numel() == 1:
-                delattr(layer, name)
-                layer.register_buffer(name, value.detach().reshape(1).repeat(shapes[layer].numel()).reshape(shapes[layer]))
-    reset(module)
-    graph, how = export_to_nir(module, sample, ignore_dims=[0]), resets.pop()
-    if how == "zero":
-        return graph, {"dt_ms": 0.1, "reset": how}
-    later = all(getattr(layer, "reset_delay", True) for layer in layers)
-    return _Subtracting(graph), {"dt_ms": 0.1, "reset": "subtract-later" if later else "subtract"}
+def _versions():
+    """What is installed of the packages that take part in an export."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    def one(name):
+        try:
+            return f"{name} {version(name)}"
+        except PackageNotFoundError:
+            return f"no {name}"
+
+    return ", ".join(map(one, ("torch", "nir", "nirtorch", "norse", "sinabs")))

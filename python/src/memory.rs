@@ -10,9 +10,11 @@ use std::path::Path;
 
 use nsim::files::network::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim::import::foreign;
+use nsim::import::foreign::hdf5::{Group, Numbers};
 use nsim::import::foreign::imported::DecayRule;
-use nsim::import::foreign::{Options, ResetMode};
+use nsim::import::foreign::{Imported, Options, ResetMode};
 use nsim::ir::arithmetic::ThresholdTest;
+use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::fixed::SignMode;
 use nsim::ir::graph::MOST_UNITS;
 use nsim::ir::neurons::NeuronKind;
@@ -233,13 +235,8 @@ pub fn built(
     Ok(model)
 }
 
-/// A network from the bytes of another tool's file, and by which conventions it was read.
-pub fn imported(
-    py: Python<'_>,
-    name: &str,
-    bytes: Vec<u8>,
-    keywords: &Keywords<'_>,
-) -> PyResult<(Network, Vec<String>)> {
+/// The options of an import that Python has.
+fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
     let resets = |reset: ResetMode| match reset {
         ResetMode::Zero => "zero",
         ResetMode::Subtract => "subtract",
@@ -262,10 +259,61 @@ pub fn imported(
         ..Options::default()
     };
     keywords.none_left()?;
+    Ok(options)
+}
+
+/// The network of an import, and by which conventions it was read.
+fn built_of(
+    py: Python<'_>,
+    name: &str,
+    imported: impl FnOnce() -> Result<Imported, Diagnostic> + Send,
+) -> PyResult<(Network, Vec<String>)> {
     let read = detached(py, || {
-        let imported = foreign::from_bytes(Path::new(name), bytes, &options)?;
-        let network = imported.model.build(Path::new(&place(name)))?;
-        Ok((network, imported.notes))
+        let imported = imported()?;
+        Ok((imported.model.build(Path::new(&place(name)))?, imported.notes))
     });
-    read.map_err(|problem: nsim::ir::base::diagnostic::Diagnostic| raised(py, problem))
+    read.map_err(|problem: Diagnostic| raised(py, problem))
+}
+
+/// A network from the bytes of another tool's file.
+pub fn of_bytes(
+    py: Python<'_>,
+    name: &str,
+    bytes: Vec<u8>,
+    keywords: &Keywords<'_>,
+) -> PyResult<(Network, Vec<String>)> {
+    let options = options(keywords)?;
+    built_of(py, name, || foreign::from_bytes(Path::new(name), bytes, &options))
+}
+
+/// A network from NIR nodes, dictionaries of text and arrays, and the edges between them.
+pub fn of_nodes(
+    py: Python<'_>,
+    name: &str,
+    (nodes, edges): (&Bound<'_, PyDict>, Vec<(String, String)>),
+    held: &[String],
+    keywords: &Keywords<'_>,
+) -> PyResult<(Network, Vec<String>)> {
+    let options = options(keywords)?;
+    let mut group = Group::default();
+    for (node, fields) in nodes.iter() {
+        let node: String = node.extract()?;
+        let mut filled = Group::default();
+        for (key, value) in fields.cast::<PyDict>()?.iter() {
+            let key: String = key.extract()?;
+            if let Ok(text) = value.extract::<String>() {
+                filled.insert(&key, text.as_str());
+                continue;
+            }
+            let single = value.getattr("dtype")?.str()? == "float32";
+            let (shape, numbers) = reals(&value, format!("'{node}': {key}"))?;
+            let numbers = match single {
+                true => Numbers::f32(&shape, &numbers.iter().map(|&x| x as f32).collect::<Vec<_>>()),
+                false => Numbers::f64(&shape, &numbers),
+            };
+            filled.insert(&key, numbers);
+        }
+        group.insert(&node, filled);
+    }
+    built_of(py, name, || foreign::from_nodes(name, group, edges, held, &options))
 }

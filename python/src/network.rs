@@ -3,9 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use nsim::agree::compare::real_trace;
+use nsim::agree::ladder::layers;
 use nsim::energy::evaluate::Plan;
 use nsim::files::network::NetworkFile;
 use nsim::session::front::real_and_integers;
+use numpy::ToPyArray;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -16,7 +19,8 @@ use crate::error::raised;
 use crate::keywords::{Keywords, whole};
 use crate::mapping::{Mapping, MappingRequest, TARGET};
 use crate::memory;
-use crate::work::detached;
+use crate::spikes::Shown;
+use crate::work::{detached, work};
 
 /// Loads a model.
 ///
@@ -43,8 +47,52 @@ pub fn from_bytes(
     content: Vec<u8>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Network> {
-    let (network, notes) = memory::imported(py, name, content, &Keywords::new(options)?)?;
+    let (network, notes) = memory::of_bytes(py, name, content, &Keywords::new(options)?)?;
     Network::checked(py, network, notes)
+}
+
+/// A network from NIR nodes in memory; neurons of the nodes `held` stay at zero for a step after a spike.
+#[pyfunction]
+#[pyo3(signature = (name, nodes, edges, held, **options))]
+pub fn from_nodes(
+    py: Python<'_>,
+    name: &str,
+    nodes: &Bound<'_, PyDict>,
+    edges: Vec<(String, String)>,
+    held: Vec<String>,
+    options: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Network> {
+    let (network, notes) = memory::of_nodes(py, name, (nodes, edges), &held, &Keywords::new(options)?)?;
+    Network::checked(py, network, notes)
+}
+
+/// The spikes of each population of a network in real numbers, rows (sample, step, neuron); its first step is the one in
+/// which the population starts.
+#[pyfunction]
+pub fn real_spikes<'py>(
+    py: Python<'py>,
+    network: &Network,
+    spikes: &Bound<'py, PyAny>,
+) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
+    let file = network.network.file();
+    let (graph, integers) = detached(py, || real_and_integers(&network.network)).map_err(|why| raised(py, why))?;
+    let shown = Shown::new(&integers, None, Some(spikes), &Keywords::new(None)?)?;
+    let traces = work(py, true, |progress| {
+        let trace = real_trace(&graph, &integers)?;
+        Ok(shown.samples().into_iter().inspect(|_| progress()).map(trace).collect::<Vec<_>>())
+    })?;
+    let rows = layers(&integers).into_iter().map(|layer| {
+        let start = file.population(&layer.name).map_or(0, |population| population.start_step);
+        let mut rows: Vec<u32> = Vec::new();
+        for (sample, trace) in (0..).zip(&traces) {
+            for neuron in 0..layer.count {
+                let train = &trace.trains[(layer.first + neuron) as usize];
+                train.iter().for_each(|step| rows.extend([sample, step.saturating_sub(start), neuron]));
+            }
+        }
+        Ok((layer.name, rows.to_pyarray(py).call_method1("reshape", (-1, 3))?))
+    });
+    rows.collect()
 }
 
 /// A network as its file says.

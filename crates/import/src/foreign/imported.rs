@@ -175,6 +175,28 @@ pub(super) fn decimal(single: f64) -> f64 {
 }
 
 impl Imported {
+    /// The same with populations of snnTorch 1.0.0 whose reset to zero takes away the input of the next step too, as that
+    /// of Leaky alone does not (`_base_zero`).
+    #[must_use]
+    pub(super) fn held(mut self, names: &[String]) -> Self {
+        if names.is_empty() {
+            return self;
+        }
+        for name in names {
+            let population = self.model.populations.iter_mut().find(|population| population.name == *name);
+            if let Some(parameters) = population.and_then(|population| population.loihi.as_mut()) {
+                parameters.push(("refractory", Parameter::Same(2.0)));
+            }
+        }
+        self.notes.push(format!(
+            "{}: v stays 0 in the step after a spike (refractory 2), as snnTorch's reset to zero takes the input of \
+             that step",
+            names.join(", ")
+        ));
+        self.model.provenance = Some(format!("imported from snnTorch; {}", self.notes.join("; ")));
+        self
+    }
+
     /// The same, decided by potentials where the output never spikes: by their sum where they
     /// forget everything in a step, by the last where they forget nothing, else by the greatest.
     #[must_use]

@@ -60,6 +60,23 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
     Ok(imported)
 }
 
+/// Reads a graph of NIR nodes that are in memory. Where neurons return to zero, those of the nodes `held` stay there in
+/// the next step too.
+///
+/// # Errors
+/// `import.*` for what the nodes say.
+pub fn from_nodes(
+    name: &str,
+    nodes: hdf5::Group,
+    edges: Vec<(String, String)>,
+    held: &[String],
+    options: &Options,
+) -> Result<Imported> {
+    options.refuse_unused("a NIR graph", &["--reset", "--decay"])?;
+    let root = hdf5::Group::default().with("node", nir_export::nir_graph(nodes, edges));
+    Ok(nir::read(&root, name, options)?.held(held))
+}
+
 fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let root = hdf5::tree(path, bytes)?;
     let name = network_name(path);

@@ -20,7 +20,6 @@ use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, popul
 use super::nir_export::{ENDLESS, nir_graph, node};
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
-use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// What a tensor is to its module.
@@ -445,8 +444,7 @@ fn real(
         last = graph.follow(&last, "flatten", node("Flatten"));
     }
     let mut lines = Vec::new();
-    // Layers of snnTorch whose reset to zero takes away the input of the next step too, as that of
-    // Leaky alone does not (snnTorch 1.0.0, `_base_zero`).
+    // Layers of snnTorch that stay at zero for a step.
     let mut held = Vec::new();
     for (place, (index, matrix)) in layers.iter().enumerate() {
         let layer = &modules[*index];
@@ -525,21 +523,9 @@ fn real(
     notes.push(format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds"));
     let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };
     let root = Group::default().with("node", nir_graph(graph.nodes, graph.edges));
-    let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?;
+    held.retain(|_| reset == Some(ResetMode::Zero));
+    let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?.held(&held);
     notes.extend(read.into_iter().filter(|note| !note.starts_with("timestep ")));
-    if reset == Some(ResetMode::Zero) && !held.is_empty() {
-        for name in &held {
-            let population = model.populations.iter_mut().find(|population| population.name == *name);
-            if let Some(parameters) = population.and_then(|population| population.loihi.as_mut()) {
-                parameters.push(("refractory", Parameter::Same(2.0)));
-            }
-        }
-        notes.push(format!(
-            "{}: v stays 0 in the step after a spike (refractory 2), as snnTorch's reset to zero takes the input of \
-             that step",
-            held.join(", ")
-        ));
-    }
     model.provenance = Some(format!("imported from a {kind}; {}", notes.join("; ")));
     Ok(Imported { kind, model, notes, layers: lines })
 }

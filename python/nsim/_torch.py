@@ -1,0 +1,380 @@
+"""Networks of snnTorch: what each module means on a chip, and the proof that what was read is what runs.
+
+Input: a module and one timestep of input. It is called once; every module that runs becomes nodes of a NIR graph with the equations of
+snnTorch 1.0.0. Output: a network whose spikes in real numbers are those of the module, layer by layer, on random samples.
+
+A module, a value of a parameter or a computation that is not in the tables below is refused by its name, as is a network whose spikes
+differ.
+"""
+
+import copy
+import re
+
+import numpy as np
+
+from . import _nsim
+
+TIMESTEP_MS = 0.1
+"""The timestep of snnTorch's own exporter."""
+
+ENDLESS = 2.0**52
+"""Steps of a time constant that leaves everything."""
+
+SAMPLES, STEPS, SEED = 4, 30, 1
+"""Random input with which both networks are compared; the rate grows from sample to sample."""
+
+ROUNDED = 0.01
+"""Share of a layer's spikes that may differ, as sums in another order round otherwise."""
+
+PASSED = {"Identity", "Dropout", "Dropout1d", "Dropout2d", "Dropout3d", "AlphaDropout", "Flatten", "Unflatten"}
+"""Modules that change no number of a trained network, or its shape alone."""
+
+AXES = {"Linear": 2, "Conv1d": 3, "Conv2d": 4, "AvgPool2d": 4, "BatchNorm1d": None, "BatchNorm2d": 4}
+"""Layers between neurons, with the axes of their input, the batch included."""
+
+ONE_STEP = "write forward() for one timestep: neurons with init_hidden=True, no init_leaky(), no loop over time, a sample [batch, channels..]; " \
+    "outside of modules, a sum of layers and a change of shape are read"
+
+NEURONS = {"Leaky", "Synaptic", "RLeaky", "RSynaptic"}
+
+CARRIED = [
+    ("Conv1d Conv2d", "padding_mode", ("zeros",), "pad with zeros: beyond the edge there are no neurons"),
+    ("AvgPool2d", "ceil_mode", (False,), "choose a size that divides the plane, or padding="),
+    ("AvgPool2d", "divisor_override", (None,), "scale the weights of the next layer instead"),
+    ("BatchNorm1d BatchNorm2d", "track_running_stats", (True,), "without a mean and a variance of its own, it depends on the batch"),
+    ("Leaky Synaptic RLeaky RSynaptic", "inhibition", (False,), "train without inhibition: a core has no circuit that lets one neuron win"),
+    ("Leaky Synaptic RLeaky RSynaptic", "state_quant", (False,), "train without state_quant: nsim rounds states as the chip does"),
+    ("Leaky Synaptic RLeaky RSynaptic", "graded_spikes_factor", (1,), "train with 1: spikes of a Loihi 1 core carry no value"),
+    ("Leaky Synaptic RLeaky RSynaptic", "reset_mechanism", ("zero", "subtract"), "train with reset_mechanism='zero'"),
+]
+"""Classes, a parameter of theirs, the values that are carried, and what to do about others."""
+
+INSTEAD = {
+    "MaxPool": "use torch.nn.AvgPool2d: a core adds what arrives and takes no maximum",
+    "ReLU": "put a spiking neuron in its place, such as snntorch.Leaky: a core sends spikes",
+    "LayerNorm": "use torch.nn.BatchNorm1d or BatchNorm2d, whose numbers are constants once trained",
+    "Alpha": "train with snntorch.Synaptic, whose current decays too",
+    "Lapicque": "train with snntorch.Leaky(beta=..), the same neuron by the share that stays",
+    "BatchNormTT": "use torch.nn.BatchNorm1d or BatchNorm2d: weights are the same in every timestep",
+}
+"""What to use instead of a class, by the beginning of its name."""
+
+
+def refusal(message, help, code="import.torch"):
+    """The exception for what is not read, with what to change."""
+    error = _nsim.Error(f"{message}\n  help: {help}")
+    error.code, error.place, error.help = code, None, help
+    error.reasons = [{"code": code, "message": message, "place": None, "help": help}]
+    return error
+
+
+def kind_of(module):
+    """The name of a module's class; of a class that is not of torch or snnTorch, with its module."""
+    kind = type(module)
+    if hasattr(module, "parametrizations"):
+        kind = kind.__mro__[1]
+    ours = kind.__module__.split(".")[0] in ("torch", "snntorch")
+    return kind.__name__ if ours else f"{kind.__module__}.{kind.__name__}"
+
+
+def check(module, name):
+    """Refuses a value of a parameter that is not carried."""
+    kind = kind_of(module)
+    for kinds, key, values, remedy in CARRIED:
+        value = getattr(module, key, values[0])
+        value = value.item() if hasattr(value, "item") and len(value.reshape(-1)) == 1 else value
+        if kind in kinds.split() and not any(value is one or (isinstance(value, (int, float, str)) and value == one) for one in values):
+            said = " or ".join(map(repr, values))
+            raise refusal(f"'{name}' ({kind}): {key} is {value!r}, and only {said} is carried to a chip", remedy)
+    if kind == "AvgPool2d" and not module.count_include_pad and np.any(np.array(module.padding)):
+        message = f"'{name}' (AvgPool2d): count_include_pad is False, and its padding is not 0"
+        raise refusal(message, "leave count_include_pad at True: every window then has the same weights")
+
+
+def leaves(module, name=""):
+    """The modules that compute, each once, with their names."""
+    known = kind_of(module) in PASSED | set(AXES) | NEURONS
+    children = [] if known else [(f"{name}.{child}" if name else child, part) for child, part in module.named_children()]
+    if not children:
+        return {module: name or "module"}
+    found = {}
+    for child, part in children:
+        found = {**leaves(part, child), **found}
+    return found
+
+
+def reals(tensor, shape=None):
+    """Numbers of a tensor; those of single precision as the shortest decimals that they represent, as files are read."""
+    array = tensor.detach().cpu().numpy()
+    array = array.astype(str).astype(np.float64) if array.dtype == np.float32 else array.astype(np.float64)
+    return array if shape is None else np.broadcast_to(array, shape).copy()
+
+
+def weights(module):
+    """The node of a linear or convolutional layer."""
+    kind, bias = kind_of(module), module.bias
+    node = {"type": kind, "weight": module.weight.detach().cpu().numpy()}
+    if kind != "Linear":
+        padding = module.padding
+        node.update({key: np.array(getattr(module, key)) for key in ("stride", "dilation", "groups")})
+        node["padding"] = padding if isinstance(padding, str) else np.array(padding)
+    elif bias is not None:
+        node["type"] = "Affine"
+    return node if bias is None else {**node, "bias": bias.detach().cpu().numpy()}
+
+
+def neuron(module, shape, dt):
+    """The node of a layer of neurons, whose equations in NIR are those of snnTorch in steps of `dt` seconds."""
+    taken = {key: 1 - np.clip(reals(getattr(module, key), shape), 0, 1) for key in ("alpha", "beta") if hasattr(module, key)}
+    steps = {key: np.where(share > 0, 1 / np.maximum(share, 1 / ENDLESS), ENDLESS) for key, share in taken.items()}
+    node = {"r": steps["beta"], "v_leak": np.zeros(shape), "v_threshold": reals(module.threshold, shape)}
+    if "alpha" not in steps:
+        return {"type": "LIF", "tau": steps["beta"] * dt, **node}
+    return {"type": "CubaLIF", "tau_syn": steps["alpha"] * dt, "w_in": steps["alpha"], "tau_mem": steps["beta"] * dt, **node}
+
+
+def cleared(module):
+    """Forgets the states of all neurons."""
+    import torch
+
+    for part in module.modules():
+        for state in ("mem", "syn", "spk"):
+            if isinstance(getattr(part, state, None), torch.Tensor):
+                setattr(part, state, torch.zeros(0))
+
+
+def called(module, given):
+    """What a module makes of its input."""
+    try:
+        return module(given)
+    except _nsim.Error:
+        raise
+    except Exception as error:
+        message = f"the module stopped at input of shape {list(given.shape)}: {type(error).__name__}: {error}"
+        raise refusal(message, "the sample is one timestep of input, [batch, channels..], and forward() takes any batch") from error
+
+
+def copied(module):
+    """A copy without states and gradients, in evaluation mode, on the processor."""
+    import torch
+
+    memo = {}
+    for part in module.modules():
+        for value in (*vars(part).values(), *part._buffers.values()):
+            if isinstance(value, torch.Tensor) and value.grad_fn is not None:
+                memo[id(value)] = value.detach().clone()
+    module = copy.deepcopy(module, memo).cpu().eval()
+    cleared(module)
+    return module
+
+
+class Trace:
+    """The graph of one call: each module that runs is a node, edges are the tensors that pass from one to the next."""
+
+    def __init__(self, module, sample, dt):
+        import torch
+
+        self.names = leaves(module)
+        self.nodes = {"input": {"type": "Input", "shape": np.array(sample.shape[1:])}}
+        self.edges, self.neurons, self.dt, self.inside = [], {}, dt, 0
+        # Of each tensor the nodes whose sum it is, or in words what it is; tensors are kept, as numbers of freed ones are used again.
+        self.known, self.kept = {}, []
+        self.learn(sample, {"input"})
+        hooks = [part.register_forward_pre_hook(self.enter, with_kwargs=True) for part in self.names]
+        hooks += [part.register_forward_hook(self.leave, with_kwargs=True) for part in self.names]
+        try:
+            with torch.no_grad(), self.watching():
+                out = called(module, sample)
+        finally:
+            for hook in hooks:
+                hook.remove()
+        self.nodes["output"] = {"type": "Output"}
+        self.connect(out[0] if isinstance(out, (tuple, list)) and len(out) > 0 else out, "output", "the network's output")
+
+    def watching(self):
+        """Sees what is computed outside of modules: a sum adds edges, another shape changes nothing, else the result is no node's."""
+        import torch
+        from torch.overrides import TorchFunctionMode
+
+        trace = self
+
+        class Watch(TorchFunctionMode):
+            def __torch_function__(self, func, types, args=(), kwargs=None):
+                result = func(*args, **(kwargs or {}))
+                given = [one for one in args if isinstance(one, torch.Tensor)]
+                sources = [trace.known[id(one)] for one in given if id(one) in trace.known]
+                if trace.inside or not sources:
+                    return result
+                name = getattr(func, "__name__", str(func))
+                whole = len(sources) == len(args) and not kwargs and not any(isinstance(one, str) for one in sources)
+                same = isinstance(result, torch.Tensor) and result.shape[:1] == given[0].shape[:1] and result.numel() == given[0].numel()
+                for one in result if isinstance(result, (tuple, list)) else [result]:
+                    if not isinstance(one, torch.Tensor) or not one.is_floating_point():
+                        continue
+                    if name.strip("_") in ("add", "radd", "iadd") and whole and len({tuple(part.shape) for part in given}) == 1:
+                        # A sum of a tensor with itself counts twice, which one edge does not.
+                        doubled = sum(map(len, sources)) > len(set().union(*sources))
+                        trace.learn(one, "a sum that counts a layer twice" if doubled else set().union(*sources))
+                    elif name in ("flatten", "view", "reshape", "detach", "clone", "contiguous", "float", "double", "to") and same:
+                        trace.learn(one, sources[0])
+                    elif id(one) not in trace.known:
+                        trace.learn(one, f"a result of '{name.strip('_')}' outside of a module")
+                return result
+
+        return Watch()
+
+    def learn(self, tensor, what):
+        self.known[id(tensor)] = what
+        self.kept.append(tensor)
+
+    def connect(self, tensor, to, what):
+        """Edges to a node from what a tensor is the sum of."""
+        sources = self.known.get(id(tensor), "no output of a module of the network")
+        if isinstance(sources, str):
+            message = f"{what} is {sources}, which a network on a chip does not compute"
+            raise refusal(message, ONE_STEP)
+        self.edges += [(source, to) for source in sorted(sources)]
+
+    def enter(self, module, args, kwargs):
+        name, kind = self.names[module], kind_of(module)
+        self.inside += 1
+        if kind not in PASSED | set(AXES) | NEURONS:
+            instead = next((remedy for begin, remedy in INSTEAD.items() if kind.startswith(begin)), None)
+            others = "carried are " + ", ".join(sorted(PASSED | set(AXES) | NEURONS)) + ", and modules made of these"
+            raise refusal(f"'{name}' ({kind}) has no counterpart on a chip that nsim knows", instead or others)
+        check(module, name)
+        given = (*args, *kwargs.values())[0]
+        if not hasattr(given, "dim"):
+            message = f"'{name}' ({kind}) receives a {type(given).__name__}, and spikes are a tensor"
+            raise refusal(message, "of neurons, those with init_hidden=True and without output=True give their spikes alone")
+        axes = AXES.get(kind) or (given.dim() if given.dim() > 1 else 2)
+        if given.dim() != axes:
+            wanted = ", ".join(["batch", "channels", "height", "width"][: 4 if axes == 4 else 2] + ["length"] * (axes == 3))
+            message = f"'{name}' ({kind}) receives {list(given.shape)}, and [{wanted}] is expected"
+            raise refusal(message, "give one timestep with its batch axis, such as sample.unsqueeze(0); forward() has no loop over time")
+
+    def leave(self, module, args, kwargs, out):
+        self.inside -= 1
+        name, kind, given = self.names[module], kind_of(module), (*args, *kwargs.values())[0]
+        spikes, *states = out if isinstance(out, tuple) else (out,)
+        for state in states:
+            self.learn(state, f"the state of '{name}'")
+        if kind in PASSED:
+            self.learn(spikes, self.known.get(id(given), "no output of a module of the network"))
+            return
+        if kind.startswith("BatchNorm"):
+            self.fold(module, name, given, spikes)
+            return
+        node = self.add(name)
+        if kind in NEURONS:
+            if module in self.neurons:
+                message = f"'{name}' ({kind}) runs more than once in a call, and a neuron of the chip once in a timestep"
+                raise refusal(message, f"give each layer neurons of its own; {ONE_STEP}")
+            self.neurons[module] = node
+            self.nodes[node] = neuron(module, tuple(given.shape[1:]), self.dt)
+            if kind.startswith("R"):
+                back = self.add(f"{name}.recurrent")
+                self.nodes[back] = recurrent(module.recurrent, tuple(given.shape[1:]), f"{name}.recurrent")
+                self.edges += [(node, back), (back, node)]
+        elif kind == "AvgPool2d":
+            stride = module.kernel_size if module.stride is None else module.stride
+            sizes = {"kernel_size": module.kernel_size, "stride": stride, "padding": module.padding}
+            self.nodes[node] = {"type": kind, **{key: np.array(size) for key, size in sizes.items()}}
+        else:
+            self.nodes[node] = weights(module)
+        self.connect(given, node, f"the input of '{name}' ({kind})")
+        self.learn(spikes, {node})
+
+    def add(self, name):
+        """The name of a new node, which is that of its population."""
+        name = re.sub(r"[^\w-]", "_", name)
+        while name in self.nodes or name == "output":
+            name += "_"
+        self.nodes[name] = {}
+        return name
+
+    def fold(self, module, name, given, out):
+        """Takes a normalisation into the weights before it: in a trained network it scales and shifts each channel."""
+        sources = self.known.get(id(given), "")
+        before = next(iter(sources)) if len(sources) == 1 and not isinstance(sources, str) else None
+        node = self.nodes.get(before, {})
+        if "weight" not in node or any(source == before for source, _ in self.edges):
+            message = f"'{name}' ({kind_of(module)}) does not stand alone behind a linear or convolutional layer"
+            raise refusal(message, "put it directly behind the layer whose channels it scales: its numbers become weights and biases there")
+        channels = node["weight"].shape[0]
+        given_or = lambda tensor, usual: np.full(channels, usual) if tensor is None else reals(tensor)
+        scale = given_or(module.weight, 1.0) / np.sqrt(reals(module.running_var) + module.eps)
+        old = {key: value.astype(str).astype(np.float64) for key, value in node.items() if key in ("weight", "bias")}
+        node["weight"] = old["weight"] * scale.reshape(-1, *[1] * (old["weight"].ndim - 1))
+        node["bias"] = (old.get("bias", 0.0) - reals(module.running_mean)) * scale + given_or(module.bias, 0.0)
+        node["type"] = node["type"].replace("Linear", "Affine")
+        self.learn(given, f"what '{name}' normalises")
+        self.learn(out, {before})
+
+
+def recurrent(module, shape, name):
+    """The node of what a layer sends itself."""
+    if hasattr(module, "V"):
+        return {"type": "Scale", "scale": reals(module.V, shape)}
+    check(module, name)
+    return weights(module)
+
+
+def resets(neurons, names):
+    """How all neurons reset, and the names of those that stay at 0 for a step, as `nsim import` reads them from a state dict."""
+    later = {module: getattr(module, "reset_delay", True) for module in neurons}
+    how = {module.reset_mechanism for module in neurons}
+    if len(how) > 1 or ("subtract" in how and len(set(later.values())) > 1):
+        each = ", ".join(f"'{names[one]}' {one.reset_mechanism!r}{'' if later[one] else ' without reset_delay'}" for one in neurons)
+        raise refusal(f"the layers reset in different ways: {each}", "train all layers with reset_mechanism='zero'")
+    if how == {"subtract"}:
+        return ("subtract-later" if later[next(iter(later))] else "subtract"), []
+    held = [node for module, node in neurons.items() if later[module] and kind_of(module) != "Leaky"]
+    return ("zero" if how else None), held
+
+
+def network_of(module, sample, name="network", dt_ms=None, reset=None, **options):
+    """A module of snnTorch as a network, which does what the module does."""
+    dt_ms = TIMESTEP_MS if dt_ms is None else dt_ms
+    traced = copied(module)
+    trace = Trace(traced, sample.detach().cpu(), dt_ms / 1e3)
+    own, held = resets(trace.neurons, trace.names)
+    network = _nsim.from_nodes(name, trace.nodes, trace.edges, held, dt_ms=dt_ms, reset=reset or own, **options)
+    compare(network, traced, trace, tuple(sample.shape[1:]))
+    return network
+
+
+def compare(network, module, trace, shape):
+    """Refuses a network whose spikes in real numbers differ from the module's."""
+    import torch
+
+    rng = np.random.default_rng(SEED)
+    rates = np.linspace(0.1, 0.7, SAMPLES).reshape(-1, *[1] * (len(shape) + 1))
+    given = (rng.random((SAMPLES, *shape, STEPS)) < rates).astype(np.uint8)
+    module = module.double()
+    with torch.no_grad():
+        for tensor in (*module.parameters(), *module.buffers()):
+            if tensor.is_floating_point():
+                tensor.copy_(torch.from_numpy(np.asarray(reals(tensor.float()))))
+    cleared(module)
+    spikes = {node: [] for node in trace.neurons.values()}
+    wide = lambda _, args: tuple(one.double() if isinstance(one, torch.Tensor) and one.is_floating_point() else one for one in args)
+    keep = lambda one, _, out: spikes[trace.neurons[one]].append((out[0] if isinstance(out, tuple) else out).reshape(SAMPLES, -1) != 0)
+    hooks = [part.register_forward_pre_hook(wide) for part in module.modules()]
+    hooks += [part.register_forward_hook(keep) for part in trace.neurons]
+    with torch.no_grad():
+        for step in range(STEPS):
+            called(module, torch.from_numpy(given[..., step]).double())
+    for hook in hooks:
+        hook.remove()
+    ours = dict(_nsim.real_spikes(network, given))
+    for module, node in trace.neurons.items():
+        theirs = np.stack([one.numpy() for one in spikes[node]], axis=2)
+        mine = np.zeros_like(theirs)
+        rows = ours[node][ours[node][:, 1] < STEPS]
+        mine[rows[:, 0], rows[:, 2], rows[:, 1]] = True
+        differing, all_of = int((theirs != mine).sum()), int(theirs.sum() + mine.sum())
+        if differing > ROUNDED * all_of:
+            message = f"'{trace.names[module]}' ({kind_of(module)}) spikes {int(theirs.sum())} times in PyTorch and {int(mine.sum())} " \
+                f"times as nsim reads it, {differing} of them apart, in {SAMPLES} random samples of {STEPS} steps: the network was not understood"
+            raise refusal(message, f"its forward() may reset neurons in each call, or depend on the batch: {ONE_STEP}")

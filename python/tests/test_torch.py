@@ -1,0 +1,234 @@
+"""Modules of PyTorch: what is read spikes as it does in PyTorch, and what would not is refused by name. Without torch, the tables alone."""
+
+import os
+import re
+import sys
+import tempfile
+import unittest
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import nsim
+from nsim import _torch
+
+try:
+    import snntorch as snn
+    import torch
+    from torch import nn
+except ImportError:
+    torch = None
+    print("absent: torch with snntorch, its modules were not tested", file=sys.stderr)
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+def stub(kind, package="torch.nn", **values):
+    """A module without torch."""
+    return type(kind, (), {"__module__": package, **values})()
+
+
+class Tables(unittest.TestCase):
+    def refused(self, *words, kind, **values):
+        with self.assertRaises(nsim.Error) as raised:
+            _torch.check(stub(kind, **values), "layer 3")
+        for word in ("layer 3", kind, *words):
+            self.assertIn(word, str(raised.exception))
+        self.assertEqual(raised.exception.code, "import.torch")
+        self.assertTrue(raised.exception.help)
+
+    def test_values_that_are_not_carried(self):
+        self.refused("circular", "zeros", kind="Conv2d", padding_mode="circular")
+        self.refused("divisor_override", kind="AvgPool2d", divisor_override=1, count_include_pad=True)
+        self.refused("count_include_pad", kind="AvgPool2d", count_include_pad=False, padding=1)
+        self.refused("inhibition", kind="Leaky", inhibition=True)
+        self.refused("graded_spikes_factor", "2.0", kind="Synaptic", graded_spikes_factor=np.array([2.0]))
+        self.refused("graded_spikes_factor", kind="Leaky", graded_spikes_factor=np.array([1.0, 2.0]))
+        self.refused("reset_mechanism", kind="RLeaky", reset_mechanism="none")
+        self.refused("state_quant", kind="RSynaptic", state_quant=abs)
+
+    def test_values_that_are_carried(self):
+        for kind, values in {
+            "Conv2d": {"padding_mode": "zeros"},
+            "AvgPool2d": {"count_include_pad": False, "padding": 0, "ceil_mode": False, "divisor_override": None},
+            "Leaky": {"inhibition": False, "state_quant": False, "graded_spikes_factor": np.array(1.0), "reset_mechanism": "subtract"},
+        }.items():
+            _torch.check(stub(kind, **values), "a")
+        # Another's class of the same name is not known.
+        self.assertEqual(_torch.kind_of(stub("Linear", package="mine")), "mine.Linear")
+
+    def test_nodes_become_a_network(self):
+        full = lambda value: np.full(2, value)
+        nodes = {
+            "input": {"type": "Input", "shape": np.array([3])},
+            "fc": {"type": "Linear", "weight": np.array([[0.6, 0.6, 0.0], [0.0, 0.0, 1.5]], np.float32)},
+            "lif": {"type": "LIF", "tau": full(1e-3), "r": full(10.0), "v_leak": full(0.0), "v_threshold": full(1.0)},
+            "output": {"type": "Output"},
+        }
+        edges = [("input", "fc"), ("fc", "lif"), ("lif", "output")]
+        spikes = np.ones((1, 3, 6), np.uint8)
+        free = nsim._nsim.from_nodes("x", nodes, edges, [], dt_ms=0.1, reset="zero")
+        held = nsim._nsim.from_nodes("x", nodes, edges, ["lif"], dt_ms=0.1, reset="zero")
+        # Each neuron spikes in every step, or in every second where one is taken away.
+        for network, count in ((free, 6), (held, 3)):
+            (name, rows), = nsim._nsim.real_spikes(network, spikes)
+            self.assertEqual((name, len(rows)), ("lif", 2 * count))
+        self.assertIn("refractory 2", held.notes[-1])
+
+
+@unittest.skipIf(torch is None, "torch or snntorch is absent")
+class Modules(unittest.TestCase):
+    def setUp(self):
+        torch.manual_seed(3)
+        warnings.simplefilter("ignore")
+
+    def lif(self, kind=None, **options):
+        return (kind or snn.Leaky)(**{"beta": 0.9, "init_hidden": True, "reset_mechanism": "zero", **options})
+
+    def read(self, module, *shape):
+        """The network, once its spikes were compared: by `from_torch`, and here by the spikes of PyTorch in single precision."""
+        network = nsim.from_torch(module, torch.zeros(1, *shape))
+        spikes = np.random.default_rng(2).random((6, *shape, 40)) < 0.3
+        module.eval()
+        for part in module.modules():
+            if isinstance(part, snn.SpikingNeuron):
+                part.mem = torch.zeros(0)
+        with torch.no_grad():
+            theirs = sum(module(torch.tensor(spikes[..., step], dtype=torch.float32))[0] for step in range(40))
+        counted = np.zeros((6, int(np.prod(theirs.shape[1:]))))
+        last = [name for name, *_ in network.populations if name != "always"][-1]
+        rows = dict(nsim._nsim.real_spikes(network, spikes))[last]
+        np.add.at(counted, (rows[:, 0], rows[:, 2]), 1)
+        self.assertGreater(theirs.sum(), 20)
+        self.assertLessEqual(np.abs(counted - theirs.reshape(6, -1).numpy()).sum(), 0.01 * float(theirs.sum()))
+        return network
+
+    def refused(self, module, shape, *words):
+        with self.assertRaises(nsim.Error) as raised:
+            nsim.from_torch(module, torch.zeros(*shape))
+        for word in words:
+            self.assertIn(word, str(raised.exception))
+        self.assertTrue(raised.exception.help)
+
+    def test_every_kind_of_neurons_as_from_its_state_dict(self):
+        for kind, options in [(snn.Leaky, {}), (snn.Synaptic, {"alpha": 0.8}), (snn.RLeaky, {"linear_features": 8}),
+                              (snn.RSynaptic, {"alpha": 0.7, "linear_features": 8})]:
+            for how in ("zero", "subtract"):
+                last = self.lif(kind, reset_mechanism=how, output=True, **options)
+                module = nn.Sequential(nn.Linear(32, 16, bias=False), self.lif(reset_mechanism=how), nn.Linear(16, 8, bias=False), last)
+                for part in (module[0], module[2]):
+                    part.weight.data *= 3
+                network = self.read(module, 32)
+                with tempfile.TemporaryDirectory() as folder:
+                    path = os.path.join(folder, "net.pt")
+                    torch.save(module.state_dict(), path)
+                    dicts = nsim.load(path)
+                target = "nahuku-32" if how == "zero" else "oheo-gulch"
+                spikes = np.random.default_rng(4).random((4, 32, 30)) < 0.3
+                digests = [one.map(target).run(spikes).digest for one in (network, dicts)]
+                self.assertEqual(*digests)
+
+    def test_layers_between_neurons(self):
+        first = nn.Sequential(nn.Conv2d(2, 4, 3, padding=1), nn.BatchNorm2d(4), nn.Dropout(0.5), self.lif(threshold=0.4))
+        first[1].running_mean += 0.1
+        first[1].running_var *= 0.5
+        first[1].weight.data *= 1.5
+        layers = [nn.AvgPool2d(2), nn.Identity(), nn.Conv2d(4, 4, 3, stride=2, padding="valid"), self.lif(threshold=0.2), nn.Flatten()]
+        self.read(nn.Sequential(first, *layers, nn.Linear(4, 3), self.lif(threshold=0.2, output=True)), 2, 8, 8)
+        line = [nn.Conv1d(2, 4, 3), self.lif(threshold=0.3), nn.Flatten(), nn.Linear(24, 8), nn.BatchNorm1d(8)]
+        self.read(nn.Sequential(*line, self.lif(beta=1.0, threshold=0.3, output=True)), 2, 8)
+        each = self.lif(beta=torch.rand(8) * 0.5, threshold=torch.rand(8) + 0.1, output=True)
+        self.read(nn.Sequential(nn.Linear(16, 8), each), 16)
+
+    def test_a_sum_of_layers_and_a_layer_that_is_used_twice(self):
+        lif = self.lif
+
+        class Residual(nn.Module):
+            def __init__(self):
+                super().__init__()
+                self.a, self.l1, self.b, self.l2 = nn.Linear(32, 16), lif(), nn.Linear(16, 16), lif(output=True)
+
+            def forward(self, x):
+                h = self.l1(self.a(x))
+                return self.l2(self.b(h) + h)
+
+        class Twice(nn.Module):
+            def __init__(self):
+                super().__init__()
+                self.a, self.l1, self.l2 = nn.Linear(32, 32), lif(), lif(output=True)
+
+            def forward(self, x):
+                return self.l2(self.a(self.l1(self.a(x)).flatten(1)))
+
+        self.read(Residual(), 32)
+        self.read(Twice(), 32)
+
+    def test_after_training_the_state_is_forgotten(self):
+        module = nn.Sequential(nn.Linear(32, 8), self.lif(output=True))
+        module(torch.rand(4, 32))[1].sum()
+        nsim.from_torch(module, torch.zeros(1, 32))
+
+    def test_what_is_refused(self):
+        linear, lif = nn.Linear(32, 8), self.lif(output=True)
+        plane, flat = (1, 2, 8, 8), (1, 32)
+        for layers, shape, words in [
+            ([linear, self.lif(snn.Alpha, alpha=0.8, beta=0.7)], flat, ("'1'", "Alpha", "Synaptic")),
+            ([linear, nn.ReLU(), lif], flat, ("'1'", "ReLU", "Leaky")),
+            ([nn.Conv2d(2, 4, 3), nn.MaxPool2d(2), lif], plane, ("'1'", "MaxPool2d", "AvgPool2d")),
+            ([nn.Conv2d(2, 4, 3, padding=1, padding_mode="circular"), lif], plane, ("'0'", "circular")),
+            ([nn.Conv2d(2, 4, 3), self.lif(inhibition=True)], plane, ("'1'", "inhibition")),
+            ([linear, self.lif(), nn.BatchNorm1d(8), nn.Linear(8, 4), self.lif()], flat, ("'2'", "BatchNorm1d", "behind")),
+            ([linear, self.lif(), nn.Linear(8, 4), self.lif(reset_mechanism="subtract")], flat, ("'1' 'zero'", "'3' 'subtract'")),
+            ([linear, lif, nn.Linear(8, 4), self.lif()], flat, ("'2'", "tuple", "output=True")),
+            ([linear, lif], (32,), ("'0'", "[batch, channels]", "unsqueeze")),
+            ([linear, lif], (1, 30), ("[1, 30]", "RuntimeError")),
+        ]:
+            self.refused(nn.Sequential(*layers), shape, *words)
+
+    def test_forms_of_forward_that_are_refused(self):
+        class Loop(nn.Module):
+            def __init__(self, between=lambda x: x):
+                super().__init__()
+                self.fc, self.lif, self.between = nn.Linear(32, 8), snn.Leaky(beta=0.9, reset_mechanism="zero"), between
+
+            def forward(self, x):
+                mem = self.lif.init_leaky()
+                for _ in range(2):
+                    spikes, mem = self.lif(self.between(self.fc(x)), mem)
+                return spikes
+
+        class Cleared(Loop):
+            def forward(self, x):
+                return self.lif(3 * self.fc(x) if self.between(0) else self.fc(x), self.lif.init_leaky())[0]
+
+        self.refused(Loop(), (1, 32), "'lif'", "more than once", "one timestep")
+        self.refused(Loop(torch.relu), (1, 32), "'lif'", "'relu'")
+        self.refused(Cleared(lambda _: True), (1, 32), "'lif'", "'mul'")
+        # Neurons that forget in each call spike less than those of a chip.
+        self.refused(Cleared(lambda _: False), (1, 32), "'lif'", "in PyTorch", "reset neurons in each call")
+
+    def test_a_network_that_was_misread_is_refused(self):
+        right, module = _torch.neuron, nn.Sequential(nn.Linear(32, 8), self.lif(), nn.Linear(8, 4), self.lif(threshold=0.2, output=True))
+        wrong = lambda *args: {**right(*args), "v_threshold": right(*args)["v_threshold"] * 1.2}
+        _torch.neuron = wrong
+        try:
+            self.refused(module, (1, 32), "'1'", "not understood")
+        finally:
+            _torch.neuron = right
+
+    def test_exporters_that_stop_are_named(self):
+        with self.assertRaises(nsim.Error) as raised:
+            nsim.from_torch(nn.Linear(2, 2), torch.zeros(1, 2), export=lambda *_: 1 / 0)
+        self.assertIn("ZeroDivisionError", str(raised.exception))
+        self.assertIn("torch 2", raised.exception.help)
+
+    def test_the_block_of_the_readme_prints_spikes(self):
+        block = re.search(r"## Your PyTorch network.*?```python\n(.*?)```", README.read_text(), re.DOTALL)[1]
+        names = {}
+        exec(block, names)
+        self.assertGreater(names["mapping"].run(names["spikes"]).counts.sum(), 50)
+
+
+if __name__ == "__main__":
+    unittest.main()
