@@ -199,7 +199,15 @@ fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
     assert_eq!(model.target.as_deref(), Some("oheo-gulch"));
     let network = Network::new(model, SourceText::new("network.net", ""), BTreeMap::new()).unwrap();
     let network = front(&network).unwrap().into_quantised();
-    let compiled = compile(network.clone(), &load_target("oheo-gulch").unwrap(), &Options::default()).unwrap();
+    let board = load_target("oheo-gulch").unwrap();
+    let compiled = compile(network.clone(), &board, &Options::default()).unwrap();
+    // It fits one chip with every limit kept, by the compiler's count and by the checker's.
+    let used = nsim::check::verify::used(&compiled.program, &board).unwrap();
+    assert!(used.len() <= 128 && used.len() == compiled.partition.cores(), "{} cores", used.len());
+    for used in compiled.partition.usage().iter().chain(&used) {
+        assert_eq!(used.excesses(board.limits()).next(), None);
+    }
+    println!("{} cores", used.len());
     let image = Image::new(&compiled.program, 1).unwrap();
     let layers: Vec<(u32, u32)> = (network.populations().iter())
         .filter_map(|population| Some((population.first_compartment()?.0, population.shape.len())))

@@ -30,12 +30,12 @@ use std::collections::BTreeSet;
 use rayon::prelude::*;
 
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{ClassId, CoreId, Id, IdVec};
+use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::Mesh;
 use nsim_ir::program::{
-    AxonTarget, CoreClass, CoreFormat, CoreImage, InputAxon, PopulationAxon, Program, Stored, Synapse,
+    AxonTarget, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, PopulationAxon, Program, Stored, Synapse,
 };
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
@@ -166,7 +166,7 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
         verify_messages(program, messages, populations, || format!("input channel {channel}"))?;
     }
     let firsts = program.first_cores();
-    let tables = firsts.as_slice().par_iter().map(|&core| verify_tables(core, program.class_of(core), limits));
+    let tables = firsts.as_slice().par_iter().map(|&core| verify_tables(program, core, limits));
     let tables: IdVec<ClassId, Result<CoreUsage, Violation>> = tables.collect::<Vec<_>>().into();
     let all: Vec<CoreId> = program.cores().ids().collect();
     let of_core = |&core: &CoreId| match &tables[program.cores()[core].class] {
@@ -371,7 +371,8 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
 ///
 /// # Errors
 /// The first [`Violation`].
-fn verify_tables(core: CoreId, class: &CoreClass, limits: &Limits) -> Result<CoreUsage, Violation> {
+fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<CoreUsage, Violation> {
+    let class = program.class_of(core);
     let in_table = verify_populations(core, &class.inputs, limits)?;
     let longest = class.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
     let layout = Layout::of_core(class.compartments.len() as u32, longest, limits);
@@ -399,7 +400,34 @@ fn verify_tables(core: CoreId, class: &CoreClass, limits: &Limits) -> Result<Cor
     if let Some(format) = used.iter().position(|&used| !used) {
         return Err(Violation::Format { core, format, what: "is not used" });
     }
-    Ok(usage_of(class, longest, words_of(&class.inputs, &of_lists, &in_table)))
+    let stored = if limits.is_limited(Resource::StoredSynapses) { stored_synapses(program, core) } else { 0 };
+    let usage = usage_of(class, longest, words_of(&class.inputs, &of_lists, &in_table));
+    Ok(usage.with(Resource::StoredSynapses, stored))
+}
+
+/// Synapses that a core stores where the compartments of a channel share their weights: each weight
+/// other than 0, with its format and delay, as many times as the compartment that has it most
+/// often. It is exact for convolutions of which one compartment on the core has the whole kernel,
+/// and for populations of one position; otherwise it is the least that the tables need.
+fn stored_synapses(program: &Program, core: CoreId) -> u64 {
+    let (image, class) = (&program.cores()[core], program.class_of(core));
+    let populations: Vec<&Compartments> = program.parts().populations.iter().flatten().collect();
+    let channel = |id: &CompartmentId| {
+        let of = populations.iter().find(|of| id.0.wrapping_sub(of.first.0) < of.count);
+        of.map_or(id.0, |of| id.0 - (id.0 - of.first.0) % of.positions)
+    };
+    let channels: Vec<u32> = image.ids.iter().map(channel).collect();
+    let format =
+        |format: u8| class.formats.iter().position(|f| f.synapse == class.formats[usize::from(format)].synapse);
+    let formats: Vec<Option<usize>> = (0..class.formats.len()).map(|at| format(at as u8)).collect();
+    let stored = class.inputs.synapses().filter(|synapse| synapse.weight != 0);
+    let weight =
+        |s: Synapse| (channels[usize::from(s.slot)], formats[usize::from(s.format)], s.delay, s.weight, s.slot);
+    let mut weights: Vec<_> = stored.map(weight).collect();
+    weights.sort_unstable();
+    let of_slots = weights.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3));
+    let most = of_slots.map(|weight| weight.chunk_by(|a, b| a.4 == b.4).map(<[_]>::len).max().unwrap_or(0) as u64);
+    most.sum()
 }
 
 fn verify_formats(core: CoreId, class: &CoreClass, layout: Layout) -> Result<(), Violation> {
@@ -472,6 +500,8 @@ fn usage_of(class: &CoreClass, longest: Delay, (words, widest): (u64, u32)) -> C
         Resource::CompartmentProfiles => profiles.len() as u64,
         Resource::ThresholdProfiles => thresholds.len() as u64,
         Resource::Accumulators => u64::from(compartments) * u64::from(delay_slots(longest)),
+        // This depends on the populations of the compartments.
+        Resource::StoredSynapses => 0,
     };
     CoreUsage { synapses: class.inputs.count(), of: PerResource::from_fn(of) }
 }

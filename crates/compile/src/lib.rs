@@ -10,6 +10,8 @@ pub mod explore;
 pub mod groups;
 pub mod mapping;
 pub mod mapping_file;
+#[cfg(test)]
+mod pilotnet_tests;
 pub mod place;
 #[cfg(test)]
 mod prune_tests;

@@ -9,13 +9,14 @@ use crate::emit::testing::proved;
 use crate::place;
 use crate::{CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Front, Options, Reason, compile, explore};
 use nsim_check::equivalence::{check, check_copies};
+use nsim_check::verify;
 use nsim_check::verify::{Violation, verify};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::graph::{Shape, Window};
-use nsim_ir::partition::{Partition, seats};
+use nsim_ir::partition::{CoreUsage, Partition, seats};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
@@ -98,6 +99,32 @@ fn resources_that_share_a_pool_are_kept_within_it() {
     assert!(reasons[0].to_string().contains("bytes of the memory of its core, the limit is 100"), "{}", reasons[0]);
 }
 
+#[test]
+fn a_kernel_is_stored_once_on_each_core_and_weights_of_zero_are_not() {
+    let mut net = Builder::new();
+    let image = net.input_shape("image", Shape::Volume(2, 9, 9));
+    let layer = net.loihi_with("layer", Shape::Volume(4, 9, 9), neurons());
+    let out = net.loihi("out", 3);
+    let (from, to, once) = ((2, 9, 9), (4, 9, 9), (1, 1));
+    let (kernel, stride, padding, dilation) = ((3, 3), once, once, once);
+    let window = Window { source: from, target: to, kernel, stride, padding, dilation, groups: 1 };
+    // Of the 18 weights of a channel every fourth is 0.
+    let kernel = (0..72).map(|k| if k % 4 == 0 { 0 } else { 2 * (k % 50) + 2 }).collect();
+    net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+    net.dense(layer, out, |s, t| if (s + t) % 3 == 0 { 0 } else { 2 });
+    let limits = limits().with(Resource::StoredSynapses, 500);
+    let compiled = compiled(net.build(), limits.clone());
+    let used = verify::used(&compiled.program, &target(2, 2, limits)).unwrap();
+    let stored = |used: &CoreUsage| used[Resource::StoredSynapses];
+    // 4 channels of 18 weights less 18; 324 sources, of which two thirds have a weight.
+    let all: Vec<u64> = used.iter().map(stored).collect();
+    assert_eq!(all, compiled.partition.usage().iter().map(stored).collect::<Vec<u64>>());
+    let (kernels, dense) = (54, 216);
+    let has_kernels = |n: u64| n % dense == kernels;
+    assert!(all.iter().all(|&n| has_kernels(n) || n % dense == 0), "{all:?}");
+    assert!(all.iter().any(|&n| has_kernels(n)) && all.iter().sum::<u64>() % dense % kernels == 0, "{all:?}");
+}
+
 /// Limits drawn small enough to split and large enough to be met.
 fn drawn_limits(seed: u64) -> Limits {
     let draw = |k, low: u64, high: u64| (low + rng::below(high - low + 1, seed, 99, k)) as u32;
@@ -112,6 +139,8 @@ fn drawn_limits(seed: u64) -> Limits {
         Resource::CompartmentProfiles => draw(7, 1, 4),
         Resource::ThresholdProfiles => draw(8, 1, 2),
         Resource::Accumulators => draw(9, 8, 100),
+        Resource::StoredSynapses if seed.is_multiple_of(2) => draw(11, 150, 800),
+        Resource::StoredSynapses => u32::MAX,
     };
     let packing = if draw(10, 0, 1) == 0 { Packing::Nengo } else { Packing::Nxtf };
     Limits { most: PerResource::from_fn(of), packing, ..limits() }

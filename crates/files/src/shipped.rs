@@ -91,8 +91,8 @@ pub const TRAININGS: &[Shipped] = shipped!(
     "container-both",
 );
 /// Shipped targets.
-pub const TARGETS: &[Shipped] =
-    shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs", "oheo-gulch");
+pub const TARGETS: &[Shipped] = shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs", "oheo-gulch",
+        "kapoho-point", "hala-point");
 /// Shipped chips.
 pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "loihi2", "tiny");
 /// Shipped presets of constants.

@@ -2,8 +2,9 @@
 //!
 //! Input: the `limits` of a chip file. Output: [`Limits`], a table by [`Resource`], with the pools
 //! that resources share and the rules by which axons and synapses take of them. Invariants: every
-//! resource has a limit, its own or the most that its pools leave it. Errors: a resource that has
-//! neither a limit nor a pool; a pool that nothing draws on.
+//! resource has a limit, its own or the most that its pools leave it, or is named as without one.
+//! Errors: a resource that has neither a limit nor a pool and is not named so; a pool that nothing
+//! draws on.
 //!
 //! A resource is described once, in the table of [`Resource`]: files, messages, reports and counts
 //! take their names, their order and their number from it. To add one, add a row here, count it
@@ -96,13 +97,15 @@ macro_rules! resources {
         #[derive(Deserialize, Serialize)]
         #[serde(deny_unknown_fields, rename = "Limits")]
         struct LimitsInFile {
-            $(#[serde(default = "not_given")] $name: u32,)*
+            $(#[serde(default = "not_given", skip_serializing_if = "is_not_given")] $name: u32,)*
             axon_out_slots: u32,
             axon_out_slots_off_chip: u32,
             #[serde(default)]
             output_axons: OutputAxons,
             synapses_per_entry: u32,
             packing: Packing,
+            #[serde(default, skip_serializing_if = "Vec::is_empty")]
+            unlimited: Vec<Resource>,
             #[serde(default, skip_serializing_if = "Vec::is_empty")]
             pools: Vec<Pool>,
         }
@@ -172,6 +175,10 @@ macro_rules! resources {
                     output_axons,
                     synapses_per_entry,
                     packing,
+                    unlimited: Resource::ALL
+                        .into_iter()
+                        .filter(|&resource| limits.most[resource] == NOT_GIVEN && !OPTIONAL.contains(&resource))
+                        .collect(),
                     pools: limits.pools.into_iter().map(Arc::unwrap_or_clone).collect(),
                 }
             }
@@ -222,7 +229,14 @@ resources! {
     Accumulators, accumulators: "map.accumulators", Some("accumulators"), "dendritic accumulators of its core",
         "shorten the longest delay into this population: a compartment takes one accumulator for each step of it, \
          rounded up to a power of two";
+    /// Synapses that a core stores where kernels are shared: of a convolution or a pool its kernel,
+    /// once for each channel of targets; none of weight 0. Counted only where it is limited.
+    StoredSynapses, stored_synapses: "map.stored-synapses", None, "stored synapses of its core",
+        "use fewer synapses, or prune weights to 0, which take no memory";
 }
+
+/// What a chip need not limit: Loihi 1 counts words instead.
+const OPTIONAL: [Resource; 1] = [Resource::StoredSynapses];
 
 impl Resource {
     /// The name in files and in JSON.
@@ -408,17 +422,23 @@ impl Limits {
         self
     }
 
+    /// Whether a resource has a limit, its own or that of a pool.
+    #[must_use]
+    pub fn is_limited(&self, resource: Resource) -> bool {
+        self.most[resource] != NOT_GIVEN
+    }
+
     /// Need and limit of everything that a core has, in a fixed order: resources, then pools.
     pub fn against(&self, used: PerResource<u64>) -> impl Iterator<Item = (Capacity, u64, u64)> {
-        let resources =
-            Resource::ALL.into_iter().map(move |r| (Capacity::Resource(r), used[r], u64::from(self.most[r])));
+        let limited = Resource::ALL.into_iter().filter(|&resource| self.is_limited(resource));
+        let resources = limited.map(move |r| (Capacity::Resource(r), used[r], u64::from(self.most[r])));
         resources.chain(self.pools.iter().map(move |pool| (Capacity::Pool(pool.clone()), pool.need(&used), pool.limit)))
     }
 
     /// Whether nothing is used beyond its limit.
     #[must_use]
     pub fn hold(&self, used: &PerResource<u64>) -> bool {
-        Resource::ALL.into_iter().all(|resource| used[resource] <= u64::from(self.most[resource]))
+        Resource::ALL.into_iter().all(|r| used[r] <= u64::from(self.most[r]) || !self.is_limited(r))
             && self.pools.iter().all(|pool| pool.need(used) <= pool.limit)
     }
 }
@@ -443,6 +463,11 @@ fn not_given() -> u32 {
     NOT_GIVEN
 }
 
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_not_given(most: &u32) -> bool {
+    *most == NOT_GIVEN
+}
+
 impl TryFrom<LimitsInFile> for Limits {
     type Error = String;
 
@@ -459,9 +484,14 @@ impl TryFrom<LimitsInFile> for Limits {
                 most[resource] = most[resource].min(u32::try_from(pool.limit / u64::from(cost)).unwrap_or(u32::MAX));
             }
         }
-        let lacking = Resource::ALL.into_iter().find(|&resource| most[resource] == NOT_GIVEN);
-        if let Some(resource) = lacking {
-            return Err(format!("missing field `{}`: give its limit, or a pool that it draws on", resource.name()));
+        let lacks = |&resource: &Resource| most[resource] == NOT_GIVEN;
+        if let Some(resource) = file.unlimited.iter().find(|resource| !lacks(resource)) {
+            return Err(format!("`{}` is unlimited and has a limit; remove one of them", resource.name()));
+        }
+        let mut lacking = Resource::ALL.into_iter().filter(lacks);
+        if let Some(resource) = lacking.find(|one| !OPTIONAL.contains(one) && !file.unlimited.contains(one)) {
+            let help = "give its limit, a pool that it draws on, or name it in `unlimited`";
+            return Err(format!("missing field `{}`: {help}", resource.name()));
         }
         let LimitsInFile {
             axon_out_slots,
@@ -483,7 +513,7 @@ mod tests {
 
     const OWN: &str = "(compartments: 16, axons_in: 64, axons_out: 64, axon_out_slots: 1, axon_out_slots_off_chip: 2, \
         axons_out_per_compartment: 8, synapse_words: 256, synapse_words_per_axon: 8, synapses_per_entry: 64, \
-        synapse_formats: 3, compartment_profiles: 4, threshold_profiles: 4, accumulators: 128, packing: Nengo)";
+        synapse_formats: 3, compartment_profiles: 4, threshold_profiles: 4, accumulators: 128, stored_synapses: 99, packing: Nengo)";
 
     fn limits(text: &str) -> Result<Limits, String> {
         ron::from_str(text).map_err(|error| error.to_string())
@@ -526,6 +556,15 @@ mod tests {
         let refused = |text: String| limits(&text).unwrap_err();
         assert!(refused(OWN.replace("axons_out: 64, ", "")).contains("missing field `axons_out`"));
         assert!(refused(OWN.replace("axons_out: 64", "axon_outs: 64")).contains("axon_outs"));
+        let unlimited = |own: &str| own.replace("Nengo)", "Nengo, unlimited: [axons_out])");
+        assert!(refused(unlimited(OWN)).contains("`axons_out` is unlimited and has a limit"));
+        let without = limits(&unlimited(&OWN.replace("axons_out: 64, ", ""))).unwrap();
+        assert!({
+            let mut used = PerResource::default();
+            used[Resource::AxonsOut] = 1 << 40;
+            without.hold(&used)
+        });
+        assert_eq!(limits(&ron::to_string(&without).unwrap()).unwrap(), without);
         let pool =
             |costs: &str| {
                 refused(OWN.replace(

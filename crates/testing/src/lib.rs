@@ -44,6 +44,7 @@ pub fn limits() -> Limits {
         Resource::SynapseFormats | Resource::ThresholdProfiles => 16,
         Resource::CompartmentProfiles => 32,
         Resource::Accumulators => 8192,
+        Resource::StoredSynapses => u32::MAX,
     };
     Limits {
         most: PerResource::from_fn(of),

@@ -13,16 +13,25 @@ use nsim_ir::hardware::{Chip, Target};
 use nsim_report::inspect::{Findings, FindingsTable};
 
 fn limits_table(chip: &Chip) -> FindingsTable {
+    let pools = &chip.limits.pools;
     let row = |(name, value): (String, Value)| {
-        let origin = chip.limit_sources.iter().find(|entry| entry.limit.value == name);
+        let source_of = |name: &str| chip.limit_sources.iter().find(|entry| entry.limit.value == name);
+        // A resource without a source of its own has that of its pool.
+        let pool = pools.iter().find(|pool| pool.costs.keys().any(|resource| resource.name() == name));
+        let origin = source_of(&name).or_else(|| source_of(&pool?.name));
         let (status, source) = (origin.map(|entry| entry.status), origin.map(|entry| &entry.source));
         json!([name, value, status, source])
     };
-    let limits = match json!(chip.limits) {
+    let mut limits = match json!(chip.limits) {
         Value::Object(limits) => limits,
         _ => Map::new(),
     };
-    FindingsTable::new("limits", &["limit", "value", "status", "source"], limits.into_iter().map(row))
+    let unlimited = limits.remove("unlimited").and_then(|names| names.as_array().cloned()).unwrap_or_default();
+    let unlimited = unlimited.iter().filter_map(|name| Some((name.as_str()?.to_string(), "unlimited".into())));
+    limits.remove("pools");
+    let pools = pools.iter().map(|pool| (pool.name.clone(), format!("{} {}", pool.limit, pool.unit).into()));
+    let rows = pools.chain(limits).chain(unlimited).map(row);
+    FindingsTable::new("limits", &["limit", "value", "status", "source"], rows)
 }
 
 fn constants_table(presets: &[Constants]) -> FindingsTable {

@@ -17,6 +17,7 @@ use crate::resources::axon_sharing;
 use crate::resources::axon_sharing::{Class, Places};
 use crate::resources::counter::{CoreTotals, ListCounter, Words, skip_bits_for};
 use crate::resources::formats::Formats;
+use crate::resources::formats::by_channel;
 use crate::resources::packing::{Group, Widths};
 use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
 use nsim_ir::base::fixed::Delay;
@@ -25,7 +26,7 @@ use nsim_ir::graph::Window;
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::resource::{Limits, OutputAxons};
+use nsim_ir::resource::{Limits, OutputAxons, Resource};
 
 /// A projection into a layer.
 #[derive(Debug, Clone, Copy)]
@@ -42,6 +43,9 @@ pub struct Incoming {
     pub uniform: bool,
     /// Compartments of the source; `None` for inputs, which take no output axon.
     pub from: Option<u32>,
+    /// Synapses that a core stores of each channel of its targets, at most: those of weight 0 are
+    /// counted where all sources reach all targets.
+    pub stored: u64,
     /// Its format among those of the network.
     pub format: u16,
     /// Its delay.
@@ -97,6 +101,7 @@ impl Layer {
                 placed: shape_of(source).volume().map(positions).filter(|_| places.holds(network, source)),
                 from: network.populations()[source].first_compartment().map(|_| shape_of(source).len()),
                 uniform: matches!(projection.connectivity, Connectivity::SumPool2d { .. }),
+                stored: by_channel(projection).into_iter().max().unwrap_or(window.source.0.into()),
                 format: formats.by_projection()[id.index()],
                 delay: projection.delay,
             });
@@ -347,6 +352,10 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
         false => Members::default(),
     };
     let members = of_fields.iter().enumerate().map(members).collect();
+    if limits.is_limited(Resource::StoredSynapses) {
+        let each: u64 = reaching.iter().map(|&i| layer.incoming[i].stored).sum();
+        totals.stored = u64::from(channels.size) * each;
+    }
     totals.synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
     BoxUse { usage: totals.usage(limits), arriving: arriving.into(), members }
 }

@@ -23,7 +23,8 @@
 //! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct
 //!   mantissas;
 //! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse
-//!   into the core.
+//!   into the core;
+//! - stored synapses: as [`stored`](crate::resources::formats) counts them.
 //!
 //! `nsim_check::verify` counts again from finished tables and shares none of this, packing
 //! included.
@@ -222,6 +223,8 @@ pub struct CoreTotals {
     pub compartment_profiles: u32,
     /// Distinct thresholds.
     pub threshold_profiles: u32,
+    /// Stored synapses ([`stored`](crate::resources::formats)), where they are limited.
+    pub stored: u64,
 }
 
 impl CoreTotals {
@@ -236,6 +239,7 @@ impl CoreTotals {
             lists: Default::default(),
             compartment_profiles: 0,
             threshold_profiles: 0,
+            stored: 0,
         }
     }
 
@@ -264,6 +268,7 @@ impl CoreTotals {
             Resource::Accumulators => {
                 u64::from(self.compartments) * u64::from(packing::delay_slots(self.longest_delay))
             }
+            Resource::StoredSynapses => self.stored,
         };
         CoreUsage { synapses: self.synapses, of: PerResource::from_fn(used) }
     }

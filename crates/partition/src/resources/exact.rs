@@ -12,6 +12,7 @@ use crate::resources::counter::{CoreTotals, LISTS, ListCounter, ListTotals, Prof
 use crate::resources::fan_out;
 use crate::resources::fan_out::{FanOut, MembersOfCores, SharedPlaces};
 use crate::resources::formats::Formats;
+use crate::resources::formats::StoredSynapses;
 use crate::resources::packing::{Group, Widths};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
@@ -105,6 +106,7 @@ fn uses(
     let longest = longest_delays(network, seats, members.len(), |_| true);
     let profiles = profiles(network, seats, members.len());
     let formats = Formats::for_network(network);
+    let stored = limits.is_limited(Resource::StoredSynapses).then(|| StoredSynapses::for_network(network));
     let counted = by_core::by_core(network, &formats, seats, members.len(), |core, keys| {
         let held = &members[core];
         let mut totals = CoreTotals::new(held.len() as u32, longest[core]);
@@ -113,6 +115,7 @@ fn uses(
         totals.lists = lists.totals;
         totals.synapses = keys.len() as u64;
         (totals.compartment_profiles, totals.threshold_profiles) = profiles[core].counts();
+        totals.stored = stored.as_ref().map_or(0, |stored| stored.of_core(network, held));
         (totals.usage(limits), lists.members(limits))
     });
     let (used, shared): (Vec<CoreUsage>, Vec<_>) = counted.into_iter().unzip();

@@ -10,16 +10,18 @@
 //! are a *bundle*, which is told once.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
+use crate::resources::formats::StoredSynapses;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::graph::Window;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Population, Quantised};
+use nsim_ir::resource::{Limits, Resource};
 
 /// Sources of spikes under one number: channels first, then compartments.
 #[must_use]
@@ -127,6 +129,7 @@ enum Backwards {
 pub struct FanIn {
     incoming: IdVec<PopulationId, Vec<ProjectionId>>,
     projections: IdVec<ProjectionId, (u32, Backwards)>,
+    stored: OnceLock<StoredSynapses>,
 }
 
 impl FanIn {
@@ -161,7 +164,14 @@ impl FanIn {
             };
             projections.push((first_source(network, source), backwards));
         }
-        FanIn { incoming, projections }
+        FanIn { incoming, projections, stored: OnceLock::new() }
+    }
+
+    /// The stored synapses of this index's network, counted once; `None` where they are unlimited.
+    #[must_use]
+    pub fn stored(&self, network: &Quantised, limits: &Limits) -> Option<&StoredSynapses> {
+        let limited = limits.is_limited(Resource::StoredSynapses);
+        limited.then(|| self.stored.get_or_init(|| StoredSynapses::for_network(network)))
     }
 
     /// Calls `f(source, projection, part, bundle)` for every synapse into a compartment of a

@@ -20,6 +20,7 @@ use crate::resources::counter::{CoreTotals, FormatCounts, LISTS, Profiles, store
 use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::ALONE;
 use crate::resources::formats::Formats;
+use crate::resources::formats::{Kernels, StoredSynapses};
 use crate::resources::packing;
 use crate::resources::packing::{Compression, Group, MOST_SLOTS, Widths};
 use nsim_ir::base::fixed::{Delay, WeightBits};
@@ -210,6 +211,9 @@ pub struct Filling<'a> {
     /// Of compartments that share output axons, those counted so far.
     together: HashSet<u64>,
     places: Places,
+    /// What compartments store where kernels are shared, if that is limited.
+    stored: Option<&'a StoredSynapses>,
+    kernels: Kernels,
     /// The first slot that each place reaches.
     begins: HashMap<u32, u16>,
     /// Whether the core holds its compartments only because lists are shared.
@@ -245,6 +249,8 @@ impl<'a> Filling<'a> {
             totals: CoreTotals::new(0, Delay::MIN),
             slots_out: 0,
             together: HashSet::new(),
+            stored: fan_in.stored(network, limits),
+            kernels: Kernels::new(),
             begins: HashMap::new(),
             shares: places.are_of_need(),
             places,
@@ -264,6 +270,7 @@ impl<'a> Filling<'a> {
         (self.totals, self.slots_out) = (CoreTotals::new(0, Delay::MIN), 0);
         self.begins.clear();
         self.together.clear();
+        self.kernels.clear();
         self.shares = self.places.are_of_need();
         (self.shortened, self.used) = (false, None);
         std::mem::take(&mut self.members)
@@ -345,6 +352,9 @@ impl<'a> Filling<'a> {
             self.recount();
         }
         self.profiles.insert(&newcomer.neuron);
+        if let Some(stored) = self.stored {
+            self.totals.stored += stored.added(newcomer.population, newcomer.index, &mut self.kernels);
+        }
         if newcomer.together == ALONE || self.together.insert(newcomer.together) {
             self.slots_out += u64::from(newcomer.slots_out);
         }
