@@ -6,7 +6,7 @@
 
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::units::{Femtojoules, Nanowatts, Picoseconds};
-use nsim_ir::hardware::constants::{Constant, Constants, Status, Unit, for_each_constant};
+use nsim_ir::hardware::constants::{Constant, Constants, Status, StepForm, Unit, for_each_constant};
 
 /// A ratio in thousandths.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -54,6 +54,8 @@ macro_rules! cost_table {
         #[derive(Debug, Clone, PartialEq, Eq)]
         pub struct CostTable {
             name: String,
+            /// How the time of a step follows from its parts.
+            pub step: StepForm,
             /// Barrier times by tiles in use, ascending and not empty.
             barrier: Vec<(u64, Picoseconds)>,
             $(#[doc = concat!("[`Constants::", stringify!($field), "`]")] pub $field: integer!($unit),)*
@@ -79,7 +81,7 @@ macro_rules! cost_table {
                     ));
                 }
                 $(let $field = scaled(preset, stringify!($field), &constants.$field)?.into();)*
-                Ok(CostTable { name: constants.name.clone(), barrier, $($field,)* })
+                Ok(CostTable { name: constants.name.clone(), step: constants.step, barrier, $($field,)* })
             }
         }
     };

@@ -6,6 +6,7 @@
 use crate::constants::CostTable;
 use nsim_ir::activity::{Activity, CoreCounts, HopCounts, StepActivity};
 use nsim_ir::base::units::{Femtojoules, Picoseconds};
+use nsim_ir::hardware::constants::StepForm;
 use nsim_ir::placement::Route;
 
 /// Dynamic energy of the neuron cores and their mesh, by what it was spent on.
@@ -126,18 +127,23 @@ impl StepTime {
     }
 }
 
-/// (9) Time of one core's delivery and update in a step; both are serial.
+/// Time of one core's delivery and update in a step: (9), their sum, or the core's terms of (21),
+/// of which the greatest counts.
 #[must_use]
 pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
-    times(&[
-        (table.axon_in_time, core.messages_in),
-        (table.synapse_dense_time, core.events_dense),
-        (table.synapse_sparse_time, core.events_sparse),
+    let reads = [(table.axon_in_time, core.messages_in)];
+    let synapses = [(table.synapse_dense_time, core.events_dense), (table.synapse_sparse_time, core.events_sparse)];
+    let dendrites = [
         (table.compartment_time, core.visited),
         (table.compartment_active_time, core.active),
         (table.spike_time, core.spikes),
         (table.axon_out_time, core.messages_out),
-    ])
+    ];
+    let terms = [times(&reads), times(&synapses), times(&dendrites)].into_iter();
+    match table.step {
+        StepForm::Sum => Picoseconds(terms.fold(0, |sum: u64, term| sum.saturating_add(term.0))),
+        StepForm::Greatest => terms.max().unwrap_or_default(),
+    }
 }
 
 /// Time of a message's route through an empty mesh.
@@ -256,6 +262,22 @@ pub(crate) mod tests {
         assert_eq!(time.barrier, Picoseconds(1_000_000));
         let host = time.injection.0 + time.turn.0;
         assert_eq!(time.total(), Picoseconds(first + 14_700 + 1_000_000 + host));
+    }
+
+    #[test]
+    fn parts_that_overlap_take_as_long_as_the_greatest_of_them() {
+        let mut greatest = table("sanafe-calibrated");
+        greatest.step = StepForm::Greatest;
+        // 5 dense and 4 sparse events take longer than two visits and one message.
+        let step_of_two = step();
+        let second = &step_of_two.cores.as_slice()[1];
+        assert_eq!(core_time(second, &greatest), Picoseconds(5 * 3_800 + 4 * 4_700));
+        let first = 3 * 6_000 + 2 * 3_700 + 30_000 + 2 * 5_100;
+        let time = step_time(&step(), &greatest, 2);
+        assert_eq!((time.slowest_core, time.transport), (Picoseconds(first), Picoseconds(0)));
+        // A core with nothing else takes the time of its reads.
+        let reads = CoreCounts { messages_in: 3, ..CoreCounts::default() };
+        assert_eq!(core_time(&reads, &greatest), Picoseconds(3 * 16_000));
     }
 
     #[test]

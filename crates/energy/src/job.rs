@@ -8,6 +8,9 @@ use nsim_session::Outcome;
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
 
+/// The level of intervals by the errors of works.
+const LEVEL: f64 = 0.8;
+
 /// What ending samples when they are decided would save of the whole run: equation (16).
 pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
     let lane = &case.meter.lanes()[case.preset];
@@ -61,6 +64,7 @@ pub fn report(
         input: Vec::new(),
         samples,
         timesteps: case.activity.steps(),
+        level: case.errors.iter().all(|error| error.works > 0).then_some(LEVEL),
         accounting: case.accounting,
         accuracy: None,
         labelled: 0,

@@ -3,7 +3,8 @@
 //! Input: a program's routes ([`MessageRoutes`], computed once) and the activity of a step. Output:
 //! the time of cores and mesh together, (11) and (17) of `docs/energy.md`. `analytic` adds the
 //! longest route and the wait at the busiest link to the slowest core; it costs about as much as
-//! counting. `queued` follows every message through finite buffers ([`queue`]).
+//! counting. `queued` follows every message through finite buffers ([`queue`]). Constants whose parts
+//! overlap ([`StepForm::Greatest`]) take the busiest link alone, (21), whatever the model.
 
 pub mod queue;
 pub mod routes;
@@ -13,6 +14,7 @@ use crate::model::{StepTime, core_time, route_time, times};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::names::named_variants;
 use nsim_ir::base::units::Picoseconds;
+use nsim_ir::hardware::constants::StepForm;
 
 use self::queue::Queue;
 
@@ -102,7 +104,8 @@ impl Timing {
 }
 
 impl MessageRoutes {
-    /// The times of a step under each preset, (11) or (17); the memory is reused between steps.
+    /// The times of a step under each preset, (11), (17) or (21); the memory is reused between
+    /// steps.
     #[must_use]
     pub fn step_times(
         &self,
@@ -115,7 +118,8 @@ impl MessageRoutes {
         let crossed = self.crossed_in(step);
         let spikes_in = self.spikes_in(step);
         let mut busiest = [0; 2];
-        if timing.transport == Transport::Analytic {
+        let overlaps = |table: &CostTable| table.step == StepForm::Greatest;
+        if timing.transport == Transport::Analytic || tables.iter().any(overlaps) {
             for here in self.regions.iter().map(|region| region.busiest_links(self, step)) {
                 busiest = std::array::from_fn(|of| busiest[of].max(here[of]));
             }
@@ -128,9 +132,17 @@ impl MessageRoutes {
             let wait = wait(table.link_time, busiest[0]).max(wait(table.link_chip_time, busiest[1]));
             (cores, Picoseconds(way.0.saturating_add(wait)))
         };
+        // (21): the messages of the busiest link pass it while cores work.
+        let overlapped = |table: &CostTable| {
+            let cores = step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default();
+            let link = |link: Picoseconds, load: u32| link.0.saturating_mul(load.into());
+            let link = link(table.link_time, busiest[0]).max(link(table.link_chip_time, busiest[1]));
+            (cores, Picoseconds(link.saturating_sub(cores.0)))
+        };
         let mut time = |table: &CostTable| {
             let fixed = timing.host_and_barrier(spikes_in, table);
             let (slowest_core, transport) = match timing.transport {
+                _ if overlaps(table) => overlapped(table),
                 Transport::Analytic => analytic(table),
                 Transport::Queued => self.followed(step, table, fixed.injection, memory),
             };
@@ -326,8 +338,12 @@ pub(crate) mod tests {
         step.messages_from_inputs = 12;
         step.add_routes(Route { east_west: 1, north_south: 0, chip: 0 }, 12);
         let memory = &mut QueueMemory::default();
-        let time = routes.step_times(&step, &[slow], timing(Transport::Analytic), memory);
+        let mut overlapping = slow.clone();
+        overlapping.step = StepForm::Greatest;
+        let time = routes.step_times(&step, &[slow, overlapping], timing(Transport::Analytic), memory);
         assert_eq!(time[0].transport, Picoseconds(4_100 + 11 * 1_000_000));
+        // Ten visits meanwhile; the link outlasts them.
+        assert_eq!((time[1].slowest_core, time[1].transport), (Picoseconds(60_000), Picoseconds(12_000_000 - 60_000)));
     }
 
     #[test]

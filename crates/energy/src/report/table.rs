@@ -24,8 +24,6 @@ use nsim_session::detail::Detail;
 
 /// Cores that the text lists.
 const SLOWEST_SHOWN: usize = 6;
-/// The level of the intervals.
-const LEVEL: f64 = 0.8;
 /// Widths of the columns of the table: name, powers, latency, energy, energy-delay product.
 const WIDTHS: [usize; 7] = [16, 7, 8, 8, 11, 10, 9];
 
@@ -121,6 +119,8 @@ pub struct EnergyReport {
     pub estimate: Estimate,
     /// Rows of other hardware and of published jobs, with their sources.
     pub baselines: Vec<(EnergyRow, String)>,
+    /// The level of the intervals; `None` where they bound modelled constants.
+    pub level: Option<f64>,
     /// Which power counts.
     pub accounting: Accounting,
     /// The model of the mesh.
@@ -225,7 +225,7 @@ impl EnergyReport {
             "convention": self.convention().name(),
             "fits": true,
             "preset": self.preset,
-            "level": LEVEL,
+            "level": self.level,
             "seed": self.seed,
             "input": self.input,
             "samples": self.samples,
@@ -347,7 +347,8 @@ impl EnergyReport {
                 && (every_interval || !is_part)
                 && let Some(interval) = self.interval(row)
             {
-                lines.push(("  80 % interval".to_string(), interval, String::new()));
+                let name = if self.level.is_some() { "  80 % interval" } else { "  model's bounds" };
+                lines.push((name.to_string(), interval, String::new()));
             }
         }
         lines

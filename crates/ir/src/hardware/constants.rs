@@ -142,13 +142,24 @@ named_variants!(FigureClass {
 pub struct ClassError {
     /// Which figures.
     pub class: FigureClass,
-    /// Works that print such figures.
+    /// Works that print such figures; 0 where the factor bounds the constants themselves, between
+    /// what their sources leave open.
     pub works: u32,
-    /// A new work's figures are within this factor with a chance of 80 %.
+    /// A new work's figures are within this factor with a chance of 80 %, if works were counted.
     pub within_80: f64,
     /// The same with a chance of 90 %; absent where works are too few.
     #[serde(default)]
     pub within_90: Option<f64>,
+}
+
+/// How the parts of a core's work and the mesh make the time of a step.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub enum StepForm {
+    /// Parts follow each other: the sum, (9), (11) and (17) of `docs/energy.md`.
+    #[default]
+    Sum,
+    /// Parts overlap: the greatest of them, (21), after Timcheck et al. 2026 (arXiv 2601.10035).
+    Greatest,
 }
 
 /// A number with its origin.
@@ -339,6 +350,9 @@ macro_rules! constants {
             /// How far predictions with these constants were off.
             #[serde(default)]
             pub errors: Vec<ClassError>,
+            /// How the time of a step follows from its parts.
+            #[serde(default)]
+            pub step: StepForm,
             /// Barrier times by tiles in use, ascending.
             pub barrier: Vec<BarrierTime>,
             /// Figures of the same sources that enter no sum.
@@ -357,6 +371,12 @@ macro_rules! constants {
             /// What it is.
             #[serde(default)]
             pub notes: String,
+            /// The hardware that it is of, where that is not the other preset's.
+            pub hardware: Option<String>,
+            /// How far predictions may be off, in place of the other preset's.
+            pub errors: Option<Vec<ClassError>>,
+            /// How the time of a step follows from its parts, where not as in the other preset.
+            pub step: Option<StepForm>,
             /// Barrier times in place of the other preset's.
             pub barrier: Option<Vec<BarrierTime>>,
             $($(#[$doc])* pub $field: Option<Constant>,)*
@@ -376,6 +396,9 @@ macro_rules! constants {
                     made.$field = constant;
                     made.forget_errors(classes_of(stringify!($field)));
                 })*
+                made.step = self.step.unwrap_or(made.step);
+                made.hardware = self.hardware.unwrap_or(made.hardware);
+                made.errors = self.errors.unwrap_or(made.errors);
                 made
             }
         }
