@@ -137,6 +137,7 @@ pub const WORKLOADS: &[Shipped] = shipped!(
     "knn",
     "nmnist",
     "nmnist-auto",
+    "pilotnet-lif",
 );
 
 /// Shipped scenarios.

@@ -42,19 +42,19 @@ pub struct PublishedArgs {
 pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.plot, context)?;
     let constants = io::target::load_constants(CONSTANTS)?;
-    let workloads = workload::shipped()?;
-    let mut rows = output::with_progress(context, workloads.len(), "workloads", |done| {
-        rows(&workloads, &constants, |name| Ok(io::target::load_target(name)?), done)
-    })?;
+    let mut workloads = workload::shipped()?;
     if let Some(only) = &args.only {
         let only = only.to_lowercase();
-        rows.retain(|row| [&row.work, &row.workload].iter().any(|name| name.to_lowercase().contains(&only)));
-        if rows.is_empty() {
-            let mut works: Vec<&str> = workloads.iter().map(|file| file.work.as_str()).collect();
+        let mut works: Vec<String> = workloads.iter().map(|file| file.work.clone()).collect();
+        workloads.retain(|file| [&file.work, &file.name].iter().any(|name| name.to_lowercase().contains(&only)));
+        if workloads.is_empty() {
             works.dedup();
             return Err(Error::Usage(format!("--only {only}: no such work; there are {}", works.join(", "))));
         }
     }
+    let rows = output::with_progress(context, workloads.len(), "workloads", |done| {
+        rows(&workloads, &constants, |name| Ok(io::target::load_target(name)?), done)
+    })?;
     if let Some(path) = &args.plot {
         output::write_picture(path, &report::svg(&rows), context)?;
     }

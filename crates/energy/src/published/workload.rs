@@ -259,6 +259,10 @@ pub struct LayerCores {
     pub layers: Vec<Spanned<String>>,
     /// Cores of one copy, filled evenly.
     pub cores: u32,
+    /// Whether a core holds consecutive columns, with all rows and channels, rather than consecutive
+    /// compartments.
+    #[serde(default)]
+    pub stripes: bool,
 }
 
 /// What a printed figure is divided to.

@@ -32,7 +32,7 @@ fn table_of<'r>(rows: impl Iterator<Item = &'r PublishedRow>) -> String {
 
 /// What is said of a figure in CSV.
 const KEYS: &str =
-    "work,workload,quantity,kind,unit,published,predicted,low,high,left_out,accounting,source,first_hand,cause";
+    "work,workload,chip,quantity,kind,unit,published,predicted,low,high,left_out,accounting,source,first_hand,cause";
 
 /// `nsim.bench/1`.
 pub fn json(rows: &[PublishedRow]) -> Value {
@@ -40,6 +40,7 @@ pub fn json(rows: &[PublishedRow]) -> Value {
         json!({
             "work": row.work,
             "workload": row.workload,
+            "chip": row.chip,
             "quantity": row.quantity.name(),
             "kind": row.quantity.kind(),
             "unit": row.quantity.unit(),
@@ -70,10 +71,22 @@ fn of_kind(rows: &[PublishedRow], left_out: bool) -> impl Iterator<Item = &Publi
 
 /// For people.
 pub fn text(rows: &[PublishedRow]) -> String {
-    let mut out = format!("without what a work's own authors found\n\n{}", table_of(of_kind(rows, true)));
+    let mut out = String::new();
+    if of_kind(rows, true).next().is_some() {
+        out += &format!("without what a work's own authors found\n\n{}", table_of(of_kind(rows, true)));
+    }
     let second_hand = || rows.iter().filter(|row| !row.first_hand);
     if second_hand().next().is_some() {
         out += &format!("\nknown second-hand\n\n{}", table_of(second_hand()));
+    }
+    // Chips of which nothing is judged.
+    let is_modelled = |chip: &str| rows.iter().all(|row| row.chip != chip || row.first_hand && !row.left_out);
+    let mut chips: Vec<&str> = rows.iter().map(|row| row.chip.as_str()).filter(|chip| is_modelled(chip)).collect();
+    chips.dedup();
+    for chip in chips {
+        let of_chip = table_of(rows.iter().filter(|row| row.chip == chip));
+        let gap = if out.is_empty() { "" } else { "\n" };
+        out += &format!("{gap}on {chip}, by modelled constants; not in the averages\n\n{of_chip}");
     }
     for (time, name) in [(false, "power and energy"), (true, "time")] {
         let by_work = factors_by_work(rows, time);
@@ -135,6 +148,7 @@ mod tests {
         PublishedRow {
             work: "w".to_string(),
             workload: "w-1".to_string(),
+            chip: "c".to_string(),
             quantity: Quantity::StepTime,
             published,
             predicted: 10.0,
@@ -155,6 +169,14 @@ mod tests {
             assert!(json["rows"][0].get(key).is_some(), "{key}");
         }
         assert_eq!((&json["rows"][0]["kind"], &json["rows"][0]["accounting"]), (&json!("time"), &json!("profiler")));
+    }
+
+    #[test]
+    fn a_chip_that_judges_nothing_has_a_table_of_its_own() {
+        let other = PublishedRow { chip: "d".to_string(), workload: "other".to_string(), ..row(false, 80.0) };
+        let text = text(&[row(false, 8.0), row(true, 8.0), other]);
+        let (_, rest) = text.split_once("on d, by modelled constants; not in the averages").unwrap();
+        assert!(rest.contains("other") && rest.contains("mean 1.25, worst 1.25"), "{text}");
     }
 
     #[test]

@@ -28,6 +28,8 @@ pub struct PublishedRow {
     pub work: String,
     /// The workload.
     pub workload: String,
+    /// The chip's name.
+    pub chip: String,
     /// What was measured.
     pub quantity: Quantity,
     /// The printed value, in the quantity's unit.
@@ -75,7 +77,8 @@ fn without(constants: &Constants, group: &str) -> Constants {
 
 /// The rows of these workloads, in their order: each figure by all findings, then without those of
 /// its authors, by which the model is judged. Figures that are known second-hand judge nothing, so
-/// that they have no such row.
+/// that they have no such row; nor have figures of hardware that the constants are not of, which
+/// are predicted by the first preset of their target.
 ///
 /// # Errors
 /// [`Error`] where a workload cannot be compiled or run.
@@ -87,8 +90,11 @@ pub fn rows(
 ) -> Result<Vec<PublishedRow>, Error> {
     let mut rows = Vec::new();
     for file in workloads {
-        let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
         let target = target(&file.target.value)?;
+        let chip = target.chip();
+        let is_judged = file.first_hand && chip.hardware() == constants.hardware;
+        let constants = if chip.hardware() == constants.hardware { constants } else { &target.constants()[0] };
+        let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
         let values = predict(file, &target, Rates::Value, &tables)?;
         // A published rate has no range.
         let ends = match file.activity {
@@ -96,7 +102,7 @@ pub fn rows(
             _ => Some([Rates::Low, Rates::High].map(|end| predict(file, &target, end, &tables))),
         };
         let ends = ends.map(|[low, high]| Ok::<_, Error>([low?, high?])).transpose()?;
-        let ways = if file.first_hand { 2 } else { 1 };
+        let ways = if is_judged { 2 } else { 1 };
         for (which, left_out) in [false, true].into_iter().take(ways).enumerate() {
             for (number, figure) in file.figures.iter().enumerate() {
                 let predicted = values[which][number];
@@ -115,6 +121,7 @@ pub fn rows(
                 rows.push(PublishedRow {
                     work: file.work.clone(),
                     workload: file.name.clone(),
+                    chip: chip.name.clone(),
                     quantity: figure.quantity,
                     published: figure.published.value,
                     predicted,

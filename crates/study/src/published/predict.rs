@@ -18,6 +18,7 @@ use nsim_ir::activity::Activity;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates;
+use nsim_ir::graph::Shape;
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::seats;
 use nsim_ir::placement::{Mesh, Site};
@@ -40,7 +41,15 @@ fn members(file: &WorkloadFile, network: &Quantised) -> IdVec<CoreId, Vec<Compar
             let population = network.populations().iter().find(|population| population.name == name);
             let first =
                 population.and_then(nsim_ir::quantised::Population::first_compartment).map_or(0, |first| first.0);
-            (first..first + population.map_or(0, |population| population.shape.len())).map(CompartmentId)
+            let shape = population.map_or(Shape::Line(0), |population| population.shape);
+            let ordered: Vec<u32> = match shape.volume() {
+                Some((channels, rows, columns)) if part.stripes => {
+                    let place = |at: u32| (at / channels % rows) * columns + at / channels / rows;
+                    (0..shape.len()).map(|at| at % channels * rows * columns + place(at)).collect()
+                }
+                _ => (0..shape.len()).collect(),
+            };
+            ordered.into_iter().map(move |index| CompartmentId(first + index))
         };
         let all: Vec<CompartmentId> = part.layers.iter().flat_map(|name| of_layer(&name.value)).collect();
         let (units, count) = (all.len() as u64, u64::from(part.cores).min(all.len() as u64));
@@ -60,9 +69,11 @@ fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Co
     seats(network.compartments(), &members).map_err(|error| failed(CompileError::fault(error)))?;
     // What a source put on a core fits it, whatever nsim counts there.
     let mut limits = target.limits().clone();
-    for resource in Resource::ALL {
+    for resource in Resource::ALL.into_iter().filter(|&resource| target.limits().is_limited(resource)) {
         limits = limits.with(resource, u32::from(u16::MAX));
     }
+    limits = limits.with(Resource::AxonsOut, u32::MAX);
+    limits.pools.clear();
     let target = &target.clone().with_limits(limits);
     let (options, rates) = (Options::default(), firing_rates::Rates::assumed(nsim_compile::DEFAULT_RATE));
     let placed =
