@@ -60,11 +60,16 @@ fn probes_choose_what_is_drawn() {
     let (status, svg, _) = said(here, &line);
     assert_eq!((status, svg.matches("<polyline").count()), (0, 3), "{svg}");
     assert!(svg.contains(">hidden[4]</text>"));
+    let line = format!("plot messages m.ron --input {INPUT} --probe hidden[4] --probe out -o -");
+    let (status, svg, _) = said(here, &line);
+    assert!(status == 0 && svg.matches("<polyline").count() == 3, "{svg}");
+    // A spike without a payload carries 1.
+    assert!(svg.contains(">hidden[4]: 1</text>"), "{svg}");
     for (wrong, why) in [
         ("voltage m.ron --probe hidden[5] -o a.svg", "compartments 0 to 4"),
         ("voltage m.ron --probe in -o a.svg", "there are hidden, out"),
         ("raster m.ron --probe hidden[0] -o a.svg", "whole populations"),
-        ("energy m.ron --probe hidden -o a.svg", "raster and voltage"),
+        ("energy m.ron --probe hidden -o a.svg", "raster, voltage and messages"),
         ("raster m.ron -o a.gif", "name the picture .svg"),
         ("pareto m.ron -o a.svg", "nsim bench pareto m.ron --format json"),
         ("raster m.ron -o a.svg --format json", "--format is for results"),

@@ -18,7 +18,7 @@ use nsim_session::priced::{Metered, steps_per_sample};
 use nsim_session::samples::{Progress, Run, Running};
 use nsim_session::timeline::Timeline;
 use nsim_session::warnings::{Finished, Ran, warnings};
-use nsim_session::{Keep, Outcome, accuracy};
+use nsim_session::{Keep, Outcome, Quantity, accuracy};
 
 /// A mapped network of one or several copies, and what it is shown.
 #[derive(Debug)]
@@ -120,9 +120,9 @@ impl<'j> Workload<'j> {
         &self,
         settings: MeterSettings,
         sample: &Sample,
-        potentials: &[CompartmentId],
+        traced: (&[CompartmentId], Quantity),
     ) -> Result<Timeline, Error> {
-        Ok(Timeline::new(&self.metered, &self.compiled.one, settings, sample, potentials)?)
+        Ok(Timeline::new(&self.metered, &self.compiled.one, settings, sample, traced)?)
     }
 
     /// Runs all samples.

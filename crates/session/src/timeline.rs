@@ -1,7 +1,7 @@
-//! One sample, step by step: rows of all copies as [`StepLayout`] has them, spikes and potentials
-//! of the first copy.
+//! One sample, step by step: rows of all copies as [`StepLayout`] has them, spikes and traces of the
+//! first copy.
 //!
-//! Input: a mapping, a sample, what steps are metered under, the compartments whose potentials are
+//! Input: a mapping, a sample, what steps are metered under, the compartments of which a quantity is
 //! wanted. Output: a [`Timeline`]. Memory is bounded whatever the sample's length and the network's
 //! size: the first [`MOST_STEPS`] steps, of each population at most [`MOST_UNITS`] units in equal
 //! distances and [`MOST_SPIKES`] spikes; what was left out is said.
@@ -52,8 +52,8 @@ pub struct Timeline {
     pub rows: Vec<u64>,
     /// By population, in the network's order.
     pub rasters: Vec<Raster>,
-    /// Potentials of the compartments that were asked for, `[compartments][steps]`.
-    pub potentials: Vec<Vec<i32>>,
+    /// The quantity of the compartments that were asked for, `[compartments][steps]`.
+    pub traces: Vec<Vec<i32>>,
 }
 
 /// Where the spikes of one copy go: population and first unit of each range of sources.
@@ -129,7 +129,7 @@ impl Timeline {
         network: &Quantised,
         settings: MeterSettings,
         sample: &Sample,
-        potentials: &[CompartmentId],
+        (traced, quantity): (&[CompartmentId], Quantity),
     ) -> Result<Self> {
         let (all, sample) = (sample.steps(), &sample.beginning(MOST_STEPS));
         let layout = StepLayout::new(network);
@@ -141,8 +141,8 @@ impl Timeline {
                 Raster { population, units, every: units.div_ceil(MOST_UNITS).max(1), spikes: Vec::new(), cut: false }
             })
             .collect();
-        let probe = |&first: &CompartmentId| Probe { first, count: 1, quantity: Quantity::V };
-        let keep = Keep { probes: potentials.iter().map(probe).collect(), ..Keep::new(network.output()) };
+        let probe = |&first: &CompartmentId| Probe { first, count: 1, quantity };
+        let keep = Keep { probes: traced.iter().map(probe).collect(), ..Keep::new(network.output()) };
         let meter = || Watch {
             recorder: Recorder::kept(metered, settings.clone(), &layout),
             ranges: &ranges,
@@ -153,8 +153,7 @@ impl Timeline {
         let Watch { recorder, rasters, .. } = run.meter;
         let rows = recorder.into_rows();
         let outcome = run.outcomes.into_iter().next().unwrap_or_default();
-        let potentials = outcome.probes;
-        Ok(Timeline { steps: (sample.steps(), all), layout, rows, rasters, potentials })
+        Ok(Timeline { steps: (sample.steps(), all), layout, rows, rasters, traces: outcome.probes })
     }
 }
 
@@ -182,14 +181,14 @@ mod tests {
             let metered = Metered::new(&compiled);
             let (settings, _) = metered.offline(&board).unwrap();
             let watched: Vec<CompartmentId> = (0..network.compartments().min(5)).map(CompartmentId).collect();
-            let found = Timeline::new(&metered, network, settings, &sample, &watched).unwrap();
+            let found = Timeline::new(&metered, network, settings, &sample, (&watched, Quantity::V)).unwrap();
             let mut golden = Golden::new(network);
             golden.begin(60);
             let width = found.layout.columns().len();
             let mut meant: Vec<Vec<(u32, u32)>> = vec![Vec::new(); network.populations().len()];
             for step in 0..60 {
                 golden.step(sample.input(step));
-                for (&id, trace) in watched.iter().zip(&found.potentials) {
+                for (&id, trace) in watched.iter().zip(&found.traces) {
                     assert_eq!(trace[step as usize], golden.v(id), "seed {seed}, step {step}, {id}");
                 }
                 let mut counts = vec![0u64; meant.len()];

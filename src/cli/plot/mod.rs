@@ -29,7 +29,8 @@ use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::charts::picture::FILE;
 use nsim_report::charts::results;
-use nsim_report::charts::sample::{raster, traced, voltage};
+use nsim_report::charts::sample::{messages, raster, traced, voltage};
+use nsim_session::Quantity;
 use nsim_session::error::Error;
 use nsim_session::obtain::Wanted;
 use nsim_session::priced::Metered;
@@ -39,6 +40,7 @@ EXAMPLES:
   nsim plot raster -o raster.svg                        spikes of inputs and populations in one sample
   nsim plot raster model.ron --input s.npy --samples 3..4 --probe 'hid*' -o raster.svg
   nsim plot voltage model.ron --probe 'out[2]' --probe hidden -o voltage.svg
+  nsim plot messages pilotnet.ron --input frames.npy --probe layer9 -o out.svg  what it sends, step by step
   nsim plot energy --copies 32 -o energy.svg            where the energy of a timestep goes
   nsim plot time result.json -o time.svg                where its time goes, of a result that was saved
   nsim plot map model.ron --copies 8 -o map.svg         cores on their chips, and what links carry
@@ -52,6 +54,8 @@ pub enum What {
     Raster,
     /// Potentials of compartments over time
     Voltage,
+    /// Integers that compartments send over time
+    Messages,
     /// Power, time and energy of a timestep on all hardware
     Hardware,
     /// Where the energy of a timestep goes
@@ -78,7 +82,7 @@ impl What {
     /// How it is drawn from a result; none for what needs a run.
     fn of_result(self) -> Option<OfResult> {
         Some(match self {
-            What::Raster | What::Voltage | What::Map => return None,
+            What::Raster | What::Voltage | What::Messages | What::Map => return None,
             What::Hardware => (&["nsim.energy/1"], "nsim energy", results::hardware),
             What::Energy => (&["nsim.energy/1"], "nsim energy", results::energy),
             What::Time => (&["nsim.energy/1"], "nsim energy", results::time),
@@ -97,8 +101,8 @@ pub struct Args {
     what: What,
     #[command(flatten)]
     cost: CostArgs,
-    /// Populations to draw, by name or pattern; for voltage also single compartments, such as
-    /// 'out[2]' [default: all; of potentials those that spike most]
+    /// Populations to draw, by name or pattern; for voltage and messages also single compartments,
+    /// such as 'out[2]' [default: all; of compartments those that spike most]
     #[arg(long, value_name = "POP")]
     probe: Vec<String>,
     /// The picture; its name says what kind it is: SVG in every build of nsim, PNG and PDF in those
@@ -122,8 +126,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let taken = output::check_files(None, [&args.output], context)?;
     let (what, name) = (args.what, args.what.name());
-    if !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage) {
-        return Err(Error::Usage(format!("nsim plot {name}: --probe is for raster and voltage")));
+    if !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage | What::Messages) {
+        return Err(Error::Usage(format!("nsim plot {name}: --probe is for raster, voltage and messages")));
     }
     let (model, of_result) = (&args.cost.job.model, what.of_result());
     if saved::is_result(model) {
@@ -180,7 +184,8 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let metered = Metered::new(workload.compiled);
     let drawn = |ids: &[CompartmentId]| {
         let (settings, _) = metered.offline(workload.target)?;
-        workload.timeline(settings, sample, ids)
+        let quantity = if args.what == What::Messages { Quantity::Message } else { Quantity::V };
+        workload.timeline(settings, sample, (ids, quantity))
     };
     let number = cost.input.samples.as_ref().map_or(0, |range| range.0.start);
     let label = sample.label().map_or(String::new(), |label| {
@@ -204,7 +209,8 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let spikes = |id: CompartmentId| u64::from(counts[id.0 as usize]);
     let (ids, traced) = traced(network, wanted, spikes, MOST_TRACED);
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
-    write(args, &voltage(&title, network, &timeline, &traced), taken, context)
+    let draw = if args.what == What::Messages { messages } else { voltage };
+    write(args, &draw(&title, network, &timeline, &traced), taken, context)
 }
 
 /// The pattern of a probe, and the compartment that it names.
@@ -229,7 +235,7 @@ fn chosen(network: &Quantised, probes: &[String], what: What) -> Result<Vec<(Pop
         for &id in all.iter().filter(|&&id| fits_pattern(named, &network.populations()[id].name)) {
             let index = match index {
                 None => None,
-                Some(index) if what == What::Voltage => {
+                Some(index) if what != What::Raster => {
                     let shown = index.parse().ok().and_then(|index| network.index_of_shown(id, index));
                     let units = network.units_shown(id);
                     let name = &network.populations()[id].name;

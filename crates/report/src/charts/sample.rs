@@ -1,5 +1,5 @@
 //! One sample over time as SVG, a panel below another: spikes of senses or populations, potentials
-//! of compartments.
+//! and messages of compartments.
 //!
 //! Input: a recording, or a [`Timeline`] of a network. Output: one SVG text, the same for the same
 //! input. What a timeline left out is said in the picture. Dots of one kind are one path, so that
@@ -161,12 +161,32 @@ pub fn voltage(title: &str, network: &Quantised, timeline: &Timeline, traced: &[
         let points = largest.map(|(point, &v)| (end(point), f64::from(v) / of.threshold)).collect();
         Panel { label: of.name.clone(), share: 1.0, content: Content::Potential(points) }
     };
-    let panels = traced.iter().zip(&timeline.potentials).map(panel).collect();
+    let panels = traced.iter().zip(&timeline.traces).map(panel).collect();
     let (title, what) = (title.to_string(), format!("potential (dashed: threshold){reduced}"));
     Panels { title, what, steps, timestep_ms: network.parts().timestep_ms, onset_ms: None, panels }.svg()
 }
 
-/// A compartment whose potential is drawn.
+/// Messages over time, a panel for each compartment, in parts of its greatest, which its label
+/// gives; the timeline holds those of `traced`, in this order. No message is 0.
+pub fn messages(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced]) -> String {
+    let steps = timeline.steps.0;
+    let group = (steps as usize).div_ceil(MOST_POINTS).max(1);
+    let reduced = if group > 1 { format!(", the largest of {group} steps each") } else { String::new() };
+    let panel = |(of, trace): (&Traced, &Vec<i32>)| {
+        let greatest = trace.iter().map(|value| value.unsigned_abs()).max().unwrap_or(0);
+        let largest = trace.chunks(group).filter_map(|part| part.iter().max_by_key(|value| value.unsigned_abs()));
+        let end = |point: usize| ((point + 1) * group).min(steps as usize);
+        let share = |value: &i32| f64::from(*value) / f64::from(greatest.max(1));
+        let points = largest.enumerate().map(|(point, value)| (end(point), share(value))).collect();
+        let label = format!("{}: {greatest}", of.name);
+        Panel { label, share: 1.0, content: Content::Potential(points) }
+    };
+    let panels = traced.iter().zip(&timeline.traces).map(panel).collect();
+    let (title, what) = (title.to_string(), format!("message (dashed: the greatest){reduced}"));
+    Panels { title, what, steps, timestep_ms: network.parts().timestep_ms, onset_ms: None, panels }.svg()
+}
+
+/// A compartment whose potential or messages are drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Traced {
     /// Population and index.

@@ -22,6 +22,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::source_counts::SourceCounts;
+use nsim_session::Quantity;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
 use nsim_session::samples::Progress;
@@ -56,7 +57,7 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Trans
         let (ids, watched) = watched(network, &run.counts);
         let tables = run.meter.tables()[..1].to_vec();
         let settings = workload.metered(tables, deployment, transport);
-        let timeline = workload.timeline(settings, first, &ids)?;
+        let timeline = workload.timeline(settings, first, (&ids, Quantity::V))?;
         sections.sample = sample::json(network, &timeline, &watched, first, outcome);
     }
     Ok(sections)

@@ -38,7 +38,7 @@ pub fn json(network: &Quantised, timeline: &Timeline, watched: &[Traced], sample
         shown.map(|(column, curve)| (column.name.clone(), json!(curve))).collect();
     let potentials: Vec<Value> = watched
         .iter()
-        .zip(&timeline.potentials)
+        .zip(&timeline.traces)
         .map(|(of, trace)| {
             let largest: Vec<i32> = trace.chunks(group).filter_map(|part| part.iter().copied().max()).collect();
             json!({ "name": of.name, "threshold": of.threshold, "largest": largest })
