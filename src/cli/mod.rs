@@ -8,6 +8,7 @@
 pub mod agree;
 pub mod args;
 pub mod bench;
+pub mod compare;
 pub mod context;
 pub mod convert;
 pub mod diagnostics;
@@ -88,6 +89,7 @@ enum Command {
     Energy(energy::args::EnergyArgs),
     Plot(plot::Args),
     Report(report::Args),
+    Compare(compare::Args),
     Agree(agree::Args),
     Convert(convert::Args),
     Bench(bench::Args),
@@ -132,6 +134,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Energy(args) => energy::run(args, context),
         Command::Plot(args) => plot::run(args, context),
         Command::Report(args) => report::run(args, context),
+        Command::Compare(args) => compare::run(args, context),
         Command::Agree(args) => agree::run(args, context),
         Command::Convert(args) => convert::run(args, context),
         Command::Bench(args) => bench::run(args, context),
@@ -173,7 +176,7 @@ fn with_shipped_names(command: clap::Command) -> clap::Command {
     command.mut_args(|arg| {
         let shipped = match arg.get_id().as_str() {
             "model" | "models" => shipped::MODELS,
-            "target" => shipped::TARGETS,
+            "target" | "targets" => shipped::TARGETS,
             "constants" => shipped::CONSTANTS,
             _ => return arg,
         };

@@ -8,6 +8,7 @@ mod agreement;
 mod book;
 #[path = "../common/mod.rs"]
 mod common;
+mod compare;
 mod convert;
 mod energy;
 mod errors;

@@ -17,6 +17,7 @@ const SCREENS: [(&str, bool); 24] = [
     ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline rtx-2080-ti", false),
     ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline rtx-2080-ti --full", false),
     ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline --accounting rails --full", false),
+    ("compare m.ron --targets tiny,oheo-gulch --input scene:noise?samples=2&steps=20&rate=0.3", false),
     ("agree srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 --calibration-samples 2", false),
     ("agree srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 --against c.ron --against c.ron", false),
     ("convert srm.ron --input scene:noise?samples=4&steps=20&rate=0.3", true),

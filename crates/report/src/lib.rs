@@ -6,6 +6,7 @@
 pub mod agree;
 pub mod bench;
 pub mod charts;
+pub mod compare;
 pub mod convert;
 pub mod inspect;
 pub mod map;

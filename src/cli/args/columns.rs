@@ -18,11 +18,12 @@ const TEXT: usize = 28;
 const MOST: usize = 8;
 
 /// The options that `-h` lists.
-const MOST_USED: [(&str, &str); 12] = [
+const MOST_USED: [(&str, &str); 13] = [
     ("nsim", "format threads set"),
     ("nsim map", "target copies deployment objective prune mapping plot output"),
     ("nsim run", "target input samples engine early_exit probe mapping output"),
     ("nsim energy", "target input samples copies deployment baseline plot full"),
+    ("nsim compare", "targets input samples mode"),
     ("nsim agree", "input samples against target plot require_class_agreement require_exact"),
     ("nsim convert", "input samples calibrate target output"),
     ("nsim import", "dt_ms neuron reset decay input_shape output"),
@@ -35,7 +36,7 @@ const MOST_USED: [(&str, &str); 12] = [
 
 /// Commands by what they are for, as `nsim -h` lists them.
 const GROUPS: [(&str, &[&str]); 4] = [
-    ("Your network", &["map", "run", "energy", "agree", "convert", "import", "export", "report", "plot"]),
+    ("Your network", &["map", "run", "energy", "compare", "agree", "convert", "import", "export", "report", "plot"]),
     ("Studies", &["sweep", "train", "scene", "bench paper"]),
     ("Files and help", &["inspect", "show", "help", "completions"]),
     ("What proves nsim itself", &["stress", "bench"]),

@@ -112,6 +112,12 @@ impl Refusal {
         Refusal { model: model.to_string(), target: Box::new(target), reasons }
     }
 
+    /// The reasons.
+    #[must_use]
+    pub fn reasons(&self) -> &[Reason] {
+        &self.reasons
+    }
+
     /// Prints the reasons on stderr and, as JSON, the command's own object with the keys of a run
     /// left empty.
     ///

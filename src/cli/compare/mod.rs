@@ -1,0 +1,116 @@
+//! `nsim compare`: one network on several targets side by side.
+
+use crate::cli::args::conversion::CopiesArgs;
+use crate::cli::args::input::InputArgs;
+use crate::cli::args::jobs;
+use crate::cli::args::jobs::{JobArgs, Prepared};
+use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::values::one_of;
+use crate::cli::context::{Answer, Context};
+use crate::cli::energy::workload::{simulate, workload};
+use crate::cli::output;
+use nsim_cost::job::Mode;
+use nsim_energy::evaluate;
+use nsim_energy::evaluate::Plan;
+use nsim_energy::options::CostOptions;
+use nsim_files as io;
+use nsim_ir::hardware::Target;
+use nsim_report::compare as report;
+use nsim_report::compare::{ComparedTarget, Comparison, Intervals, Priced, Refused};
+use nsim_session::error::Error;
+use nsim_session::obtain::Wanted;
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim compare                                      the shipped network on one Loihi and one Loihi 2
+  nsim compare model.ron --targets loihi1-chip,oheo-gulch --input spikes.npy
+  nsim compare model.ron --targets oheo-gulch,mine.ron --input scene:noise --format json
+  nsim compare --targets loihi1-chip,nahuku-32 --samples 0..4 --format csv > targets.csv";
+
+/// Compare targets for a network: cores, time, energy and power side by side, with intervals
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// A model file or the name of a shipped model
+    #[arg(value_name = "MODEL", default_value = "vtsnn-slip")]
+    model: String,
+    #[command(flatten)]
+    timestep: TimestepArgs,
+    #[command(flatten)]
+    conversion: CopiesArgs,
+    /// Targets to compare: target files or names of shipped targets, separated by commas
+    #[arg(long, value_name = "TARGET,..", value_delimiter = ',', default_value = "loihi1-chip,oheo-gulch")]
+    targets: Vec<String>,
+    #[command(flatten)]
+    input: InputArgs,
+    /// As fast as possible, or held to the model's timestep
+    #[arg(long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
+    mode: Mode,
+}
+
+/// Runs the command. The answer is no if no target can hold the network.
+///
+/// # Errors
+/// [`Error`] when an input cannot be used. That a target cannot hold the network is a row.
+pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    let targets = args.targets.iter().map(|name| Ok(io::target::load_target(name)?));
+    let targets = targets.collect::<Result<Vec<Target>, Error>>()?;
+    let network = args.timestep.load(&args.model)?;
+    let name = network.file().name.clone();
+    let mut found = Comparison { model: name, input: Vec::new(), seed: None, targets: Vec::new() };
+    for (name, target) in args.targets.iter().zip(&targets) {
+        let on_target = match priced(args, name, target, &mut found, context) {
+            // What a chip does not have is told by a diagnostic of mapping.
+            Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
+                let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
+                Err(vec![Refused { code: problem.code.to_string(), message: problem.message.clone() + &help }])
+            }
+            other => other?,
+        };
+        let constants = target.constants().first().map_or(String::new(), |preset| preset.name.clone());
+        let hardware = target.chip().hardware().to_string();
+        found.targets.push(ComparedTarget { target: target.name().to_string(), hardware, constants, found: on_target });
+    }
+    output::print(context.format, || report::text(&found), || report::json(&found), || report::csv_rows(&found))?;
+    let holds = found.targets.iter().any(|target| target.found.is_ok());
+    Ok(if holds { Answer::Yes } else { Answer::No })
+}
+
+/// The network on one target, or why it cannot be held there.
+fn priced(
+    args: &Args,
+    name: &str,
+    target: &Target,
+    found: &mut Comparison,
+    context: Context,
+) -> Result<Result<Priced, Vec<Refused>>, Error> {
+    let job = JobArgs {
+        timestep: args.timestep.clone(),
+        target: Some(name.to_string()),
+        copies: args.conversion.clone(),
+        needs_scene: args.input.input.is_empty(),
+        ..JobArgs::for_model(&args.model)
+    };
+    let job = match jobs::prepare(&job, Wanted::Mapped, Some(1), &[])? {
+        Prepared::Ready(job) => job,
+        Prepared::DoesNotFit(refusal) => return Ok(Err(refusal.reasons().iter().map(Refused::from).collect())),
+    };
+    let workload = workload(&job, &args.input)?;
+    let plan = Plan::new(&args.model, None, Some(1))?;
+    let options = CostOptions { mode: args.mode, ..CostOptions::usual(Some(&[]))? };
+    let evaluated = evaluate::evaluate(&plan, &workload, &options, None, |metered, watched| {
+        simulate(&workload, metered, watched, true, context)
+    })?;
+    output::warn_all(&evaluated.energy.detail.warnings);
+    (found.input, found.seed) = (evaluated.energy.input.clone(), evaluated.energy.seed);
+    let total = evaluated.energy.estimate.rows.into_iter().find(|row| row.unit == "total");
+    let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;
+    let errors = target.constants().first().map_or(&[][..], |preset| target.errors(preset));
+    let intervals = match errors {
+        [] => None,
+        errors if errors.iter().all(|error| error.works == 0) => Some(Intervals::Constants),
+        _ => Some(Intervals::Works),
+    };
+    let (chips_used, cores_used) = (evaluated.deployment.chips_used, evaluated.deployment.cores_used);
+    Ok(Ok(Priced { chips_used, cores_used, row, intervals }))
+}
