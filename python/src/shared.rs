@@ -28,7 +28,7 @@ pub struct Shared {
 impl Shared {
     /// A mapping of this network, laid out where one thread runs it.
     pub fn new(model: &str, network: &Arc<Network>, compiled: Compiled, target: Target) -> Self {
-        let division = Division::new(&compiled.program, 2);
+        let division = Division::new(&compiled.program, usize::MAX);
         let image = match division.shards {
             1 => laid_out(&compiled.program, division).ok(),
             _ => None,

@@ -78,7 +78,7 @@ fn short_help_is_a_screen_and_long_help_has_every_option() {
     let names = root.lines().filter_map(|line| line.strip_prefix("  ")?.split("  ").next());
     let commands: Vec<&str> = names.take_while(|name| !name.starts_with('-')).filter(|name| !name.is_empty()).collect();
     assert!(commands.len() > 16, "{root}");
-    let below = ["bench map", "bench step", "bench pareto", "bench published"];
+    let below = ["bench map", "bench step", "bench pareto", "bench published", "bench sweep"];
     for command in commands.into_iter().chain(below) {
         let words: Vec<&str> = command.split(' ').collect();
         let help = |option| printed(std::path::Path::new("."), &[&words[..], &[option]].concat(), 80);

@@ -4,6 +4,8 @@
 //! Made by an engine, read by those who sum over populations. Merging is addition, so neither the
 //! order of samples nor threads can change a sum.
 
+use std::ops::AddAssign;
+
 use serde::{Deserialize, Serialize};
 
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec};
@@ -17,6 +19,14 @@ pub struct LeftField {
     pub clipped: u64,
     /// Of these, those at the upper end that no reset to zero follows: what they lose is missed.
     pub cut: u64,
+}
+
+impl AddAssign for LeftField {
+    fn add_assign(&mut self, more: Self) {
+        self.wrapped += more.wrapped;
+        self.clipped += more.clipped;
+        self.cut += more.cut;
+    }
 }
 
 /// Spikes by source and overflow by compartment, of a run or a part of it.
@@ -49,10 +59,7 @@ impl SourceCounts {
         if self.left_fields.is_empty() {
             self.left_fields = vec![LeftField::default(); self.compartments.len()].into();
         }
-        let sum = &mut self.left_fields.as_mut_slice()[compartment.index()];
-        sum.wrapped += more.wrapped;
-        sum.clipped += more.clipped;
-        sum.cut += more.cut;
+        self.left_fields.as_mut_slice()[compartment.index()] += more;
     }
 
     /// Adds another part of the run.

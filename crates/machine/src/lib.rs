@@ -143,6 +143,13 @@ impl Machine {
         self.counts.take(&self.image, &mut self.shards, self.arch)
     }
 
+    /// Adds what another machine of the same image, without other processes, counted over its
+    /// samples: [`Machine::take_counts`] then is of both.
+    pub fn absorb(&mut self, other: &Machine) {
+        self.counts.absorb(&other.counts);
+        self.shards.iter_mut().zip(&other.shards).for_each(|(sum, more)| sum.absorb(more));
+    }
+
     /// Compartment updates of the sample so far that were left out because the compartment was at
     /// rest.
     #[must_use]

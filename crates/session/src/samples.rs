@@ -4,6 +4,7 @@
 //! whatever the number of threads. Errors: a program whose sums could leave their integers.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -25,9 +26,9 @@ use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_reference::{Model, Real, Reference};
 
-/// With more synapses than this, threads share the cores of one sample instead of the samples, so
-/// that one image serves all.
-const LARGE: u64 = 4_000_000;
+/// Compartments of all threads together up to which each thread has a machine of its own, however
+/// few the synapses: some 300 MiB of state.
+const HELD: u64 = 8_000_000;
 /// With fewer synapses than this, sharing the cores of a sample costs more than it gains.
 const SHARED: u64 = 100_000;
 
@@ -104,13 +105,14 @@ pub struct Division {
 }
 
 impl Division {
-    /// For this many samples of a program.
+    /// For this many samples of a program. Threads share a sample where there are fewer samples
+    /// than threads, or where states of their own would take more memory than the image of all.
     #[must_use]
     pub fn new(program: &Program, samples: usize) -> Self {
-        let synapses = program.synapses_of(|_| true);
-        let in_turn = synapses > LARGE || samples == 1;
-        let shards = if in_turn && synapses > SHARED { rayon::current_num_threads() } else { 1 };
-        Division { shards, in_turn }
+        let (synapses, threads) = (program.synapses_of(|_| true), rayon::current_num_threads());
+        let states = u64::from(program.compartments()) * threads as u64;
+        let shares = synapses > SHARED && (samples < threads || states > HELD.max(synapses));
+        Division { shards: if shares { threads } else { 1 }, in_turn: shares || samples == 1 }
     }
 }
 
@@ -201,14 +203,14 @@ pub fn fast_on<M: Meter>(
 ) -> Run<M> {
     let Running { skip, per_step, .. } = running;
     let begin = Instant::now();
-    let run = |part: &[&Sample]| in_turn(Machine::new(image, Settings { skip, per_step }), part, running, &new_meter);
+    let machine = || Machine::new(image, Settings { skip, per_step });
     let run = if division.shards > 1 {
         // A step that is shared from outside the pool would wake a thread each time.
-        rayon::scope(|_| run(samples))
+        rayon::scope(|_| in_turn(machine(), samples, running, &new_meter))
     } else if division.in_turn {
-        run(samples)
+        in_turn(machine(), samples, running, &new_meter)
     } else {
-        in_parts(samples, run)
+        at_once(machine, samples, running, &new_meter)
     };
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
@@ -220,12 +222,66 @@ fn in_turn<M: Meter>(
     running: Running<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {
+    let run = uncounted(&mut machine, samples, running, new_meter);
+    let (activity, counts) = machine.take_counts();
+    Run { activity, counts, ..run }
+}
+
+/// Parts of the samples for each thread: enough for samples of different lengths to balance.
+const PARTS: usize = 16;
+
+/// Runs samples at the same time, on a machine for each thread, which takes the next part as soon
+/// as it has run one. Counts are summed once, over all machines.
+fn at_once<M: Meter>(
+    new_machine: impl Fn() -> Machine + Sync,
+    samples: &[&Sample],
+    running: Running<'_>,
+    new_meter: impl Fn() -> M + Sync,
+) -> Run<M> {
+    let threads = rayon::current_num_threads();
+    let parts: Vec<&[&Sample]> = samples.chunks(samples.len().div_ceil(PARTS * threads).max(1)).collect();
+    let next = AtomicUsize::new(0);
+    let of_thread = |_| {
+        let (mut machine, mut runs) = (None, Vec::new());
+        loop {
+            let place = next.fetch_add(1, Ordering::Relaxed);
+            let Some(part) = parts.get(place) else { break };
+            let machine = machine.get_or_insert_with(&new_machine);
+            runs.push((place, uncounted(machine, part, running, &new_meter)));
+        }
+        (machine, runs)
+    };
+    let (machines, runs): (Vec<_>, Vec<_>) = (0..threads).into_par_iter().with_max_len(1).map(of_thread).unzip();
+    let sum = machines.into_iter().flatten().reduce(|mut sum, more| {
+        sum.absorb(&more);
+        sum
+    });
+    let (activity, counts) = sum.unwrap_or_else(new_machine).take_counts();
+    let mut runs: Vec<(usize, Run<M>)> = runs.into_iter().flatten().collect();
+    runs.sort_unstable_by_key(|(place, _)| *place);
+    let (outcomes, meter) = (Vec::with_capacity(samples.len()), new_meter());
+    let mut all = Run { outcomes, activity, counts, meter, skipped_updates: 0, wall_s: 0.0, ranks: Vec::new() };
+    for (_, Run { outcomes, meter, skipped_updates, .. }) in runs {
+        all.outcomes.extend(outcomes);
+        all.meter.merge(meter);
+        all.skipped_updates += skipped_updates;
+    }
+    all
+}
+
+/// Runs samples one after the other on a machine, whose counts stay in it.
+fn uncounted<M: Meter>(
+    machine: &mut Machine,
+    samples: &[&Sample],
+    running: Running<'_>,
+    new_meter: impl Fn() -> M,
+) -> Run<M> {
     let Running { keep, copies, progress, ranks, .. } = running;
     let is_first = ranks.is_none_or(|ranks| ranks.rank() == 0);
     let (mut outcomes, mut meter, mut skipped_updates) = (Vec::with_capacity(samples.len()), new_meter(), 0);
     for sample in samples {
         let mut of_sample = new_meter();
-        outcomes.push(run_copies(&mut machine, sample, copies, keep, |machine: &Machine, passed| {
+        outcomes.push(run_copies(machine, sample, copies, keep, |machine: &Machine, passed| {
             if is_first {
                 of_sample.see(machine.last_step(), passed);
             }
@@ -234,7 +290,7 @@ fn in_turn<M: Meter>(
         skipped_updates += machine.skipped_updates();
         progress();
     }
-    let (activity, counts) = machine.take_counts();
+    let (activity, counts) = (Activity::default(), SourceCounts::default());
     Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks: Vec::new() }
 }
 

@@ -8,6 +8,7 @@
 //! There are no goals here: documents say whether a figure is good.
 
 pub mod early;
+pub mod ladders;
 pub mod mapping;
 pub mod networks;
 pub mod pareto;

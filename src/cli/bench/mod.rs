@@ -6,6 +6,7 @@ pub mod paper;
 pub mod pareto;
 pub mod published;
 mod scenes;
+pub mod sweep;
 
 use std::cell::OnceCell;
 use std::hint::black_box;
@@ -16,6 +17,7 @@ use crate::cli::args::values;
 use crate::cli::bench::paper::PaperArgs;
 use crate::cli::bench::pareto::ParetoArgs;
 use crate::cli::bench::published::PublishedArgs;
+use crate::cli::bench::sweep::SweepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
@@ -48,7 +50,8 @@ EXAMPLES:
   nsim bench map --full                             with networks of a million compartments
   nsim bench pareto --samples 0..50                 run time against error of variants of the shipped network
   nsim bench published                              what others measured on the chip, beside what nsim predicts
-  nsim bench paper                                  the tables of the seed paper beside what was measured";
+  nsim bench paper                                  the tables of the seed paper beside what was measured
+  nsim bench sweep                                  where run time a synaptic event jumps";
 
 /// Measure speed and mappings on standard networks, and run time against error
 #[derive(Debug, clap::Args)]
@@ -73,6 +76,7 @@ enum Which {
     Pareto(Box<ParetoArgs>),
     Published(PublishedArgs),
     Paper(PaperArgs),
+    Sweep(SweepArgs),
     #[cfg(feature = "ann")]
     Ann(ann::AnnArgs),
 }
@@ -141,6 +145,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Which::Pareto(args) => pareto::run(args, context),
         Which::Published(args) => published::run(args, context),
         Which::Paper(args) => paper::run(args, context),
+        Which::Sweep(args) => sweep::run(args, context),
         #[cfg(feature = "ann")]
         Which::Ann(args) => ann::run(args, context),
     }

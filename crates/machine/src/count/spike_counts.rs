@@ -12,7 +12,7 @@
 //! Why: c is the same for every spike, so a step only counts spikes. Each synapse of a source is
 //! looked at once for all its late spikes: with long delays most spikes of a short sample are late.
 
-use crate::count::tally::DELAYS;
+use crate::count::tally::Fired;
 use crate::layout::image::Image;
 use crate::update::state::ShardState;
 use nsim_ir::activity::Activity;
@@ -27,8 +27,8 @@ pub(crate) struct SpikeCounts {
     pub channels: Vec<u32>,
     /// n of each compartment that another process holds, by compartment; empty where there is none.
     pub remote: Vec<u32>,
-    /// l, by the steps that are reached, then by source; empty where there were no such spikes.
-    late: Vec<Vec<u32>>,
+    /// l, by source, then by the steps that are reached; empty while there was no such spike.
+    late: Vec<u32>,
     /// Timesteps.
     pub steps: u64,
     /// The residual of the spikes since `channels` was last cleared that were before this sample;
@@ -43,7 +43,7 @@ impl SpikeCounts {
         SpikeCounts {
             channels: vec![0; image.channels as usize],
             remote: vec![0; remote],
-            late: vec![Vec::new(); image.longest_delay as usize + 1],
+            late: Vec::new(),
             steps: 0,
             residual_before: 0,
         }
@@ -58,20 +58,25 @@ impl SpikeCounts {
     /// as many as the longest delay.
     #[cold]
     pub fn note_late(&mut self, image: &Image, sources: impl Iterator<Item = u32>, reach: u32) {
-        let late = &mut self.late[reach as usize];
-        late.resize(image.sources(), 0);
-        sources.for_each(|source| late[source as usize] += 1);
+        let delays = image.longest_delay as usize + 1;
+        if self.late.is_empty() {
+            // Zeroed memory is committed where it is written.
+            self.late = vec![0; image.sources() * delays];
+        }
+        sources.for_each(|source| self.late[source as usize * delays + reach as usize] += 1);
     }
 
-    /// How many events the synapses of a source lost to the ends of samples, by delay.
-    fn lost(&self, source: usize) -> [u64; DELAYS] {
-        let mut lost = [0; DELAYS];
-        let mut so_far = 0;
-        for (late, lost) in self.late.iter().zip(&mut lost) {
-            so_far += u64::from(late.get(source).copied().unwrap_or(0));
-            *lost = so_far;
-        }
-        lost
+    /// Adds the counts of another run over the same image; those of compartments are in the states
+    /// of its shards.
+    pub fn absorb(&mut self, other: &SpikeCounts) {
+        let add = |sums: &mut Vec<u32>, more: &[u32]| {
+            sums.resize(more.len().max(sums.len()), 0);
+            sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+        };
+        add(&mut self.channels, &other.channels);
+        add(&mut self.remote, &other.remote);
+        add(&mut self.late, &other.late);
+        self.steps += other.steps;
     }
 
     /// The residual of the sample's synaptic events, those of undelivered spikes included
@@ -98,13 +103,17 @@ impl SpikeCounts {
         let by_source = self.by_source(&fired, image, shards);
         let of_compartments = fired[self.channels.len()..].iter_mut();
         of_compartments.zip(&mut self.remote).for_each(|(fired, remote)| *fired += std::mem::take(remote));
-        let mut sum = image.tally().sum(&fired);
-        if self.late.iter().any(|late| !late.is_empty()) {
-            for source in (0..fired.len()).filter(|&source| fired[source] > 0) {
-                image.tally().take_lost(source as u32, &self.lost(source), &mut sum);
-            }
-            self.late.iter_mut().for_each(Vec::clear);
+        // A synapse loses the spikes that reach no more steps than its delay.
+        let mut lost = std::mem::take(&mut self.late);
+        for (late, _) in lost.chunks_mut(image.longest_delay as usize + 1).zip(&fired).filter(|(_, fired)| **fired > 0)
+        {
+            let mut so_far = 0;
+            late.iter_mut().for_each(|late| {
+                so_far += *late;
+                *late = so_far;
+            });
         }
+        let mut sum = image.tally().sum(Fired { spikes: &fired, lost: &lost });
         image.tally().add_visits(self.steps, &mut sum);
         for (state, shard) in shards.iter_mut().zip(&image.shards) {
             for (count, block) in state.take_active(shard).into_iter().zip(&shard.blocks) {
@@ -136,7 +145,7 @@ impl SpikeCounts {
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        let late: usize = self.late.iter().map(|late| size_of_val(late.as_slice())).sum();
-        size_of_val(self.channels.as_slice()) + size_of_val(self.remote.as_slice()) + late
+        let of = |counts: &Vec<u32>| size_of_val(counts.as_slice());
+        of(&self.channels) + of(&self.remote) + of(&self.late)
     }
 }

@@ -8,25 +8,30 @@
 //!
 //! How many synapses of a list are dense is known beforehand. Only near a sample's end, where
 //! deliveries fall after it, are synapses counted one by one.
+//!
+//! A run is counted once, core by core ([`Tally::sum`]): first each message writes its source to
+//! the input axon that it reaches, then each core reads its lists in order. Following each message
+//! to its list would miss the cache two or three times a message.
 
+use std::ops::Range;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 use self_cell::self_cell;
 
 use crate::count::routing_tables::{RoutingTables, Selected};
+use crate::deliver::prefetch::prefetch;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::csr::Csr;
-use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, IdVec};
+use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::placement::{Route, Site};
 use nsim_ir::program::{CoreClass, CoreFormat, Program, Synapse};
 
-/// The longest delay field of a program's synapses.
-#[must_use]
-pub fn longest_delay(program: &Program) -> u32 {
-    let synapses = program.classes().iter().flat_map(|class| class.inputs.lists.items());
-    synapses.map(|synapse| u32::from(synapse.delay.get())).max().unwrap_or(0)
+/// The shortest and the longest delay field of a class's synapses; zeros where it has none.
+fn delays(class: &CoreClass) -> (u8, u8) {
+    let delays = || class.inputs.lists.items().iter().map(|synapse| synapse.delay.get());
+    (delays().min().unwrap_or(0), delays().max().unwrap_or(0))
 }
 
 /// Whether lists of this format carry no index: their targets are consecutive.
@@ -99,8 +104,22 @@ impl Caused {
     }
 }
 
-/// Values of a delay field.
-pub(crate) const DELAYS: usize = Delay::MAX.get() as usize + 1;
+/// How often each source spiked.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Fired<'a> {
+    /// Spikes by source, channels first.
+    pub spikes: &'a [u32],
+    /// For each source and each delay field up to the longest, the spikes that synapses of that
+    /// delay did not deliver before a sample's end; empty if there were none.
+    pub lost: &'a [u32],
+}
+
+/// Input axons whose sources are noted at a time: 64 MiB of memory.
+const NOTED: usize = 1 << 24;
+/// What stands for an axon whose source did not spike.
+const SILENT: u32 = u32::MAX;
+/// Input axons between the prefetch of what a source lost and its use.
+const PREFETCH_AXONS: usize = 8;
 
 /// The most messages of all sources together for which what each causes is kept: two megabytes of
 /// memory.
@@ -113,6 +132,8 @@ pub struct Tally<'p> {
     /// Whether this process counts input spikes, which all see.
     counts_inputs: bool,
     longest_delay: u32,
+    /// The shortest and the longest of each class.
+    delays: IdVec<ClassId, (u8, u8)>,
     kinds: IdVec<ClassId, ListKinds>,
     class_of: IdVec<CoreId, ClassId>,
     sites: IdVec<CoreId, Site>,
@@ -153,10 +174,12 @@ impl<'p> Tally<'p> {
     #[must_use]
     pub fn new(program: &'p Program) -> Self {
         let sites = program.cores().iter().map(|image| image.site).collect();
+        let delays: IdVec<ClassId, _> = program.classes().iter().map(delays).collect();
         Tally {
             program,
             counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
-            longest_delay: longest_delay(program),
+            longest_delay: delays.iter().map(|&(_, longest)| longest.into()).max().unwrap_or(0),
+            delays,
             kinds: program.classes().iter().map(ListKinds::new).collect(),
             class_of: program.cores().iter().map(|image| image.class).collect(),
             sites,
@@ -217,42 +240,33 @@ impl<'p> Tally<'p> {
         sum
     }
 
-    /// Adds what spikes of these sources cause, `times` of each, counting synapses whose delay
-    /// field is below `reach`.
-    pub fn add_spikes(
-        &self,
-        sources: impl Iterator<Item = u32> + Clone,
-        times: impl Fn(u32) -> u64,
-        reach: u32,
-        sum: &mut StepActivity,
-    ) {
+    /// Adds what one spike of each of these sources causes, counting synapses whose delay field is
+    /// below `reach`.
+    fn add_spikes(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
         for source in sources.clone() {
-            self.add_sent(source, self.tables.messages(source).len() as u64, times(source), sum);
+            self.add_sent(source, self.tables.messages(source).len() as u64, sum);
         }
-        let mut last = None;
-        self.each_caused(sources, reach, |source, caused| {
-            let times = match last {
-                Some((of, times)) if of == source => times,
-                _ => times(source),
-            };
-            last = Some((source, times));
-            caused.add(times, sum);
-        });
+        self.each_caused(sources, reach, |_, caused| caused.add(1, sum));
     }
 
-    /// Adds this many spikes of a source that sends this many messages.
+    /// Adds a spike of a source that sends this many messages.
     #[inline]
-    fn add_sent(&self, source: u32, sent: u64, times: u64, sum: &mut StepActivity) {
-        match self.core_of(source) {
-            None => {
-                sum.spikes_in += if self.counts_inputs { times } else { 0 };
-                sum.messages_from_inputs += sent * times;
-            }
-            Some(core) => {
-                // A core's spikes are counted where it is held; its messages where they arrive.
-                sum.cores[core].spikes += if self.program.holds(core) { times } else { 0 };
-                sum.cores[core].messages_out += sent * times;
-            }
+    fn add_sent(&self, source: u32, sent: u64, sum: &mut StepActivity) {
+        let core = self.core_of(source);
+        self.add_fired(core, 1, sum);
+        match core {
+            None => sum.messages_from_inputs += sent,
+            Some(core) => sum.cores[core].messages_out += sent,
+        }
+    }
+
+    /// Adds spikes of a core, or of channels. A core's spikes are counted where it is held; its
+    /// messages where they arrive.
+    #[inline]
+    fn add_fired(&self, core: Option<CoreId>, times: u64, sum: &mut StepActivity) {
+        match core {
+            None => sum.spikes_in += if self.counts_inputs { times } else { 0 },
+            Some(core) => sum.cores[core].spikes += if self.program.holds(core) { times } else { 0 },
         }
     }
 
@@ -299,52 +313,126 @@ impl<'p> Tally<'p> {
     /// Adds what one spike of each of these sources causes.
     fn add_each(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
         let Some(kept) = self.kept().filter(|_| reach > self.longest_delay) else {
-            return self.add_spikes(sources, |_| 1, reach, sum);
+            return self.add_spikes(sources, reach, sum);
         };
         for source in sources {
             let messages = kept.get(source as usize);
-            self.add_sent(source, messages.len() as u64, 1, sum);
+            self.add_sent(source, messages.len() as u64, sum);
             messages.iter().for_each(|caused| caused.add(1, sum));
         }
     }
 
-    /// What this many spikes of each source cause if no delivery falls after a sample's end.
-    #[must_use]
-    pub fn sum(&self, fired: &[u32]) -> StepActivity {
+    /// What these spikes cause.
+    pub(crate) fn sum(&self, fired: Fired<'_>) -> StepActivity {
         let cores = self.sites.len();
+        let inputs = |core: usize| self.program.class_of(CoreId::new(core)).inputs.len();
+        let mut sum = StepActivity::new(cores);
         // Each thread has counts for all cores, so it takes at least as many sources.
-        let size = fired.len().div_ceil(rayon::current_num_threads()).max(cores).max(1);
-        let of_part = |(part, some): (usize, &[u32])| {
-            let mut sum = StepActivity::new(cores);
-            let sources = ((part * size) as u32..).zip(some).filter(|&(_, &times)| times > 0).map(|(source, _)| source);
-            self.add_spikes(sources, |source| fired[source as usize].into(), u32::MAX, &mut sum);
-            sum
-        };
-        let parts: Vec<StepActivity> = match fired.len() <= size {
-            true => vec![of_part((0, fired))],
-            false => fired.par_chunks(size).enumerate().map(of_part).collect(),
-        };
-        let mut parts = parts.into_iter();
-        let mut sum = parts.next().unwrap_or_else(|| StepActivity::new(cores));
-        parts.for_each(|part| sum.merge(&part));
+        let parts = (fired.spikes.len() / cores.max(1)).clamp(1, rayon::current_num_threads());
+        let mut begin = 0;
+        while begin < cores {
+            // The next cores, at least one, with the first axon of each and the end of the last.
+            let mut firsts = vec![0];
+            while begin + firsts.len() <= cores && (firsts.len() == 1 || firsts[firsts.len() - 1] < NOTED) {
+                firsts.push(firsts[firsts.len() - 1] + inputs(begin + firsts.len() - 1));
+            }
+            let sources: Vec<AtomicU32> = (0..firsts[firsts.len() - 1]).map(|_| AtomicU32::new(SILENT)).collect();
+            let senders = |part: usize| (cores + 1) * part / parts..(cores + 1) * (part + 1) / parts;
+            let sent = |part| self.sent(senders(part), (begin, &firsts), fired, &sources);
+            let sent: Vec<StepActivity> = (0..parts).into_par_iter().map(sent).collect();
+            sent.iter().for_each(|part| sum.merge(part));
+            let receivers = &mut sum.cores.as_mut_slice()[begin..begin + firsts.len() - 1];
+            receivers.par_iter_mut().zip(firsts.par_windows(2)).enumerate().for_each(|(place, (counts, axons))| {
+                let events = self.received(CoreId::new(begin + place), &sources[axons[0]..axons[1]], fired);
+                (counts.events_dense, counts.events_sparse) = events;
+            });
+            begin += firsts.len() - 1;
+        }
         sum
     }
 
-    /// Takes off the synaptic events that a source's synapses lost, by delay.
-    pub fn take_lost(&self, source: u32, lost: &[u64; DELAYS], sum: &mut StepActivity) {
-        if lost.iter().all(|&lost| lost == 0) {
-            return;
-        }
-        self.tables.resolve(std::iter::once(source), |Selected { core, stored, formats, .. }| {
-            let counts = &mut sum.cores[core];
-            for synapse in stored {
-                let lost = lost[usize::from(synapse.delay.get())];
-                match is_dense(&formats[usize::from(synapse.format)]) {
-                    true => counts.events_dense -= lost,
-                    false => counts.events_sparse -= lost,
+    /// What the spikes of some senders cause before they are received by the cores from `begin` on,
+    /// whose axons begin at `firsts`; there the source of each message is noted. Sender 0 is the
+    /// channels, the others are the cores.
+    fn sent(
+        &self,
+        senders: Range<usize>,
+        (begin, firsts): (usize, &[usize]),
+        fired: Fired<'_>,
+        sources: &[AtomicU32],
+    ) -> StepActivity {
+        let (mesh, mut sum) = (self.program.mesh(), StepActivity::new(self.sites.len()));
+        let (mut messages, mut reached) = (vec![0; firsts.len() - 1], Vec::new());
+        for sender in senders {
+            let core = sender.checked_sub(1).map(CoreId::new);
+            let channels = 0..if core.is_none() { self.program.channels() } else { 0 };
+            let ids = core.map_or(&[][..], |core| &self.program.cores()[core].ids);
+            let compartments = ids.iter().map(|id| self.program.channels() + id.0);
+            for source in channels.chain(compartments) {
+                let times = u64::from(fired.spikes[source as usize]);
+                if times == 0 {
+                    continue;
+                }
+                if begin == 0 {
+                    self.add_fired(core, times, &mut sum);
+                }
+                for target in self.tables.messages(source) {
+                    let Some(place) = target.core.index().checked_sub(begin).filter(|&at| at < messages.len()) else {
+                        continue;
+                    };
+                    if messages[place] == 0 {
+                        reached.push(place);
+                    }
+                    messages[place] += times;
+                    sources[firsts[place] + usize::from(target.axon)].store(source, Ordering::Relaxed);
                 }
             }
-        });
+            for place in reached.drain(..) {
+                let (to, count) = (CoreId::new(begin + place), std::mem::take(&mut messages[place]));
+                sum.cores[to].messages_in += count;
+                match core {
+                    None => sum.messages_from_inputs += count,
+                    Some(core) => sum.cores[core].messages_out += count,
+                }
+                let site = self.sites[to];
+                let route = |core| mesh.route(self.sites[core], site);
+                sum.add_routes(core.map_or_else(|| mesh.route_from_corner(site), route), count);
+            }
+        }
+        sum
+    }
+
+    /// Synaptic events at a core whose input axons have these sources: (dense, sparse).
+    fn received(&self, core: CoreId, sources: &[AtomicU32], fired: Fired<'_>) -> (u64, u64) {
+        let (class, delays) = (self.class_of[core], self.longest_delay as usize + 1);
+        let CoreClass { inputs, formats, .. } = self.program.class_of(core);
+        let is_sparse: Vec<bool> = formats.iter().map(|format| !is_dense(format)).collect();
+        let mut events = [0; 2];
+        for (axon, source) in sources.iter().enumerate() {
+            let source = source.load(Ordering::Relaxed) as usize;
+            if let Some(far) = sources.get(axon + PREFETCH_AXONS) {
+                prefetch(fired.lost, (far.load(Ordering::Relaxed) as usize).wrapping_mul(delays));
+            }
+            let Some(&times) = fired.spikes.get(source) else { continue };
+            let (list, _) = inputs.selected(axon);
+            let stored = inputs.lists.get(list);
+            let lost = fired.lost.get(source * delays..(source + 1) * delays).unwrap_or_default();
+            let delivered = |delay: u8| u64::from(times - lost.get(usize::from(delay)).copied().unwrap_or(0));
+            // Later deliveries lose at least as many.
+            let (shortest, longest) = self.delays[class];
+            let alike = delivered(shortest) == delivered(longest);
+            match self.kinds[class].split(list, stored.len() as u64).filter(|_| alike) {
+                Some((dense, sparse)) => {
+                    events[0] += dense * delivered(shortest);
+                    events[1] += sparse * delivered(shortest);
+                }
+                None => stored.iter().for_each(|synapse| {
+                    let sparse = is_sparse[usize::from(synapse.format)];
+                    events[usize::from(sparse)] += delivered(synapse.delay.get());
+                }),
+            }
+        }
+        (events[0], events[1])
     }
 
     /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one

@@ -6,8 +6,10 @@
 use crate::bits::ones;
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::prefetch::prefetch;
+use std::ops::Range;
+
 use crate::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
-use crate::layout::fan_out::FanOut;
+use crate::layout::fan_out::FanOuts;
 use crate::layout::lists::{ADDRESSED, ListForm, ListTable};
 use crate::layout::shard::SKIP_BLOCK;
 use crate::layout::store::Aligned;
@@ -18,12 +20,15 @@ use nsim_ir::spikes::Spike;
 /// Arrivals of the coming steps, a slot each.
 #[derive(Debug)]
 pub(crate) struct DelayRing<S> {
-    /// Lanes of the shard.
+    /// Lanes of the shard, whole skip blocks.
     lanes: usize,
-    /// Sums in units of 64, by lane.
-    pub sums: Vec<Aligned<S>>,
-    /// Skip blocks with arrivals, a bit each.
-    pub arrivals: Vec<Vec<u64>>,
+    /// Sums in units of 64, slot by slot.
+    sums: Aligned<S>,
+    /// Skip blocks with arrivals, slot by slot: 1, else 0. Bytes, since marks within a word would
+    /// wait for each other.
+    marks: Vec<u8>,
+    /// Slots of which every skip block may have arrivals.
+    marked: Vec<bool>,
     /// Scratch memory.
     queue: Vec<u32>,
     row_queue: Vec<RowPlace>,
@@ -31,69 +36,111 @@ pub(crate) struct DelayRing<S> {
 
 impl<S: Sum> Clone for DelayRing<S> {
     fn clone(&self) -> Self {
-        let copy = |sums: &Aligned<S>| {
-            // Untouched pages stay untouched.
-            let mut copy = Aligned::new(sums.len());
-            copy[..self.lanes].copy_from_slice(&sums[..self.lanes]);
-            copy
-        };
-        let (lanes, arrivals) = (self.lanes, self.arrivals.clone());
-        let sums = self.sums.iter().map(copy).collect();
-        DelayRing { lanes, sums, arrivals, queue: Vec::new(), row_queue: Vec::new() }
+        // Untouched pages stay untouched.
+        let mut sums = Aligned::new(self.sums.len());
+        let end = self.lanes * self.slots();
+        sums[..end].copy_from_slice(&self.sums[..end]);
+        let (marks, marked) = (self.marks.clone(), self.marked.clone());
+        DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), row_queue: Vec::new() }
+    }
+}
+
+/// The skip blocks of a slot with arrivals.
+pub(crate) struct Arrivals<'a> {
+    marks: &'a mut [u8],
+    all: bool,
+}
+
+impl Arrivals<'_> {
+    /// A word of them, a bit each, which are forgotten.
+    #[inline(always)]
+    pub fn take(&mut self, word: usize) -> u64 {
+        let end = self.marks.len().min(64 * word + 64);
+        let marks = &mut self.marks[64 * word..end];
+        if self.all {
+            return ones(marks.len());
+        }
+        if marks.iter().fold(0, |any, mark| any | mark) == 0 {
+            return 0;
+        }
+        let set = marks.iter().rev().fold(0, |set, &mark| set << 1 | u64::from(mark));
+        marks.fill(0);
+        set
     }
 }
 
 impl<S: Sum> DelayRing<S> {
-    /// An empty ring of this many lanes, slots, and words of skip blocks; `compact` if a list of
-    /// the shard is.
-    pub fn new(lanes: usize, compact: bool, words: usize, slots: usize) -> Self {
-        // What lies beyond the lanes is untouched pages, which the OS never commits.
-        // The last chunk of a row may reach beyond them too, where it adds zeros.
-        let sums = if compact { (lanes + LANES).max(ADDRESSED) } else { lanes + LANES };
-        let sums = (0..slots).map(|_| Aligned::new(sums)).collect();
-        DelayRing { lanes, sums, arrivals: vec![vec![0; words]; slots], queue: Vec::new(), row_queue: Vec::new() }
+    /// An empty ring of this many lanes and slots; `compact` if a list of the shard is.
+    pub fn new(lanes: usize, compact: bool, slots: usize) -> Self {
+        // What lies beyond the slots is untouched pages, which the OS never commits.
+        // The last chunk of a row may reach beyond the lanes too, where it adds zeros.
+        let spare = if compact { ADDRESSED } else { LANES };
+        DelayRing {
+            lanes,
+            sums: Aligned::new(lanes * slots + spare),
+            marks: vec![0; lanes / SKIP_BLOCK * slots],
+            marked: vec![false; slots],
+            queue: Vec::new(),
+            row_queue: Vec::new(),
+        }
+    }
+
+    /// Slots.
+    #[inline(always)]
+    pub fn slots(&self) -> usize {
+        self.marked.len()
     }
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        let slot_bytes = |words: &Vec<u64>| size_of::<S>() * self.lanes + size_of_val(words.as_slice());
-        self.arrivals.iter().map(slot_bytes).sum::<usize>()
+        size_of::<S>() * self.lanes * self.slots()
+            + self.marks.len()
             + 4 * self.queue.capacity()
             + size_of::<RowPlace>() * self.row_queue.capacity()
     }
 
     /// Empties the ring.
     pub fn clear(&mut self) {
-        for (sums, arrivals) in self.sums.iter_mut().zip(&mut self.arrivals) {
-            sums[..self.lanes].fill(S::default());
-            arrivals.fill(0);
-        }
+        let end = self.lanes * self.slots();
+        self.sums[..end].fill(S::default());
+        self.marks.fill(0);
+        self.marked.fill(false);
     }
 
-    /// Marks the first skip blocks as having arrivals, in every slot.
-    pub fn mark_all(&mut self, skip_blocks: usize) {
-        for words in &mut self.arrivals {
-            for (index, word) in words.iter_mut().enumerate() {
-                *word = ones(skip_blocks.saturating_sub(index * 64));
-            }
-        }
+    /// Whether nothing is in flight.
+    pub fn is_empty(&self) -> bool {
+        !self.marked.contains(&true) && self.marks.iter().all(|&mark| mark == 0)
     }
 
-    /// The slot of a delay.
+    /// Marks all skip blocks as having arrivals, in every slot.
+    #[inline(always)]
+    pub fn mark_all(&mut self) {
+        self.marked.fill(true);
+    }
+
+    /// The sums and the arrivals of a slot, which are taken from it.
+    #[inline(always)]
+    pub fn take(&mut self, slot: usize) -> (&mut [S], Arrivals<'_>) {
+        let blocks = self.lanes / SKIP_BLOCK;
+        let marks = &mut self.marks[slot * blocks..(slot + 1) * blocks];
+        let all = std::mem::take(&mut self.marked[slot]);
+        if all {
+            marks.fill(0);
+        }
+        (&mut self.sums[slot * self.lanes..(slot + 1) * self.lanes], Arrivals { marks, all })
+    }
+
+    /// The first lane of the slot of a delay.
     #[inline(always)]
     fn slot(&self, cursor: usize, delay: u8) -> usize {
         let slot = cursor + usize::from(delay);
-        if slot >= self.sums.len() { slot - self.sums.len() } else { slot }
+        self.lanes * if slot >= self.slots() { slot - self.slots() } else { slot }
     }
 
-    /// Marks the skip blocks of a range of lanes.
+    /// Marks the skip blocks of these lanes of a slot.
     #[inline(always)]
-    fn mark(&mut self, slot: usize, range: &LaneRange) {
-        let target = range.target as usize;
-        let last = target + range.chunks as usize * LANES - 1;
-        for skip_block in target / SKIP_BLOCK..=last / SKIP_BLOCK {
-            self.arrivals[slot][skip_block / 64] |= 1 << (skip_block % 64);
-        }
+    fn mark(&mut self, slot: usize, lanes: Range<usize>) {
+        self.marks[(slot + lanes.start) / SKIP_BLOCK..(slot + lanes.end).div_ceil(SKIP_BLOCK)].fill(1);
     }
 
     /// Delivers spikes of channels or of compartments, ascending if there are dense blocks, and
@@ -103,7 +150,7 @@ impl<S: Sum> DelayRing<S> {
     #[inline(always)]
     pub fn deliver<const MARK: bool, P: Spike>(
         &mut self,
-        fan_outs: &[FanOut],
+        fan_outs: &FanOuts,
         (spikes, counts): (&[P], &mut [u32]),
         cursor: usize,
         left: u32,
@@ -112,7 +159,7 @@ impl<S: Sum> DelayRing<S> {
         S: Accumulate<P::Payload>,
     {
         let mut events = 0;
-        for fan_out in fan_outs {
+        for fan_out in &fan_outs.by_delay {
             let arrives = u32::from(fan_out.delay) < left;
             // What would arrive after the end has no effect. Delivery may count channels, though.
             if !arrives && counts.is_empty() {
@@ -126,10 +173,10 @@ impl<S: Sum> DelayRing<S> {
             if let Some(rows) = &fan_out.rows {
                 synapses += self.deliver_rows::<MARK, P>(rows, spikes, slot);
             }
-            if let Some(lists) = &fan_out.lists {
-                synapses += self.deliver_lists::<MARK, P>(lists, spikes, slot);
-            }
             events += if arrives { synapses } else { 0 };
+        }
+        if let Some(lists) = fan_outs.lists.as_ref().filter(|lists| u32::from(lists.shortest) < left) {
+            events += self.deliver_lists::<MARK, P>(lists, spikes, cursor, left);
         }
         events
     }
@@ -162,7 +209,7 @@ impl<S: Sum> DelayRing<S> {
                 let (spiking, after) = rest.split_at(delivered);
                 rest = after;
                 if MARK && !spiking.is_empty() {
-                    self.mark(slot, range);
+                    self.mark(slot, range.lanes());
                 }
                 events += block.synapses(spiking);
                 continue;
@@ -170,47 +217,65 @@ impl<S: Sum> DelayRing<S> {
             let (spiking, after) = rest.split_at(before(rest, block.end));
             rest = after;
             if !spiking.is_empty() {
-                events += self.deliver_wide::<MARK, P>(block, weights, spiking, slot);
+                events += match block.bytes {
+                    true => self.deliver_wide::<MARK, _, P>(block, dense.bytes_of_weights(), spiking, slot),
+                    false => self.deliver_wide::<MARK, _, P>(block, weights, spiking, slot),
+                };
             }
         }
         events
     }
 
-    /// Delivers spikes of a dense block's sources, a few chunks of lanes at a time: their sums stay
-    /// in registers, where going through memory would make each source wait for the store before
-    /// it.
+    /// Delivers spikes of a dense block's sources, four at a time: their weights come from memory
+    /// in order, and sums are loaded and stored once for all four.
     #[inline(always)]
-    fn deliver_wide<const MARK: bool, P: Spike>(
+    fn deliver_wide<const MARK: bool, W: Copy + Into<i16>, P: Spike>(
         &mut self,
         block: &DenseBlock,
-        weights: &[[i16; LANES]],
+        weights: &[[W; LANES]],
         spikes: &[P],
         slot: usize,
     ) -> u64
     where
         S: Accumulate<P::Payload>,
     {
-        let mut chunk = block.weights;
-        for range in &block.ranges {
-            if MARK {
-                self.mark(slot, range);
-            }
-            let count = range.chunks as usize;
-            let target = range.target as usize;
-            let (sums, _) = self.sums[slot][target..target + count * LANES].as_chunks_mut::<LANES>();
-            let weights = &weights[chunk..];
-            let (fours, ones) = sums.as_chunks_mut::<4>();
-            for (index, sums) in fours.iter_mut().enumerate() {
-                add_spikes(sums, weights, spikes, |source| (source - block.first as usize) * block.stride + 4 * index);
-            }
-            let rest = 4 * fours.len();
-            for (index, sums) in ones.iter_mut().enumerate() {
-                let place = |source| (source - block.first as usize) * block.stride + rest + index;
-                add_spikes(std::array::from_mut(sums), weights, spikes, place);
-            }
-            chunk += count;
+        if MARK {
+            block.ranges.iter().for_each(|range| self.mark(slot, range.lanes()));
         }
+        let (fours, rest) = spikes.as_chunks::<4>();
+        fours.iter().for_each(|four| self.add_together(block, weights, four, slot));
+        rest.iter().for_each(|one| self.add_together(block, weights, std::array::from_ref(one), slot));
         block.synapses(spikes)
+    }
+
+    /// Adds the weights of these sources of a dense block.
+    #[inline(always)]
+    fn add_together<W: Copy + Into<i16>, P: Spike, const N: usize>(
+        &mut self,
+        block: &DenseBlock,
+        weights: &[[W; LANES]],
+        spikes: &[P; N],
+        slot: usize,
+    ) where
+        S: Accumulate<P::Payload>,
+    {
+        let first = |spike: &P| block.weights + (spike.source() - block.first as usize) * block.stride;
+        let sources: [&[[W; LANES]]; N] = spikes.each_ref().map(|spike| &weights[first(spike)..][..block.stride]);
+        let mut done = 0;
+        for range in &block.ranges {
+            let lanes = range.lanes();
+            let (sums, _) = self.sums[slot + lanes.start..slot + lanes.end].as_chunks_mut::<LANES>();
+            let sources = sources.map(|source| &source[done..done + sums.len()]);
+            for (chunk, sums) in sums.iter_mut().enumerate() {
+                let mut kept = *sums;
+                for (source, spike) in sources.iter().zip(spikes) {
+                    let weights = source[chunk].map(Into::into);
+                    add_weights(std::array::from_mut(&mut kept), &[weights], spike.payload());
+                }
+                *sums = kept;
+            }
+            done += sums.len();
+        }
     }
 
     /// Delivers spikes of the sources of a dense block with one range of this many chunks, up to
@@ -230,7 +295,7 @@ impl<S: Sum> DelayRing<S> {
     {
         let sources = (block.end - block.first) as usize;
         let weights = weights[block.weights..block.weights + sources * N].as_chunks::<N>().0;
-        let (sums, _) = self.sums[slot][range.target as usize..].as_chunks_mut::<LANES>();
+        let (sums, _) = self.sums[slot + range.target as usize..].as_chunks_mut::<LANES>();
         let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
         let mut kept = *sums;
         // Two loops, so that neither decides in each turn whether it counts; as many counts as
@@ -276,33 +341,48 @@ impl<S: Sum> DelayRing<S> {
     {
         let (lane, weights) = (place.lane(), table.rows.weights(place.row()));
         let end = lane + weights.len() * LANES;
-        let (sums, _) = self.sums[slot][lane..end].as_chunks_mut::<LANES>();
+        let (sums, _) = self.sums[slot + lane..slot + end].as_chunks_mut::<LANES>();
         for (sums, weights) in sums.iter_mut().zip(weights) {
             add_weights(std::array::from_mut(sums), std::array::from_ref(weights), payload);
         }
         if MARK {
             // Zeros beyond the last lane may lie in a skip block that does not exist.
-            let last = (end - 1).min(self.lanes - 1);
-            for skip_block in lane / SKIP_BLOCK..=last / SKIP_BLOCK {
-                self.arrivals[slot][skip_block / 64] |= 1 << (skip_block % 64);
-            }
+            self.mark(slot, lane..end.min(self.lanes));
         }
     }
 
     #[inline(always)]
-    fn deliver_lists<const MARK: bool, P: Spike>(&mut self, table: &ListTable, spikes: &[P], slot: usize) -> u64
+    fn deliver_lists<const MARK: bool, P: Spike>(
+        &mut self,
+        table: &ListTable,
+        spikes: &[P],
+        cursor: usize,
+        left: u32,
+    ) -> u64
     where
         S: Accumulate<P::Payload>,
     {
-        let DelayRing { sums, arrivals, queue, .. } = self;
-        let (sums, arrivals) = (&mut *sums[slot], arrivals[slot].as_mut_slice());
-        let places = &table.places;
+        let (slot, end) = (self.slot(cursor, table.shortest), self.lanes * self.slots());
+        // Synapses that arrive after the end come last.
+        let late = u32::from(table.longest) >= left;
+        let below = if late { (left - u32::from(table.shortest)) as usize * self.lanes } else { usize::MAX };
+        let DelayRing { sums, marks, queue, .. } = self;
+        let (places, queue) = (&table.places, (below, queue));
         match &table.synapses {
-            ListForm::Fours(runs) => runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, arrivals)),
-            ListForm::Eights(runs) => runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, arrivals)),
-            ListForm::Sixteens(runs) => runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, arrivals)),
-            ListForm::Packed(runs) => runs.deliver(places, spikes, queue, add_to::<MARK, S, _>(sums, arrivals)),
-            ListForm::Split(lists) => lists.deliver(places, spikes, add_to::<MARK, S, _>(sums, arrivals)),
+            ListForm::Packed(runs) => {
+                runs.deliver(places, spikes, queue, add_to::<MARK, S, _>(sums, marks, (slot, end)))
+            }
+            ListForm::PackedSixteens(runs) => {
+                runs.deliver(places, spikes, queue, add_to::<MARK, S, _>(sums, marks, (slot, end)))
+            }
+            ListForm::Split(lists) => {
+                lists.deliver(places, spikes, below, add_to::<MARK, S, _>(sums, marks, (slot, end)))
+            }
+            ListForm::Fours(runs) => runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, marks, slot)),
+            ListForm::Eights(runs) => runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, marks, slot)),
+            ListForm::Sixteens(runs) => {
+                runs.deliver(places, spikes, queue, add_compact::<MARK, S, _>(sums, marks, slot))
+            }
         }
     }
 }
@@ -310,16 +390,24 @@ impl<S: Sum> DelayRing<S> {
 /// Spikes whose rows are queued at a time.
 const QUEUED_SPIKES: usize = 512;
 
-/// Spikes between the prefetch of a source's origin and its use.
-const PREFETCH_SPIKES: usize = 16;
+/// Spikes between the prefetch of a source's origin, of its stencil, of the stencil's rows, and
+/// their use: each tells where the next is.
+const PREFETCH_SPIKES: [usize; 3] = [24, 16, 8];
 
 /// Queues the rows of these spikes; returns their number and that of the synapses in them.
 #[inline(always)]
 fn enqueue_rows(table: &RowTable, spikes: &[impl Spike], queue: &mut Vec<RowPlace>) -> (usize, u64) {
     let (mut end, mut events) = (0, 0);
     for (index, spike) in spikes.iter().enumerate() {
-        if let Some(far) = spikes.get(index + PREFETCH_SPIKES) {
-            prefetch(&table.origins, far.source());
+        let far = PREFETCH_SPIKES.map(|ahead| spikes.get(index + ahead));
+        if let Some(spike) = far[0] {
+            prefetch(&table.origins, spike.source());
+        }
+        if let Some(spike) = far[1] {
+            table.prefetch_stencil(table.origins[spike.source()]);
+        }
+        if let Some(spike) = far[2] {
+            table.prefetch_rows(table.origins[spike.source()]);
         }
         let origin = table.origins[spike.source()];
         let (stencil, places, rows) = table.stencil(origin);
@@ -341,12 +429,21 @@ fn enqueue_rows(table: &RowTable, spikes: &[impl Spike], queue: &mut Vec<RowPlac
     (end, events)
 }
 
-/// Adds to a sum, and marks its skip block.
+/// Adds to the sum of a target, and marks its skip block; targets are counted from `slot` on, around
+/// the ring's end.
 #[inline(always)]
-fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(sums: &mut [S], arrivals: &mut [u64]) -> impl FnMut(usize, i16, Y) {
-    |target, weight, payload| {
-        sums[target] = sums[target].accumulate(weight, payload);
-        mark::<MARK>(arrivals, target);
+fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(
+    sums: &mut [S],
+    marks: &mut [u8],
+    (slot, end): (usize, usize),
+) -> impl FnMut(usize, i16, Y) {
+    move |target, weight, payload| {
+        // The smaller one, as no target is negative.
+        let at = (target + slot).min((target + slot).wrapping_sub(end));
+        sums[at] = sums[at].accumulate(weight, payload);
+        if MARK {
+            marks[at / SKIP_BLOCK] = 1;
+        }
     }
 }
 
@@ -354,21 +451,17 @@ fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(sums: &mut [S], arrivals: &mut 
 #[inline(always)]
 fn add_compact<const MARK: bool, S: Accumulate<Y>, Y>(
     sums: &mut [S],
-    arrivals: &mut [u64],
+    marks: &mut [u8],
+    slot: usize,
 ) -> impl FnMut(usize, i16, Y) {
-    let sums: &mut [S; ADDRESSED] = sums.first_chunk_mut().expect("compact lists have all sums that they can address");
+    let marks = &mut marks[slot / SKIP_BLOCK..];
+    let sums = sums[slot..].first_chunk_mut::<ADDRESSED>();
+    let sums = sums.expect("compact lists have all sums that they can address");
     move |target, weight, payload| {
         sums[target] = sums[target].accumulate(weight, payload);
-        mark::<MARK>(arrivals, target);
-    }
-}
-
-/// Marks the skip block of a lane, if that is wanted.
-#[inline(always)]
-fn mark<const MARK: bool>(arrivals: &mut [u64], target: usize) {
-    if MARK {
-        let skip_block = target / SKIP_BLOCK;
-        arrivals[skip_block / 64] |= 1 << (skip_block % 64);
+        if MARK {
+            marks[target / SKIP_BLOCK] = 1;
+        }
     }
 }
 
@@ -395,23 +488,6 @@ fn first_at_least<T>(items: &[T], holds: impl Fn(&T) -> bool) -> usize {
         Some(near) => near,
         None => items.partition_point(|item| !holds(item)),
     }
-}
-
-/// Adds chunks of weights, which begin at a place for each source, to as many chunks of sums.
-#[inline(always)]
-fn add_spikes<S: Accumulate<P::Payload>, P: Spike, const N: usize>(
-    sums: &mut [[S; LANES]; N],
-    weights: &[[i16; LANES]],
-    spikes: &[P],
-    place: impl Fn(usize) -> usize,
-) {
-    let mut kept = *sums;
-    for spike in spikes {
-        if let Some(weights) = weights[place(spike.source())..].first_chunk() {
-            add_weights(&mut kept, weights, spike.payload());
-        }
-    }
-    *sums = kept;
 }
 
 /// Adds the weights of each source to as many chunks of sums, up to the first spike of a source
@@ -483,64 +559,110 @@ mod tests {
     use nsim_ir::base::id::{ChannelId, Id};
     use nsim_ir::base::rng;
 
-    fn flattened(sources: &[Vec<LaneWeight>], lanes: usize) -> FanOut {
+    fn flattened(sources: &[Vec<LaneWeight>], lanes: usize) -> FanOuts {
         let mut builder = ListBuilder::new(lanes);
         sources.iter().for_each(|synapses| builder.append(&[synapses.len() as u32], synapses));
-        FanOut::new(1, Flattened::lists(builder), &std::sync::Arc::default(), lanes).unwrap().unwrap()
+        FanOuts::new(vec![(1, Flattened::lists(builder))], &std::sync::Arc::default(), lanes).unwrap()
     }
 
     /// Sums, marked skip blocks and numbers of synapses are those of adding one synapse after the
     /// other.
-    fn compare<S: Sum>(lanes: usize, synapses: u64, width: u64) -> FanOut {
+    fn compare<S: Sum>(lanes: usize, synapses: u64, width: u64) -> FanOuts {
         let of = |source: u64, index| {
             let lane = (source * 17 + rng::below(width, 1, source, index)) % lanes as u64;
             (lane as u32, rng::below(255, 2, source, index) as i16 - 127)
         };
         let sources: Vec<Vec<LaneWeight>> =
             (0..300).map(|source| (0..synapses).map(|index| of(source, index)).collect()).collect();
-        let fan_out = flattened(&sources, lanes);
-        let compact = fan_out.lists.as_ref().is_some_and(|table| table.synapses.is_compact());
+        let fan_outs = flattened(&sources, lanes);
+        let lanes = lanes.next_multiple_of(SKIP_BLOCK);
+        let compact = fan_outs.lists.as_ref().is_some_and(|table| table.synapses.is_compact());
         for every in [1, 3, 50] {
             let ids: Vec<ChannelId> = (0..300).step_by(every).map(ChannelId::new).collect();
-            let (mut sums, mut marked) = (vec![0; lanes], vec![0u64; lanes.div_ceil(64 * SKIP_BLOCK)]);
+            let (mut sums, mut marked) = (vec![0; lanes], vec![0; lanes / SKIP_BLOCK]);
             for &(lane, weight) in ids.iter().flat_map(|id| &sources[id.index()]) {
                 sums[lane as usize] += i32::from(weight);
-                marked[lane as usize / SKIP_BLOCK / 64] |= 1 << (lane as usize / SKIP_BLOCK % 64);
+                marked[lane as usize / SKIP_BLOCK] = 1;
             }
-            let mut rings = [(); 2].map(|()| DelayRing::<S>::new(lanes, compact, marked.len(), 2));
+            let mut rings = [(); 2].map(|()| DelayRing::<S>::new(lanes, compact, 2));
             let [quiet, marking] = &mut rings;
-            let fan_out = std::slice::from_ref(&fan_out);
             let events = ids.len() as u64 * synapses;
             let mut counts = vec![0; 300];
-            assert_eq!(quiet.deliver::<false, _>(fan_out, (&ids, &mut counts), 1, 2), events);
+            assert_eq!(quiet.deliver::<false, _>(&fan_outs, (&ids, &mut counts), 1, 2), events);
             let is_counted = |source: usize| {
                 let holds = |block: &DenseBlock| block.first as usize <= source && source < block.end as usize;
-                source.is_multiple_of(every)
-                    && fan_out[0].dense.blocks.iter().any(|block| holds(block) && block.narrow().is_some())
+                let mut blocks = fan_outs.by_delay.iter().flat_map(|fan_out| &fan_out.dense.blocks);
+                source.is_multiple_of(every) && blocks.any(|block| holds(block) && block.narrow().is_some())
             };
             assert!(counts.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
-            assert_eq!(marking.deliver::<true, _>(fan_out, (&ids, &mut []), 1, 2), events);
+            assert_eq!(marking.deliver::<true, _>(&fan_outs, (&ids, &mut []), 1, 2), events);
             // What would arrive after the last step is no event and is not delivered.
-            let mut ended = DelayRing::<S>::new(lanes, compact, marked.len(), 2);
-            assert_eq!(ended.deliver::<true, _>(fan_out, (&ids, &mut []), 1, 1), 0);
-            assert!(ended.sums.iter().all(|sums| sums.iter().all(|sum| sum.value() == 0)));
+            let mut ended = DelayRing::<S>::new(lanes, compact, 2);
+            assert_eq!(ended.deliver::<true, _>(&fan_outs, (&ids, &mut []), 1, 1), 0);
+            assert!(ended.is_empty() && ended.sums.iter().all(|sum| sum.value() == 0));
             for ring in &rings {
-                assert!(ring.sums[0][..lanes].iter().map(|sum| sum.value()).eq(sums.iter().copied()));
-                assert!(ring.sums[1].iter().all(|sum| sum.value() == 0));
+                assert!(ring.sums[..lanes].iter().map(|sum| sum.value()).eq(sums.iter().copied()));
+                assert!(ring.sums[lanes..].iter().all(|sum| sum.value() == 0));
             }
             // A dense block marks all of its lanes.
-            let missed = marked.iter().zip(&rings[1].arrivals[0]).any(|(&expected, &marked)| expected & !marked != 0);
-            assert!(!missed && (rings[1].arrivals[0] == marked || fan_out[0].lists.is_none()));
+            let missed = marked.iter().zip(&rings[1].marks).any(|(&expected, &marked)| expected > marked);
+            assert!(!missed && (rings[1].marks[..marked.len()] == marked || fan_outs.lists.is_none()));
         }
-        fan_out
+        fan_outs
+    }
+
+    /// Lists of several delays, from any step of the ring, until the end of a sample and before.
+    #[test]
+    fn delays_lead_around_the_ring_and_not_beyond_the_end() {
+        const SLOTS: usize = 8;
+        let (lanes, delays) = (20_032, [2u8, 3, 7]);
+        for heaviest in [100, 30_000] {
+            let of = |delay: u8, source: u64, index| {
+                let weight = (rng::below(2 * heaviest, 2, source, index) as i64 - heaviest as i64) as i16;
+                (rng::below(lanes as u64, u64::from(delay), source, index) as u32, weight)
+            };
+            let lists: Vec<(u8, Vec<Vec<LaneWeight>>)> = delays
+                .map(|delay| {
+                    let of =
+                        |source| (0..source % 9 + u64::from(delay)).map(|index| of(delay, source, index)).collect();
+                    (delay, (0..90).map(of).collect())
+                })
+                .into();
+            let flattened = lists.iter().map(|(delay, lists)| {
+                let mut builder = ListBuilder::new(lanes);
+                lists.iter().for_each(|list| builder.append(&[list.len() as u32], list));
+                (*delay, Flattened::lists(builder))
+            });
+            let fan_outs = FanOuts::new(flattened.collect(), &std::sync::Arc::default(), lanes).unwrap();
+            assert!(fan_outs.by_delay.is_empty());
+            let split = matches!(fan_outs.lists.as_ref().unwrap().synapses, ListForm::Split(_));
+            assert_eq!(split, heaviest > 16_384);
+            let ids: Vec<ChannelId> = (0..90).step_by(3).map(ChannelId::new).collect();
+            for (cursor, left) in (0..SLOTS).flat_map(|cursor| (0..10).map(move |left| (cursor, left))) {
+                let mut ring = DelayRing::<i32>::new(lanes, false, SLOTS);
+                let (mut sums, mut events) = (vec![0; lanes * SLOTS], 0);
+                for (delay, lists) in lists.iter().filter(|(delay, _)| u32::from(*delay) < left) {
+                    let first = (cursor + usize::from(*delay)) % SLOTS * lanes;
+                    for &(lane, weight) in ids.iter().flat_map(|id| &lists[id.index()]) {
+                        sums[first + lane as usize] += i32::from(weight);
+                        events += 1;
+                    }
+                }
+                assert_eq!(ring.deliver::<true, _>(&fan_outs, (&ids, &mut []), cursor, left), events);
+                assert_eq!(&ring.sums[..lanes * SLOTS], &sums);
+                let reached = |block: &[i32]| u8::from(block.iter().any(|&sum| sum != 0));
+                assert!(sums.chunks(SKIP_BLOCK).map(reached).zip(&ring.marks).all(|(sum, &mark)| sum <= mark));
+                assert_eq!(ring.is_empty(), events == 0);
+            }
+        }
     }
 
     #[test]
     fn all_forms_deliver_the_same() {
         let blocks = compare::<i32>(1_024, 64, 100);
-        assert!(blocks.lists.is_none() && !blocks.dense.blocks.is_empty());
+        assert!(blocks.lists.is_none() && !blocks.by_delay[0].dense.blocks.is_empty());
         let whole = compare::<i16>(8_192, 70, 8_192);
-        assert!(whole.dense.blocks.is_empty() && whole.lists.is_some());
+        assert!(whole.by_delay.is_empty() && whole.lists.is_some());
         for wide in [compare::<i32>(16_384, 70, 16_384), compare::<i32>(70_016, 70, 70_000)] {
             assert!(wide.lists.is_some());
         }
@@ -549,7 +671,9 @@ mod tests {
             let lanes = chunks * LANES as u32;
             let blocks = compare::<i16>(lanes as usize, 30, lanes.into());
             assert!(blocks.lists.is_none());
-            assert!(blocks.dense.blocks.iter().all(|block| block.ranges == [LaneRange { target: 0, chunks }]));
+            assert!(
+                blocks.by_delay[0].dense.blocks.iter().all(|block| block.ranges == [LaneRange { target: 0, chunks }])
+            );
         }
     }
 }

@@ -5,6 +5,8 @@
 //! synapses in no block are left to the lists. Invariant: padding zeros are not counted as
 //! synapses; the number of synapses is kept beside the weights.
 
+use std::ops::Range;
+
 use crate::layout::planner::PlannedBlock;
 use crate::layout::store::Aligned;
 use crate::update::kernel::LANES;
@@ -19,6 +21,14 @@ pub(crate) struct LaneRange {
     pub chunks: u32,
 }
 
+impl LaneRange {
+    /// Its lanes.
+    #[inline(always)]
+    pub fn lanes(self) -> Range<usize> {
+        self.target as usize..self.target as usize + self.chunks as usize * LANES
+    }
+}
+
 /// Consecutive sources with weights for the same lanes. An all-to-all projection makes one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct DenseBlock {
@@ -30,6 +40,8 @@ pub(crate) struct DenseBlock {
     pub ranges: Vec<LaneRange>,
     /// Chunk of the first source's weights: range by range, then the next source's.
     pub weights: usize,
+    /// Whether they are among the weights of 8 bits.
+    pub bytes: bool,
     /// Chunks from one source to the next.
     pub stride: usize,
     /// Synapses of each source, padding left out.
@@ -93,13 +105,67 @@ pub(crate) struct DenseBlocks {
     /// In ascending order.
     pub blocks: Vec<DenseBlock>,
     weights: Aligned<i16>,
+    bytes: Aligned<i8>,
 }
 
+/// Weights of a block from which on 8 bits are used where they do: a step then waits for memory. A
+/// quarter of a second-level cache.
+const BYTES_FROM: usize = 1 << 16;
+
 impl DenseBlocks {
-    /// The weights of all blocks, in units of 64.
+    /// The weights of blocks, in units of 64.
     #[inline(always)]
     pub fn weights(&self) -> &[[i16; LANES]] {
         self.weights.as_chunks().0
+    }
+
+    /// The weights of the blocks whose weights have 8 bits.
+    #[inline(always)]
+    pub fn bytes_of_weights(&self) -> &[[i8; LANES]] {
+        self.bytes.as_chunks().0
+    }
+
+    /// Moves the weights of large blocks that fit 8 bits.
+    fn narrowed(blocks: Vec<DenseBlock>, weights: Aligned<i16>) -> Self {
+        let range = |block: &DenseBlock| {
+            let chunks = block.stride * (block.end - block.first) as usize;
+            LANES * block.weights..LANES * (block.weights + chunks)
+        };
+        let fits = |block: &DenseBlock| {
+            let own = &weights[range(block)];
+            block.narrow().is_none()
+                && own.len() >= BYTES_FROM
+                && own.iter().all(|&weight| i8::try_from(weight).is_ok())
+        };
+        let bytes: Vec<bool> = blocks.iter().map(fits).collect();
+        let mut all = DenseBlocks { blocks, weights: Aligned::new(0), bytes: Aligned::new(0) };
+        if !bytes.contains(&true) {
+            all.weights = weights;
+            return all;
+        }
+        let mut sizes = [0; 2];
+        let ranges: Vec<Range<usize>> = all.blocks.iter().map(range).collect();
+        for ((block, range), &bytes) in all.blocks.iter_mut().zip(&ranges).zip(&bytes) {
+            let size = &mut sizes[usize::from(bytes)];
+            (block.weights, block.bytes) = (*size / LANES, bytes);
+            *size += range.len();
+        }
+        (all.weights, all.bytes) = (Aligned::new(sizes[0]), Aligned::new(sizes[1]));
+        for (block, range) in all.blocks.iter().zip(ranges) {
+            let (first, own) = (LANES * block.weights, &weights[range]);
+            match block.bytes {
+                true => all.bytes[first..].iter_mut().zip(own).for_each(|(byte, &weight)| *byte = weight as i8),
+                false => all.weights[first..first + own.len()].copy_from_slice(own),
+            }
+        }
+        all
+    }
+
+    /// A chunk of a source's weights.
+    #[cfg(test)]
+    fn chunk(&self, block: &DenseBlock, source: usize, chunk: usize) -> [i16; LANES] {
+        let at = block.weights + source * block.stride + chunk;
+        if block.bytes { self.bytes_of_weights()[at].map(i16::from) } else { self.weights()[at] }
     }
 
     /// Bytes of memory that they hold.
@@ -109,7 +175,7 @@ impl DenseBlocks {
                 if let SynapseCounts::Each(counts) = &block.synapses { size_of_val(counts.as_slice()) } else { 0 };
             size_of::<DenseBlock>() + size_of_val(block.ranges.as_slice()) + counts
         };
-        self.blocks.iter().map(of).sum::<usize>() + size_of_val(&*self.weights)
+        self.blocks.iter().map(of).sum::<usize>() + size_of_val(&*self.weights) + size_of_val(&*self.bytes)
     }
 }
 
@@ -192,7 +258,7 @@ impl BlockWriter {
             Some(&first) if counts.iter().all(|&count| count == first) => SynapseCounts::Same(first),
             _ => SynapseCounts::Each(counts),
         };
-        self.blocks.push(DenseBlock { first, end, ranges, weights, stride, synapses });
+        self.blocks.push(DenseBlock { first, end, ranges, weights, bytes: false, stride, synapses });
     }
 
     /// The blocks.
@@ -201,14 +267,14 @@ impl BlockWriter {
             self.close();
         }
         self.blocks.shrink_to_fit();
-        DenseBlocks { blocks: self.blocks, weights: self.weights }
+        DenseBlocks::narrowed(self.blocks, self.weights)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layout::fan_out::FanOut;
+    use crate::layout::fan_out::FanOuts;
     use crate::layout::flatten::Flattened;
     use crate::layout::lists::{LaneWeight, ListBuilder};
     use nsim_ir::base::rng;
@@ -222,11 +288,9 @@ mod tests {
         for synapses in sources {
             builder.append(&[synapses.len() as u32], synapses);
         }
-        let Some(FanOut { dense: blocks, lists: table, .. }) =
-            FanOut::new(0, Flattened::lists(builder), &Arc::default(), lanes).unwrap()
-        else {
-            panic!("no synapses")
-        };
+        let FanOuts { mut by_delay, lists: table } =
+            FanOuts::new(vec![(0, Flattened::lists(builder))], &Arc::default(), lanes).unwrap();
+        let blocks = by_delay.pop().map_or_else(|| BlockWriter::new(Vec::new(), lanes).finish(), |one| one.dense);
         assert!(blocks.blocks.is_sorted_by(|a, b| a.end <= b.first));
         let mut all_listed = 0;
         for (source, synapses) in (0u32..).zip(sources) {
@@ -248,11 +312,11 @@ mod tests {
                     SynapseCounts::Same(count) => *count as usize,
                     SynapseCounts::Each(counts) => counts[at] as usize,
                 };
-                let mut chunks = blocks.weights()[block.weights + at * block.stride..].iter();
+                let mut chunks = (0..block.stride).map(|chunk| blocks.chunk(block, at, chunk));
                 for range in &block.ranges {
                     for lane in (range.target as usize..).take(range.chunks as usize * LANES).step_by(LANES) {
-                        let weights = chunks.next().unwrap().iter().zip(lane..);
-                        weights.filter(|(weight, _)| **weight != 0).for_each(|(&weight, lane)| hold(lane, weight));
+                        let weights = chunks.next().unwrap().into_iter().zip(lane..);
+                        weights.filter(|(weight, _)| *weight != 0).for_each(|(weight, lane)| hold(lane, weight));
                     }
                 }
             }
@@ -266,7 +330,7 @@ mod tests {
     }
 
     /// Sources with a synapse to each of these lanes in this many of 1,000 cases.
-    fn some(sources: u64, lanes: std::ops::Range<u32>, per_mille: u64) -> Vec<Vec<LaneWeight>> {
+    fn some(sources: u64, lanes: Range<u32>, per_mille: u64) -> Vec<Vec<LaneWeight>> {
         let of = |source: u64, lane: u32| {
             let weight = rng::below(511, 2, source, lane.into()) as i16 - 255;
             (rng::below(1_000, 1, source, lane.into()) < per_mille).then_some((lane, weight))
@@ -288,6 +352,20 @@ mod tests {
             assert_eq!(matches!(blocks.blocks[0].synapses, SynapseCounts::Same(62)), per_mille == 1_000);
             assert_eq!(blocks.weights().len(), 4 * blocks.blocks[0].end as usize);
         }
+    }
+
+    /// Large blocks have weights of 8 bits where all fit, others of 16.
+    #[test]
+    fn large_blocks_take_a_byte_a_weight() {
+        let mut sources = some(600, 0..200, 1_000);
+        sources.iter_mut().flatten().for_each(|(_, weight)| *weight >>= 1);
+        sources.extend(vec![Vec::new(); 5_000]);
+        sources.extend(some(600, 1_000..1_200, 1_000));
+        sources.extend(some(300, 2_000..2_200, 1_000));
+        let (blocks, listed) = laid_out(&sources, 3_000);
+        let bytes: Vec<_> = blocks.blocks.iter().map(|block| (block.first, block.bytes)).collect();
+        assert_eq!((bytes, listed), (vec![(0, true), (5_600, false), (6_200, false)], 0));
+        assert_eq!((blocks.bytes.len(), blocks.weights.len()), (600 * 13 * LANES, 900 * 13 * LANES));
     }
 
     #[test]

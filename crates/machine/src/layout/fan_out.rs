@@ -1,20 +1,64 @@
-//! The synapses that the sources of one kind reach over one delay, in the form in which they are
+//! The synapses that the sources of one kind reach in a shard, in the form in which they are
 //! delivered.
 //!
-//! Input: rows and synapses source after source ([`Flattened`]). Output: the rows, dense blocks,
-//! and lists of the rest. Errors: more synapses than a list position can index.
+//! Input: rows and synapses source after source ([`Flattened`]), by delay. Output: by delay the
+//! rows and dense blocks, and one list a source of the rest, whatever their delays. Errors: more
+//! synapses than a list position can index.
 
 use std::sync::Arc;
+
+use rayon::prelude::*;
 
 use crate::layout::delivery_cost::DeliveryParts;
 use crate::layout::dense_blocks::{BlockWriter, DenseBlock, DenseBlocks};
 use crate::layout::flatten::Flattened;
-use crate::layout::lists::ListTable;
+use crate::layout::lists::{ListBuilder, ListTable};
 use crate::layout::planner::Planner;
 use crate::layout::weight_rows::{RowTable, WeightRows};
 use nsim_ir::base::id::{ChannelId, Id};
 
-/// Synapses of one delay, from the channels or the compartments, into one shard.
+/// Synapses of the channels or the compartments into one shard.
+#[derive(Debug, Default)]
+pub(crate) struct FanOuts {
+    /// Those in rows and dense blocks, by ascending delay.
+    pub by_delay: Vec<FanOut>,
+    /// The others.
+    pub lists: Option<ListTable>,
+}
+
+impl FanOuts {
+    /// The synapses of each of these delays, ascending, into a shard with this many lanes.
+    ///
+    /// # Errors
+    /// The number of synapses or rows, when positions do not fit.
+    pub fn new(delays: Vec<(u8, Flattened)>, weights: &Arc<WeightRows>, lanes: usize) -> Result<Self, usize> {
+        let made = delays.into_par_iter().map(|(delay, flattened)| FanOut::new(delay, flattened, weights, lanes));
+        let (by_delay, lists): (Vec<_>, Vec<_>) = made.collect::<Result<Vec<_>, usize>>()?.into_iter().unzip();
+        Ok(FanOuts { by_delay: by_delay.into_iter().flatten().collect(), lists: ListTable::new(lists, lanes)? })
+    }
+
+    /// Whether one narrow dense block of one delay follows the other, from the first source to the
+    /// last, and there is nothing else.
+    pub fn is_narrow(&self, sources: u32) -> bool {
+        self.lists.is_none() && matches!(self.by_delay.as_slice(), [one] if one.is_narrow(sources))
+    }
+
+    /// Adds what delivering these spikes, in ascending order, consists of.
+    pub fn add_parts(&self, spikes: &[ChannelId], parts: &mut DeliveryParts) {
+        self.by_delay.iter().for_each(|fan_out| fan_out.add_parts(spikes, parts));
+        for place in self.lists.iter().flat_map(|table| spikes.iter().map(|spike| table.places[spike.index()])) {
+            parts.list += usize::from(place.len() > 0);
+            parts.synapse += place.len();
+        }
+    }
+
+    /// Bytes of memory that they hold.
+    pub fn bytes(&self) -> usize {
+        self.by_delay.iter().map(FanOut::bytes).sum::<usize>() + self.lists.as_ref().map_or(0, ListTable::bytes)
+    }
+}
+
+/// Synapses of one delay in rows and dense blocks.
 #[derive(Debug)]
 pub(crate) struct FanOut {
     /// Delay field.
@@ -23,53 +67,42 @@ pub(crate) struct FanOut {
     pub rows: Option<RowTable>,
     /// Synapses in dense blocks.
     pub dense: DenseBlocks,
-    /// The others.
-    pub lists: Option<ListTable>,
 }
 
 impl FanOut {
-    /// Chooses which of these synapses become dense; `None` when there are none. The shard has so
-    /// many lanes.
-    ///
-    /// # Errors
-    /// The number of synapses or rows, when positions do not fit.
-    pub fn new(
+    /// Chooses which of these synapses become dense, in a shard with this many lanes; the lists are
+    /// of the others.
+    fn new(
         delay: u8,
         Flattened { lists: mut builder, rows }: Flattened,
         weights: &Arc<WeightRows>,
         lanes: usize,
-    ) -> Result<Option<Self>, usize> {
+    ) -> Result<(Option<Self>, (u8, ListBuilder)), usize> {
         let mut planner = Planner::new(lanes);
         builder.each(|source, synapses| planner.take(source, synapses));
         let mut blocks = BlockWriter::new(planner.choose(), lanes);
         if !blocks.is_empty() {
             builder.retain(|source, lane, weight| !blocks.put(source, lane, weight));
         }
-        let (rows, dense, lists) = (rows.finish(weights)?, blocks.finish(), builder.finish()?);
-        let any = rows.is_some() || lists.is_some() || !dense.blocks.is_empty();
-        Ok(any.then_some(FanOut { delay, rows, dense, lists }))
+        let (rows, dense) = (rows.finish(weights)?, blocks.finish());
+        let any = rows.is_some() || !dense.blocks.is_empty();
+        Ok((any.then_some(FanOut { delay, rows, dense }), (delay, builder)))
     }
 
-    /// Whether one narrow dense block follows the other, from the first source to the last, and
-    /// there is nothing else.
-    pub fn is_narrow(&self, sources: u32) -> bool {
+    /// As [`FanOuts::is_narrow`], of this delay.
+    fn is_narrow(&self, sources: u32) -> bool {
         let adjacent =
             |end: u32, block: &DenseBlock| Some(block.end).filter(|_| block.first == end && block.narrow().is_some());
-        self.rows.is_none() && self.lists.is_none() && self.dense.blocks.iter().try_fold(0, adjacent) == Some(sources)
+        self.rows.is_none() && self.dense.blocks.iter().try_fold(0, adjacent) == Some(sources)
     }
 
-    /// Adds what delivering these spikes, in ascending order, consists of.
-    pub fn add_parts(&self, spikes: &[ChannelId], parts: &mut DeliveryParts) {
-        for spike in spikes {
-            if let Some(table) = &self.rows {
+    /// As [`FanOuts::add_parts`], of this delay.
+    fn add_parts(&self, spikes: &[ChannelId], parts: &mut DeliveryParts) {
+        if let Some(table) = &self.rows {
+            for spike in spikes {
                 let (_, places, rows) = table.stencil(table.origins[spike.index()]);
                 parts.row += rows;
                 parts.row_chunk += places[..rows].iter().map(|place| place.row().chunks()).sum::<usize>();
-            }
-            if let Some(table) = &self.lists {
-                let synapses = table.places[spike.index()].len();
-                parts.list += usize::from(synapses > 0);
-                parts.synapse += synapses;
             }
         }
         for block in &self.dense.blocks {
@@ -84,8 +117,7 @@ impl FanOut {
     }
 
     /// Bytes of memory that it holds.
-    pub fn bytes(&self) -> usize {
-        let rows = self.rows.as_ref().map_or(0, RowTable::bytes);
-        rows + self.dense.bytes() + self.lists.as_ref().map_or(0, ListTable::bytes)
+    fn bytes(&self) -> usize {
+        self.rows.as_ref().map_or(0, RowTable::bytes) + self.dense.bytes()
     }
 }

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::count::residual::Residual;
 use crate::count::tally::{ProgramTally, Tally};
 use crate::layout::delivery_cost::DeliveryParts;
-use crate::layout::fan_out::FanOut;
+use crate::layout::fan_out::FanOuts;
 use crate::layout::flatten::Flattener;
 use crate::layout::lane_order::{LaneOrder, SECOND_PORT};
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
@@ -143,12 +143,12 @@ impl Image {
         image.split_into_shards(blocks, shards);
         image.name();
         image.connect()?;
-        let mut from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments);
+        let mut from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments.by_delay);
         image.has_blocks = from_compartments.any(|fan_out| !fan_out.dense.blocks.is_empty());
         let held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE);
         image.sorts_spikes = image.has_blocks && !held.is_sorted();
         image.delivery_counts_channels = matches!(image.shards.as_slice(), [shard]
-            if matches!(shard.from_channels.as_slice(), [fan_out] if fan_out.is_narrow(image.channels)));
+            if shard.from_channels.is_narrow(image.channels));
         image.residual = image.replace_by_means();
         Ok(Arc::new(image))
     }
@@ -192,8 +192,7 @@ impl Image {
     #[must_use]
     pub fn delivery_parts(&self, channels: &[ChannelId]) -> DeliveryParts {
         let mut parts = DeliveryParts::default();
-        let fan_outs = self.shards.iter().flat_map(|shard| &shard.from_channels);
-        fan_outs.for_each(|fan_out| fan_out.add_parts(channels, &mut parts));
+        self.shards.iter().for_each(|shard| shard.from_channels.add_parts(channels, &mut parts));
         parts
     }
 
@@ -494,17 +493,13 @@ impl Image {
         self.rows = Arc::clone(&rows.rows);
         let flattener = Flattener::new(&self.program, &self.lanes, (&self.bases, &delays), &rows);
         for (kind, sources) in [0..self.channels, self.channels..self.sources() as u32].into_iter().enumerate() {
-            let builders = flattener.flatten(sources, &lanes).into_par_iter().enumerate();
-            let fan_outs: Vec<_> = builders
-                .map(|(index, builder)| {
-                    let (delay, lanes) = (delays[index % delays.len()], lanes[index / delays.len()]);
-                    FanOut::new(delay, builder, &rows.rows, lanes)
-                })
-                .collect();
-            let mut fan_outs = fan_outs.into_iter();
-            for shard in &mut self.shards {
-                let of_shard: Result<Vec<_>, usize> =
-                    fan_outs.by_ref().take(delays.len()).filter_map(Result::transpose).collect();
+            let mut builders = flattener.flatten(sources, &lanes).into_iter();
+            let of_shards: Vec<Vec<_>> =
+                lanes.iter().map(|_| delays.iter().copied().zip(builders.by_ref()).collect()).collect();
+            let fan_outs =
+                of_shards.into_par_iter().zip(&lanes).map(|(delays, &lanes)| FanOuts::new(delays, &self.rows, lanes));
+            let fan_outs: Vec<_> = fan_outs.collect();
+            for (shard, of_shard) in self.shards.iter_mut().zip(fan_outs) {
                 let of_shard = of_shard.map_err(ImageError::TooMany)?;
                 match kind {
                     0 => shard.from_channels = of_shard,
@@ -521,9 +516,9 @@ impl Image {
         let mut residual = Residual::default();
         for shard in &mut self.shards {
             if self.delivery_counts_channels {
-                residual.replace_by_means(&mut shard.from_channels, 0, sources);
+                residual.replace_by_means(&mut shard.from_channels.by_delay, 0, sources);
             }
-            residual.replace_by_means(&mut shard.from_compartments, channels, sources);
+            residual.replace_by_means(&mut shard.from_compartments.by_delay, channels, sources);
         }
         residual
     }

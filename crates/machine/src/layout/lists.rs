@@ -1,7 +1,12 @@
 //! Lists of synapses by source.
 //!
-//! Input: lanes and weights, source after source ([`ListBuilder`]). Output: a [`ListTable`] in the
-//! narrowest form that fits all. Errors: more synapses than a list position can index.
+//! Input: lanes and weights, source after source ([`ListBuilder`]), by delay. Output: a
+//! [`ListTable`] in the narrowest form that fits all. Errors: more synapses than a list position
+//! can index.
+//!
+//! A source has one list for all delays, in ascending order: with a list for each delay, a spike
+//! looks up, and pads, as many lists as there are delays. So what a synapse names is a *target*:
+//! its lane, and the lanes of a slot for each step by which its delay exceeds the shortest.
 
 use std::ops::Range;
 
@@ -12,24 +17,30 @@ use nsim_ir::spikes::Spike;
 /// Synapses of the sources of one kind; weights in units of 64.
 #[derive(Debug)]
 pub(crate) struct ListTable {
+    /// The shortest delay field.
+    pub shortest: u8,
+    /// The longest.
+    pub longest: u8,
     /// Where each source's list is.
     pub places: Vec<ListPlace>,
     /// The synapses.
     pub synapses: ListForm,
 }
 
-/// Lanes and weights.
+/// Targets and weights.
 #[derive(Debug)]
 pub(crate) enum ListForm {
-    /// Weights of 8 bits and lanes of 16; longer lists have larger runs.
+    /// Weights of 8 bits and lanes of 16, all of one delay; longer lists have larger runs.
     Fours(PaddedRuns<Compact, 4>),
     /// The same.
     Eights(PaddedRuns<Compact, 8>),
     /// The same.
     Sixteens(PaddedRuns<Compact, 16>),
-    /// Lane and weight in one word.
+    /// Target and weight in one word; longer lists have larger runs.
     Packed(PaddedRuns<Packing, 4>),
-    /// Lanes and weights in arrays of their own.
+    /// The same.
+    PackedSixteens(PaddedRuns<Packing, 16>),
+    /// Targets and weights in arrays of their own.
     Split(Split),
 }
 
@@ -47,7 +58,7 @@ impl ListForm {
     }
 }
 
-/// Lanes and weights in arrays of their own, where they do not fit one word.
+/// Targets and weights in arrays of their own, where they do not fit one word.
 #[derive(Debug)]
 pub(crate) struct Split {
     targets: Vec<u32>,
@@ -61,14 +72,16 @@ impl Split {
         &self,
         places: &[ListPlace],
         spikes: &[P],
+        below: usize,
         mut add: impl FnMut(usize, i16, P::Payload),
     ) -> u64 {
         let mut events = 0;
         for spike in spikes {
-            let place = places[spike.source()];
-            events += place.len() as u64;
-            let (targets, weights) = (&self.targets[place.elements()], &self.weights[place.elements()]);
-            for (&target, &weight) in targets.iter().zip(weights) {
+            let elements = places[spike.source()].elements();
+            let (targets, weights) = (&self.targets[elements.clone()], &self.weights[elements]);
+            let near = targets.iter().zip(weights).take_while(|(target, _)| (**target as usize) < below);
+            for (&target, &weight) in near {
+                events += 1;
                 add(target as usize, weight, spike.payload());
             }
         }
@@ -77,6 +90,34 @@ impl Split {
 }
 
 impl ListTable {
+    /// The lists of each of these delays, ascending, as one; `None` when there is no synapse. A
+    /// slot has this many lanes.
+    ///
+    /// # Errors
+    /// The number of synapses, when positions do not fit.
+    pub fn new(delays: Vec<(u8, ListBuilder)>, lanes: usize) -> Result<Option<Self>, usize> {
+        let mut some: Vec<(u8, ListBuilder)> = delays.into_iter().filter(|(_, lists)| lists.len() > 0).collect();
+        let (Some(&(shortest, _)), Some(&(longest, _))) = (some.first(), some.last()) else { return Ok(None) };
+        let all = match some.len() {
+            1 => some.remove(0).1,
+            _ => {
+                let after = |delay: u8| usize::from(delay - shortest) * lanes;
+                let mut all = ListBuilder::new(after(longest) + lanes);
+                for source in 0..some[0].1.ends.len() {
+                    for (delay, lists) in &some {
+                        for (lane, weight) in lists.list(source) {
+                            all.push((lane + after(*delay) as u32, weight));
+                        }
+                    }
+                    all.ends.push(all.len());
+                }
+                all
+            }
+        };
+        all.finish(shortest == longest)
+            .map(|(places, synapses)| Some(ListTable { shortest, longest, places, synapses }))
+    }
+
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
         let synapses = match &self.synapses {
@@ -84,13 +125,14 @@ impl ListTable {
             ListForm::Eights(runs) => runs.bytes(),
             ListForm::Sixteens(runs) => runs.bytes(),
             ListForm::Packed(runs) => runs.bytes(),
+            ListForm::PackedSixteens(runs) => runs.bytes(),
             ListForm::Split(split) => 6 * split.targets.len(),
         };
         size_of_val(self.places.as_slice()) + synapses
     }
 }
 
-/// A synapse: lane, and weight in units of 64.
+/// A synapse: lane or target, and weight in units of 64.
 pub(crate) type LaneWeight = (u32, i16);
 
 /// Synapses in the order of sources, before their form is chosen.
@@ -111,7 +153,7 @@ enum Words {
 }
 
 impl ListBuilder {
-    /// A builder for a shard with this many lanes.
+    /// A builder for lanes or targets below a number.
     pub fn new(lanes: usize) -> Self {
         ListBuilder { lanes, packing: Packing::new(lanes), ends: Vec::new(), words: Words::Packed(Vec::new()) }
     }
@@ -137,6 +179,18 @@ impl ListBuilder {
             targets.push(target);
             weights.push(weight);
         }
+    }
+
+    /// The synapses of a source.
+    fn list(&self, source: usize) -> impl Iterator<Item = LaneWeight> {
+        let begin = if source == 0 { 0 } else { self.ends[source - 1] };
+        (begin..self.ends[source]).map(|at| match &self.words {
+            Words::Packed(words) => {
+                let (target, weight) = self.packing.unpack(words[at]);
+                (target as u32, weight)
+            }
+            Words::Split { targets, weights } => (targets[at], weights[at]),
+        })
     }
 
     /// Appends the lists of the next sources, of this many synapses each.
@@ -206,47 +260,43 @@ impl ListBuilder {
         }
     }
 
-    /// The table, `None` when it is empty.
+    /// Where each list is, and the synapses; all have one delay or several.
     ///
     /// # Errors
     /// The number of synapses, when positions do not fit.
-    pub fn finish(self) -> Result<Option<ListTable>, usize> {
+    fn finish(self, one_delay: bool) -> Result<(Vec<ListPlace>, ListForm), usize> {
         let ListBuilder { lanes, packing, ends, words } = self;
         let begins = || std::iter::once(0).chain(ends.iter().copied());
         let lists = || begins().zip(&ends).map(|(begin, &end)| begin..end);
-        let total = ends.last().copied().unwrap_or(0);
-        if total == 0 {
-            return Ok(None);
-        }
         let fits = |&word: &u32| {
             let (target, weight) = packing.unpack(word);
             u16::try_from(target).is_ok() && i8::try_from(weight).is_ok()
         };
-        let compact = lanes >= COMPACT_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
+        let compact =
+            one_delay && lanes >= COMPACT_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
         let lengths = lists().map(|list| list.len());
-        let (places, synapses) = match words {
+        match words {
             Words::Packed(words) => {
                 let synapses = words.iter().map(|&word| packing.unpack(word));
-                let size = [4, 8, 16].into_iter().min_by(|&a, &b| {
-                    let cost = |size| padded_runs::cost(size, lengths.clone());
-                    cost(a).total_cmp(&cost(b))
-                });
-                match size.filter(|_| compact) {
-                    Some(4) => named(PaddedRuns::new(Compact, lengths, synapses), ListForm::Fours),
+                let cost = |size| padded_runs::cost(size, lengths.clone());
+                let sizes: &[usize] = if compact { &[4, 8, 16] } else { &[4, 16] };
+                match sizes.iter().copied().min_by(|&a, &b| cost(a).total_cmp(&cost(b))) {
+                    Some(16) if compact => named(PaddedRuns::new(Compact, lengths, synapses), ListForm::Sixteens),
                     Some(8) => named(PaddedRuns::new(Compact, lengths, synapses), ListForm::Eights),
-                    Some(_) => named(PaddedRuns::new(Compact, lengths, synapses), ListForm::Sixteens),
-                    None => named(PaddedRuns::new(packing, lengths, synapses), ListForm::Packed),
+                    _ if compact => named(PaddedRuns::new(Compact, lengths, synapses), ListForm::Fours),
+                    Some(16) => named(PaddedRuns::new(packing, lengths, synapses), ListForm::PackedSixteens),
+                    _ => named(PaddedRuns::new(packing, lengths, synapses), ListForm::Packed),
                 }
-                .ok_or(total)?
             }
             Words::Split { mut targets, mut weights } => {
                 let place = |list: Range<usize>| ListPlace::new(list.start, list.len());
                 targets.shrink_to_fit();
                 weights.shrink_to_fit();
-                (lists().map(place).collect::<Option<_>>().ok_or(total)?, ListForm::Split(Split { targets, weights }))
+                let places: Option<_> = lists().map(place).collect();
+                places.map(|places| (places, ListForm::Split(Split { targets, weights })))
             }
-        };
-        Ok(Some(ListTable { places, synapses }))
+        }
+        .ok_or_else(|| ends.last().copied().unwrap_or(0))
     }
 }
 
@@ -264,11 +314,12 @@ impl ListTable {
         let mut list = Vec::new();
         let push = |lane: usize, weight, ()| list.push((lane as u32, weight));
         match &self.synapses {
-            ListForm::Fours(runs) => runs.deliver(&self.places, &ids, &mut queue, push),
-            ListForm::Eights(runs) => runs.deliver(&self.places, &ids, &mut queue, push),
-            ListForm::Sixteens(runs) => runs.deliver(&self.places, &ids, &mut queue, push),
-            ListForm::Packed(runs) => runs.deliver(&self.places, &ids, &mut queue, push),
-            ListForm::Split(lists) => lists.deliver(&self.places, &ids, push),
+            ListForm::Fours(runs) => runs.deliver(&self.places, &ids, (usize::MAX, &mut queue), push),
+            ListForm::Eights(runs) => runs.deliver(&self.places, &ids, (usize::MAX, &mut queue), push),
+            ListForm::Sixteens(runs) => runs.deliver(&self.places, &ids, (usize::MAX, &mut queue), push),
+            ListForm::Packed(runs) => runs.deliver(&self.places, &ids, (usize::MAX, &mut queue), push),
+            ListForm::PackedSixteens(runs) => runs.deliver(&self.places, &ids, (usize::MAX, &mut queue), push),
+            ListForm::Split(lists) => lists.deliver(&self.places, &ids, usize::MAX, push),
         };
         // Padding comes last.
         list.truncate(place.len());
@@ -285,7 +336,7 @@ mod tests {
     fn read(lists: &[Vec<(u32, i16)>], lanes: usize) -> (Vec<Vec<(u32, i16)>>, ListTable) {
         let mut builder = ListBuilder::new(lanes);
         lists.iter().for_each(|list| builder.append(&[list.len() as u32], list));
-        let table = builder.finish().unwrap().unwrap();
+        let table = ListTable::new(vec![(0, builder)], lanes).unwrap().unwrap();
         ((0..lists.len()).map(|source| table.list(source)).collect(), table)
     }
 
@@ -309,7 +360,7 @@ mod tests {
             packed[7].extend([(lanes as u32 - 1, (weight - 1) as i16), (0, -weight as i16)]);
             let (out, table) = read(&packed, lanes as usize);
             assert_eq!(out, packed);
-            assert!(matches!(table.synapses, ListForm::Packed(_)), "{lanes} {weight}");
+            assert!(matches!(table.synapses, ListForm::PackedSixteens(_)), "{lanes} {weight}");
         }
         let mut apart = draw(200, 1_000_000, 2_000);
         apart[100].push((999_999, i16::MIN));
@@ -327,10 +378,31 @@ mod tests {
         assert!(matches!((of(3), of(8), of(64)), (ListForm::Fours(_), ListForm::Eights(_), ListForm::Sixteens(_))));
     }
 
+    /// One list holds the synapses of all delays, those of shorter ones first.
+    #[test]
+    fn delays_are_joined() {
+        let (lanes, delays) = (300, [3, 4, 20]);
+        let lists = delays.map(|delay| draw(50, lanes, 100 + i64::from(delay)));
+        let builders = delays.iter().zip(&lists).map(|(&delay, lists)| {
+            let mut builder = ListBuilder::new(lanes as usize);
+            lists.iter().for_each(|list| builder.append(&[list.len() as u32], list));
+            (delay, builder)
+        });
+        let table = ListTable::new(builders.collect(), lanes as usize).unwrap().unwrap();
+        assert_eq!((table.shortest, table.longest), (3, 20));
+        for source in 0..50 {
+            let after = |delay: u8| u32::from(delay - 3) * lanes as u32;
+            let of = delays.iter().zip(&lists).flat_map(|(&delay, lists)| {
+                lists[source].iter().map(move |&(lane, weight)| (lane + after(delay), weight))
+            });
+            assert_eq!(table.list(source), of.collect::<Vec<_>>());
+        }
+    }
+
     #[test]
     fn an_empty_table_is_none() {
         let mut builder = ListBuilder::new(100);
         builder.append(&[0], &[]);
-        assert!(builder.finish().unwrap().is_none());
+        assert!(ListTable::new(vec![(0, builder)], 100).unwrap().is_none());
     }
 }

@@ -182,26 +182,37 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
         self.store.bytes().len()
     }
 
-    /// Calls `add` with lane, weight and payload for every synapse that these spikes reach, and for
-    /// padding; returns the number of synapses. Lists are at `places`; `queue` is scratch memory.
+    /// Calls `add` with target, weight and payload for every synapse that these spikes reach, and
+    /// for padding, of targets below a number if there is one; returns the number of synapses.
+    /// Lists are at `places`, of ascending slots; `queue` is scratch memory.
     #[inline(always)]
     pub fn deliver<P: Spike>(
         &self,
         places: &[ListPlace],
         spikes: &[P],
-        queue: &mut Vec<u32>,
+        (below, queue): (usize, &mut Vec<u32>),
         mut add: impl FnMut(usize, i16, P::Payload),
     ) -> u64 {
         let (bytes, mut events) = (self.store.bytes(), 0);
         let fetch = |run: u32| prefetch(bytes, run as usize * STEP + Self::BYTES - 1);
-        if !P::BINARY {
-            // Queued runs do not know their spike.
-            for spike in spikes {
-                let place = places[spike.source()];
-                for run in 0..place.len().div_ceil(N) {
-                    self.add_run(place.start() * STEP + run * Self::BYTES, spike.payload(), &mut add);
+        if !P::BINARY || below < usize::MAX {
+            // Queued runs do not know their spike, and are delivered whole.
+            for (index, spike) in spikes.iter().enumerate() {
+                if let Some(far) = spikes.get(index + PREFETCH_SOURCES / 4) {
+                    fetch(places[far.source()].start() as u32);
                 }
-                events += place.len() as u64;
+                let place = places[spike.source()];
+                let run = |run| place.start() * STEP + run * Self::BYTES;
+                let read = |at: usize| self.form.read::<N>(&bytes[run(at / N)..][..Self::BYTES], at % N);
+                let count = match below {
+                    usize::MAX => place.len(),
+                    _ => (0..place.len()).take_while(|&at| read(at).0 < below).count(),
+                };
+                (0..count / N).for_each(|at| self.add_run(run(at), spike.payload(), &mut add));
+                for (target, weight) in (count / N * N..count).map(read) {
+                    add(target, weight, spike.payload());
+                }
+                events += count as u64;
             }
             return events;
         }
@@ -315,7 +326,7 @@ mod tests {
             for &(lane, weight) in &synapses {
                 expected[lane] = (expected[lane].0 + i64::from(weight), true);
             }
-            let count = runs.deliver(&places, &ids, &mut queue, |lane, weight, ()| {
+            let count = runs.deliver(&places, &ids, (usize::MAX, &mut queue), |lane, weight, ()| {
                 sums[lane] = (sums[lane].0 + i64::from(weight), true);
             });
             assert_eq!((count, sums), (synapses.len() as u64, expected));
@@ -329,6 +340,7 @@ mod tests {
             compare::<_, 8>(Compact, 128, most);
             compare::<_, 16>(Compact, 128, most);
             compare::<_, 4>(Packing::new(LANES as usize), 2_040, most);
+            compare::<_, 16>(Packing::new(LANES as usize), 2_040, most);
         }
     }
 

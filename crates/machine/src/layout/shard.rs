@@ -7,7 +7,7 @@
 //! dense blocks are padded with zeros to whole chunks, so what they add to padding or to a
 //! neighbour changes nothing.
 
-use crate::layout::fan_out::FanOut;
+use crate::layout::fan_out::FanOuts;
 use crate::layout::lane_order::SECOND_PORT;
 use nsim_dynamics::kinds::{CHUNK, Updater};
 use nsim_ir::base::id::{CompartmentId, CoreId};
@@ -107,10 +107,10 @@ pub(crate) struct Shard {
     pub wakes: Vec<u64>,
     /// Compartments whose state is words, by lane.
     pub words: Vec<WordBlock>,
-    /// Synapses of channels, by ascending delay.
-    pub from_channels: Vec<FanOut>,
-    /// Synapses of compartments, by ascending delay.
-    pub from_compartments: Vec<FanOut>,
+    /// Synapses of channels.
+    pub from_channels: FanOuts,
+    /// Synapses of compartments.
+    pub from_compartments: FanOuts,
 }
 
 impl Shard {
@@ -125,14 +125,15 @@ impl Shard {
             driven: Vec::new(),
             wakes: Vec::new(),
             words: Vec::new(),
-            from_channels: Vec::new(),
-            from_compartments: Vec::new(),
+            from_channels: FanOuts::default(),
+            from_compartments: FanOuts::default(),
         }
     }
 
-    /// Synapses of all sources and delays.
-    pub fn fan_outs(&self) -> impl Iterator<Item = &FanOut> {
-        self.from_channels.iter().chain(&self.from_compartments)
+    /// Whether a list of synapses addresses lanes by 16 bits.
+    pub fn has_compact_lists(&self) -> bool {
+        let lists = [&self.from_channels, &self.from_compartments].map(|fan_outs| &fan_outs.lists);
+        lists.into_iter().flatten().any(|table| table.synapses.is_compact())
     }
 
     /// Bytes of memory that it holds.
@@ -142,6 +143,7 @@ impl Shard {
             + 4 * (self.skip_blocks.len() + self.names.len())
             + 16 * self.driven.len()
             + size_of_val(self.words.as_slice())
-            + self.fan_outs().map(FanOut::bytes).sum::<usize>()
+            + self.from_channels.bytes()
+            + self.from_compartments.bytes()
     }
 }

@@ -17,6 +17,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::deliver::prefetch::prefetch;
 use crate::layout::delivery_cost::DELIVERY_COST as COST;
 use crate::layout::lane_order::LaneOrder;
 use crate::update::kernel::LANES;
@@ -27,6 +28,8 @@ use nsim_ir::program::{CoreClass, CoreFormat, Program, Selected, Stored, Synapse
 
 /// Lanes without a synapse that a row may bridge.
 const BRIDGED: u16 = LANES as u16;
+/// Synapses of a row on average.
+const SHORTEST: usize = 2;
 /// How often rows must be used on average: rows of one source each belong to dense blocks.
 const USES: usize = 3;
 /// Synapses of a program from which on rows that only other cores use too are shared: the weights
@@ -83,18 +86,34 @@ impl WeightRows {
         size_of_val(self.weights.as_slice())
     }
 
-    /// Appends a row; `None` if it does not fit.
-    fn push(&mut self, content: &Content) -> Option<WeightRow> {
-        let first = self.weights.len();
-        let row = WeightRow::new(first..first + content.weights.len().div_ceil(LANES))?;
-        for chunk in content.weights.chunks(LANES) {
-            let mut padded = [0; LANES];
-            padded[..chunk.len()].copy_from_slice(chunk);
-            self.weights.push(padded);
+    /// Stores rows; `None` of those that do not fit. A row whose chunks follow each other in a
+    /// longer one is a part of that: what a core's border leaves of a kernel's row takes no memory.
+    fn with(contents: &[Content]) -> (Self, Vec<Option<WeightRow>>) {
+        let mut order: Vec<usize> = (0..contents.len()).collect();
+        order.sort_by_key(|&row| std::cmp::Reverse(contents[row].weights.len()));
+        let (mut weights, mut rows): (Vec<[i16; LANES]>, Vec<_>) = (Vec::new(), vec![None; contents.len()]);
+        let mut places: HashMap<[i16; LANES], Vec<usize>> = HashMap::new();
+        for row in order {
+            let chunks = contents[row].weights.chunks(LANES);
+            let padded = |chunk: &[i16]| std::array::from_fn(|lane| chunk.get(lane).copied().unwrap_or(0));
+            let chunks: Vec<[i16; LANES]> = chunks.map(padded).collect();
+            let same = |first: &&usize| weights.get(**first..**first + chunks.len()) == Some(chunks.as_slice());
+            let known = places.get(&chunks[0]).and_then(|firsts| firsts.iter().take(TRIED).find(same).copied());
+            let first = known.unwrap_or(weights.len());
+            rows[row] = WeightRow::new(first..first + chunks.len());
+            if known.is_none() && rows[row].is_some() {
+                for (place, chunk) in (first..).zip(&chunks) {
+                    places.entry(*chunk).or_default().push(place);
+                }
+                weights.extend(chunks);
+            }
         }
-        Some(row)
+        (WeightRows { weights }, rows)
     }
 }
+
+/// Places at which a row is looked for in others.
+const TRIED: usize = 16;
 
 /// What a row is told from others by.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -155,16 +174,20 @@ impl ProgramRows {
             .par_iter()
             .map(|&(class, ranks, cores)| CoreRows::of_class(class, ranks, if synapses < MANY { 1 } else { cores }))
             .collect();
-        let (mut rows, mut axons, mut place_of) = (WeightRows::default(), Vec::new(), Vec::new());
-        let mut known: HashMap<Content, WeightRow> = HashMap::new();
-        for found in found {
-            let stored = found.and_then(|CoreRows { contents, axons: of_core }| {
-                let mut places = Vec::with_capacity(contents.len());
-                for content in &contents {
-                    let place = known.get(content).copied().or_else(|| rows.push(content))?;
-                    known.insert(content.clone(), place);
-                    places.push(place);
-                }
+        let mut numbers: HashMap<&Content, usize> = HashMap::new();
+        let mut contents = Vec::new();
+        for content in found.iter().flatten().flat_map(|found| &found.contents) {
+            numbers.entry(content).or_insert_with(|| {
+                contents.push(content.clone());
+                contents.len() - 1
+            });
+        }
+        let (rows, places) = WeightRows::with(&contents);
+        let (mut axons, mut place_of) = (Vec::new(), Vec::new());
+        for found in &found {
+            let stored = found.as_ref().and_then(|CoreRows { contents, axons: of_core }| {
+                let place = |content: &Content| places[numbers[content]];
+                let places: Vec<WeightRow> = contents.iter().map(place).collect::<Option<_>>()?;
                 let mut stored = Csr::with_capacity(of_core.len(), of_core.items().len());
                 for axon in of_core.iter() {
                     stored.push(axon.iter().map(|&(rank, delay, number)| {
@@ -178,7 +201,7 @@ impl ProgramRows {
             place_of.push(stored.is_some().then_some(axons.len() as u32));
             axons.extend(stored);
         }
-        tracing::debug!("{} rows of weights in {} chunks", known.len(), rows.weights.len());
+        tracing::debug!("{} rows of weights in {} chunks", contents.len(), rows.weights.len());
         ProgramRows { places: same.into_iter().map(|first| place_of[first]).collect(), axons, rows: Arc::new(rows) }
     }
 
@@ -248,13 +271,18 @@ fn rows_of(
     // The last chunk of a row may reach beyond its last lane, whose number has 16 bits.
     let together =
         |a: &(u8, u16, i16), b: &(u8, u16, i16)| a.0 == b.0 && b.1 - a.1 <= BRIDGED && b.1 < u16::MAX - LANES as u16;
-    let mut cost = 0;
+    let (mut cost, mut rows) = (0, 0);
     for row in scratch.chunk_by(together) {
         let span = usize::from(row[row.len() - 1].1 - row[0].1) + 1;
         cost += COST.row + span.div_ceil(LANES) * COST.row_chunk;
-        if cost > axon.stored.len() * COST.synapse {
+        rows += 1;
+        if cost > COST.list + axon.stored.len() * COST.synapse {
             return None;
         }
+    }
+    // Single synapses would be found equal by chance.
+    if axon.stored.len() < SHORTEST * rows {
+        return None;
     }
     let content = |row: &[(u8, u16, i16)]| {
         let (first, last) = (row[0].1, row[row.len() - 1].1);
@@ -349,6 +377,20 @@ impl RowTable {
         let stencil = self.stencils[origin.stencil as usize];
         let (first, rows) = (stencil.first as usize, stencil.rows as usize);
         (stencil, &self.places[first..first + rows.max(UNCHECKED)], rows)
+    }
+
+    /// Prefetches a source's stencil.
+    #[inline(always)]
+    pub fn prefetch_stencil(&self, origin: Origin) {
+        prefetch(&self.stencils, origin.stencil as usize);
+    }
+
+    /// Prefetches the rows of a source's stencil that are read unchecked.
+    #[inline(always)]
+    pub fn prefetch_rows(&self, origin: Origin) {
+        let first = self.stencils[origin.stencil as usize].first as usize;
+        prefetch(&self.places, first);
+        prefetch(&self.places, first + UNCHECKED - 1);
     }
 
     /// Bytes of memory that it holds, the rows themselves not included.
@@ -500,6 +542,19 @@ mod tests {
             assert_eq!(rows.iter().map(|row| row.2.synapses as usize).sum::<usize>(), list.len());
         }
         assert!(rowed > 500, "{rowed} lists have rows");
+    }
+
+    #[test]
+    fn a_row_within_another_takes_no_memory() {
+        let row = |lanes: Range<i16>| Content { synapses: lanes.len() as u32, weights: lanes.collect() };
+        let contents = [row(17..49), row(1..65), row(33..60), row(2..18)];
+        let (rows, places) = WeightRows::with(&contents);
+        assert_eq!(rows.chunks(), 4 + 2 + 1);
+        for (content, place) in contents.iter().zip(places) {
+            let held: Vec<i16> = rows.weights(place.unwrap()).iter().flatten().copied().collect();
+            let (own, padding) = held.split_at(content.weights.len());
+            assert!(own == content.weights && padding.len() < LANES && padding.iter().all(|&weight| weight == 0));
+        }
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use crate::bits::{UNCHECKED, ones, write_ones};
 use crate::deliver::accumulate::Accumulate;
-use crate::deliver::delay_ring::DelayRing;
+use crate::deliver::delay_ring::{Arrivals, DelayRing};
 use crate::layout::image::{Image, SumWidth};
 use crate::layout::lane_order::SECOND_PORT;
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
@@ -197,7 +197,6 @@ impl std::ops::DerefMut for ShardState {
 impl ShardState {
     /// A shard at rest, with this many slots in its delay ring.
     pub fn new(image: &Image, shard: &Shard, slots: usize) -> Self {
-        let words = shard.driven.len();
         let holds = if image.semantics == Semantics::Slayer { shard.lanes } else { 0 };
         let state = CompartmentState {
             u: Aligned::new(shard.lanes),
@@ -220,12 +219,11 @@ impl ShardState {
             left_fields: Vec::new(),
             visited: 0,
         };
-        let mut lists = shard.fan_outs().filter_map(|fan_out| fan_out.lists.as_ref());
-        let compact = lists.any(|lists| lists.synapses.is_compact());
+        let compact = shard.has_compact_lists();
         let rings = match image.sum_width {
-            SumWidth::Bits16 => Rings::Bits16(DelayRing::new(shard.lanes, compact, words, slots)),
-            SumWidth::Bits32 => Rings::Bits32(DelayRing::new(shard.lanes, compact, words, slots)),
-            SumWidth::Bits64 => Rings::Bits64(DelayRing::new(shard.lanes, compact, words, slots)),
+            SumWidth::Bits16 => Rings::Bits16(DelayRing::new(shard.lanes, compact, slots)),
+            SumWidth::Bits32 => Rings::Bits32(DelayRing::new(shard.lanes, compact, slots)),
+            SumWidth::Bits64 => Rings::Bits64(DelayRing::new(shard.lanes, compact, slots)),
         };
         ShardState { state, rings }
     }
@@ -270,17 +268,27 @@ impl ShardState {
 
     /// Whether nothing is in flight, and every compartment is at rest and stays so without input.
     pub fn at_rest(&self, shard: &Shard) -> bool {
-        let arrivals = match &self.rings {
-            Rings::Bits16(ring) => &ring.arrivals,
-            Rings::Bits32(ring) => &ring.arrivals,
-            Rings::Bits64(ring) => &ring.arrivals,
-        };
         let clear = |words: &[u64]| words.iter().all(|&word| word == 0);
-        clear(&self.state.busy) && clear(&shard.driven) && arrivals.iter().all(|words| clear(words))
+        clear(&self.state.busy)
+            && clear(&shard.driven)
+            && match &self.rings {
+                Rings::Bits16(ring) => ring.is_empty(),
+                Rings::Bits32(ring) => ring.is_empty(),
+                Rings::Bits64(ring) => ring.is_empty(),
+            }
     }
 }
 
 impl CompartmentState {
+    /// Adds what was counted over the samples of another run of the shard.
+    pub fn absorb(&mut self, other: &CompartmentState) {
+        self.fired.iter_mut().zip(&other.fired).for_each(|(sum, more)| *sum += more);
+        self.active_by_block.iter_mut().zip(&other.active_by_block).for_each(|(sum, more)| *sum += more);
+        self.whole.iter_mut().zip(&other.whole).for_each(|(sum, more)| *sum += more);
+        self.left_fields.resize(self.left_fields.len().max(other.left_fields.len()), LeftField::default());
+        self.left_fields.iter_mut().zip(&other.left_fields).for_each(|(sum, more)| *sum += *more);
+    }
+
     /// How many compartments of each core block were not at rest, summed over the steps since this
     /// was last asked.
     pub fn take_active(&mut self, shard: &Shard) -> Vec<u64> {
@@ -343,14 +351,14 @@ impl CompartmentState {
         S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
     {
         let (channels, carried) = ((channels, channel_counts), (carried, &mut [][..]));
-        let cursor = input.step as usize % ring.sums.len();
+        let cursor = input.step as usize % ring.slots();
         if input.phase != Phase::Update {
             self.events_now = 0;
         }
         if input.visit_all {
             // This step's spikes may arrive in any slot that a delay leads to.
             if input.phase != Phase::Update {
-                ring.mark_all(shard.skip_blocks.len() - 1);
+                ring.mark_all();
             }
             self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, cursor, input.left);
             self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, cursor, input.left);
@@ -361,14 +369,14 @@ impl CompartmentState {
         if input.phase == Phase::Deliver {
             return;
         }
-        self.update((&mut ring.sums[cursor], &mut ring.arrivals[cursor]), image, shard, input, vectors);
+        self.update(ring.take(cursor), image, shard, input, vectors);
         self.record_spikes(shard);
     }
 
     #[inline(always)]
     fn update<S: Sum>(
         &mut self,
-        (sums, arrivals): (&mut [S], &mut [u64]),
+        (sums, mut arrivals): (&mut [S], Arrivals<'_>),
         image: &Image,
         shard: &Shard,
         input: StepInput,
@@ -378,12 +386,12 @@ impl CompartmentState {
         self.active.clear();
         self.active_now = 0;
         let skip_blocks = shard.skip_blocks.len() - 1;
-        for (word, arrivals) in arrivals.iter_mut().take(self.busy.len()).enumerate() {
+        for word in 0..self.busy.len() {
+            let arrived = arrivals.take(word);
             let mut set = match input.skip {
-                true => self.busy[word] | shard.driven[word] | *arrivals,
+                true => self.busy[word] | shard.driven[word] | arrived,
                 false => ones(skip_blocks - word * 64),
             };
-            *arrivals = 0;
             let mut busy = 0;
             while set != 0 {
                 let bit = set.trailing_zeros();

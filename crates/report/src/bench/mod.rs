@@ -1,5 +1,6 @@
 //! Results of `nsim bench`.
 
+pub mod ladders;
 pub mod mapping;
 pub mod paper;
 pub mod pareto;

@@ -26,12 +26,12 @@ pub struct DeliveryNetwork {
 }
 
 /// The greatest threshold mantissa.
-const NEVER: i64 = 131_071;
+pub(crate) const NEVER: i64 = 131_071;
 /// Sources of a group that reach the same compartments.
 const TOGETHER: u32 = 8;
 
 /// Compartments that forget at once and never fire.
-fn silent(net: &mut Builder, name: &str, compartments: u32) -> PopulationId {
+pub(crate) fn silent(net: &mut Builder, name: &str, compartments: u32) -> PopulationId {
     net.compartments(name, compartments, PerCompartment::Same(Neuron::PLAIN))
 }
 

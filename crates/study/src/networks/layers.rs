@@ -57,9 +57,17 @@ impl Layers {
 
     /// A convolution with random weights, to this many channels.
     pub fn convolve(&mut self, channels: u32, kernel: u32, stride: u32, padding: u32) -> Result<(), OutOfRange> {
-        let window = self.window(channels, kernel, stride, padding, 1);
+        self.convolve_window(self.window(channels, kernel, stride, padding, 1))
+    }
+
+    /// A convolution of each channel to its own.
+    pub fn convolve_each(&mut self, kernel: u32, padding: u32) -> Result<(), OutOfRange> {
+        self.convolve_window(self.window(self.size.0, kernel, 1, padding, self.size.0))
+    }
+
+    fn convolve_window(&mut self, window: Window) -> Result<(), OutOfRange> {
         let to = self.next(window.target)?;
-        let weights = u64::from(channels * self.size.0 * kernel * kernel);
+        let weights = u64::from(window.target.0 * (self.size.0 / window.groups) * window.kernel.0 * window.kernel.1);
         // Half as many positive as negative steps more: layers keep firing.
         let weight = |index| -24 + 2 * rng::below(33, self.seed, index, 0) as i16;
         let kernel = (0..weights).map(weight).collect();

@@ -1,0 +1,75 @@
+//! The result of `nsim bench sweep` as text, JSON and CSV.
+
+use serde_json::{Value, json};
+
+use crate::bench::step::rounded;
+use nsim_energy::environment::Environment;
+use nsim_files::table::{Column, csv, table_of, three, wrapped};
+use nsim_study::ladders::{CLIFF, Row};
+
+/// `nsim.bench/1`.
+pub fn json(seed: u64, environment: &Environment, rows: &[Row]) -> Value {
+    let row = |row: &Row| {
+        json!({
+            "ladder": row.ladder,
+            "at": row.at,
+            "class": row.class,
+            "synaptic_events": row.events,
+            "ns_an_event": rounded(row.ns_an_event),
+            "goal_ns": row.goal,
+            "cliff": row.is_cliff,
+        })
+    };
+    let rows: Vec<Value> = rows.iter().map(row).collect();
+    json!({ "schema": "nsim.bench/1", "name": "sweep", "seed": seed, "environment": environment, "rows": rows })
+}
+
+/// A row a rung.
+pub fn csv_of(json: &Value) -> String {
+    csv(json["rows"].as_array().into_iter().flatten(), "ladder,at,class,synaptic_events,ns_an_event,goal_ns,cliff")
+}
+
+/// For people.
+pub fn text(seed: u64, environment: &Environment, rows: &[Row]) -> String {
+    let columns: [Column<Row>; 6] = [
+        ("ladder", |row| row.ladder.to_string()),
+        ("at", |row| row.at.clone()),
+        ("class", |row| row.class.to_string()),
+        ("ns an event", |row| three(row.ns_an_event)),
+        ("goal", |row| row.goal.to_string()),
+        ("", |row| if row.is_cliff { "cliff" } else { "" }.to_string()),
+    ];
+    let cliffs = rows.iter().filter(|row| row.is_cliff).count();
+    let said = format!("Seed {seed}: {cliffs} cliffs, rungs that take more than {CLIFF} times as long as a neighbour.");
+    format!("{}\n{}\n{}", wrapped(&environment.to_string()), table_of(rows, &columns), wrapped(&said))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cliffs_are_marked_in_every_form() {
+        let row = |ns_an_event, is_cliff| Row {
+            ladder: "delays",
+            at: "8".to_string(),
+            class: "delays",
+            events: 1_000,
+            ns_an_event,
+            goal: 4.0,
+            is_cliff,
+        };
+        let (rows, here) = ([row(1.5, false), row(6.25, true)], Environment::here());
+        let json = json(7, &here, &rows);
+        assert_eq!(
+            (&json["name"], &json["seed"], &json["rows"][1]["cliff"]),
+            (&json!("sweep"), &json!(7), &json!(true))
+        );
+        assert_eq!(csv_of(&json).lines().nth(2), Some("delays,8,delays,1000,6.25,4.0,true"));
+        let text = text(7, &here, &rows);
+        assert!(
+            text.contains("6.25") && text.contains("Seed 7: 1 cliffs") && text.matches("cliff\n").count() == 1,
+            "{text}"
+        );
+    }
+}

@@ -1,0 +1,278 @@
+//! Ladders: run time a synaptic event along one property of a network or a run, to find cliffs.
+//!
+//! Input: a seed, which draws what a ladder holds fixed. Output: for each rung the time of an event,
+//! the goal of its class, and whether it is a *cliff*: it takes more than [`CLIFF`] times as long as
+//! a neighbour. Times are those of a run as users start it, sums of counts included. On several
+//! threads a time is that of all threads together. Errors: a network that does not map, a fault.
+
+use nsim_compile::{Options, Strategy, compile};
+use nsim_files::target::load_target;
+use nsim_ir::base::fixed::SignMode;
+use nsim_ir::base::id::ChannelId;
+use nsim_ir::base::rng;
+use nsim_ir::quantised::{Neuron, Quantised};
+use nsim_ir::spikes::Sample;
+use nsim_session::Keep;
+use nsim_session::error::Error;
+use nsim_session::samples::{Division, Running, fast_on, laid_out};
+
+use crate::networks::builder::Builder;
+use crate::networks::delivery::{NEVER, silent};
+use crate::networks::layers::Layers;
+use crate::networks::{BuildError, random_synapses};
+
+/// How much longer than a neighbour a cliff takes.
+pub const CLIFF: f64 = 2.5;
+/// Runs of a rung, of which the median counts.
+const REPEATS: usize = 3;
+/// Synaptic events of a run, about.
+const EVENTS: u64 = 12_000_000;
+/// The longest delay of a ladder.
+const LONGEST: u32 = 60;
+/// The target that everything is mapped to.
+const TARGET: &str = "pohoiki-springs";
+
+/// A kind of connections, which has a goal of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Class {
+    /// Random synapses, of this many delays.
+    Lists { fan_out: u32, delays: u32 },
+    /// All to all.
+    Dense,
+    /// A square kernel of this side, to all channels or each to its own.
+    Convolution { kernel: u32, depthwise: bool },
+}
+
+impl Class {
+    /// Name, and goal in nanoseconds an event on one thread of a server's processor.
+    fn goal(self) -> (&'static str, f64) {
+        match self {
+            Class::Lists { delays: 1, fan_out: 64.. } => ("lists", 1.6),
+            Class::Lists { delays: 1, .. } => ("short lists", 4.0),
+            Class::Lists { .. } => ("delays", 4.0),
+            Class::Dense => ("dense", 0.06),
+            Class::Convolution { depthwise: false, .. } => ("convolution", 0.15),
+            Class::Convolution { depthwise: true, .. } => ("depthwise", 0.3),
+        }
+    }
+}
+
+/// A rung of a ladder: what is run, and how.
+#[derive(Debug, Clone)]
+pub struct Rung {
+    /// What differs along the ladder.
+    pub ladder: &'static str,
+    /// Its value here.
+    pub at: String,
+    class: Class,
+    /// Compartments of a random or dense network; channels of a convolution.
+    size: u32,
+    populations: u32,
+    /// Sources in 1,000 that spike in a step.
+    per_mille: u64,
+    /// Steps of a sample.
+    steps: u32,
+    strategy: Strategy,
+    threads: usize,
+    seed: u64,
+}
+
+/// What was measured of a rung.
+#[derive(Debug, Clone)]
+pub struct Row {
+    /// What differs along the ladder.
+    pub ladder: &'static str,
+    /// Its value here.
+    pub at: String,
+    /// The class of its connections.
+    pub class: &'static str,
+    /// Synaptic events of a run.
+    pub events: u64,
+    /// Nanoseconds of a thread for each.
+    pub ns_an_event: f64,
+    /// The goal of the class.
+    pub goal: f64,
+    /// Whether it takes more than [`CLIFF`] times as long as a neighbour.
+    pub is_cliff: bool,
+}
+
+/// The rungs of all ladders, drawn by this seed, for up to this many threads.
+#[must_use]
+pub fn rungs(seed: u64, threads: usize) -> Vec<Rung> {
+    let mut rungs = Vec::new();
+    let base = |ladder: u64| {
+        let draw = |what, least: u64, most: u64| least + rng::below(most - least + 1, seed, ladder, what);
+        Rung {
+            ladder: "",
+            at: String::new(),
+            class: Class::Lists { fan_out: draw(0, 32, 128) as u32, delays: 1 },
+            size: draw(1, 4_096, 16_384) as u32,
+            populations: 1,
+            per_mille: draw(2, 10, 50),
+            steps: draw(3, 200, 400) as u32,
+            strategy: Strategy::Sequential,
+            threads: 1,
+            seed: rng::bits(seed, ladder, 4),
+        }
+    };
+    let layer = |ladder| Rung { size: 8 * (2 + rng::below(7, seed, ladder, 5) as u32), ..base(ladder) };
+    let mut add = |ladder, at: &dyn std::fmt::Display, rung: Rung| {
+        rungs.push(Rung { ladder, at: at.to_string(), ..rung });
+    };
+    for fan_out in [8, 32, 128, 512] {
+        let one = base(0);
+        let per_mille = (one.per_mille * 64 / u64::from(fan_out)).clamp(2, 200);
+        add("fan-out", &fan_out, Rung { class: Class::Lists { fan_out, delays: 1 }, per_mille, ..one });
+    }
+    for delays in [1, 2, 4, 8, 16, 32, 60] {
+        add("delays", &delays, Rung { class: Class::Lists { fan_out: 60, delays }, ..base(1) });
+    }
+    for steps in [2, 8, 32, 128, 512] {
+        add("steps of a sample", &steps, Rung { class: Class::Lists { fan_out: 64, delays: 2 }, steps, ..base(2) });
+    }
+    for per_mille in [5, 20, 80, 320] {
+        add("spikes in 1,000", &per_mille, Rung { per_mille, ..base(3) });
+    }
+    for populations in [1, 4, 16, 64] {
+        add("populations", &populations, Rung { populations, ..base(4) });
+    }
+    for kernel in [1, 3, 5, 7] {
+        add("kernel", &kernel, Rung { class: Class::Convolution { kernel, depthwise: false }, ..layer(5) });
+    }
+    for kernel in [3, 5, 7] {
+        add("depthwise kernel", &kernel, Rung { class: Class::Convolution { kernel, depthwise: true }, ..layer(6) });
+    }
+    for size in [512, 1_024, 2_048, 4_096] {
+        add("dense", &size, Rung { class: Class::Dense, size, ..base(7) });
+    }
+    for strategy in Strategy::ALL {
+        let class = Class::Convolution { kernel: 3, depthwise: false };
+        add("strategy", &strategy.name(), Rung { class, strategy, ..layer(8) });
+    }
+    for count in std::iter::successors(Some(1), |count| Some(2 * count)).take_while(|&count| count <= threads) {
+        let class = Class::Convolution { kernel: 3, depthwise: false };
+        add("threads", &count, Rung { class, threads: count, ..layer(9) });
+    }
+    rungs
+}
+
+impl Rung {
+    fn build(&self) -> Result<Quantised, BuildError> {
+        let Rung { class, size, populations, seed, .. } = *self;
+        if let Class::Convolution { kernel, depthwise } = class {
+            let mut layers = Layers::new("ladder", (size, 20, 20));
+            layers.threshold = NEVER;
+            match depthwise {
+                true => layers.convolve_each(kernel, kernel / 2)?,
+                false => layers.convolve(size, kernel, 1, kernel / 2)?,
+            }
+            layers.net.neurons_of_last(Neuron::PLAIN);
+            return Ok(layers.net.build()?);
+        }
+        let (mut net, size) = (Builder::new("ladder"), size / populations);
+        for population in 0..populations {
+            let ends =
+                (net.input(&format!("in{population}"), size), silent(&mut net, &format!("out{population}"), size));
+            match class {
+                Class::Lists { fan_out, delays } => {
+                    for place in 0..delays {
+                        let synapses = random_synapses(size, fan_out / delays, seed + u64::from(place));
+                        net.connect(ends, 0, SignMode::Mixed, synapses)?;
+                        net.delay_last((place * LONGEST / delays.max(2)).into())?;
+                    }
+                }
+                _ => net.dense(ends, (-120, 120), seed)?,
+            }
+        }
+        Ok(net.build()?)
+    }
+
+    /// Samples with about [`EVENTS`] synaptic events, of a network with this many channels.
+    fn samples(&self, channels: u32, synapses: u64) -> Result<Vec<Sample>, BuildError> {
+        let spikes = (u64::from(channels) * self.per_mille / 1_000).max(1);
+        let events_a_step = spikes * (synapses / u64::from(channels)).max(1);
+        let samples = (EVENTS / (events_a_step * u64::from(self.steps))).max(2 * self.threads as u64);
+        let sample = |sample: u64| {
+            let spike = |index| {
+                let channel = rng::below(channels.into(), self.seed, sample, index) as u32;
+                ((index / spikes) as u32, ChannelId(channel))
+            };
+            let events: Vec<_> = (0..spikes * u64::from(self.steps)).map(spike).collect();
+            Sample::new(self.steps, &events, None)
+        };
+        Ok((0..samples).map(sample).collect::<Result<_, _>>()?)
+    }
+
+    /// Maps and runs it.
+    ///
+    /// # Errors
+    /// [`Error::Fault`]: a rung fits its target.
+    pub fn measure(&self) -> Result<Row, Error> {
+        let fault = |error: &dyn std::fmt::Display| Error::Fault(format!("{} {}: {error}", self.ladder, self.at));
+        let network = self.build().map_err(|error| fault(&error))?;
+        let samples = self.samples(network.channels(), network.synapses()).map_err(|error| fault(&error))?;
+        let keep = Keep::new(network.output());
+        let options = Options { strategy: self.strategy, ..Options::default() };
+        let compiled = compile(network, &load_target(TARGET)?, &options).map_err(|error| fault(&error))?;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads).build().map_err(|error| fault(&error))?;
+        let samples: Vec<&Sample> = samples.iter().collect();
+        let runs = pool.install(|| {
+            let division = Division::new(&compiled.program, samples.len());
+            let image = laid_out(&compiled.program, division)?;
+            let run = |_| fast_on(&image, division, &samples, Running::new(&keep), || ());
+            Ok::<_, Error>((0..REPEATS).map(run).map(|run| (run.wall_s, run.activity)).collect::<Vec<_>>())
+        })?;
+        let events = runs[0].1.sum().synaptic_events();
+        let mut seconds: Vec<f64> = runs.iter().map(|run| run.0).collect();
+        seconds.sort_unstable_by(f64::total_cmp);
+        let ns_an_event = seconds[REPEATS / 2] * 1e9 * self.threads as f64 / events.max(1) as f64;
+        let ((class, goal), at) = (self.class.goal(), self.at.clone());
+        Ok(Row { ladder: self.ladder, at, class, events, ns_an_event, goal, is_cliff: false })
+    }
+}
+
+/// Marks the cliffs among rows in the order of [`rungs`].
+pub fn mark_cliffs(rows: &mut [Row]) {
+    for of_ladder in rows.chunk_by_mut(|a, b| a.ladder == b.ladder) {
+        let times: Vec<f64> = of_ladder.iter().map(|row| row.ns_an_event).collect();
+        for (place, row) in of_ladder.iter_mut().enumerate() {
+            let neighbours = times[place.saturating_sub(1)..times.len().min(place + 2)].iter();
+            row.is_cliff = neighbours.fold(f64::INFINITY, |least, &time| least.min(time)) * CLIFF < row.ns_an_event;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_rung_can_be_built_and_seeds_differ() {
+        for rung in rungs(1, 2) {
+            let network = rung.build().unwrap();
+            let samples = rung.samples(network.channels(), network.synapses()).unwrap();
+            assert!(samples.len() >= 2 && samples.iter().all(|sample| sample.steps() == rung.steps), "{rung:?}");
+        }
+        let names = |seed| rungs(seed, 4).iter().map(|rung| (rung.ladder, rung.at.clone())).collect::<Vec<_>>();
+        let drawn = |seed| rungs(seed, 4).iter().map(|rung| (rung.size, rung.per_mille)).collect::<Vec<_>>();
+        assert_eq!((names(1), drawn(1)), (names(2), drawn(1)));
+        assert_ne!(drawn(1), drawn(2));
+    }
+
+    #[test]
+    fn a_cliff_takes_longer_than_a_neighbour_of_its_ladder() {
+        let row = |(ladder, ns_an_event)| Row {
+            ladder,
+            at: String::new(),
+            class: "lists",
+            events: 1,
+            ns_an_event,
+            goal: 1.0,
+            is_cliff: false,
+        };
+        let mut rows = [("a", 1.0), ("a", 2.4), ("a", 2.6), ("a", 7.0), ("a", 1.0), ("b", 9.0), ("b", 8.0)].map(row);
+        mark_cliffs(&mut rows);
+        let marked: Vec<f64> = rows.iter().filter(|row| row.is_cliff).map(|row| row.ns_an_event).collect();
+        assert_eq!(marked, [7.0]);
+    }
+}

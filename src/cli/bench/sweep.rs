@@ -1,0 +1,41 @@
+//! `nsim bench sweep`: run time a synaptic event along properties of networks and runs.
+
+use crate::cli::context::{Answer, Context};
+use crate::cli::output;
+use nsim_energy::environment::Environment;
+use nsim_report::bench::ladders as report;
+use nsim_session::error::Error;
+use nsim_study::ladders::{Rung, mark_cliffs, rungs};
+
+const EXAMPLES: &str = "\
+EXAMPLES:
+  nsim bench sweep                            fan-out, delays, sample length, kernels and more, rung by rung
+  nsim bench sweep --seed 7                   the same ladders on other networks
+  nsim bench sweep --format json > sweep.json with the environment, for comparison";
+
+/// Run time of a synaptic event along fan-out, delays, steps of a sample, sparsity, populations,
+/// kernels, strategies and threads, on networks drawn by a seed; cliffs are marked
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct SweepArgs {
+    /// Draws what each ladder holds fixed
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+/// Runs the command; the answer is no when there is a cliff.
+///
+/// # Errors
+/// [`Error::Fault`] when a network cannot be made.
+pub fn run(args: &SweepArgs, context: Context) -> Result<Answer, Error> {
+    let environment = Environment::here();
+    output::warn_of_debug_build(&environment);
+    let rungs = rungs(args.seed, context.threads);
+    let mut rows = output::with_progress(context, rungs.len(), "rungs", |done| {
+        rungs.iter().map(Rung::measure).inspect(|_| done()).collect::<Result<Vec<_>, _>>()
+    })?;
+    mark_cliffs(&mut rows);
+    let json = || report::json(args.seed, &environment, &rows);
+    output::print(context.format, || report::text(args.seed, &environment, &rows), json, || report::csv_of(&json()))?;
+    Ok(if rows.iter().any(|row| row.is_cliff) { Answer::No } else { Answer::Yes })
+}
