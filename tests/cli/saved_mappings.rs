@@ -270,8 +270,8 @@ fn nets_of(compiled: &Compiled) -> Vec<Told> {
     let program = &compiled.program;
     let mut nets = Vec::new();
     for (core, image) in program.cores().enumerate() {
-        for messages in image.axons_out.iter().filter(|messages| !messages.is_empty()) {
-            nets.push((Some(core.0 as usize), messages.iter().map(|m| m.core.0 as usize).collect(), 1));
+        for messages in image.axons_out.iter().filter(|messages| messages.len() > 0) {
+            nets.push((Some(core.0 as usize), messages.map(|m| m.core.0 as usize).collect(), 1));
         }
     }
     for messages in program.parts().channels.iter().filter(|messages| !messages.is_empty()) {

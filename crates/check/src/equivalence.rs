@@ -42,11 +42,11 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::shifts::{compared, messages_of};
+use crate::shifts::{compared, first_source};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::{Delay, SignMode};
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
-use nsim_ir::program::{AxonTarget, Compartment, Compartments, Program};
+use nsim_ir::program::{Compartment, Compartments, Program};
 use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Population, Projection, Quantised, Units};
 use nsim_ir::spikes::Message;
@@ -147,25 +147,26 @@ fn check_synapses(
         let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
         let size = population.shape.len();
         let of_piece = synapses_of_piece(program.cores().len());
+        let first = first_source(network, population);
         let piece = (u64::from(size) * of_piece / synapses.max(1)).clamp(1, MOST_SOURCES) as u32;
         let failed = (0..size.div_ceil(piece))
             .into_par_iter()
             .map_init(Decoder::default, |decoder, number| {
                 let sources = number * piece..((number + 1) * piece).min(size);
-                if sources.clone().all(|index| is_skipped(program, &population.units, index, compared)) {
+                if sources.clone().all(|index| is_skipped(program, first + index, compared)) {
                     return Ok(());
                 }
-                decoder.enumerate(network, &population.units, &outgoing, sources.clone(), (program, compared));
-                decoder.decode(program, &population.units, sources.clone(), compared);
+                decoder.enumerate((network, &outgoing), (first, sources.clone()), (program, compared));
+                decoder.decode(program, first + sources.start..first + sources.end, compared);
                 match decoder.first_that_differs() {
                     None => Ok(()),
                     Some((source, meant)) => {
                         let index = sources.start + source;
                         let source_name = name_of(&population.units, index);
-                        let of_message = |message: &AxonTarget| {
+                        let decoded = program.messages(first + index).map(|message| {
                             program.class_of(message.core).inputs.get(usize::from(message.axon)).synapses().len()
-                        };
-                        let decoded = messages_of(program, &population.units, index).iter().map(of_message).sum();
+                        });
+                        let decoded = decoded.sum();
                         Err(Difference::Synapses { source_name, decoded, meant })
                     }
                 }
@@ -180,9 +181,9 @@ fn check_synapses(
 
 /// Whether all messages of a source go to cores that are not compared. What a source reaches
 /// without a message is found by counting.
-fn is_skipped(program: &Program, units: &Units, index: u32, compared: impl Fn(CoreId) -> bool) -> bool {
-    let messages = messages_of(program, units, index);
-    !messages.is_empty() && messages.iter().all(|message| !compared(message.core))
+fn is_skipped(program: &Program, source: u32, compared: impl Fn(CoreId) -> bool) -> bool {
+    let mut messages = program.messages(source);
+    messages.len() > 0 && messages.all(|message| !compared(message.core))
 }
 
 fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference> {
@@ -206,30 +207,35 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
 }
 
 fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
-    let first = match population.units {
-        Units::Input(first) => first.0,
-        Units::Compartments { first, .. } => network.channels() + first.0,
-    };
-    (first..first + population.shape.len()).all(|source| {
-        let graded = program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
-        graded.map_or(Message::Spike, |graded| graded.message) == population.message
-    })
+    let (first, graded) = (first_source(network, population), &program.parts().graded);
+    let mut source = first;
+    // Up to where the next payload begins or this one ends, all sources send the same.
+    while source < first + population.shape.len() {
+        let here = graded.iter().find(|graded| graded.sources.contains(&source));
+        if here.map_or(Message::Spike, |graded| graded.message) != population.message {
+            return false;
+        }
+        let next = graded.iter().map(|graded| graded.sources.start).filter(|&start| start > source).min();
+        source = here.map_or(next.unwrap_or(u32::MAX), |graded| graded.sources.end);
+    }
+    true
 }
 
 fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Difference> {
     for population in network.populations() {
         let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
-        for index in 0..population.shape.len() {
-            let id = CompartmentId(first.0 + index);
-            let meant = Compartment { neuron: neurons.get(index), start_step: *start_step };
-            let seat = program.seats()[id];
+        let differs = |id: &CompartmentId| {
+            let meant = Compartment { neuron: neurons.get(id.0 - first.0), start_step: *start_step };
+            let seat = program.seats()[*id];
             let found = program.cores().get(seat.core).and_then(|image| {
                 let slot = usize::from(seat.slot);
-                (image.ids.get(slot) == Some(&id)).then(|| program.classes()[image.class].compartments.get(slot))?
+                (image.ids.get(slot) == Some(id)).then(|| program.classes()[image.class].compartments.get(slot))?
             });
-            if found != Some(&meant) {
-                return Err(Difference::Parameters(id));
-            }
+            found != Some(&meant)
+        };
+        let ids = (first.0..first.0 + population.shape.len()).into_par_iter().map(CompartmentId);
+        if let Some(id) = ids.find_first(differs) {
+            return Err(Difference::Parameters(id));
         }
     }
     Ok(())
@@ -316,17 +322,15 @@ impl Decoder {
     /// R(s): the network's synapses to the cores that are compared.
     fn enumerate(
         &mut self,
-        network: &Quantised,
-        units: &Units,
-        outgoing: &[&Projection],
-        sources: Range<u32>,
+        (network, outgoing): (&Quantised, &[&Projection]),
+        (first_source, indices): (u32, Range<u32>),
         (program, compared): (&Program, impl Fn(CoreId) -> bool),
     ) {
         self.meant.clear();
         self.first.clear();
-        for index in sources {
+        for index in indices {
             self.first.push(self.meant.len());
-            if is_skipped(program, units, index, &compared) {
+            if is_skipped(program, first_source + index, &compared) {
                 continue;
             }
             for projection in outgoing {
@@ -342,9 +346,9 @@ impl Decoder {
     }
 
     /// D(s), as far as there is room.
-    fn decode(&mut self, program: &Program, units: &Units, sources: Range<u32>, compared: impl Fn(CoreId) -> bool) {
-        let messages = |index| messages_of(program, units, index).iter().filter(|message| compared(message.core));
-        let all = || (0..=u16::MAX).zip(sources.clone()).map(|(source, index)| (source, messages(index)));
+    fn decode(&mut self, program: &Program, sources: Range<u32>, compared: impl Fn(CoreId) -> bool) {
+        let messages = |source| program.messages(source).filter(|message| compared(message.core));
+        let all = || (0..=u16::MAX).zip(sources.clone()).map(|(number, source)| (number, messages(source)));
         self.ends.clear();
         self.ends.resize(program.cores().len() + 1, 0);
         all().flat_map(|(_, messages)| messages).for_each(|message| self.ends[message.core.index() + 1] += 1);

@@ -6,12 +6,14 @@
 //! of their class. Nothing is assumed of how either was made: the network's copies are compared
 //! too.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
-use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, IdVec, PopulationId, ProjectionId};
-use nsim_ir::program::{AxonTarget, Program};
+use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, IdVec, PopulationId, ProjectionId};
+use nsim_ir::messages::Messages;
+use nsim_ir::program::Program;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Population, Projection, Quantised, Units};
 
@@ -60,13 +62,61 @@ fn distance(from: u32, to: u32, height: u32, width: u32) -> Option<(i64, i64)> {
     (from / plane == to / plane).then_some((to_row - row, to_column - column))
 }
 
+/// Sources, and what is added to their numbers.
+type Added = (Range<u32>, i64);
+
+/// The rows and columns of a population between which sources are.
+struct Bounds {
+    population: PopulationId,
+    rows: (i64, i64),
+    columns: (i64, i64),
+}
+
+impl Bounds {
+    /// Of these sources, by population; `None` where one is no volume.
+    fn of(network: &Quantised, sources: &[u32]) -> Option<Vec<Self>> {
+        let mut found: Vec<(Range<u32>, (u32, u32), Bounds)> = Vec::new();
+        for &source in sources {
+            let at = match found.iter().position(|(range, ..)| range.contains(&source)) {
+                Some(at) => at,
+                None => {
+                    let range = |population: &Population| {
+                        let first = first_source(network, population);
+                        first..first + population.shape.len()
+                    };
+                    let mut all = network.populations().enumerate();
+                    let (id, population) = all.find(|(_, population)| range(population).contains(&source))?;
+                    let (_, height, width) = population.shape.volume()?;
+                    let none = (i64::MAX, i64::MIN);
+                    let bounds = Bounds { population: id, rows: none, columns: none };
+                    found.push((range(population), (height, width), bounds));
+                    found.len() - 1
+                }
+            };
+            let (range, (height, width), bounds) = &mut found[at];
+            let position = (source - range.start) % (*height * *width);
+            let wider = |of: (i64, i64), at: u32| (of.0.min(at.into()), of.1.max(at.into()));
+            bounds.rows = wider(bounds.rows, position / *width);
+            bounds.columns = wider(bounds.columns, position % *width);
+        }
+        Some(found.into_iter().map(|(.., bounds)| bounds).collect())
+    }
+
+    /// Whether so many rows and columns further on they are in the volume still.
+    fn hold(&self, down: i64, right: i64, (_, height, width): (u32, u32, u32)) -> bool {
+        let inside = |(low, high): (i64, i64), by: i64, size: u32| low + by >= 0 && high + by < i64::from(size);
+        inside(self.rows, down, height) && inside(self.columns, right, width)
+    }
+}
+
 struct Shifts<'a> {
     network: &'a Quantised,
     program: &'a Program,
     /// Of one copy, where there are several.
     sizes: Option<Sizes>,
-    /// By class with several cores, the source of each input axon of the first.
-    sources: IdVec<ClassId, Vec<u32>>,
+    /// By class where the sources of the first core's input axons are; `None` where some are of a
+    /// population that is no volume.
+    bounds: IdVec<ClassId, Option<Vec<Bounds>>>,
 }
 
 impl Shifts<'_> {
@@ -91,31 +141,37 @@ impl Shifts<'_> {
         pairs().all(|pair| apart(pair) == Some(shift)).then_some(Shift::Positions(id, shift))
     }
 
-    /// Whether a source is where a shift has what is another source at the first core.
-    fn leads(&self, shift: Shift, population: PopulationId, from: u32, to: u32) -> bool {
-        let (network, channels) = (self.network, self.network.channels());
-        match (shift, self.sizes) {
-            (Shift::Copies(later), Some(sizes)) => {
-                let size = if from < channels { sizes.channels } else { sizes.compartments };
-                (from < channels) == (to < channels) && i64::from(to) - i64::from(from) == later * i64::from(size)
+    /// What a shift adds to the numbers of sources of the first core of a class; `None` where it
+    /// takes some of them out of their population, or the network is not the same there.
+    fn added(&self, class: ClassId, shift: Shift) -> Option<Vec<Added>> {
+        let network = self.network;
+        match shift {
+            Shift::Copies(later) => {
+                let (sizes, channels) = (self.sizes?, network.channels());
+                let added = |range, size: u32| (range, later * i64::from(size));
+                let all = channels + network.compartments();
+                Some(vec![added(0..channels, sizes.channels), added(channels..all, sizes.compartments)])
             }
-            (Shift::Copies(_), None) => false,
-            (Shift::Positions(target, (rows, columns)), _) => {
-                let source = &network.populations()[population];
-                let first = first_source(network, source);
-                let Some(from) = from.checked_sub(first).filter(|&from| from < source.shape.len()) else {
-                    return false;
+            Shift::Positions(target, (rows, columns)) => {
+                let of_source = |bounds: &Bounds| {
+                    let population = &network.populations()[bounds.population];
+                    let into = network.outgoing(bounds.population).iter().map(|&id| &network.projections()[id]);
+                    let mut by = into.filter(|projection| projection.target == target).map(|projection| {
+                        let (Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. }) =
+                            &projection.connectivity
+                        else {
+                            return None;
+                        };
+                        let volumes = [&network.populations()[target], population].map(|p| p.shape.volume());
+                        let (down, right) = (rows * i64::from(window.stride.0), columns * i64::from(window.stride.1));
+                        let same = volumes == [Some(window.target), Some(window.source)];
+                        (same && bounds.hold(down, right, window.source))
+                            .then_some(down * i64::from(window.source.2) + right)
+                    });
+                    let (first, one) = (first_source(network, population), by.next()??);
+                    by.all(|other| other == Some(one)).then_some((first..first + population.shape.len(), one))
                 };
-                let into = network.outgoing(population).iter().map(|&projection| &network.projections()[projection]);
-                into.filter(|projection| projection.target == target).all(|projection| match &projection.connectivity {
-                    Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. } => {
-                        let (down, right) = (i64::from(window.stride.0), i64::from(window.stride.1));
-                        let (_, height, width) = window.source;
-                        network.populations()[target].shape.volume() == Some(window.target)
-                            && distance(from, to - first, height, width) == Some((rows * down, columns * right))
-                    }
-                    _ => false,
-                })
+                self.bounds[class].as_ref()?.iter().map(of_source).collect()
             }
         }
     }
@@ -128,42 +184,49 @@ pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<Co
     if firsts.len() == program.cores().len() {
         return program.cores().iter().map(|_| true).collect();
     }
-    let is_first = |core: CoreId| firsts[program.cores()[core].class] == core;
-    let sources = firsts.iter().map(|&first| vec![0; program.class_of(first).inputs.len()]).collect();
-    let mut shifts = Shifts { network, program, sizes: Sizes::new(network, copies), sources };
-    for population in network.populations() {
-        let first = first_source(network, population);
-        for index in 0..population.shape.len() {
-            let messages = messages_of(program, &population.units, index).iter();
-            for message in messages.filter(|message| is_first(message.core)) {
-                let class = program.cores()[message.core].class;
-                shifts.sources[class][usize::from(message.axon)] = first + index;
-            }
+    let class = |core: CoreId| program.cores()[core].class;
+    let is_first = |core: CoreId| firsts[class(core)] == core;
+    let mut sources: IdVec<ClassId, Vec<u32>> =
+        firsts.iter().map(|&first| vec![0; program.class_of(first).inputs.len()]).collect();
+    let mut note = |source: u32, messages: Messages<'_>| {
+        for message in messages.filter(|message| is_first(message.core)) {
+            sources[class(message.core)][usize::from(message.axon)] = source;
         }
+    };
+    let channels = network.channels();
+    (0..channels).for_each(|channel| note(channel, program.messages(channel)));
+    for image in program.cores().iter().filter(|image| image.axons_out.cores().iter().any(|&core| is_first(core))) {
+        image.ids.iter().zip(image.axons_out.iter()).for_each(|(id, messages)| note(channels + id.0, messages));
     }
+    let bounds = sources.as_slice().par_iter().map(|sources| Bounds::of(network, sources)).collect::<Vec<_>>().into();
+    let shifts = Shifts { network, program, sizes: Sizes::new(network, copies), bounds };
     let all: Vec<CoreId> = program.cores().ids().collect();
     let of = |&core: &CoreId| match is_first(core) {
         true => None,
-        false => shifts.between(firsts[program.cores()[core].class], core),
+        false => shifts.added(class(core), shifts.between(firsts[class(core)], core)?),
     };
-    let found: IdVec<CoreId, Option<Shift>> = all.par_iter().map(of).collect::<Vec<_>>().into();
-    let compared: IdVec<CoreId, AtomicBool> = found.iter().map(|shift| AtomicBool::new(shift.is_none())).collect();
-    for (id, population) in network.populations().enumerate() {
-        (0..population.shape.len()).into_par_iter().for_each(|index| {
-            let source = first_source(network, population) + index;
-            for message in messages_of(program, &population.units, index) {
-                let Some(shift) = found[message.core] else { continue };
-                let of_first = shifts.sources[program.cores()[message.core].class][usize::from(message.axon)];
-                if !shifts.leads(shift, id, of_first, source) {
-                    compared[message.core].store(true, Ordering::Relaxed);
-                }
+    let found: IdVec<CoreId, Option<Vec<Added>>> = all.par_iter().map(of).collect::<Vec<_>>().into();
+    let compared: IdVec<CoreId, AtomicBool> = found.iter().map(|added| AtomicBool::new(added.is_none())).collect();
+    let look_at = |source: u32, messages: Messages<'_>| {
+        for message in messages {
+            let Some(added) = &found[message.core] else { continue };
+            let of_first = sources[class(message.core)][usize::from(message.axon)];
+            let leads = |(range, by): &Added| {
+                range.contains(&of_first) && range.contains(&source) && i64::from(of_first) + by == i64::from(source)
+            };
+            if !added.iter().any(leads) {
+                compared[message.core].store(true, Ordering::Relaxed);
             }
-        });
-    }
+        }
+    };
+    (0..channels).into_par_iter().for_each(|channel| look_at(channel, program.messages(channel)));
+    program.cores().as_slice().par_iter().for_each(|image| {
+        image.ids.iter().zip(image.axons_out.iter()).for_each(|(id, messages)| look_at(channels + id.0, messages));
+    });
     compared.iter().map(|compared| compared.load(Ordering::Relaxed)).collect()
 }
 
-fn first_source(network: &Quantised, population: &Population) -> u32 {
+pub(super) fn first_source(network: &Quantised, population: &Population) -> u32 {
     match &population.units {
         Units::Input(first) => first.0,
         Units::Compartments { first, .. } => network.channels() + first.0,
@@ -202,15 +265,4 @@ fn same_projection(one: &Projection, other: &Projection, later: u32) -> bool {
         && one.format == other.format
         && one.delay == other.delay
         && one.connectivity == other.connectivity
-}
-
-/// The messages of a source's spike.
-pub(super) fn messages_of<'a>(program: &'a Program, units: &Units, index: u32) -> &'a [AxonTarget] {
-    match units {
-        Units::Input(first) => program.channel(ChannelId(first.0 + index)),
-        Units::Compartments { first, .. } => {
-            let seat = program.seats()[CompartmentId(first.0 + index)];
-            program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
-        }
-    }
 }

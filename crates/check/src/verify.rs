@@ -25,7 +25,8 @@
 //!
 //! Whether the program has its network's synapses is for [`crate::equivalence`].
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -35,7 +36,8 @@ use nsim_ir::hardware::Target;
 use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::Mesh;
 use nsim_ir::program::{
-    AxonTarget, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, PopulationAxon, Program, Stored, Synapse,
+    AxonTarget, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, Messages, PopulationAxon, Program, Stored,
+    Synapse,
 };
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
@@ -162,20 +164,37 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
         return Err(Violation::Site { core });
     }
     let populations = program.classes().iter().any(|class| !class.inputs.populations.is_empty());
-    for (channel, messages) in program.parts().channels.iter().enumerate() {
-        verify_messages(program, messages, populations, || format!("input channel {channel}"))?;
+    for channel in 0..program.channels() {
+        let name = || format!("input channel {channel}");
+        verify_messages(program, program.messages(channel), populations, name)?;
     }
     let firsts = program.first_cores();
     let tables = firsts.as_slice().par_iter().map(|&core| verify_tables(program, core, limits));
     let tables: IdVec<ClassId, Result<CoreUsage, Violation>> = tables.collect::<Vec<_>>().into();
-    let all: Vec<CoreId> = program.cores().ids().collect();
-    let of_core = |&core: &CoreId| match &tables[program.cores()[core].class] {
-        Ok(usage) => verify_core(program, core, *usage, populations, limits),
-        Err(violation) => Err(violation.clone()),
+    // Cores whose messages go in the same way to cores of the same classes, on the same chip or not.
+    let (mut known, mut firsts) = (HashMap::new(), Vec::new());
+    let alike = |(core, image): (CoreId, &CoreImage)| {
+        let reached = image.axons_out.cores();
+        let there = |&to: &CoreId| (program.cores()[to].class, program.cores()[to].site.chip == image.site.chip);
+        let alone = (!reached.is_sorted_by(|a, b| a < b)).then_some(core);
+        let key = (Arc::as_ptr(image.axons_out.lists()), reached.iter().map(there).collect::<Vec<_>>(), alone);
+        *known.entry(key).or_insert_with(|| {
+            firsts.push(core);
+            firsts.len() - 1
+        })
     };
+    let alike: Vec<usize> = program.cores().enumerate().map(alike).collect();
+    let sent: Vec<_> = firsts.par_iter().map(|&core| verify_sent(program, core, populations, limits)).collect();
     // Threads may finish in any order; the violation of the lowest core is reported.
-    let used: Vec<Result<CoreUsage, Violation>> = all.par_iter().map(of_core).collect();
-    used.into_iter().collect()
+    let of_core = |((core, image), alike): ((CoreId, &CoreImage), usize)| {
+        let mut usage = tables[image.class].clone()?;
+        (usage[Resource::AxonsOut], usage[Resource::AxonsOutPerCompartment]) = sent[alike].clone()?;
+        match usage.excesses(limits).next() {
+            Some((capacity, need, limit)) => Err(Violation::Excess { core, capacity, need, limit }),
+            None => Ok(usage),
+        }
+    };
+    program.cores().enumerate().zip(alike).map(of_core).collect()
 }
 
 /// Whether cores use as many synapses as was counted, and no more of any resource. By position
@@ -203,21 +222,21 @@ pub fn confirm(partition: &Partition, used: &IdVec<CoreId, CoreUsage>) -> Result
 
 fn verify_messages(
     program: &Program,
-    messages: &[AxonTarget],
+    messages: Messages<'_>,
     populations: bool,
     name: impl Fn() -> String,
 ) -> Result<(), Violation> {
-    if !messages.windows(2).all(|pair| pair[0].core < pair[1].core) {
+    if !messages.clone().is_sorted_by(|a, b| a.core < b.core) {
         return Err(Violation::Multicast(name()));
     }
     if !populations {
         return Ok(());
     }
-    let atom = |message: &AxonTarget| match program.class_of(message.core).inputs.axon(message.axon.into()) {
+    let atom = |message: AxonTarget| match program.class_of(message.core).inputs.axon(message.axon.into()) {
         InputAxon::Member { atom, .. } => Some(atom),
         InputAxon::Discrete { .. } => None,
     };
-    let mut atoms = messages.iter().filter_map(atom);
+    let mut atoms = messages.filter_map(atom);
     match atoms.next() {
         Some(first) if atoms.any(|atom| atom != first) => {
             Err(Violation::Population { place: name(), what: "it is another atom on another core" })
@@ -317,23 +336,14 @@ fn words_of(inputs: &Stored, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) 
     (discrete.sum::<u64>() + tables.into_iter().map(of_table).sum::<u64>(), widest)
 }
 
-fn verify_core(
-    program: &Program,
-    core: CoreId,
-    mut usage: CoreUsage,
-    populations: bool,
-    limits: &Limits,
-) -> Result<CoreUsage, Violation> {
+/// Output axon slots of a core, and the most messages of a compartment.
+fn verify_sent(program: &Program, core: CoreId, populations: bool, limits: &Limits) -> Result<(u64, u64), Violation> {
     let image = &program.cores()[core];
     for (slot, messages) in image.axons_out.iter().enumerate() {
         verify_messages(program, messages, populations, || format!("compartment {} of {core}", image.ids[slot]))?;
     }
-    usage[Resource::AxonsOut] = output_slots(program, image, populations, limits);
-    usage[Resource::AxonsOutPerCompartment] = image.axons_out.iter().map(|list| list.len() as u64).max().unwrap_or(0);
-    match usage.excesses(limits).next() {
-        Some((capacity, need, limit)) => Err(Violation::Excess { core, capacity, need, limit }),
-        None => Ok(usage),
-    }
+    let most = image.axons_out.iter().map(|list| list.len() as u64).max().unwrap_or(0);
+    Ok((output_slots(program, image, populations, limits), most))
 }
 
 /// Output axon slots of a core, from the messages of its compartments. By position, compartments
@@ -343,11 +353,11 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
         OutputAxons::PerPosition { more_slots, .. } if populations => Some(more_slots),
         OutputAxons::PerPosition { .. } | OutputAxons::PerCompartment => None,
     };
-    let population = |message: &AxonTarget| match program.class_of(message.core).inputs.axon(message.axon.into()) {
+    let population = |message: AxonTarget| match program.class_of(message.core).inputs.axon(message.axon.into()) {
         InputAxon::Member { axon, .. } => Some(axon),
         InputAxon::Discrete { .. } => None,
     };
-    let slots = |message: &AxonTarget| {
+    let slots = |message: AxonTarget| {
         let (target, tables) = (&program.cores()[message.core], &program.class_of(message.core).inputs);
         let on_chip = target.site.chip == image.site.chip;
         let plain = if on_chip { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
@@ -358,10 +368,10 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
     };
     let (mut sum, mut shared) = (0, BTreeSet::new());
     for messages in image.axons_out.iter() {
-        let of_populations = messages.iter().map(|message| Some((message.core, population(message)?)));
+        let of_populations = messages.clone().map(|message| Some((message.core, population(message)?)));
         let list: Option<Vec<(CoreId, u16)>> = by_position.and_then(|_| of_populations.collect());
         if list.is_none_or(|list| shared.insert(list)) {
-            sum += messages.iter().map(|message| u64::from(slots(message))).sum::<u64>();
+            sum += messages.map(|message| u64::from(slots(message))).sum::<u64>();
         }
     }
     sum

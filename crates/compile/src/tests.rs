@@ -393,7 +393,7 @@ fn scattered_synapses_are_found() {
 
 #[test]
 fn copies_are_written_as_each_by_itself_and_proven_from_one_of_each_kind() {
-    let mut proven = 0;
+    let (mut proven, mut sharing) = (0, 0);
     for seed in 0..24 {
         let copies = [2, 7, 31][seed as usize % 3];
         let most = 20 + seed as u32 % 60;
@@ -406,6 +406,10 @@ fn copies_are_written_as_each_by_itself_and_proven_from_one_of_each_kind() {
         let alone = Program::new(without_classes(&alone)).unwrap();
         assert_eq!(check_copies(network, &alone, copies), Ok(0), "seed {seed}: cores without a class prove nothing");
         proven += check_copies(network, &mapped.program, copies).unwrap();
+        let cores = mapped.program.cores();
+        let lists: BTreeSet<_> = cores.iter().map(|image| Arc::as_ptr(image.axons_out.lists())).collect();
+        sharing += cores.len() - lists.len();
     }
     assert!(proven > 60, "{proven} cores were proven from others");
+    assert!(sharing > 60, "{sharing} cores share the messages of others");
 }

@@ -113,12 +113,13 @@ pub fn for_each_of_kernel(window: &Window, source: u32, mut f: impl FnMut(u32, u
     let per_group_out = window.target.0 / window.groups;
     let channel = source / (window.source.1 * window.source.2);
     let group = channel / per_group_in;
+    // The same positions in every channel.
+    let mut positions = Vec::new();
+    for_each_position(window, source, |y, x, ky, kx| positions.push((y * window.target.2 + x, ky * kw + kx)));
     for out in group * per_group_out..(group + 1) * per_group_out {
         let base = (out * per_group_in + channel % per_group_in) * kh * kw;
-        for_each_position(window, source, |y, x, ky, kx| {
-            let target = (out * window.target.1 + y) * window.target.2 + x;
-            f(target, (base + ky * kw + kx) as usize);
-        });
+        let plane = out * window.target.1 * window.target.2;
+        positions.iter().for_each(|(position, place)| f(plane + position, (base + place) as usize));
     }
 }
 

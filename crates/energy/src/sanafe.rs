@@ -155,7 +155,7 @@ impl Export<'_> {
             return Err(refused("delays between compartments, the way nsim counts them")
                 .help("give all projections between compartments delay 0"));
         }
-        let (least, most) = self.delays(parts.channels.items().iter());
+        let (least, most) = self.delays(parts.channels.items().iter().copied());
         if least != most || most > 1 {
             let message = "inputs of different delays, or of more than 1";
             return Err(refused(message).help("give all projections from inputs delay 0, or all delay 1"));
@@ -178,9 +178,9 @@ impl Export<'_> {
     }
 
     /// The least and the greatest delay of the synapses that these messages reach.
-    fn delays<'m>(&self, messages: impl Iterator<Item = &'m AxonTarget>) -> (u8, u8) {
+    fn delays(&self, messages: impl Iterator<Item = AxonTarget>) -> (u8, u8) {
         let program = self.program();
-        let of = |message: &'m AxonTarget| program.class_of(message.core).inputs.get(usize::from(message.axon)).stored;
+        let of = |message: AxonTarget| program.class_of(message.core).inputs.get(usize::from(message.axon)).stored;
         let delays = messages.flat_map(of).map(|synapse| synapse.delay.get());
         let (least, most) = delays.fold((u8::MAX, 0), |(least, most), delay| (least.min(delay), most.max(delay)));
         (least.min(most), most)
@@ -188,7 +188,7 @@ impl Export<'_> {
 
     /// Steps from an input spike to its arrival, as nsim counts: 0 or 1.
     fn input_delay(&self) -> usize {
-        self.delays(self.program().parts().channels.items().iter()).1.into()
+        self.delays(self.program().parts().channels.items().iter().copied()).1.into()
     }
 
     /// Whether a step goes before all others.
@@ -362,12 +362,12 @@ impl Export<'_> {
         for (port, (corner, channels)) in ports.iter().enumerate() {
             for (index, &channel) in channels.iter().enumerate() {
                 let here = program.parts().channels.get(channel).iter().filter(|m| self.corner(m.core) == *corner);
-                here.for_each(|message| self.edges(&mut out, &format!("in{port}.{index}"), message));
+                here.for_each(|&message| self.edges(&mut out, &format!("in{port}.{index}"), message));
             }
         }
         for (core, image) in program.cores().enumerate() {
             for (slot, messages) in image.axons_out.iter().enumerate() {
-                messages.iter().for_each(|message| self.edges(&mut out, &format!("c{}.{slot}", core.0), message));
+                messages.for_each(|message| self.edges(&mut out, &format!("c{}.{slot}", core.0), message));
             }
         }
         out.push_str("mappings:\n");
@@ -387,7 +387,7 @@ impl Export<'_> {
     }
 
     /// The synapses that a message reaches.
-    fn edges(&self, out: &mut String, from: &str, message: &AxonTarget) {
+    fn edges(&self, out: &mut String, from: &str, message: AxonTarget) {
         let class = self.program().class_of(message.core);
         for synapse in class.inputs.get(usize::from(message.axon)).synapses() {
             let format = class.formats[usize::from(synapse.format)].synapse;

@@ -124,10 +124,7 @@ impl CoreGroups {
         for &number in kept_cores.clone() {
             let mut image = whole.cores[number].clone();
             image.ids = image.ids.iter().map(|&id| compartment(id)).collect::<Result<_, _>>()?;
-            let mut axons_out = Csr::default();
-            for list in image.axons_out.iter() {
-                axons_out.push(list.iter().map(target).collect::<Result<Vec<_>, _>>()?);
-            }
+            let axons_out = image.axons_out.renumbered(core)?;
             let old = image.class;
             let class = *new_class.entry(old).or_insert_with(|| classes.push(whole.classes[old].clone()));
             cores.push(CoreImage { axons_out, class, ..image });

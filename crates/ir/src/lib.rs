@@ -16,6 +16,7 @@ pub mod groups;
 pub mod hardware;
 pub mod locate;
 pub mod mapping;
+pub mod messages;
 pub mod neurons;
 pub mod partition;
 pub mod placement;

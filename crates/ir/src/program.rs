@@ -24,21 +24,12 @@ use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
 use crate::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::dealt::Dealt;
+pub use crate::messages::{AxonTarget, AxonsOut, Messages};
 use crate::partition::Seat;
 use crate::placement::{Mesh, Site};
 use crate::quantised::connectivity::SynapseFormat;
 use crate::quantised::{Neuron, Output, Population, Reset};
 use crate::spikes::Message;
-
-/// An input axon of a core.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct AxonTarget {
-    /// The core.
-    pub core: CoreId,
-    /// The input axon on that core.
-    pub axon: u16,
-}
 
 /// A synapse of an input axon's list.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
@@ -304,7 +295,7 @@ pub struct CoreImage {
     /// The network's number of each compartment, by slot.
     pub ids: Vec<CompartmentId>,
     /// Messages that a spike sends, by slot, in ascending order of cores.
-    pub axons_out: Csr<AxonTarget>,
+    pub axons_out: AxonsOut,
 }
 
 impl CoreClass {
@@ -399,7 +390,7 @@ impl Marks {
     }
 
     /// Whether a message leads to an input axon that none did before.
-    fn reach(&self, target: &AxonTarget) -> bool {
+    fn reach(&self, target: AxonTarget) -> bool {
         let axon = self.0.get(target.core).and_then(|axons| axons.get(usize::from(target.axon)));
         axon.is_some_and(|axon| !axon.swap(true, Ordering::Relaxed))
     }
@@ -465,7 +456,7 @@ impl Parts {
         if let Some(what) = first.then(|| class.ports_not_closed()).flatten() {
             return Some(what);
         }
-        let reach = image.axons_out.items().iter().all(|target| marks.reach(target));
+        let reach = image.axons_out.items().all(|target| marks.reach(target));
         (!reach).then_some("an output axon leads nowhere or shares its input axon")
     }
 }
@@ -530,7 +521,7 @@ impl Program {
                 return wrong(core, what);
             }
         }
-        if !parts.channels.items().par_iter().all(|target| marks.reach(target)) {
+        if !parts.channels.items().par_iter().all(|&target| marks.reach(target)) {
             return Err(NotClosed("an input channel leads nowhere or shares its input axon".to_string()));
         }
         if let Some(core) = parts.cores.ids().find(|&core| !marks.all(core)) {
@@ -591,15 +582,11 @@ impl Program {
             held: Some(rank),
             ..dealt.cloned().ok_or_else(|| NotClosed("the program is not dealt out, or is a part".to_string()))?
         };
-        let to_own = |list: &[AxonTarget]| {
-            list.iter().copied().filter(|target| dealt.holds(target.core)).collect::<Vec<AxonTarget>>()
-        };
-        let kept = |messages: &Csr<AxonTarget>| {
-            let mut own = Csr::default();
-            messages.iter().for_each(|list| own.push(to_own(list)));
-            own.shrink_to_fit();
-            own
-        };
+        let mut channels = Csr::default();
+        for list in whole.channels.iter() {
+            channels.push(list.iter().copied().filter(|target| dealt.holds(target.core)));
+        }
+        channels.shrink_to_fit();
         // Cores of a class that are held, and those that are not, are classes of their own here.
         let mut classes = IdVec::new();
         let mut known: HashMap<(ClassId, bool), ClassId> = HashMap::new();
@@ -609,14 +596,15 @@ impl Program {
                 let class = &whole.classes[image.class];
                 classes.push(if held { class.clone() } else { CoreClass::without_tables(class.compartments.clone()) })
             });
-            CoreImage { site: image.site, class, ids: image.ids.clone(), axons_out: kept(&image.axons_out) }
+            let axons_out = image.axons_out.filtered(|core| dealt.holds(core));
+            CoreImage { site: image.site, class, ids: image.ids.clone(), axons_out }
         };
         let cores: Vec<CoreImage> = whole.cores.enumerate().map(image).collect();
         Program::new(Parts {
             mesh: whole.mesh,
             classes,
             cores: cores.into(),
-            channels: kept(&whole.channels),
+            channels,
             seats: whole.seats.clone(),
             populations: whole.populations.clone(),
             graded: whole.graded.clone(),
@@ -672,6 +660,19 @@ impl Program {
     #[must_use]
     pub fn channel(&self, channel: ChannelId) -> &[AxonTarget] {
         self.parts.channels.get(channel.index())
+    }
+
+    /// Messages of a source's spike. Sources are numbered channels first, then compartments.
+    #[inline]
+    #[must_use]
+    pub fn messages(&self, source: u32) -> Messages<'_> {
+        match source.checked_sub(self.channels()) {
+            None => Messages::Channel(self.channel(ChannelId(source)).iter()),
+            Some(compartment) => {
+                let seat = self.parts.seats[CompartmentId(compartment)];
+                self.parts.cores[seat.core].axons_out.get(usize::from(seat.slot))
+            }
+        }
     }
 
     /// The mesh that sites are on.

@@ -10,7 +10,7 @@ use nsim::ir::base::fixed::{
 };
 use nsim::ir::base::id::{ClassId, CompartmentId, CoreId, Id, PopulationId};
 use nsim::ir::neurons::{NeuronKind, Port};
-use nsim::ir::program::{AxonTarget, CoreClass, CoreFormat, InputAxon, Parts, PopulationAxon, Synapse};
+use nsim::ir::program::{AxonTarget, AxonsOut, CoreClass, CoreFormat, InputAxon, Parts, PopulationAxon, Synapse};
 use nsim::ir::quantised::{Neuron, Reset};
 use nsim::ir::spikes::Message;
 
@@ -136,7 +136,7 @@ pub const KINDS: &[(&str, Kind)] = &[
         p.class_mut(core).compartments.pop();
         let image = &mut p.cores[core];
         image.ids.pop();
-        edit(&mut image.axons_out, |lists| drop(lists.pop()));
+        edit_out(&mut image.axons_out, |lists| edit(lists, |lists| drop(lists.pop())));
         Some(NotClosed)
     }),
     // Classes.
@@ -393,35 +393,69 @@ pub const KINDS: &[(&str, Kind)] = &[
         Some(NotClosed)
     }),
     ("a message twice", |p, d| {
-        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
-        edit(lists, |lists| {
-            let copy = lists[at][0];
-            lists[at].push(copy);
-        });
-        Some(NotClosed)
+        messages(
+            p,
+            d,
+            |list| !list.is_empty(),
+            |lists, at| {
+                let again = |lists: &mut Vec<Vec<AxonTarget>>| {
+                    let copy = lists[at][0];
+                    lists[at].push(copy);
+                };
+                edit(lists, again);
+                Some(NotClosed)
+            },
+        )
     }),
     ("a message to a core that is not there", |p, d| {
         let cores = p.cores.len() as i64;
-        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
-        lists.get_mut(at)[0].core = CoreId(d.from(cores, cores + 99) as u32);
-        Some(NotClosed)
+        let core = CoreId(d.from(cores, cores + 99) as u32);
+        messages(
+            p,
+            d,
+            |list| !list.is_empty(),
+            |lists, at| {
+                lists.get_mut(at)[0].core = core;
+                Some(NotClosed)
+            },
+        )
     }),
     ("a message to another core", |p, d| {
         let cores = p.cores.len() as i64;
-        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
-        lists.get_mut(at)[0].core = CoreId(d.from(0, cores - 1) as u32);
+        let core = CoreId(d.from(0, cores - 1) as u32);
         // Two messages then meet at one axon, or none does at another.
-        Some(NotClosed)
+        messages(
+            p,
+            d,
+            |list| !list.is_empty(),
+            |lists, at| {
+                lists.get_mut(at)[0].core = core;
+                Some(NotClosed)
+            },
+        )
     }),
     ("a message to another axon", |p, d| {
-        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
-        lists.get_mut(at)[0].axon ^= d.from(1, 9) as u16;
-        Some(NotClosed)
+        let bits = d.from(1, 9) as u16;
+        messages(
+            p,
+            d,
+            |list| !list.is_empty(),
+            |lists, at| {
+                lists.get_mut(at)[0].axon ^= bits;
+                Some(NotClosed)
+            },
+        )
     }),
     ("messages in descending order", |p, d| {
-        let (lists, at) = messages(p, d, |list| list.len() > 1)?;
-        lists.get_mut(at).reverse();
-        Some(Breaks(|v| matches!(v, Violation::Multicast(_))))
+        messages(
+            p,
+            d,
+            |list| list.len() > 1,
+            |lists, at| {
+                lists.get_mut(at).reverse();
+                Some(Breaks(|v| matches!(v, Violation::Multicast(_))))
+            },
+        )
     }),
     ("messages of two channels swapped", |p, d| {
         let [a, b] = [0, 1].map(|_| d.from(0, p.channels.len() as i64 - 1) as usize);
@@ -432,20 +466,27 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("messages of two compartments swapped", |p, d| {
         let (core, a) = compartment(p, d);
         let b = d.from(0, p.class_of(core).compartments.len() as i64 - 1) as usize;
-        edit(&mut p.cores[core].axons_out, |lists| lists.swap(a, b));
+        edit_out(&mut p.cores[core].axons_out, |lists| edit(lists, |lists| lists.swap(a, b)));
         Some(Verified)
     }),
     ("axons of two messages swapped", |p, d| {
-        let (lists, a) = messages(p, d, |list| !list.is_empty())?;
-        let first = lists.get(a)[0];
-        let at_core = |list: &[AxonTarget]| list.iter().any(|m| m.core == first.core && m.axon != first.axon);
-        let others: Vec<usize> = (0..lists.len()).filter(|&b| b != a && at_core(lists.get(b))).collect();
-        let b = *others.get(d.from(0, others.len().max(1) as i64 - 1) as usize)?;
-        let second = lists.get_mut(b).iter_mut().find(|m| m.core == first.core)?;
-        let axon = std::mem::replace(&mut second.axon, first.axon);
-        lists.get_mut(a)[0].axon = axon;
         let populations = p.classes.iter().any(|class| !class.inputs.populations.is_empty());
-        Some(if populations { Closed } else { Verified })
+        let chosen = d.from(0, i64::from(u16::MAX)) as usize;
+        messages(
+            p,
+            d,
+            |list| !list.is_empty(),
+            |lists, a| {
+                let first = lists.get(a)[0];
+                let at_core = |list: &[AxonTarget]| list.iter().any(|m| m.core == first.core && m.axon != first.axon);
+                let others: Vec<usize> = (0..lists.len()).filter(|&b| b != a && at_core(lists.get(b))).collect();
+                let b = *others.get(chosen.checked_rem(others.len())?)?;
+                let second = lists.get_mut(b).iter_mut().find(|m| m.core == first.core)?;
+                let axon = std::mem::replace(&mut second.axon, first.axon);
+                lists.get_mut(a)[0].axon = axon;
+                Some(if populations { Closed } else { Verified })
+            },
+        )
     }),
     // Sites.
     ("a core outside its mesh", |p, d| {
@@ -616,20 +657,32 @@ fn population<'a>(parts: &'a mut Parts, draw: &mut Draw) -> Option<&'a mut Popul
     Some(&mut axons[chosen])
 }
 
-/// The messages of all channels or of a core's compartments, and any of the lists that something is
-/// true of.
-fn messages<'a>(
-    parts: &'a mut Parts,
+/// Changes the messages of a core's compartments.
+fn edit_out<T>(out: &mut AxonsOut, change: impl FnOnce(&mut Csr<AxonTarget>) -> T) -> T {
+    let mut lists = Csr::default();
+    out.iter().for_each(|list| lists.push(list));
+    let result = change(&mut lists);
+    *out = AxonsOut::try_from(lists.iter().map(<[_]>::to_vec).collect::<Vec<_>>()).unwrap();
+    result
+}
+
+/// Changes the messages of all channels or of a core's compartments, at any of the lists that
+/// something is true of.
+fn messages(
+    parts: &mut Parts,
     draw: &mut Draw,
     fits: impl Fn(&[AxonTarget]) -> bool,
-) -> Option<(&'a mut Csr<AxonTarget>, usize)> {
-    let fitting = |core: &CoreId| parts.cores[*core].axons_out.iter().any(&fits);
+    change: impl FnOnce(&mut Csr<AxonTarget>, usize) -> Option<Expected>,
+) -> Option<Expected> {
+    let fitting = |core: &CoreId| parts.cores[*core].axons_out.iter().any(|list| fits(&list.collect::<Vec<_>>()));
     let fitting: Vec<CoreId> = parts.cores.ids().filter(fitting).collect();
     let from_core = (!fitting.is_empty()).then(|| draw.one_of(&fitting)).filter(|_| draw.chance(50));
-    let lists = match from_core {
-        Some(core) => &mut parts.cores[core].axons_out,
-        None => &mut parts.channels,
+    let at_any = |lists: &mut Csr<AxonTarget>| {
+        let fitting: Vec<usize> = (0..lists.len()).filter(|&at| fits(lists.get(at))).collect();
+        if fitting.is_empty() { None } else { change(lists, draw.one_of(&fitting)) }
     };
-    let fitting: Vec<usize> = (0..lists.len()).filter(|&at| fits(lists.get(at))).collect();
-    (!fitting.is_empty()).then(|| (lists, draw.one_of(&fitting)))
+    match from_core {
+        Some(core) => edit_out(&mut parts.cores[core].axons_out, at_any),
+        None => at_any(&mut parts.channels),
+    }
 }

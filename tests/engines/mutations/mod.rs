@@ -24,7 +24,7 @@ use nsim::ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim::ir::firing_rates::Rates;
 use nsim::ir::hardware::Target;
 use nsim::ir::partition::CoreUsage;
-use nsim::ir::program::{AxonTarget, Compartment, CoreImage, Parts, Program};
+use nsim::ir::program::{Compartment, CoreImage, Messages, Parts, Program};
 use nsim::ir::quantised::connectivity::SynapseFormat;
 use nsim::ir::resource::{Packing, Resource};
 use rayon::prelude::*;
@@ -50,7 +50,7 @@ impl Meaning {
             let seat = parts.seats[CompartmentId::new(id)];
             (&parts.cores[seat.core], usize::from(seat.slot))
         };
-        let reached = |messages: &[AxonTarget]| {
+        let reached = |messages: Messages<'_>| {
             let mut reached = Vec::new();
             for message in messages {
                 let (image, class) = (&parts.cores[message.core], parts.class_of(message.core));
@@ -62,8 +62,9 @@ impl Meaning {
             reached.sort_unstable();
             reached
         };
-        let channels = (0..parts.channels.len())
-            .map(|i| (format!("input channel {}", ChannelId::new(i)), reached(parts.channels.get(i))));
+        let channels = (0..parts.channels.len()).map(|i| {
+            (format!("input channel {}", ChannelId::new(i)), reached(Messages::Channel(parts.channels.get(i).iter())))
+        });
         let compartments = (0..parts.seats.len()).map(|i| {
             let (image, slot) = image(i);
             (format!("compartment {}", CompartmentId::new(i)), reached(image.axons_out.get(slot)))

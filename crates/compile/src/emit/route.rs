@@ -8,21 +8,26 @@
 //! delay and weight; formats are numbered as they first appear. Widths are those of
 //! [`nsim_partition::resources::packing`].
 //!
-//! Cores are written down in parallel, from their own synapses alone; then messages are sorted from
-//! cores to sources, a range of sources each.
+//! Cores are written down in parallel, from their own synapses alone. Then each core's input axons
+//! are sorted by the cores that send to them. Cores that send the same to other cores share what
+//! they send.
+
+use std::collections::HashSet;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::emit::classes::Classes;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{CompartmentId, CoreId, Id, PopulationId};
+use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::dealt::Dealt;
-use nsim_ir::partition::Partition;
+use nsim_ir::messages::{AxonTarget, AxonsOut, Reached};
+use nsim_ir::partition::{Partition, Seat};
 use nsim_ir::placement::Placement;
 use nsim_ir::program::{
-    AxonTarget, Compartment, Compartments, CoreClass, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon,
-    Program, Stored, Synapse,
+    Compartment, Compartments, CoreClass, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon, Program,
+    Stored, Synapse,
 };
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::resource::Limits;
@@ -35,10 +40,6 @@ use nsim_partition::resources::exact::{StoredLists, group_of, longest_delays};
 use nsim_partition::resources::fan_in::first_source;
 use nsim_partition::resources::formats::Formats;
 use nsim_partition::resources::packing::{Compression, Group, Widths};
-
-/// Sources whose messages are sorted by one task. With fewer the sources of each core are read in
-/// shorter runs: 4,096 took twice the time.
-const PIECE: u32 = 1 << 14;
 
 /// The program of a network, this many equal copies that share nothing, on its places. What equal
 /// cores store is written once. Of a program that is dealt out and held in part,
@@ -97,13 +98,12 @@ pub fn route(
 pub(super) type Shift = (u32, u32, i64);
 
 /// Ascending sources, each shifted as those of its range.
-fn shifted(sources: &[u32], shifts: &[Shift]) -> Vec<u32> {
-    let mut shifts = shifts.iter().peekable();
-    let shifted = |&source: &u32| {
+fn shifted(sources: &[u32], shifts: Vec<Shift>) -> impl Iterator<Item = u32> {
+    let mut shifts = shifts.into_iter().peekable();
+    sources.iter().map(move |&source| {
         while shifts.next_if(|(_, end, _)| *end <= source).is_some() {}
         shifts.peek().map_or(source, |(_, _, by)| (i64::from(source) + by) as u32)
-    };
-    sources.iter().map(shifted).collect()
+    })
 }
 
 /// The program of these classes: of each its tables and the sources of its first core's input
@@ -120,28 +120,37 @@ pub(super) fn assemble(
     if partition.cores() != placement.len() {
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
-    let (channels, compartments) = (network.channels(), network.compartments());
+    let channels = network.channels();
     let (written, of_first): (Vec<CoreClass>, Vec<Vec<u32>>) = written.into_iter().unzip();
     let all: Vec<CoreId> = partition.members().ids().collect();
-    let of_core = |&core: &CoreId| shifted(&of_first[classes.of[core].index()], &shifts(classes.first(core), core));
-    let sources: Vec<Vec<u32>> = all.par_iter().map(of_core).collect();
-    let messages = messages(&sources, channels, compartments);
-    drop(sources);
-    let image = |&core: &CoreId| {
-        let of = |id: &CompartmentId| messages.compartments[(id.0 / PIECE) as usize].get((id.0 % PIECE) as usize);
-        let (ids, mut axons_out) = (partition.members()[core].clone(), Csr::default());
-        ids.iter().for_each(|id| axons_out.push(of(id).iter().copied()));
-        axons_out.shrink_to_fit();
-        CoreImage { site: placement.site(core), class: classes.of[core], ids, axons_out }
+    let sources = |core: CoreId| shifted(&of_first[classes.of[core].index()], shifts(classes.first(core), core));
+    let axons = |core: CoreId| (0..=u16::MAX).zip(sources(core));
+    let of_channels = Csr::by_row(channels as usize, |put| {
+        for &core in &all {
+            let messages = axons(core).take_while(|(_, source)| *source < channels);
+            messages.for_each(|(axon, source)| put(source as usize, AxonTarget { core, axon }));
+        }
+    });
+    let seats = partition.seats();
+    let received = received(classes, |core| {
+        let of_compartments = axons(core).skip_while(move |(_, source)| *source < channels);
+        of_compartments.map(move |(axon, source)| (seats[CompartmentId(source - channels)], axon))
+    });
+    drop(of_first);
+    let axons_out = axons_out(partition, &received).map_err(|core| format!("{core} sends to too many cores"))?;
+    drop(received);
+    let image = |(&core, axons_out): (&CoreId, AxonsOut)| {
+        let (site, class, ids) = (placement.site(core), classes.of[core], partition.members()[core].clone());
+        CoreImage { site, class, ids, axons_out }
     };
-    let cores: Vec<CoreImage> = all.par_iter().map(image).collect();
+    let cores: Vec<CoreImage> = all.iter().zip(axons_out).map(image).collect();
     let populations = network.populations().iter().map(Compartments::in_population).collect();
     let parts = network.parts();
     Program::new(Parts {
         mesh: *placement.mesh(),
         classes: written.into(),
         cores: cores.into(),
-        channels: messages.channels,
+        channels: of_channels,
         seats: partition.seats().clone(),
         populations,
         graded: graded(network),
@@ -315,54 +324,99 @@ fn write_lists(
     Some((writer.known, Stored::with_populations(writer.lists, populations, axons), sources))
 }
 
-/// Messages by source.
-struct Messages {
-    channels: Csr<AxonTarget>,
-    /// In pieces of [`PIECE`] compartments.
-    compartments: Vec<Csr<AxonTarget>>,
+/// What a core receives from each of its senders: slots there and input axons here.
+#[derive(Default, PartialEq, Eq, Hash)]
+struct Received {
+    /// Where what each sender sends begins, and where the last ends.
+    firsts: Vec<u32>,
+    /// The slot in the upper half, the axon in the lower; ascending.
+    messages: Vec<u32>,
 }
 
-/// Sorts what cores know, the sources of their input axons, by source.
-fn messages(sources: &[Vec<u32>], channels: u32, compartments: u32) -> Messages {
-    let pieces = |from: u32, count: u32| (0..count.div_ceil(PIECE)).map(move |piece| from + piece * PIECE);
-    let all = channels + compartments;
-    let starts: Vec<u32> = pieces(0, channels).chain(pieces(channels, compartments)).chain([all]).collect();
-    // Where the sources of each piece begin among those of each core, which ascend.
-    let cut = |of_core: &Vec<u32>| {
-        let mut at = 0;
-        let begins = starts.iter().map(|&start| {
-            at += of_core[at..].iter().take_while(|&&source| source < start).count();
-            at as u32
-        });
-        begins.collect()
-    };
-    let cuts: Vec<Vec<u32>> = sources.par_iter().map(cut).collect();
-    let of_piece = |piece: usize| {
-        let (from, to) = (starts[piece], starts[piece + 1]);
-        let parts = || cuts.iter().map(|cuts| cuts[piece] as usize..cuts[piece + 1] as usize);
-        let mut counts = vec![0u32; (to - from) as usize];
-        for (of_core, part) in sources.iter().zip(parts()) {
-            of_core[part].iter().for_each(|source| counts[(source - from) as usize] += 1);
+/// For each core its senders, ascending, and what it receives from them. Cores of a class that
+/// receive the same of as many senders share it.
+fn received<M: Iterator<Item = (Seat, u16)>>(
+    classes: &Classes,
+    messages: impl Fn(CoreId) -> M + Sync,
+) -> IdVec<CoreId, (Vec<CoreId>, Arc<Received>)> {
+    let mut members: IdVec<ClassId, Vec<CoreId>> = vec![Vec::new(); classes.firsts.len()].into();
+    classes.of.enumerate().for_each(|(core, &class)| members[class].push(core));
+    let of_core = |keys: &mut Vec<u64>, core: CoreId| {
+        let key =
+            |(seat, axon): (Seat, u16)| u64::from(seat.core.0) << 32 | u64::from(seat.slot) << 16 | u64::from(axon);
+        keys.clear();
+        keys.extend(messages(core).map(key));
+        if !keys.is_sorted() {
+            keys.sort_unstable();
         }
-        let mut lists = Csr::from_counts(&counts, AxonTarget { core: CoreId(0), axon: 0 });
-        // Where the next message of each source goes; cores ascend, so lists do.
-        let mut next = lists.firsts()[..counts.len()].to_vec();
-        let items = lists.items_mut();
-        for (core, (of_core, part)) in sources.iter().zip(parts()).enumerate() {
-            for (axon, &source) in part.clone().zip(&of_core[part]) {
-                let next = &mut next[(source - from) as usize];
-                items[*next as usize] = AxonTarget { core: CoreId::new(core), axon: axon as u16 };
-                *next += 1;
+        let (mut senders, mut received) = (Vec::new(), Received::default());
+        for (at, &key) in (0..).zip(&*keys) {
+            let sender = CoreId((key >> 32) as u32);
+            if senders.last() != Some(&sender) {
+                senders.push(sender);
+                received.firsts.push(at);
             }
+            received.messages.push(key as u32);
         }
-        lists
+        received.firsts.push(keys.len() as u32);
+        (senders, received)
     };
-    let mut of_pieces: Vec<Csr<AxonTarget>> = (0..starts.len() - 1).into_par_iter().map(of_piece).collect();
-    let of_compartments = of_pieces.split_off(channels.div_ceil(PIECE) as usize);
-    let mut of_channels = Csr::default();
-    of_pieces.iter().flat_map(Csr::iter).for_each(|list| of_channels.push(list.iter().copied()));
-    of_channels.shrink_to_fit();
-    Messages { channels: of_channels, compartments: of_compartments }
+    let of_class = |cores: &Vec<CoreId>| {
+        let (mut keys, mut known) = (Vec::new(), HashSet::<Arc<Received>>::new());
+        let one = |&core: &CoreId| {
+            let (senders, received) = of_core(&mut keys, core);
+            let same = known.get(&received).cloned();
+            let same = same.unwrap_or_else(|| {
+                let new = Arc::new(received);
+                known.insert(new.clone());
+                new
+            });
+            (core, (senders, same))
+        };
+        cores.iter().map(one).collect::<Vec<_>>()
+    };
+    let mut all: Vec<_> = members.as_slice().par_iter().flat_map_iter(of_class).collect();
+    all.sort_unstable_by_key(|(core, _)| *core);
+    all.into_iter().map(|(_, received)| received).collect()
+}
+
+/// The messages of each core, from what all receive.
+///
+/// # Errors
+/// A core that sends to more cores than can be numbered.
+fn axons_out(
+    partition: &Partition,
+    received: &IdVec<CoreId, (Vec<CoreId>, Arc<Received>)>,
+) -> Result<Vec<AxonsOut>, CoreId> {
+    let mut sent: IdVec<CoreId, Vec<(CoreId, u32)>> = vec![Vec::new(); partition.cores()].into();
+    for (to, (senders, _)) in received.enumerate() {
+        (0..).zip(senders).for_each(|(number, &from)| sent[from].push((to, number)));
+    }
+    let from = |&(to, number): &(CoreId, u32)| (Arc::as_ptr(&received[to].1), number);
+    let slots = |core: CoreId| partition.members()[core].len();
+    let key = |(core, sent): (CoreId, &Vec<(CoreId, u32)>)| (slots(core), sent.iter().map(from).collect::<Vec<_>>());
+    let alike = Classes::by_key(sent.enumerate().map(key));
+    let lists = |&core: &CoreId| {
+        let lists = Csr::by_row(slots(core), |put| {
+            for (reached, &(to, number)) in (0..=u16::MAX).zip(&sent[core]) {
+                let (received, number) = (&received[to].1, number as usize);
+                let part = received.firsts[number] as usize..received.firsts[number + 1] as usize;
+                let reached = |message: u32| Reached { core: reached, axon: message as u16 };
+                received.messages[part].iter().for_each(|&message| put((message >> 16) as usize, reached(message)));
+            }
+        });
+        Arc::new(lists)
+    };
+    let lists: IdVec<ClassId, Arc<Csr<Reached>>> =
+        alike.firsts.as_slice().par_iter().map(lists).collect::<Vec<_>>().into();
+    let of_core = |(core, sent): (CoreId, &Vec<(CoreId, u32)>)| {
+        let cores: Vec<CoreId> = sent.iter().map(|(to, _)| *to).collect();
+        if cores.len() > 1 << 16 {
+            return Err(core);
+        }
+        AxonsOut::new(cores, lists[alike.of[core]].clone()).map_err(|_| core)
+    };
+    sent.enumerate().map(of_core).collect()
 }
 
 /// The number of a format on its core, which is new when the core has not had it yet.

@@ -53,7 +53,7 @@ pub fn population_bursts(network: &Quantised) -> Vec<PopulationRates> {
 /// Messages when every compartment of a program spikes once.
 #[must_use]
 pub fn messages(program: &Program) -> u64 {
-    program.cores().iter().flat_map(|core| core.axons_out.iter()).map(|messages| messages.len() as u64).sum()
+    program.cores().iter().map(|core| core.axons_out.items().len() as u64).sum()
 }
 
 /// The time of a step in which every compartment spikes with this chance, the same ones in every

@@ -193,15 +193,15 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
 fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
     let mut of_axons: Vec<Vec<u64>> =
         program.cores().ids().map(|core| vec![0; program.class_of(core).inputs.len()]).collect();
-    let mut leads = |message: &AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
+    let mut leads = |message: AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
     for image in program.cores() {
         for (id, messages) in image.ids.iter().zip(image.axons_out.iter()) {
             let rate = rates.rate_of(program.channels() + id.0);
-            messages.iter().for_each(|message| leads(message, rate));
+            messages.for_each(|message| leads(message, rate));
         }
     }
     for (channel, messages) in program.parts().channels.iter().enumerate() {
-        messages.iter().for_each(|message| leads(message, rates.rate_of(channel as u32)));
+        messages.iter().for_each(|&message| leads(message, rates.rate_of(channel as u32)));
     }
     of_axons
 }

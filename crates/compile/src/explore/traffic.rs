@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use crate::place::link_loads::LinkLoads;
 use crate::place::nets::Columns;
-use nsim_ir::base::id::{ChannelId, CoreId, Id};
+use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::firing_rates::{Rates, UNIT};
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::program::{AxonTarget, Program};
@@ -115,13 +115,13 @@ pub(crate) fn parts(items: usize) -> Vec<Range<usize>> {
 pub fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
     let cores = program.cores().as_slice();
     let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
-    let site = |message: &AxonTarget| sites[message.core.index()];
+    let site = |message: AxonTarget| sites[message.core.index()];
     let of_cores = |part: Range<usize>| {
         let mut counts = Counts::new(program.mesh());
         for (core, image) in part.clone().zip(&cores[part]) {
             for (slot, messages) in image.axons_out.iter().enumerate() {
                 let weight = rates.rate_of(program.channels() + image.ids[slot].0);
-                counts.spikes(CoreId::new(core), image.site, messages.iter().map(|m| (m.core, site(m))), weight);
+                counts.spikes(CoreId::new(core), image.site, messages.map(|m| (m.core, site(m))), weight);
             }
         }
         counts
@@ -129,8 +129,8 @@ pub fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
     let of_channels = |part: Range<usize>| {
         let mut counts = Counts::new(program.mesh());
         for channel in part {
-            let messages = program.channel(ChannelId::new(channel));
-            counts.inputs(messages.iter().map(site), rates.rate_of(channel as u32));
+            let messages = program.messages(channel as u32);
+            counts.inputs(messages.map(site), rates.rate_of(channel as u32));
         }
         counts
     };

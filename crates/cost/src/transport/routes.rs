@@ -243,19 +243,19 @@ impl MessageRoutes {
 
     fn new(program: &Program, kinds: &[Kind], groups: &[(usize, &[Site])]) -> Self {
         let cores = program.cores();
-        let message = |target: &AxonTarget| {
+        let message = |target: AxonTarget| {
             let (events_dense, events_sparse) = events(program.class_of(target.core), target.axon);
             Message { core: target.core, events_dense, events_sparse }
         };
         let mut inputs = Csr::default();
         for list in program.parts().channels.iter() {
-            inputs.push(list.iter().map(message));
+            inputs.push(list.iter().copied().map(message));
         }
         let mut spikes = Csr::default();
         let mut seats = Vec::with_capacity(program.seats().len());
         for seat in program.seats() {
             let image = &cores[seat.core];
-            spikes.push(image.axons_out.get(usize::from(seat.slot)).iter().map(message));
+            spikes.push(image.axons_out.get(usize::from(seat.slot)).map(message));
             seats.push((seat.core, u32::from(seat.slot), image.ids.len() as u32));
         }
         let of_kind = |kind| groups.iter().filter(|group| group.0 == kind).count() as u64;

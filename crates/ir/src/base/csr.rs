@@ -90,11 +90,15 @@ impl<T> Csr<T> {
     #[must_use]
     pub fn by_row(rows: usize, mut visit: impl FnMut(&mut dyn FnMut(usize, T))) -> Self
     where
-        T: Clone + Default,
+        T: Clone,
     {
-        let mut counts = vec![0u32; rows];
-        visit(&mut |row, _| counts[row] += 1);
-        let mut csr = Csr::from_counts(&counts, T::default());
+        let (mut counts, mut any) = (vec![0u32; rows], None);
+        visit(&mut |row, item| {
+            counts[row] += 1;
+            any.get_or_insert(item);
+        });
+        let Some(item) = any else { return Csr { first: vec![0; rows + 1], items: Vec::new() } };
+        let mut csr = Csr::from_counts(&counts, item);
         let mut next = csr.first.clone();
         visit(&mut |row, item| {
             csr.items[next[row] as usize] = item;

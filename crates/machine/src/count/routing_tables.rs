@@ -8,8 +8,8 @@
 //! prefetched for the whole batch before it is read.
 
 use crate::deliver::prefetch::prefetch;
-use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
-use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, Program, Stored, Synapse};
+use nsim_ir::base::id::{CoreId, Id};
+use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, Messages, Program, Stored, Synapse};
 
 /// Messages in a batch: more than a processor core has outstanding misses, few enough for the
 /// first-level cache.
@@ -90,21 +90,15 @@ impl<'p> RoutingTables<'p> {
     }
 
     /// Messages of a source; sources are numbered channels first.
-    pub fn messages(&self, source: u32) -> &'p [AxonTarget] {
-        match source.checked_sub(self.program.channels()) {
-            None => self.program.channel(ChannelId(source)),
-            Some(compartment) => {
-                let seat = self.program.seats()[CompartmentId(compartment)];
-                self.program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
-            }
-        }
+    pub fn messages(&self, source: u32) -> Messages<'p> {
+        self.program.messages(source)
     }
 
     /// Calls `each` with the list that each message of these sources selects.
     pub fn resolve(&self, sources: impl Iterator<Item = u32>, mut each: impl FnMut(Selected<'p>)) {
         let mut messages = Vec::with_capacity(BATCH);
         for source in sources {
-            for &target in self.messages(source) {
+            for target in self.messages(source) {
                 messages.push(Message { source, target, list: 0, at: 0, count: 0, base: 0 });
                 if messages.len() == BATCH {
                     self.resolve_batch(&mut messages, &mut each);

@@ -172,14 +172,14 @@ mod tests {
     use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
     use nsim_ir::base::csr::Csr;
     use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
-    use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, IdVec, PopulationId};
+    use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
     use nsim_ir::base::rng;
     use nsim_ir::neurons::Port;
     use nsim_ir::partition::Seat;
     use nsim_ir::placement::{Mesh, Site};
     use nsim_ir::program::{
-        AxonTarget, Compartment, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, Parts, PopulationAxon,
-        Stored, Synapse,
+        AxonTarget, AxonsOut, Compartment, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, Parts,
+        PopulationAxon, Stored, Synapse,
     };
     use nsim_ir::quantised::Neuron;
     use nsim_ir::quantised::connectivity::SynapseFormat;
@@ -245,10 +245,10 @@ mod tests {
         let (mut cores, mut classes) = (Vec::new(), IdVec::new());
         for (core, lists) in (0..).zip(lists) {
             let ids: Vec<CompartmentId> = (0..SLOTS).map(|slot| id(core, slot)).collect();
-            let mut axons_out = Csr::default();
+            let of_ids = ids.iter().map(|id| sent[CHANNELS as usize + id.index()].clone()).collect::<Vec<_>>();
+            let axons_out = AxonsOut::try_from(of_ids).unwrap();
             for (slot, id) in (0..).zip(&ids) {
                 seats[id.index()] = Seat { core: CoreId(core as u32), slot };
-                axons_out.push(sent[CHANNELS as usize + id.index()].iter().copied());
             }
             let table = |base| PopulationAxon { table: 0, atoms: (CHANNELS / 3) as u16, base };
             let inputs = match core == last {
@@ -287,15 +287,8 @@ mod tests {
     /// The obvious walk: source by source, message by message, synapse by synapse.
     fn walked(image: &Image, source: u32, shard: usize, delay: u8) -> Vec<LaneWeight> {
         let program = image.program();
-        let messages = match source.checked_sub(program.channels()) {
-            None => program.channel(ChannelId(source)),
-            Some(compartment) => {
-                let seat = program.seats()[CompartmentId(compartment)];
-                program.cores()[seat.core].axons_out.get(usize::from(seat.slot))
-            }
-        };
         let mut synapses = Vec::new();
-        for message in messages {
+        for message in program.messages(source) {
             let (core, class) = (&program.cores()[message.core], program.class_of(message.core));
             for synapse in class.inputs.get(usize::from(message.axon)).synapses() {
                 let place = image.lane(core.ids[usize::from(synapse.slot)]);

@@ -77,7 +77,7 @@ impl Exchange {
             let is_shown = shown.is_some_and(|(first, size)| id.0.wrapping_sub(first.0) < size);
             if owner == ranks.rank() {
                 own += 1;
-            } else if is_shown || !program.cores()[seat.core].axons_out.get(usize::from(seat.slot)).is_empty() {
+            } else if is_shown || program.messages(program.channels() + id.0).len() > 0 {
                 asked[owner as usize].push(id.0);
             }
         }
