@@ -227,6 +227,7 @@ pub(crate) mod tests {
                     cores: tiles.len(),
                     groups: vec![(0, 0)],
                     entries: Vec::new(),
+                    between: Vec::new(),
                 }
                 .with_entries(),
             ],
@@ -252,15 +253,16 @@ pub(crate) mod tests {
             // Chips of 4 by 2 tiles; the ports of all but the first are not drawn.
             let mut routes = routes(&tiles, &[], &spikes);
             (routes.regions[0].chip_width, routes.regions[0].chip_height) = (4, 2);
+            routes.regions[0].between = routes.regions[0].between_chips();
             let region = &routes.regions[0];
             let fired: Vec<u32> = (0..90).filter(|&i| draw(3, 7_000 + 100 * seed + i) == 0).map(|i| i as u32).collect();
             let step = step(9, &[], &fired);
             let (mut load, mut busiest) = (vec![0u32; region.links()], [0; 2]);
             region.each_message(&routes, &step, |sender, to, _| {
-                region.each_link(sender, to, |link, between_chips| {
-                    load[link as usize] += 1;
-                    let most: &mut u32 = &mut busiest[usize::from(between_chips)];
-                    *most = (*most).max(load[link as usize]);
+                region.path(sender, to).into_iter().flatten().for_each(|link| {
+                    load[link] += 1;
+                    let most: &mut u32 = &mut busiest[usize::from(region.between[link])];
+                    *most = (*most).max(load[link]);
                 });
             });
             assert!(busiest[0] > 0 && busiest[1] > 0, "{busiest:?}");

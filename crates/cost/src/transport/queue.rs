@@ -14,7 +14,7 @@ use std::collections::BinaryHeap;
 
 use crate::constants::CostTable;
 use crate::model::{route_time, times};
-use crate::transport::routes::{Link, Message, MessageRoutes, Region};
+use crate::transport::routes::{Message, MessageRoutes, Region};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::id::{ChannelId, CoreId, Id};
 use nsim_ir::base::units::Picoseconds;
@@ -38,18 +38,16 @@ const MESSAGE: u64 = 1 << 32;
 /// those that each step writes anew (`Queue::prepare`).
 #[derive(Debug, Clone, Default)]
 pub struct QueueMemory {
-    /// Of each link, in parts of a [`MESSAGE`].
+    /// Of each link between tiles, in parts of a [`MESSAGE`].
     occupied: Vec<u64>,
+    /// Of each sender's link into its router, in the same parts.
+    leaving: Vec<u64>,
     /// When each link can take the next message.
     free: Vec<u64>,
-    /// The links whose numbers are not 0, some of them several times.
-    touched: Vec<Link>,
     /// When each core has handled its messages.
     done: Vec<u64>,
     /// Time of receipt, sender, receiver, handling.
     under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
-    /// Links of the message that is sent, the sender's first, and whether each joins two chips.
-    path: Vec<(Link, bool)>,
     /// What each sender sends, and how long it is busy after that.
     senders: Vec<(Vec<Ready>, u64)>,
     /// Handling times by receiver.
@@ -89,6 +87,7 @@ impl<'w> Queue<'w> {
     ) -> Self {
         let grow = |numbers: &mut Vec<u64>, size: usize| numbers.resize(numbers.len().max(size), 0);
         grow(&mut memory.occupied, region.links());
+        grow(&mut memory.leaving, region.tiles.len());
         grow(&mut memory.free, region.links());
         grow(&mut memory.done, region.cores);
         Queue { routes, region, table, memory, handling: 0 }
@@ -223,32 +222,33 @@ impl<'w> Queue<'w> {
         {
             self.memory.under_way.pop();
             self.handling -= u128::from(handling);
-            let (region, occupied) = (self.region, &mut self.memory.occupied);
+            let region = self.region;
             let (from, to) = (from as usize, to as usize);
-            let part = MESSAGE / (u64::from(region.route(from, to).links()) + 2);
-            occupied[region.first_link(from) as usize] -= part;
-            region.each_link(from, to, |link, _| occupied[link as usize] -= part);
+            let path = region.path(from, to);
+            let part = MESSAGE / (path.iter().map(|links| links.len() as u64).sum::<u64>() + 2);
+            self.memory.leaving[from] -= part;
+            path.into_iter().for_each(|links| self.memory.occupied[links].iter_mut().for_each(|here| *here -= part));
         }
     }
 
     /// Sends a message at `now`; returns when its sender and its receiver were done with it.
     fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
         let (region, table, to) = (self.region, self.table, message.to as usize);
-        let QueueMemory { occupied, free, touched, done, under_way, path, .. } = &mut *self.memory;
-        let route = region.route(from, to);
-        path.clear();
-        path.push((region.first_link(from), false));
-        region.each_link(from, to, |link, between_chips| path.push((link, between_chips)));
-        let links = path.len() as u64;
+        let QueueMemory { occupied, leaving, free, done, under_way, .. } = &mut *self.memory;
+        let (route, path) = (region.route(from, to), region.path(from, to));
+        // The sender's link into its router, then those between tiles.
+        let links = path.iter().map(|links| links.len() as u64).sum::<u64>() + 1;
         let part = MESSAGE / (links + 1);
-        let mut along = 0u128;
-        for &(link, _) in &*path {
-            let here = &mut occupied[link as usize];
-            if *here == 0 {
-                touched.push(link);
+        let mut along = u128::from(leaving[from]);
+        leaving[from] += part;
+        for links in path.clone() {
+            // Halves are summed in 64 bits, as vectors.
+            let (mut high, mut low) = (0, 0);
+            for here in &mut occupied[links] {
+                (high, low) = (high + (*here >> 32), low + (*here & u64::from(u32::MAX)));
+                *here += part;
             }
-            along += u128::from(*here);
-            *here += part;
+            along += (u128::from(high) << 32) + u128::from(low);
         }
         let mean = quotient(self.handling, (under_way.len() as u64).max(1));
         // A way holds its links' buffers; what is beyond that has to be received first.
@@ -257,10 +257,11 @@ impl<'w> Queue<'w> {
         let congested = quotient(along * mean / u128::from(MESSAGE), links) as u64;
         // One message after the other on each link; a sender's own link is as fast as the sender.
         let mut at = leaves;
-        for &(link, between_chips) in &path[1..] {
-            let free = &mut free[link as usize];
-            at = at.max(*free);
-            *free = at + if between_chips { table.link_chip_time.0 } else { table.link_time.0 };
+        for links in path {
+            for (free, &between) in free[links.clone()].iter_mut().zip(&region.between[links]) {
+                at = at.max(*free);
+                *free = at + if between { table.link_chip_time.0 } else { table.link_time.0 };
+            }
         }
         let waited = at - leaves;
         let way = (route_time(route, table).0 + waited).max(congested);
@@ -332,12 +333,8 @@ impl<'w> Queue<'w> {
     }
 
     fn clear(&mut self) {
-        let QueueMemory { occupied, free, touched, done, under_way, .. } = &mut *self.memory;
-        for link in touched.drain(..) {
-            occupied[link as usize] = 0;
-            free[link as usize] = 0;
-        }
-        done.fill(0);
+        let QueueMemory { occupied, leaving, free, done, under_way, .. } = &mut *self.memory;
+        [occupied, leaving, free, done].into_iter().for_each(|numbers| numbers.fill(0));
         under_way.clear();
     }
 }
@@ -370,9 +367,9 @@ mod tests {
         queue.advance(u64::MAX);
         assert!(queue.memory.occupied.iter().all(|&part| part == 0) && queue.handling == 0);
         queue.clear();
-        let QueueMemory { occupied, free, touched, done, under_way, .. } = &memory;
-        assert!([occupied, free, done].iter().all(|numbers| numbers.iter().all(|&number| number == 0)));
-        assert!(under_way.is_empty() && touched.is_empty());
+        let QueueMemory { occupied, leaving, free, done, under_way, .. } = &memory;
+        assert!([occupied, leaving, free, done].iter().all(|numbers| numbers.iter().all(|&number| number == 0)));
+        assert!(under_way.is_empty());
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! meet. Counts are those of all groups.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::ops::Range;
 use std::sync::OnceLock;
 
 use petgraph::unionfind::UnionFind;
@@ -17,9 +18,6 @@ use nsim_ir::base::id::{ChannelId, CoreId, Id};
 use nsim_ir::groups::{CoreGroups, Kind};
 use nsim_ir::placement::{Mesh, Route, Site};
 use nsim_ir::program::{AxonTarget, CoreClass, Program};
-
-/// A link in one direction, or a sender's link into its router.
-pub(super) type Link = u32;
 
 /// One message that a spike of some source sends.
 #[derive(Debug, Clone, Copy)]
@@ -139,6 +137,8 @@ pub(super) struct Region {
     pub(super) groups: Vec<(usize, usize)>,
     /// Of each core the port through which its inputs enter, and their route from there.
     pub(super) entries: Vec<(usize, Route)>,
+    /// Whether each link joins two chips.
+    pub(super) between: Vec<bool>,
 }
 
 /// Dense and sparse synapses of an input axon.
@@ -212,6 +212,7 @@ fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
             cores: first,
             groups: starts,
             entries: Vec::new(),
+            between: Vec::new(),
         }
         .with_entries();
         known.insert(key, found.len());
@@ -360,10 +361,11 @@ impl MessageRoutes {
 }
 
 impl Region {
-    /// The same with the entries of its cores.
+    /// The same with the entries of its cores and the kinds of its links.
     pub(super) fn with_entries(mut self) -> Self {
         let entry = |core| (self.port_of(core), self.route(self.port_of(core), core));
         self.entries = (0..self.cores).map(entry).collect();
+        self.between = self.between_chips();
         self
     }
 
@@ -389,29 +391,42 @@ impl Region {
         Route { east_west: fx.abs_diff(tx), north_south: fy.abs_diff(ty), chip }
     }
 
+    /// Tiles that a chip has along each direction, east, west, south and north, those of the board,
+    /// and lines of them.
+    fn lines(&self) -> [(u32, u32, u32); 4] {
+        let (rows, columns) = ((self.chip_width, self.columns, self.rows), (self.chip_height, self.rows, self.columns));
+        [rows, rows, columns, columns]
+    }
+
+    /// Links between tiles. They are numbered by direction, then by the line of tiles along it,
+    /// then in the order in which messages cross them.
     pub(super) fn links(&self) -> usize {
-        4 * (self.columns * self.rows) as usize + self.tiles.len()
+        4 * (self.columns * self.rows) as usize
     }
 
-    /// The sender's link into its router.
-    pub(super) fn first_link(&self, sender: usize) -> Link {
-        4 * self.columns * self.rows + sender as u32
+    /// Whether each link joins two chips; none leads to the first tile of a line.
+    pub(super) fn between_chips(&self) -> Vec<bool> {
+        let of_direction = |(direction, (chip, tiles, lines)): (usize, (u32, u32, u32))| {
+            let joins = move |at: u32| {
+                let crossed = if direction % 2 == 0 { at } else { tiles - at };
+                crossed.is_multiple_of(chip)
+            };
+            (0..lines).flat_map(move |_| (0..tiles).map(move |at| at > 0 && joins(at)))
+        };
+        self.lines().into_iter().enumerate().flat_map(of_direction).collect()
     }
 
-    /// Every link on a message's route, along its row first, and whether it joins two chips. A link
-    /// is numbered by the tile that it leads to and its direction.
-    pub(super) fn each_link(&self, from: usize, to: usize, mut see: impl FnMut(Link, bool)) {
-        let ((mut x, mut y), (tx, ty)) = (self.tiles[from], self.tiles[to]);
-        while x != tx {
-            let (next, direction) = if x < tx { (x + 1, 0) } else { (x - 1, 1) };
-            see(4 * (y * self.columns + next) + direction, x / self.chip_width != next / self.chip_width);
-            x = next;
-        }
-        while y != ty {
-            let (next, direction) = if y < ty { (y + 1, 2) } else { (y - 1, 3) };
-            see(4 * (next * self.columns + x) + direction, y / self.chip_height != next / self.chip_height);
-            y = next;
-        }
+    /// The links on a message's route, along its row first, each part in the order in which it is
+    /// crossed.
+    pub(super) fn path(&self, from: usize, to: usize) -> [Range<usize>; 2] {
+        let ((fx, fy), (tx, ty)) = (self.tiles[from], self.tiles[to]);
+        let part = |direction: u32, (at, to): (u32, u32), line: u32, tiles: u32| {
+            let (begin, back) = (line * tiles, u32::from(to < at));
+            let first = (direction + back) * self.columns * self.rows + begin;
+            let place = |tile: u32| if back == 1 { tiles - 1 - tile } else { tile };
+            (first + place(at) + 1) as usize..(first + place(to) + 1) as usize
+        };
+        [part(0, (fx, tx), fy, self.columns), part(2, (fy, ty), tx, self.rows)]
     }
 
     /// Messages over the busiest link of a chip and over the busiest between chips.
