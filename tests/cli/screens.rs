@@ -9,7 +9,7 @@ use crate::{MODEL, SRM, nsim, write};
 const HELP_LINES: usize = 30;
 
 /// Commands on files that the test writes. Of those marked `timed`, figures differ between runs.
-const SCREENS: [(&str, bool); 24] = [
+const SCREENS: [(&str, bool); 25] = [
     ("map vtsnn-slip", true),
     ("map m.ron --target tiny --copies 3 --prune static", true),
     ("run vtsnn-slip --samples 0..2", true),

@@ -388,9 +388,15 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     // Routes.
     ("a message too few", |p, d| {
-        let (lists, at) = messages(p, d, |list| !list.is_empty())?;
-        edit(lists, |lists| shorten(&mut lists[at]));
-        Some(NotClosed)
+        messages(
+            p,
+            d,
+            |list| !list.is_empty(),
+            |lists, at| {
+                edit(lists, |lists| shorten(&mut lists[at]));
+                Some(NotClosed)
+            },
+        )
     }),
     ("a message twice", |p, d| {
         messages(
