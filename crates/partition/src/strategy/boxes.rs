@@ -66,7 +66,6 @@ impl<'n> Layers<'n> {
                 Ok(cut) => cuts[id] = Some(cut),
                 Err(alone) => reasons.extend(
                     alone
-                        .usage
                         .excesses(limits)
                         .map(|(resource, need, limit)| Reason::of_population(self.network, id, resource, need, limit)),
                 ),

@@ -17,6 +17,7 @@ use crate::resources::receptive_field::WindowAxis;
 use crate::strategy::tiles;
 use crate::strategy::tiles::Grid;
 use nsim_ir::base::id::{IdVec, PopulationId};
+use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Limits, Resource};
 
@@ -130,7 +131,7 @@ impl Cut {
     ///
     /// # Errors
     /// What one compartment alone uses, when no grid was found.
-    pub fn fewest_boxes(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Result<Self, BoxUse> {
+    pub fn fewest_boxes(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Result<Self, CoreUsage> {
         let most = most.min(limits[Resource::Compartments]).min(packing::MOST_SLOTS);
         let mut cut = None;
         tiles::first_that_fits(&tiles::grids(layer, formats, limits, most), TRIALS, |Grid { size, .. }| {
@@ -149,7 +150,7 @@ impl Cut {
                 let alone = layer.middle((1, 1, 1), formats, limits);
                 let lattice = Lattice { size: (1, 1, 1), along: layer.shape };
                 let found = Cut::new(layer, lattice, formats, limits);
-                if found.uses.values().any(|used| used.exceeds(limits)) { Err(alone) } else { Ok(found) }
+                if found.uses.values().any(|used| used.exceeds(limits)) { Err(alone.usage) } else { Ok(found) }
             },
             Ok,
         )
