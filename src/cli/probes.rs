@@ -10,7 +10,6 @@ use nsim_import::probes::Trace;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::names::fits_pattern;
-use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::spikes::{Message, Sample, Spikes};
 use nsim_session::error::{Error, Result};
@@ -226,13 +225,11 @@ impl ProbeArgs {
     }
 }
 
-/// The pattern and the quantity of a probe; all of the text is a pattern unless it ends in a
-/// quantity of some kind.
+/// The pattern and the quantity of a probe. A population's name has no point, unless it is one of
+/// relays, which nsim has named.
 fn parts(text: &str) -> (&str, Option<&str>) {
     match text.rsplit_once('.') {
-        Some((pattern, what)) if NeuronKind::ALL.iter().any(|kind| Quantity::of_kind(*kind, what).is_some()) => {
-            (pattern, Some(what))
-        }
+        Some((pattern, what)) if what != "relays" => (pattern, Some(what)),
         _ => (text, None),
     }
 }

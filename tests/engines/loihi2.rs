@@ -24,6 +24,7 @@ use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
+use nsim_testing::kinds::stated;
 use nsim_testing::sparse;
 use rayon::prelude::*;
 use serde_json::Value;
@@ -66,7 +67,8 @@ fn matches_recording(folder: &Path, kind: NeuronKind, rows: &[Vec<i64>], (out, c
     let expected = read(out);
     let states: Vec<(usize, Array)> = columns.iter().enumerate().map(|(place, name)| (place, read(name))).collect();
     let (mut compared, steps) = (0, sample.steps());
-    for (name, mut engine) in engines(&alone(kind, rows)) {
+    let networks = [kind, stated(kind)].map(|kind| alone(kind, rows));
+    for (name, mut engine) in networks.iter().flat_map(engines) {
         engine.begin(steps);
         for step in 0..steps {
             engine.step(sample.input(step));
@@ -131,7 +133,7 @@ fn recorded_neurons_of_lava_match_bit_for_bit() {
             compared += matches_recording(&folder.join(name).join(&regime), kind, &rows, ("s_out", columns));
         }
     }
-    assert!(compared > 300_000, "{compared} numbers");
+    assert!(compared > 600_000, "{compared} numbers");
 }
 
 /// lava-dl's neurons; it shows the state of RF_IZ before its reset, so spikes alone are compared.

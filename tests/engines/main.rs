@@ -12,6 +12,7 @@ mod differential;
 mod early_exit;
 mod integrate_and_fire;
 mod loihi2;
+mod microcode;
 mod mutations;
 mod neuron_vectors;
 mod overflow;

@@ -19,6 +19,7 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CoreId, IdVec};
 use nsim_ir::dealt::{Dealt, Share};
 use nsim_ir::firing_rates::Rates;
+use nsim_ir::graph::PerCompartment;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;
 use nsim_ir::neurons::NeuronKind;
@@ -304,8 +305,11 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
                 .into());
         }
         let Units::Compartments { neurons, .. } = &population.units else { continue };
-        let mut lacking = NeuronKind::ALL.into_iter().filter(|kind| !kinds.contains(kind));
-        if let Some(kind) = lacking.find(|kind| neurons.any(|neuron| neuron.kind == *kind)) {
+        let neurons = match neurons {
+            PerCompartment::Same(neuron) => std::slice::from_ref(neuron),
+            PerCompartment::Each(neurons) => neurons,
+        };
+        if let Some(kind) = neurons.iter().map(|neuron| neuron.kind).find(|kind| !kinds.contains(&kind.family())) {
             let message = format!(
                 "population '{}' has {} neurons, which {} does not have",
                 population.name,

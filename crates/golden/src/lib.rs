@@ -11,6 +11,7 @@
 //!
 //! There are no cores, threads or skipped work. A step visits every synapse.
 
+mod microcode;
 mod outcome;
 mod resonator;
 mod sigma_delta;
@@ -24,6 +25,7 @@ use nsim_ir::base::fixed::Decay;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec};
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
+use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Neuron, Projection, Quantised, Reset, SpikeSource, Units};
@@ -56,6 +58,8 @@ struct State {
     spiked_at: Option<u32>,
     /// The words of a kind without u and v.
     words: [i64; 4],
+    /// The words of a kind that a model file states.
+    stated: [i64; MOST_WORDS],
 }
 
 #[derive(Debug, Clone)]
@@ -221,7 +225,7 @@ impl Golden {
                     && bias(semantics, neuron) == 0
                     && sum == 0
             }
-            false => sums == [0; 2] && is_idle(neuron, &state.words),
+            false => sums == [0; 2] && is_idle(neuron, state),
         };
         self.totals.active_updates += u64::from(!at_rest);
 
@@ -231,7 +235,7 @@ impl Golden {
             (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Lava) => lava(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Slayer) => slayer(neuron, threshold, state, sum, step),
-            _ => in_words(neuron, &mut state.words, sums),
+            _ => in_words(neuron, state, sums),
         };
         // A message that its population does not have room for is sent, and reported.
         if let Some(value) = outcome.value {
@@ -314,6 +318,7 @@ impl Engine for Golden {
         narrow(match (neuron.kind.table().registers, column) {
             (true, 0) => state.u,
             (true, _) => state.v,
+            (false, _) if matches!(neuron.kind, NeuronKind::Microcode(_)) => state.stated[column],
             (false, _) => state.words[column],
         })
     }
@@ -530,7 +535,7 @@ fn slayer(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64
 }
 
 /// A step of a kind without u and v.
-fn in_words(neuron: &Neuron, words: &mut [i64; 4], sums: [i64; 2]) -> Outcome {
+fn in_words(neuron: &Neuron, State { words, stated, .. }: &mut State, sums: [i64; 2]) -> Outcome {
     // Rule (19): sums count weights times messages, in 32 bits.
     let arrived = sums.map(|sum| wrap(sum / 64, 31));
     let outcome = match neuron.kind {
@@ -539,6 +544,7 @@ fn in_words(neuron: &Neuron, words: &mut [i64; 4], sums: [i64; 2]) -> Outcome {
         NeuronKind::Sigma => sigma_delta::sigma(words, arrived[0]),
         NeuronKind::Rf => resonator::step(&neuron.row, words, arrived, false),
         NeuronKind::RfIz => resonator::step(&neuron.row, words, arrived, true),
+        NeuronKind::Microcode(kind) => microcode::step(kind.code(), &neuron.row, stated, arrived),
         NeuronKind::Loihi | NeuronKind::If | NeuronKind::SoftReset => unreachable!("they have u and v"),
     };
     Outcome { q_wrapped: (0..2).any(|port| 64 * arrived[port] != sums[port]), ..outcome }
@@ -546,10 +552,10 @@ fn in_words(neuron: &Neuron, words: &mut [i64; 4], sums: [i64; 2]) -> Outcome {
 
 /// Rule (13) for such a kind: whether a step without arrivals would change nothing, send nothing
 /// and report nothing.
-fn is_idle(neuron: &Neuron, words: &[i64; 4]) -> bool {
-    let mut after = *words;
+fn is_idle(neuron: &Neuron, state: &State) -> bool {
+    let mut after = *state;
     let Outcome { spiked, u_wrapped, v_clipped, .. } = in_words(neuron, &mut after, [0; 2]);
-    !spiked && after == *words && !u_wrapped && !v_clipped
+    !spiked && (after.words, after.stated) == (state.words, state.stated) && !u_wrapped && !v_clipped
 }
 
 /// Every synapse of the network with its target.

@@ -17,6 +17,7 @@ pub mod hardware;
 pub mod locate;
 pub mod mapping;
 pub mod messages;
+pub mod microcode;
 pub mod neurons;
 pub mod partition;
 pub mod placement;

@@ -4,15 +4,24 @@
 //! another name. The reader of model files, `quantise`, probes and every list of parameters go by
 //! [`NeuronKind::table`]; what a kind does is in `nsim_dynamics` and again in `nsim_golden`.
 
-use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
+use std::hash::{Hash, Hasher};
+use std::sync::{LazyLock, Mutex, PoisonError};
 
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::base::diagnostic::Span;
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Field, Refractory, ThresholdMantissa, UV_BITS, VmaxExponent, VminExponent,
 };
 use crate::base::names::named_variants;
+use crate::locate::locate;
+use crate::microcode::{Declaration, Microcode, Problem};
+use crate::spanned::{parse_at, raw, refuse};
 
 /// A kind of neuron with integer state.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum NeuronKind {
     /// A compartment of Loihi 1: decaying current and voltage.
     #[default]
@@ -32,6 +41,8 @@ pub enum NeuronKind {
     Rf,
     /// The same, but it spikes above a threshold of the imaginary part, and is reset (Loihi 2).
     RfIz,
+    /// What a model file states (Loihi 2).
+    Microcode(MicrocodeKind),
 }
 
 named_variants!(NeuronKind {
@@ -43,6 +54,7 @@ named_variants!(NeuronKind {
     Sigma = "Sigma",
     Rf = "Rf",
     RfIz = "RfIz",
+    ; NeuronKind::Microcode(kind) => kind.name()
 });
 
 /// What a kind of neuron consists of.
@@ -333,6 +345,16 @@ impl NeuronKind {
             NeuronKind::Delta => &DELTA,
             NeuronKind::Sigma => &SIGMA_TABLE,
             NeuronKind::Rf | NeuronKind::RfIz => &RESONATOR,
+            NeuronKind::Microcode(kind) => &kind.0.table,
+        }
+    }
+
+    /// The name under which chips list it.
+    #[must_use]
+    pub const fn family(self) -> Family {
+        match self {
+            NeuronKind::Microcode(_) => Family::MICROCODE,
+            kind => Family(kind.name()),
         }
     }
 
@@ -347,5 +369,168 @@ impl NeuronKind {
         let parameters = self.parameters();
         let real = parameters.iter().filter(|p| !matches!(p.real, Some((_, Conversion::BiasExponent))));
         parameters.iter().map(|p| p.name).chain(real.filter_map(|p| p.real.map(|(name, _)| name)))
+    }
+}
+
+/// What a chip lists of the kinds: the name of one, or `Microcode` for all that model files state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Family(&'static str);
+
+impl Family {
+    /// All kinds that model files state.
+    pub const MICROCODE: Family = Family("Microcode");
+}
+
+static FAMILIES: LazyLock<Vec<&'static str>> =
+    LazyLock::new(|| NeuronKind::ALL.map(NeuronKind::name).into_iter().chain([Family::MICROCODE.0]).collect());
+
+impl<'de> Deserialize<'de> for Family {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (text, _) = raw(deserializer)?;
+        let known = FAMILIES.iter().find(|name| **name == text);
+        known.map(|name| Family(name)).ok_or_else(|| D::Error::unknown_variant(text, &FAMILIES))
+    }
+}
+
+/// By its name, a kind that a model file states by its declaration.
+impl Serialize for NeuronKind {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            NeuronKind::Microcode(kind) => kind.serialize(serializer),
+            kind => serializer.serialize_unit_variant("NeuronKind", 0, kind.name()),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for NeuronKind {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (text, span) = raw(deserializer)?;
+        match NeuronKind::ALL.into_iter().find(|kind| kind.name() == text) {
+            Some(kind) => Ok(kind),
+            None if text.contains('(') => parse_at(text, span).map(NeuronKind::Microcode),
+            None => Err(D::Error::unknown_variant(text, &FAMILIES)),
+        }
+    }
+}
+
+/// A kind that a model file states.
+///
+/// Equal declarations are one kind, which is kept until the process ends: a neuron names its kind in
+/// 8 bytes, and parameters and words have names like those of every other kind.
+#[derive(Clone, Copy)]
+pub struct MicrocodeKind(&'static Stated);
+
+struct Stated {
+    code: Microcode,
+    table: KindTable,
+}
+
+static STATED: Mutex<Vec<&'static Stated>> = Mutex::new(Vec::new());
+
+impl MicrocodeKind {
+    /// The kind that a declaration states.
+    ///
+    /// # Errors
+    /// A [`Problem`] at the first name, width or expression that does not hold.
+    pub fn new(declaration: Declaration) -> Result<Self, Problem> {
+        if ["Input", "Srm"].into_iter().chain(FAMILIES.iter().copied()).any(|known| known == declaration.name) {
+            let message = format!("'{}' is the name of another kind: choose another one", declaration.name);
+            return Err(Problem { path: "name".to_string(), at: 0, message });
+        }
+        let code = Microcode::new(declaration, Row::EMPTY.0.len())?;
+        let mut stated = STATED.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(same) = stated.iter().find(|kind| kind.code == code) {
+            return Ok(MicrocodeKind(same));
+        }
+        let kind: &Stated = Box::leak(Box::new(Stated { table: table_of(&code), code }));
+        stated.push(kind);
+        Ok(MicrocodeKind(kind))
+    }
+
+    /// Its rule.
+    #[must_use]
+    pub fn code(self) -> &'static Microcode {
+        &self.0.code
+    }
+
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        self.0.code.name()
+    }
+}
+
+fn table_of(code: &Microcode) -> KindTable {
+    let Declaration { parameters, state, message, .. } = code.declaration();
+    let leaked = |name: &String| -> &'static str { name.clone().leak() };
+    let parameter = |parameter: &crate::microcode::Parameter| {
+        let name = leaked(&parameter.name);
+        let field = range(name, parameter.range.0.into(), parameter.range.1.into());
+        let default = parameter.default.map(i64::from);
+        let help = "give it, or give it a default in the kind's parameters";
+        ParameterField { default, ..required(name, field, Storage::Each, help) }
+    };
+    let column = |word: &crate::microcode::Word| Column { name: leaked(&word.name), bits: word.bits };
+    KindTable {
+        parameters: parameters.iter().map(parameter).collect::<Vec<_>>().leak(),
+        state: state.iter().map(column).collect::<Vec<_>>().leak(),
+        ports: code.ports(),
+        emits: if message.is_some() { Emits::Values } else { Emits::Spikes },
+        registers: false,
+    }
+}
+
+impl std::fmt::Debug for MicrocodeKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl PartialEq for MicrocodeKind {
+    fn eq(&self, other: &Self) -> bool {
+        std::ptr::eq(self.0, other.0)
+    }
+}
+
+impl Eq for MicrocodeKind {}
+
+/// By declarations, so that the order is the same in every run.
+impl Ord for MicrocodeKind {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.code().declaration().cmp(other.code().declaration())
+    }
+}
+
+impl PartialOrd for MicrocodeKind {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Hash for MicrocodeKind {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.name().hash(state);
+    }
+}
+
+impl Serialize for MicrocodeKind {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.code().declaration().serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for MicrocodeKind {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (text, span) = raw(deserializer)?;
+        let declaration = parse_at(text, span)?;
+        MicrocodeKind::new(declaration).or_else(|Problem { path, at, message }| {
+            let whole = Span { start: 0, end: text.len() };
+            let Span { start, end } = locate(text, whole, &path).unwrap_or(whole);
+            let value = &text[start..end];
+            // A byte of a text in quotes, unless an escape has moved it.
+            let inside = value.starts_with('"') && !value.contains('\\') && at + 1 < value.len();
+            let found = if inside { Span { start: start + 1 + at, end } } else { Span { start, end } };
+            refuse(Span { start: span.start + found.start, end: span.start + found.end }, message)
+        })
     }
 }

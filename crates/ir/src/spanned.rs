@@ -191,18 +191,33 @@ pub struct Malformed {
 /// it.
 const DEEPEST: u32 = 100;
 
+/// Parses the value at a place of a RON text, and nothing else of it.
+///
+/// # Errors
+/// As [`parse`].
+pub fn parse_part<T: DeserializeOwned>(source: &SourceText, part: Span, code: &'static str) -> Result<T> {
+    let found = attempt_part(source.text(), part);
+    found.map_err(|malformed| Diagnostic::new(code, malformed.message).at(source, malformed.span))
+}
+
 fn attempt<T: DeserializeOwned>(text: &str) -> Result<T, Malformed> {
+    attempt_part(text, Span { start: 0, end: text.len() })
+}
+
+fn attempt_part<T: DeserializeOwned>(text: &str, part: Span) -> Result<T, Malformed> {
     if let Some(at) = too_deep(text, DEEPEST) {
         let message = plain(&ron::Error::ExceededRecursionLimit);
         return Err(Malformed { span: Span { start: at, end: at + 1 }, message });
     }
     let before = TEXT.replace(Some((text.as_ptr() as usize, text.len())));
     INNERMOST.set(None);
-    let result = options().from_str::<T>(text);
+    let read = &text[part.start..part.end];
+    let result = options().from_str::<T>(read);
     TEXT.set(before);
     result.map_err(|error| {
-        let found = malformed(text, &error);
-        Malformed { span: INNERMOST.take().unwrap_or(found.span), ..found }
+        let Malformed { span: Span { start, end }, message } = malformed(read, &error);
+        let here = Span { start: part.start + start, end: part.start + end };
+        Malformed { span: INNERMOST.take().unwrap_or(here), message }
     })
 }
 

@@ -203,6 +203,9 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
         let threshold = table.parameters.iter().find(|parameter| parameter.storage == Storage::Threshold);
         return match threshold {
             Some(threshold) => format!("lower its {}, or scale up the weights that lead to it", threshold.name),
+            None if matches!(kind, NeuronKind::Microcode(_)) => {
+                format!("what {} neurons test never held: record their words with --probe", kind.name())
+            }
             None => "all that reaches it sums to zero".to_string(),
         };
     }

@@ -3,6 +3,8 @@
 // What cannot be made for a test fails it.
 #![allow(clippy::unwrap_used)]
 
+pub mod kinds;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -8,6 +8,7 @@
 //! To add a kind: its row in [`nsim_ir::neurons`], a file here with its line in [`updater`], and
 //! its arithmetic again in `nsim_golden`.
 
+mod microcode;
 mod neuron;
 mod resonator;
 mod sigma_delta;
@@ -43,8 +44,10 @@ pub struct Effects {
     pub emitted: u64,
     /// It was not idle, or something arrived.
     pub active: u64,
-    /// A word left its bits.
-    pub left: u64,
+    /// A word left its bits and wrapped.
+    pub wrapped: u64,
+    /// A word left its bits and was clipped.
+    pub clipped: u64,
     /// It is not idle afterwards.
     pub busy: u64,
 }
@@ -59,8 +62,6 @@ pub trait Updater: Debug + Send + Sync {
     fn lanes(&self) -> usize;
     /// Words of state of a compartment.
     fn words(&self) -> usize;
-    /// Whether a word that would leave its bits is clipped, rather than wrapped.
-    fn clips(&self) -> bool;
 }
 
 /// The update of a block, compartment by compartment, in chunks that compilers turn into vectors.
@@ -105,8 +106,11 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
                 if N::VALUES {
                     values[lane] = choice(sends, value, values[lane]);
                 }
-                flags[lane] =
-                    (sends & 1) as u32 | u32::from(active) << 1 | u32::from(left.any()) << 2 | u32::from(busy) << 3;
+                flags[lane] = (sends & 1) as u32
+                    | u32::from(active) << 1
+                    | u32::from(left.any_wrapped()) << 2
+                    | u32::from(left.any_clipped()) << 3
+                    | u32::from(busy) << 4;
             }
             columns.copy_from_slice(&state[..words]);
             *sent = values;
@@ -116,12 +120,14 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
             };
             effects.emitted |= bits(0);
             effects.active |= bits(1);
-            effects.left |= bits(2);
-            effects.busy |= bits(3);
+            effects.wrapped |= bits(2);
+            effects.clipped |= bits(3);
+            effects.busy |= bits(4);
         }
         let own = u64::MAX >> (MOST_LANES - lanes);
-        let Effects { emitted, active, left, busy } = effects;
-        Effects { emitted: emitted & own, active: active & own, left: left & own, busy: busy & own }
+        let Effects { emitted, active, wrapped, clipped, busy } = effects;
+        let [emitted, active, wrapped, clipped, busy] = [emitted, active, wrapped, clipped, busy].map(|set| set & own);
+        Effects { emitted, active, wrapped, clipped, busy }
     }
 }
 
@@ -146,10 +152,6 @@ impl<N: Neuron> Updater for Chunked<N> {
     fn words(&self) -> usize {
         N::State::COUNT
     }
-
-    fn clips(&self) -> bool {
-        N::CLIPS
-    }
 }
 
 fn chunked<N: Neuron>(rows: &[Row]) -> Option<Box<dyn Updater>> {
@@ -172,5 +174,6 @@ pub fn updater(kind: NeuronKind, rows: &[Row]) -> Option<Box<dyn Updater>> {
         NeuronKind::Sigma => chunked::<sigma_delta::Sigma>(rows),
         NeuronKind::Rf => chunked::<resonator::Resonator<false>>(rows),
         NeuronKind::RfIz => chunked::<resonator::Resonator<true>>(rows),
+        NeuronKind::Microcode(kind) => Some(microcode::updater(kind, rows)),
     }
 }

@@ -36,16 +36,19 @@ impl Emission {
     }
 }
 
-/// Whether words left their bits, in a form without branches: then the number is negative.
+/// Whether words left their bits, in a form without branches: then a number is negative.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Left(i32);
+pub struct Left {
+    wrapped: i32,
+    clipped: i32,
+}
 
 impl Left {
     /// The sum, wrapped.
     #[inline(always)]
     pub fn add(&mut self, a: i32, b: i32) -> i32 {
         let sum = a.wrapping_add(b);
-        self.0 |= (a ^ sum) & (b ^ sum);
+        self.wrapped |= (a ^ sum) & (b ^ sum);
         sum
     }
 
@@ -53,21 +56,49 @@ impl Left {
     #[inline(always)]
     pub fn subtract(&mut self, a: i32, b: i32) -> i32 {
         let difference = a.wrapping_sub(b);
-        self.0 |= (a ^ b) & (a ^ difference);
+        self.wrapped |= (a ^ b) & (a ^ difference);
         difference
     }
 
-    /// Notes that a word left its bits, where it did.
+    /// The number as a word of 32 bits, wrapped.
     #[inline(always)]
-    pub fn note(&mut self, left: bool) {
-        self.0 |= mask(left);
+    pub fn word(&mut self, x: i64) -> i32 {
+        let word = x as i32;
+        self.wrapped |= mask(i64::from(word) != x);
+        word
     }
 
-    /// Whether any did.
+    /// Notes that a word wrapped, where it did.
+    #[inline(always)]
+    pub fn note_wrap(&mut self, wrapped: bool) {
+        self.wrapped |= mask(wrapped);
+    }
+
+    /// Notes that a word was clipped, where it was.
+    #[inline(always)]
+    pub fn note_clip(&mut self, clipped: bool) {
+        self.clipped |= mask(clipped);
+    }
+
+    /// Whether any wrapped.
+    #[inline(always)]
+    #[must_use]
+    pub fn any_wrapped(self) -> bool {
+        self.wrapped < 0
+    }
+
+    /// Whether any was clipped.
+    #[inline(always)]
+    #[must_use]
+    pub fn any_clipped(self) -> bool {
+        self.clipped < 0
+    }
+
+    /// Whether any left its bits.
     #[inline(always)]
     #[must_use]
     pub fn any(self) -> bool {
-        self.0 < 0
+        self.wrapped | self.clipped < 0
     }
 }
 
@@ -134,8 +165,6 @@ pub trait Neuron: Debug + Send + Sync + 'static {
     /// Its parameters in the form that updates use.
     type Parameters: Columns;
 
-    /// Whether a word that would leave its bits is clipped, rather than wrapped.
-    const CLIPS: bool = false;
     /// Whether its messages carry what it computes, rather than what its population says.
     const VALUES: bool = true;
 

@@ -25,7 +25,6 @@ columns!(
 impl<const IZ: bool> Neuron for Resonator<IZ> {
     type State = State;
     type Parameters = Parameters;
-    const CLIPS: bool = true;
     const VALUES: bool = false;
 
     fn prepare(&Row([sin, cos, threshold, state_exp, decay_bits, ..]): &Row) -> Parameters {
@@ -46,7 +45,7 @@ impl<const IZ: bool> Neuron for Resonator<IZ> {
         ];
         const MOST: f64 = ((1 << UV_BITS) - 1) as f64;
         let kept = whole.map(|x| x.clamp(-MOST, MOST));
-        left.note((kept[0] != whole[0]) | (kept[1] != whole[1]));
+        left.note_clip((kept[0] != whole[0]) | (kept[1] != whole[1]));
         let [re, im] = kept.map(|x| x as i32);
         let spikes = match IZ {
             true => im >= p.threshold,

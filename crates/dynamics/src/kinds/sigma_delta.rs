@@ -149,7 +149,7 @@ impl Neuron for Delta {
     fn update(p: &Encoding, s: &mut Changes, [arrived, _]: Arrived, left: &mut Left) -> Emission {
         let &Encoding { shift, threshold, state_exp, cum_error } = p;
         let x = arrived << shift;
-        left.note(x >> shift != arrived);
+        left.note_wrap(x >> shift != arrived);
         Sending { threshold, state_exp, cum_error, corrected: 0 }.send(s, x, left)
     }
 }

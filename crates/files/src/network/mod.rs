@@ -20,8 +20,8 @@ use nsim_ir::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRo
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::locate::locate;
-use nsim_ir::neurons::{NeuronKind, Port};
-use nsim_ir::spanned::parse;
+use nsim_ir::neurons::{MicrocodeKind, NeuronKind, Port};
+use nsim_ir::spanned::{parse, parse_part};
 pub use nsim_ir::tensor::ArrayRef;
 use nsim_ir::tensor::{Numbers, Tensor};
 
@@ -351,6 +351,9 @@ pub struct NetworkFile {
     pub name: String,
     /// Length of a timestep in ms.
     pub timestep_ms: f64,
+    /// Kinds of neurons that it states.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub kinds: Vec<MicrocodeKind>,
     /// Populations in order.
     pub populations: Vec<PopulationDesc>,
     /// Projections in order.
@@ -405,9 +408,21 @@ impl NetworkFile {
     /// Parses the text of a model file.
     ///
     /// # Errors
-    /// `model.syntax` at the place of what is malformed.
+    /// `model.syntax` at the place of what is malformed, `model.kind` in a kind that it states.
     pub fn parse(source: &SourceText) -> Result<Self> {
-        parse(source, "model.syntax")
+        let whole = Span { start: 0, end: source.text().len() };
+        let kinds: Vec<MicrocodeKind> = match locate(source.text(), whole, "kinds") {
+            Some(part) => parse_part(source, part, "model.kind")?,
+            None => Vec::new(),
+        };
+        for (place, kind) in kinds.iter().enumerate() {
+            if kinds[..place].iter().any(|other| other.name() == kind.name()) {
+                let message = format!("kind '{}' is declared twice", kind.name());
+                let span = self::place(source, &format!("kinds.[{place}].name"));
+                return Err(Diagnostic::new("model.kind", message).at(source, span).help("choose another name"));
+            }
+        }
+        read::with_kinds(&kinds, || parse(source, "model.syntax"))
     }
 
     /// A population by name.

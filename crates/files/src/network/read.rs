@@ -1,7 +1,8 @@
 //! Populations and projections of a model file, read by serde.
 
+use std::cell::RefCell;
 use std::fmt;
-use std::sync::LazyLock;
+use std::sync::{LazyLock, Mutex, PoisonError};
 
 use serde::de::{DeserializeSeed, EnumAccess, Error, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, Deserializer};
@@ -10,7 +11,8 @@ use super::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, Source, W
 use crate::numbers;
 use crate::synapses::SynapseArrays;
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::neurons::{Emits, NeuronKind, Port};
+use nsim_ir::base::names::did_you_mean;
+use nsim_ir::neurons::{Emits, MicrocodeKind, NeuronKind, Port};
 use nsim_ir::spanned::{parse_at, raw, refuse};
 
 impl<'de> Deserialize<'de> for Weights {
@@ -41,17 +43,60 @@ impl<'de> Deserialize<'de> for Parameter {
 /// The names of spike response neurons' parameters.
 const SRM: [&str; 4] = ["tau_sr_ms", "tau_ref_ms", "scale_ref", "theta"];
 
+/// The fields of a population of neurons.
+fn fields_of(kind: NeuronKind) -> Vec<&'static str> {
+    let message = if kind.table().emits == Emits::Values { "message_bits" } else { "payload" };
+    ["name", "shape", "start_step", message].into_iter().chain(kind.parameter_names()).collect()
+}
+
 /// The names of populations, each with those of its fields.
 static FIELDS: LazyLock<Vec<(&'static str, Vec<&'static str>)>> = LazyLock::new(|| {
-    let neurons = NeuronKind::ALL.map(|kind| {
-        let message = if kind.table().emits == Emits::Values { "message_bits" } else { "payload" };
-        let own = ["name", "shape", "start_step", message].into_iter();
-        (kind.name(), own.chain(kind.parameter_names()).collect())
-    });
+    let neurons = NeuronKind::ALL.map(|kind| (kind.name(), fields_of(kind)));
     let srm = ("Srm", ["name", "shape"].into_iter().chain(SRM).collect());
     [("Input", vec!["name", "shape", "payload", "message_bits"]), srm].into_iter().chain(neurons).collect()
 });
 static POPULATIONS: LazyLock<Vec<&'static str>> = LazyLock::new(|| FIELDS.iter().map(|(name, _)| *name).collect());
+
+/// The fields of populations of stated kinds, each for as long as its kind.
+static STATED: Mutex<Vec<(MicrocodeKind, &'static [&'static str])>> = Mutex::new(Vec::new());
+
+thread_local! {
+    /// The kinds that the text states which this thread is reading.
+    static KINDS: RefCell<Vec<MicrocodeKind>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Reads populations that may be of these kinds besides those that have a name of their own.
+pub(super) fn with_kinds<T>(kinds: &[MicrocodeKind], read: impl FnOnce() -> T) -> T {
+    let before = KINDS.replace(kinds.to_vec());
+    let found = read();
+    KINDS.set(before);
+    found
+}
+
+/// A stated kind by its name, and the fields of its populations.
+fn stated(name: &str) -> Option<(MicrocodeKind, &'static [&'static str])> {
+    let kind = KINDS.with_borrow(|kinds| kinds.iter().copied().find(|kind| kind.name() == name))?;
+    let mut known = STATED.lock().unwrap_or_else(PoisonError::into_inner);
+    let found = known.iter().find(|(known, _)| *known == kind).copied();
+    Some(found.unwrap_or_else(|| {
+        known.push((kind, fields_of(NeuronKind::Microcode(kind)).leak()));
+        known[known.len() - 1]
+    }))
+}
+
+/// What to say of a population of no kind.
+fn unknown<E: Error>(name: &str) -> E {
+    let stated: Vec<&str> = KINDS.with_borrow(|kinds| kinds.iter().map(|kind| kind.name()).collect());
+    if stated.is_empty() {
+        return E::unknown_variant(name, &POPULATIONS);
+    }
+    let known: Vec<&str> = POPULATIONS.iter().copied().chain(stated).collect();
+    E::custom(format!(
+        "no kind is called '{name}': {}kinds are {}",
+        did_you_mean(name, known.iter().copied()),
+        known.join(", ")
+    ))
+}
 
 /// The name of a field or a variant.
 struct Identifier(String);
@@ -82,10 +127,18 @@ impl<'de> Deserialize<'de> for PopulationDesc {
             }
             fn visit_enum<A: EnumAccess<'de>>(self, data: A) -> Result<PopulationDesc, A::Error> {
                 let (Identifier(name), variant) = data.variant()?;
-                match FIELDS.iter().find(|(known, _)| *known == name) {
-                    Some((name, fields)) => variant.newtype_variant_seed(Fields { name, fields }),
-                    None => Err(A::Error::unknown_variant(&name, &POPULATIONS)),
-                }
+                let own = FIELDS.iter().find(|(known, _)| *known == name);
+                let found = match (own, stated(&name)) {
+                    (Some((name, fields)), _) => {
+                        let kind = NeuronKind::ALL.into_iter().find(|kind| kind.name() == *name);
+                        Fields { name, kind, fields }
+                    }
+                    (None, Some((kind, fields))) => {
+                        Fields { name: kind.name(), kind: Some(NeuronKind::Microcode(kind)), fields }
+                    }
+                    (None, None) => return Err(unknown(&name)),
+                };
+                variant.newtype_variant_seed(found)
             }
         }
         deserializer.deserialize_enum("Population", &POPULATIONS, Read)
@@ -95,6 +148,8 @@ impl<'de> Deserialize<'de> for PopulationDesc {
 /// The fields of a population of this name.
 struct Fields {
     name: &'static str,
+    /// The kind of its neurons, if it has neurons of a kind.
+    kind: Option<NeuronKind>,
     fields: &'static [&'static str],
 }
 
@@ -124,7 +179,8 @@ impl<'de> Visitor<'de> for Fields {
                 return Err(A::Error::duplicate_field(self.fields[place]));
             }
             given.push(place);
-            match (key.as_str(), SRM.iter().position(|known| *known == key)) {
+            let of_srm = self.kind.is_none().then(|| SRM.iter().position(|known| *known == key));
+            match (key.as_str(), of_srm.flatten()) {
                 ("name", _) => name = Some(map.next_value()?),
                 ("shape", _) => shape = Some(map.next_value()?),
                 ("start_step", _) => built.start_step = map.next_value::<Option<u32>>()?.unwrap_or(0),
@@ -136,7 +192,7 @@ impl<'de> Visitor<'de> for Fields {
         }
         built.name = name.ok_or_else(|| A::Error::missing_field("name"))?;
         built.shape = shape.ok_or_else(|| A::Error::missing_field("shape"))?;
-        if let Some(kind) = NeuronKind::ALL.into_iter().find(|kind| kind.name() == self.name) {
+        if let Some(kind) = self.kind {
             let given = self.fields.iter().zip(values).filter_map(|(field, value)| Some((*field, value?)));
             (built.kind, built.loihi) = (kind, Some(given.collect()));
         } else if self.name == "Srm" {

@@ -1,15 +1,16 @@
 //! Names in files, arguments and results.
 //!
-//! Input: an enum with its variants, each with its name. Output: the list of the variants and the
-//! name of each. Written once, since a name given in two lists can differ. Input: a text of any
-//! origin. Output: the text as it may be shown.
+//! Input: an enum with its variants, each with its name; behind a semicolon a variant that holds its
+//! name, which is in no list. Output: the list of the variants and the name of each. Written once,
+//! since a name given in two lists can differ. Input: a text of any origin. Output: the text as it
+//! may be shown.
 
 use std::borrow::Cow;
 
 /// Gives an enum the constant `ALL` and the function `name`.
 #[macro_export]
 macro_rules! named_variants {
-    ($enum:ident { $($variant:ident = $name:literal),+ $(,)? }) => {
+    ($enum:ident { $($variant:ident = $name:literal),+ $(,)? $(; $other:pat => $given:expr)? }) => {
         impl $enum {
             /// Every variant, in the order in which they are shown.
             pub const ALL: [$enum; [$($name),+].len()] = [$($enum::$variant),+];
@@ -19,6 +20,7 @@ macro_rules! named_variants {
             pub const fn name(self) -> &'static str {
                 match self {
                     $($enum::$variant => $name,)+
+                    $($other => $given,)?
                 }
             }
         }

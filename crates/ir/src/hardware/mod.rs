@@ -9,14 +9,14 @@ pub mod constants;
 use serde::Deserialize;
 
 use self::constants::{ClassError, Constants, Status};
-use super::neurons::NeuronKind;
+use super::neurons::{Family, NeuronKind};
 use super::resource::{LimitChanges, Limits, Resource};
 use super::spanned::Spanned;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 
 /// What every Loihi 1 can be programmed as.
-fn neurons_of_loihi() -> Vec<NeuronKind> {
-    vec![NeuronKind::Loihi, NeuronKind::If]
+fn neurons_of_loihi() -> Vec<Family> {
+    vec![NeuronKind::Loihi.family(), NeuronKind::If.family()]
 }
 
 /// What a core and its chip can hold.
@@ -44,7 +44,7 @@ pub struct Chip {
     pub x86_cores_in_use: u32,
     /// The neurons that a compartment can be.
     #[serde(default = "neurons_of_loihi")]
-    pub neuron_kinds: Vec<NeuronKind>,
+    pub neuron_kinds: Vec<Family>,
     /// The widest integer that a message carries, in bits; 0 where messages carry none.
     #[serde(default)]
     pub message_bits: u32,
@@ -169,7 +169,7 @@ pub struct TargetChanges {
     /// x86 cores that a chip in use keeps busy.
     pub x86_cores_in_use: Option<u32>,
     /// The neurons that a compartment can be.
-    pub neuron_kinds: Option<Vec<NeuronKind>>,
+    pub neuron_kinds: Option<Vec<Family>>,
     /// The widest integer that a message carries, in bits; 0 where messages carry none.
     pub message_bits: Option<u32>,
     /// Limits of a core.

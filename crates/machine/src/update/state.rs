@@ -512,8 +512,7 @@ impl CompartmentState {
             }
             too_wide &= effects.emitted;
         }
-        let clips = if updater.clips() { effects.left } else { 0 };
-        let wraps = effects.left & !clips | too_wide;
+        let (clips, wraps) = (effects.clipped, effects.wrapped | too_wide);
         let mut reported = narrowed | wraps | clips;
         while reported != 0 {
             let lane = reported.trailing_zeros() as usize;

@@ -104,7 +104,7 @@ impl Job {
     /// `convert.integers` where nothing is to be converted; `model.*`.
     pub fn new(network: &Network, target: &Target) -> Result<Self> {
         let (graph, integers) = real_and_integers(network)?;
-        let soft_reset = target.chip().neuron_kinds.contains(&NeuronKind::SoftReset);
+        let soft_reset = target.chip().neuron_kinds.contains(&NeuronKind::SoftReset.family());
         if !staged::is_real(&graph) && (soft_reset || !resets::has_soft_reset(&graph)) {
             let message = format!("{} has no real numbers to convert", graph.facts().name);
             return Err(Diagnostic::new("convert.integers", message).help("it runs as it is").into());

@@ -1,0 +1,105 @@
+//! Neurons whose rule a model file states: their tree as instructions for registers of 64 lanes.
+//!
+//! Input: a checked tree ([`Microcode`]) and the parameters of at most 64 neurons. Output: an
+//! [`Updater`]. `compile` makes the instructions, once for each kind; `run` executes them.
+//!
+//! A register holds one value for each lane, in 32 bits where the interval of the value fits, in 64
+//! otherwise. What depends on parameters alone is computed when the updater is made. An update
+//! that changes, sends and reports nothing without arrivals would do so again, so that the update
+//! itself tells whether a neuron was idle.
+
+mod compile;
+mod run;
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+
+use nsim_ir::neurons::{MicrocodeKind, Row};
+
+use self::compile::Code;
+use self::run::Registers;
+use super::{Block, CHUNK, Effects, MOST_LANES, Updater};
+
+/// Chunks of a register.
+const CHUNKS: usize = MOST_LANES / CHUNK;
+
+/// The update of neurons of one kind.
+#[derive(Debug)]
+struct Programmed {
+    code: Arc<Code>,
+    lanes: usize,
+    /// What depends on parameters alone.
+    fixed: Registers,
+}
+
+thread_local! {
+    static REGISTERS: RefCell<Registers> = RefCell::default();
+}
+
+/// The instructions of a kind.
+fn code(kind: MicrocodeKind) -> Arc<Code> {
+    static COMPILED: LazyLock<Mutex<HashMap<MicrocodeKind, Arc<Code>>>> = LazyLock::new(Mutex::default);
+    let mut compiled = COMPILED.lock().unwrap_or_else(PoisonError::into_inner);
+    Arc::clone(compiled.entry(kind).or_insert_with(|| Arc::new(Code::new(kind.code()))))
+}
+
+/// The update of neurons with these parameters.
+pub(super) fn updater(kind: MicrocodeKind, rows: &[Row]) -> Box<dyn Updater> {
+    let code = code(kind);
+    let mut fixed = Registers::default();
+    fixed.make_room(&code.fixed);
+    for (place, register) in fixed.narrow.iter_mut().take(code.parameters).enumerate() {
+        for (value, row) in register.as_flattened_mut().iter_mut().zip(rows) {
+            *value = row.0[place];
+        }
+    }
+    run::fix(&code, &mut fixed);
+    Box::new(Programmed { code, lanes: rows.len(), fixed })
+}
+
+impl Updater for Programmed {
+    fn update(&self, block: &mut Block<'_>) -> Effects {
+        let Block { columns, arrived, sent, vectors, .. } = block;
+        self.step(columns, *arrived, sent, *vectors)
+    }
+
+    fn wakes(&self) -> bool {
+        let mut columns = vec![[0; CHUNK]; CHUNKS * self.words()];
+        let (silence, mut sent) = ([[0; CHUNK]; CHUNKS], [[0; CHUNK]; CHUNKS]);
+        let chunks = self.lanes.div_ceil(CHUNK);
+        let arrived = [&silence[..chunks]; 2];
+        let columns = &mut columns[..chunks * self.words()];
+        self.step(columns, arrived, &mut sent[..chunks], pulp::Arch::Scalar).active != 0
+    }
+
+    fn lanes(&self) -> usize {
+        self.lanes
+    }
+
+    fn words(&self) -> usize {
+        self.code.words
+    }
+}
+
+impl Programmed {
+    /// One step of all compartments, as [`Block`] says.
+    fn step(
+        &self,
+        columns: &mut [[i32; CHUNK]],
+        arrived: [&[[i32; CHUNK]]; 2],
+        sent: &mut [[i32; CHUNK]],
+        vectors: pulp::Arch,
+    ) -> Effects {
+        let Programmed { code, lanes, fixed } = self;
+        REGISTERS.with_borrow_mut(|registers| {
+            registers.make_room(&code.step);
+            let effects = vectors.dispatch(run::Step { code, fixed, registers, columns, arrived, sent });
+            let own = u64::MAX >> (MOST_LANES - lanes);
+            let Effects { emitted, active, wrapped, clipped, busy } = effects;
+            let [emitted, active, wrapped, clipped, busy] =
+                [emitted, active, wrapped, clipped, busy].map(|set| set & own);
+            Effects { emitted, active, wrapped, clipped, busy }
+        })
+    }
+}

@@ -1,0 +1,114 @@
+//! The values that an expression can have.
+//!
+//! Input: an operation and the intervals of what it takes. Output: the interval of its result, in
+//! 64 bits; or why there is none. Every value of the result lies in it; not every value in it
+//! occurs, since each operand is taken by itself.
+
+use super::Operation;
+
+/// All integers from the least to the greatest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interval {
+    /// The least.
+    pub low: i64,
+    /// The greatest.
+    pub high: i64,
+}
+
+/// The greatest amount of a shift.
+const MOST_SHIFT: i64 = 62;
+
+impl Interval {
+    /// The values of this many bits in two's complement, 1 to 64.
+    #[must_use]
+    pub fn of_bits(bits: u32) -> Interval {
+        Interval { low: i64::MIN >> (64 - bits), high: i64::MAX >> (64 - bits) }
+    }
+
+    /// The same without the least.
+    #[must_use]
+    pub fn symmetric(bits: u32) -> Interval {
+        let high = Interval::of_bits(bits).high;
+        Interval { low: -high, high }
+    }
+
+    /// One value.
+    #[must_use]
+    pub fn one(value: i64) -> Interval {
+        Interval { low: value, high: value }
+    }
+
+    /// Whether all of another interval is in this one.
+    #[must_use]
+    pub fn holds(self, other: Interval) -> bool {
+        self.low <= other.low && other.high <= self.high
+    }
+
+    /// Bits that each value fits, the sign included.
+    #[must_use]
+    pub fn bits(self) -> u32 {
+        bits(self.low.into(), self.high.into())
+    }
+}
+
+/// Bits that both fit in two's complement.
+fn bits(low: i128, high: i128) -> u32 {
+    let of = |x: i128| 129 - (if x < 0 { !x } else { x }).leading_zeros();
+    of(low).max(of(high))
+}
+
+/// The interval of a result.
+///
+/// # Errors
+/// What the result would need, and what to do.
+pub(super) fn result(operation: Operation, of: &[Interval]) -> Result<Interval, String> {
+    // Each of these is monotone in either operand, so that its extremes are at the corners.
+    let corners = |f: fn(i128, i128) -> i128| {
+        let ends = |place: usize| [i128::from(of[place].low), i128::from(of[place].high)];
+        let values = ends(0).map(|a| ends(1).map(|b| f(a, b)));
+        let [[a, b], [c, d]] = values;
+        (a.min(b).min(c).min(d), a.max(b).max(c).max(d))
+    };
+    let narrowed = |to: Interval| (of[0].low.clamp(to.low, to.high).into(), of[0].high.clamp(to.low, to.high).into());
+    let (low, high): (i128, i128) = match operation {
+        Operation::ShiftLeft | Operation::ShiftRight | Operation::TowardZero
+            if of[1].low < 0 || of[1].high > MOST_SHIFT =>
+        {
+            let Interval { low, high } = of[1];
+            return Err(format!("an amount of {low} to {high} bits is outside 0..={MOST_SHIFT}: limit it"));
+        }
+        Operation::Add => corners(|a, b| a + b),
+        Operation::Subtract => corners(|a, b| a - b),
+        Operation::Multiply => corners(|a, b| a * b),
+        Operation::ShiftLeft => corners(|a, k| a << k),
+        Operation::ShiftRight => corners(|a, k| a >> k),
+        Operation::TowardZero => corners(|a, k| a / (1 << k)),
+        Operation::Minimum => corners(Ord::min),
+        Operation::Maximum => corners(Ord::max),
+        Operation::Absolute => {
+            let (low, high) = (i128::from(of[0].low), i128::from(of[0].high));
+            (low.max(-high).max(0), high.max(-low))
+        }
+        Operation::Select => (of[1].low.min(of[2].low).into(), of[1].high.max(of[2].high).into()),
+        Operation::Clip(bits) => narrowed(Interval::symmetric(bits)),
+        Operation::Wrap(bits) if Interval::of_bits(bits).holds(of[0]) => (of[0].low.into(), of[0].high.into()),
+        Operation::Wrap(bits) => {
+            let Interval { low, high } = Interval::of_bits(bits);
+            (low.into(), high.into())
+        }
+        Operation::Less
+        | Operation::LessOrEqual
+        | Operation::Equal
+        | Operation::NotEqual
+        | Operation::And
+        | Operation::Or
+        | Operation::Not => (0, 1),
+    };
+    match (i64::try_from(low), i64::try_from(high)) {
+        (Ok(low), Ok(high)) => Ok(Interval { low, high }),
+        _ => Err(format!(
+            "the result can need {} bits of 64: clip(.., bits) or wrap(.., bits) what it is made of",
+            bits(low, high)
+        )),
+    }
+}

@@ -1,0 +1,383 @@
+//! The rule of a neuron that a model file states: expressions of integers over words of state.
+//!
+//! Input: a [`Declaration`], as `docs/formats.md` describes it. Output: [`Microcode`], a checked
+//! tree; or a [`Problem`] with its place. The grammar is in `text`, the intervals of results are in
+//! `interval`.
+//!
+//! Invariants of a checked tree:
+//!
+//! - every name is known, a temporary is written before it is read;
+//! - every result fits 64 bits, whatever the words, parameters and arrivals are;
+//! - an amount of a shift is within 0..=62, a message fits 32 bits.
+//!
+//! The second follows from intervals alone: those of the words and parameters are declared, and
+//! each operation maps intervals to an interval. So engines compute in 64 bits without checks.
+//! What a tree computes is defined in `nsim_dynamics` and again in `nsim_golden`.
+
+mod interval;
+mod text;
+
+use serde::{Deserialize, Serialize};
+
+pub use interval::Interval;
+
+use text::{Parser, Scope};
+
+/// The most words of state of a neuron.
+pub const MOST_WORDS: usize = 8;
+/// The most temporaries, declared or not.
+const MOST_TEMPORARIES: usize = 64;
+/// The most assignments of an update, or of a reset.
+const MOST_ASSIGNMENTS: usize = 128;
+
+/// What a word does with a value that needs more bits. Both are reported, as rule (14) of
+/// `docs/semantics.md` says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+pub enum Overflow {
+    /// It keeps the low bits, in two's complement.
+    Wrap,
+    /// It keeps the nearest value of `-(2^(bits - 1) - 1)..=2^(bits - 1) - 1`, as Loihi's voltage.
+    Clip,
+}
+
+/// A word with a width.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Word {
+    /// Its name.
+    pub name: String,
+    /// Bits, the sign included: 2 to 32.
+    pub bits: u32,
+    /// What happens to a value that needs more.
+    pub overflow: Overflow,
+}
+
+impl Word {
+    /// The values that it holds.
+    #[must_use]
+    pub fn interval(&self) -> Interval {
+        match self.overflow {
+            Overflow::Wrap => Interval::of_bits(self.bits),
+            Overflow::Clip => Interval::symmetric(self.bits),
+        }
+    }
+}
+
+/// A number that a population gives to its neurons.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Parameter {
+    /// Its name.
+    pub name: String,
+    /// The least and the greatest value.
+    pub range: (i32, i32),
+    /// Its value where a population gives none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub default: Option<i32>,
+}
+
+/// A kind of neuron as a model file states it.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, rename = "Kind")]
+pub struct Declaration {
+    /// Its name, which populations give.
+    pub name: String,
+    /// What it carries from step to step.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub state: Vec<Word>,
+    /// What populations give.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parameters: Vec<Parameter>,
+    /// Temporaries with a width. Any other name that is assigned is one without.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub temporaries: Vec<Word>,
+    /// Assignments of an update, in order.
+    pub update: Vec<String>,
+    /// The test after the update: whether it sends. Without one it sends a message other than 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spikes: Option<String>,
+    /// The integer that it sends; none for spikes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub message: Option<String>,
+    /// Assignments after it sent, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reset: Vec<String>,
+}
+
+/// What is wrong with a declaration, and where.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+pub struct Problem {
+    /// The path of a value in the declaration, such as `update.[2]`.
+    pub path: String,
+    /// The byte of that text.
+    pub at: usize,
+    /// What is wrong there, and what to do.
+    pub message: String,
+}
+
+impl Problem {
+    fn new(path: impl Into<String>, message: impl Into<String>) -> Problem {
+        Problem { path: path.into(), at: 0, message: message.into() }
+    }
+}
+
+/// What a name stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Variable {
+    /// The sum of arrivals at a port: 0 or 1.
+    Arrived(usize),
+    /// A parameter, by its place.
+    Parameter(usize),
+    /// A word of state, by its place.
+    State(usize),
+    /// A temporary, by its place.
+    Temporary(usize),
+}
+
+/// An operation on integers. Comparisons and logical operations give 1 or 0; what is not 0 is true.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Operation {
+    /// `a + b`.
+    Add,
+    /// `a - b`.
+    Subtract,
+    /// `a * b`.
+    Multiply,
+    /// `a * 2^b`.
+    ShiftLeft,
+    /// `a / 2^b`, rounded down.
+    ShiftRight,
+    /// `a / 2^b`, rounded toward zero.
+    TowardZero,
+    /// `a < b`.
+    Less,
+    /// `a <= b`.
+    LessOrEqual,
+    /// `a == b`.
+    Equal,
+    /// `a != b`.
+    NotEqual,
+    /// The lesser one.
+    Minimum,
+    /// The greater one.
+    Maximum,
+    /// Both are true.
+    And,
+    /// One is true.
+    Or,
+    /// `a` is not true.
+    Not,
+    /// The magnitude.
+    Absolute,
+    /// `b` where `a` is true, else `c`.
+    Select,
+    /// The nearest value of `-(2^(bits - 1) - 1)..=2^(bits - 1) - 1`, not reported.
+    Clip(u32),
+    /// The low bits in two's complement, not reported.
+    Wrap(u32),
+}
+
+/// A tree, or a part of one.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Expression {
+    /// What it is.
+    pub node: Node,
+    /// The values that it can have.
+    pub interval: Interval,
+}
+
+/// What an expression is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Node {
+    /// A number.
+    Constant(i64),
+    /// What a name stands for.
+    Read(Variable),
+    /// An operation on as many expressions as it takes.
+    Apply(Operation, Vec<Expression>),
+}
+
+impl Expression {
+    /// Operations of the tree.
+    #[must_use]
+    pub fn operations(&self) -> u32 {
+        match &self.node {
+            Node::Apply(_, of) => 1 + of.iter().map(Expression::operations).sum::<u32>(),
+            _ => 0,
+        }
+    }
+}
+
+/// An assignment.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Assignment {
+    /// What is written: a word of state or a temporary.
+    pub target: Variable,
+    /// Its new value, before it is narrowed to the target's width.
+    pub value: Expression,
+}
+
+/// A checked rule of a neuron.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Microcode {
+    declaration: Declaration,
+    temporaries: usize,
+    ports: u8,
+    update: Vec<Assignment>,
+    sends: Expression,
+    message: Option<Expression>,
+    reset: Vec<Assignment>,
+}
+
+impl Microcode {
+    /// Checks a declaration; `parameters` is how many parameters a neuron can have.
+    ///
+    /// # Errors
+    /// A [`Problem`] at the first name, width or expression that does not hold.
+    pub fn new(declaration: Declaration, parameters: usize) -> Result<Microcode, Problem> {
+        if !is_name(&declaration.name) {
+            let message = format!("'{}' cannot be the name of a kind: use letters, digits and '_'", declaration.name);
+            return Err(Problem::new("name", message));
+        }
+        let lengths = [
+            ("state", declaration.state.len(), MOST_WORDS),
+            ("parameters", declaration.parameters.len(), parameters),
+            ("temporaries", declaration.temporaries.len(), MOST_TEMPORARIES),
+            ("update", declaration.update.len(), MOST_ASSIGNMENTS),
+            ("reset", declaration.reset.len(), MOST_ASSIGNMENTS),
+        ];
+        if let Some((path, length, most)) = lengths.into_iter().find(|(_, length, most)| length > most) {
+            return Err(Problem::new(path, format!("{length} {path} are more than the {most} that a kind can have")));
+        }
+        let mut scope = Scope::new();
+        for (place, Parameter { name, range: (low, high), default }) in declaration.parameters.iter().enumerate() {
+            let path = format!("parameters.[{place}]");
+            let range = Interval { low: (*low).into(), high: (*high).into() };
+            if low > high || default.is_some_and(|default| !(*low..=*high).contains(&default)) {
+                let value = default.map_or(String::new(), |default| format!(" with the default {default}"));
+                return Err(Problem::new(path, format!("the range {low} to {high}{value} holds no such value")));
+            }
+            scope.declare(name, Variable::Parameter(place), Some(range), &path)?;
+        }
+        let words = [("state", &declaration.state), ("temporaries", &declaration.temporaries)];
+        for (list, word, place) in words
+            .into_iter()
+            .flat_map(|(list, words)| words.iter().enumerate().map(move |(place, word)| (list, word, place)))
+        {
+            let path = format!("{list}.[{place}]");
+            if !(2..=32).contains(&word.bits) {
+                return Err(Problem::new(path, format!("{} bits are outside 2..=32: narrow the word", word.bits)));
+            }
+            match list {
+                "state" => scope.declare(&word.name, Variable::State(place), Some(word.interval()), &path)?,
+                _ => scope.declare(&word.name, Variable::Temporary(place), None, &path)?,
+            }
+        }
+        scope.widths = words.map(|(_, words)| words.iter().map(Word::interval).collect());
+        let update = assignments("update", &declaration.update, &mut scope)?;
+        let of = |path: &'static str, text: &Option<String>, scope: &mut Scope| match text {
+            Some(text) => Parser::new(path, text, scope).whole().map(Some),
+            None => Ok(None),
+        };
+        let spikes = of("spikes", &declaration.spikes, &mut scope)?;
+        let message = of("message", &declaration.message, &mut scope)?;
+        if let Some(needs) = message.as_ref().map(|message| message.interval.bits()).filter(|bits| *bits > 32) {
+            let problem = format!("a message of {needs} bits does not fit 32: clip(.., 32) or wrap(.., 32) it");
+            return Err(Problem::new("message", problem));
+        }
+        let Some(sends) = spikes.or_else(|| message.clone()) else {
+            return Err(Problem::new("", "it sends nothing: give spikes, a test, or message, an integer"));
+        };
+        let reset = assignments("reset", &declaration.reset, &mut scope)?;
+        let (temporaries, ports) = (scope.temporaries(), scope.ports);
+        Ok(Microcode { declaration, temporaries, ports, update, sends, message, reset })
+    }
+
+    /// The declaration that it was made of.
+    #[must_use]
+    pub fn declaration(&self) -> &Declaration {
+        &self.declaration
+    }
+
+    /// Its name.
+    #[must_use]
+    pub const fn name(&self) -> &str {
+        self.declaration.name.as_str()
+    }
+
+    /// How many temporaries it has; the first ones are those with a width.
+    #[must_use]
+    pub fn temporaries(&self) -> usize {
+        self.temporaries
+    }
+
+    /// How many sums of arrivals it reads, at least 1.
+    #[must_use]
+    pub fn ports(&self) -> u8 {
+        self.ports
+    }
+
+    /// The word that is written, unless it is a temporary without a width.
+    #[must_use]
+    pub fn width(&self, target: Variable) -> Option<&Word> {
+        match target {
+            Variable::State(place) => self.declaration.state.get(place),
+            Variable::Temporary(place) => self.declaration.temporaries.get(place),
+            Variable::Arrived(_) | Variable::Parameter(_) => None,
+        }
+    }
+
+    /// Assignments of every step.
+    #[must_use]
+    pub fn update(&self) -> &[Assignment] {
+        &self.update
+    }
+
+    /// Sent is what is not 0 after the update: the test, or the message where there is no test.
+    #[must_use]
+    pub fn sends(&self) -> &Expression {
+        &self.sends
+    }
+
+    /// The integer that is sent; none for spikes.
+    #[must_use]
+    pub fn message(&self) -> Option<&Expression> {
+        self.message.as_ref()
+    }
+
+    /// Assignments after something was sent.
+    #[must_use]
+    pub fn reset(&self) -> &[Assignment] {
+        &self.reset
+    }
+
+    /// Instructions of the program: operations, the assignments of numbers and names, and the
+    /// sending.
+    #[must_use]
+    pub fn instructions(&self) -> u32 {
+        let assigned = self.update.iter().chain(&self.reset).map(|assignment| assignment.value.operations().max(1));
+        let message = self.declaration.spikes.as_ref().and(self.message.as_ref());
+        assigned.sum::<u32>() + self.sends.operations() + message.map_or(0, Expression::operations) + 1
+    }
+
+    /// Bits of state of a neuron.
+    #[must_use]
+    pub fn state_bits(&self) -> u32 {
+        self.declaration.state.iter().map(|word| word.bits).sum()
+    }
+}
+
+fn assignments(list: &str, texts: &[String], scope: &mut Scope) -> Result<Vec<Assignment>, Problem> {
+    let parsed = |(place, text): (usize, &String)| Parser::new(&format!("{list}.[{place}]"), text, scope).assignment();
+    texts.iter().enumerate().map(parsed).collect()
+}
+
+/// Whether a text is a letter or `_`, then letters, digits and `_`.
+fn is_name(text: &str) -> bool {
+    let part = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    text.len() <= 64 && text.starts_with(|c: char| part(c) && !c.is_ascii_digit()) && text.chars().all(part)
+}
+
+#[cfg(test)]
+mod tests;
