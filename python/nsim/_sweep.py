@@ -35,8 +35,10 @@ class Table:
         try:
             import pandas
         except ImportError:
-            import polars
-
+            try:
+                import polars
+            except ImportError:
+                raise ImportError("a table is a data frame of pandas: pip install pandas") from None
             return polars.read_csv(file, infer_schema_length=None)
         return pandas.read_csv(file)
 
