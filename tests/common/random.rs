@@ -209,10 +209,15 @@ pub fn network(seed: u64) -> Quantised {
     net.build()
 }
 
-/// A neuron of a kind with random parameters; thresholds are low enough to be reached.
+/// A neuron of a kind with random parameters; thresholds are low enough to be reached, intervals
+/// short enough to pass.
 fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
     let value = |parameter: &ParameterField| {
-        let most = if parameter.storage == Storage::Threshold { 500 } else { 1 << 16 };
+        let most = match parameter.name {
+            "reset_interval" => 30,
+            _ if parameter.storage == Storage::Threshold => 500,
+            _ => 1 << 16,
+        };
         draw.from(parameter.field.low.max(-most), parameter.field.high.min(most))
     };
     let values: Vec<i64> = kind.parameters().iter().map(value).collect();

@@ -11,6 +11,8 @@
 //!
 //! There are no cores, threads or skipped work. A step visits every synapse.
 
+mod graded;
+mod lif;
 mod microcode;
 mod outcome;
 mod resonator;
@@ -209,14 +211,14 @@ impl Golden {
         // Rule (9), and in SLAYER rule (11): what arrives at a population that is held is lost.
         let start = if semantics == Semantics::Slayer { (*start_step).max(1) } else { *start_step };
         if step < start {
-            *state = State::default();
+            *state = first(neuron);
             return false;
         }
         // Rule (10).
         if self.reset.is_some_and(|reset| resets(reset, *start_step, step)) {
-            *state = State::default();
+            *state = first(neuron);
         }
-        // Rule (13).
+        // Rule (13), which no reset of a neuron's own changes.
         let at_rest = match neuron.kind.table().registers {
             true => {
                 state.u == 0
@@ -229,6 +231,10 @@ impl Golden {
         };
         self.totals.active_updates += u64::from(!at_rest);
 
+        // Equation (30).
+        if neuron.kind == NeuronKind::LifReset && lif::resets(&neuron.row, step) {
+            state.words = [0; 4];
+        }
         let mut outcome = match (neuron.kind, semantics) {
             (NeuronKind::SoftReset, _) => soft_reset(neuron, threshold, state, sum),
             (NeuronKind::If, _) => integrate_and_fire(neuron, threshold, state, sum, step),
@@ -265,7 +271,7 @@ impl Engine for Golden {
     fn begin(&mut self, steps: u32) {
         self.steps = steps;
         for compartment in self.compartments.iter_mut() {
-            compartment.state = State::default();
+            compartment.state = first(&compartment.neuron);
         }
         self.done = 0;
         self.channel_history.clear();
@@ -544,18 +550,44 @@ fn in_words(neuron: &Neuron, State { words, stated, .. }: &mut State, sums: [i64
         NeuronKind::Sigma => sigma_delta::sigma(words, arrived[0]),
         NeuronKind::Rf => resonator::step(&neuron.row, words, arrived, false),
         NeuronKind::RfIz => resonator::step(&neuron.row, words, arrived, true),
+        NeuronKind::TernaryLif => lif::ternary(&neuron.row, words, arrived[0]),
+        NeuronKind::LifReset => lif::resetting(&neuron.row, words, arrived[0]),
+        NeuronKind::GradedLif => lif::graded(&neuron.row, words, arrived[0]),
+        NeuronKind::AtrLif => lif::adaptive_lava(&neuron.row, words, arrived[0]),
+        NeuronKind::Alif => lif::adaptive_lava_dl(&neuron.row, words, arrived[0]),
+        NeuronKind::Adrf => resonator::adaptive(&neuron.row, words, arrived, false),
+        NeuronKind::AdrfIz => resonator::adaptive(&neuron.row, words, arrived, true),
+        NeuronKind::RfZero => resonator::zero(&neuron.row, words, arrived),
+        NeuronKind::GradedVec => graded::vector(&neuron.row, arrived[0], false),
+        NeuronKind::GradedReluVec => graded::vector(&neuron.row, arrived[0], true),
+        NeuronKind::ProdNeuron => graded::product(&neuron.row, arrived),
+        NeuronKind::NormVecDelay => graded::delayed_product(&neuron.row, words, arrived),
+        NeuronKind::NormSquare => graded::square(arrived[0]),
+        NeuronKind::InvSqrt => graded::inverse_root(arrived[0]),
         NeuronKind::Microcode(kind) => microcode::step(kind.code(), &neuron.row, stated, arrived),
         NeuronKind::Loihi | NeuronKind::If | NeuronKind::SoftReset => unreachable!("they have u and v"),
     };
     Outcome { q_wrapped: (0..2).any(|port| 64 * arrived[port] != sums[port]), ..outcome }
 }
 
+/// The state of a compartment before its first step.
+fn first(neuron: &Neuron) -> State {
+    let theta = match neuron.kind {
+        // Equation (32).
+        NeuronKind::AtrLif | NeuronKind::Alif | NeuronKind::Adrf | NeuronKind::AdrfIz => neuron.parameter("threshold"),
+        _ => 0,
+    };
+    State { words: [0, 0, theta, 0], ..State::default() }
+}
+
 /// Rule (13) for such a kind: whether a step without arrivals would change nothing, send nothing
-/// and report nothing.
+/// and report nothing, also if it began with the neuron's own reset.
 fn is_idle(neuron: &Neuron, state: &State) -> bool {
-    let mut after = *state;
-    let Outcome { spiked, u_wrapped, v_clipped, .. } = in_words(neuron, &mut after, [0; 2]);
-    !spiked && (after.words, after.stated) == (state.words, state.stated) && !u_wrapped && !v_clipped
+    let idle_after = |mut after: State| {
+        let Outcome { spiked, u_wrapped, v_clipped, .. } = in_words(neuron, &mut after, [0; 2]);
+        !spiked && (after.words, after.stated) == (state.words, state.stated) && !u_wrapped && !v_clipped
+    };
+    idle_after(*state) && (neuron.kind != NeuronKind::LifReset || idle_after(State { words: [0; 4], ..*state }))
 }
 
 /// Every synapse of the network with its target.

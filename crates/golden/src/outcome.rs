@@ -1,4 +1,4 @@
-//! What a step of a compartment does besides changing its state, and how the chip narrows integers.
+//! What a step of a compartment does besides changing its state, and how integers are narrowed.
 
 /// What an update did besides changing the state.
 #[derive(Debug, Clone, Copy, Default)]
@@ -15,4 +15,16 @@ pub(crate) struct Outcome {
 pub(crate) fn wrap(x: i64, bits: u32) -> i64 {
     let half = 1i64 << bits;
     (x + half).rem_euclid(2 * half) - half
+}
+
+/// A word of 32 bits, and whether the value was another.
+pub(crate) fn word(x: i64, wrapped: &mut bool) -> i64 {
+    let kept = wrap(x, 31);
+    *wrapped |= kept != x;
+    kept
+}
+
+/// The outcome of a neuron that sends an integer, unless it is 0.
+pub(crate) fn sent(message: i64, u_wrapped: bool) -> Outcome {
+    Outcome { spiked: message != 0, value: Some(message), u_wrapped, ..Outcome::default() }
 }

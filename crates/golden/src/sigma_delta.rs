@@ -2,24 +2,13 @@
 
 use nsim_ir::neurons::Row;
 
-use crate::outcome::{Outcome, wrap};
+use crate::outcome::{Outcome, sent, word};
 
 /// The words of a compartment that sends changes.
 struct Changes<'a> {
     act: &'a mut i64,
     residue: &'a mut i64,
     error: &'a mut i64,
-}
-
-/// A word of 32 bits, and whether the value was another.
-fn word(x: i64, wrapped: &mut bool) -> i64 {
-    let kept = wrap(x, 31);
-    *wrapped |= kept != x;
-    kept
-}
-
-fn sent(message: i64, u_wrapped: bool) -> Outcome {
-    Outcome { spiked: message != 0, value: Some(message), u_wrapped, ..Outcome::default() }
 }
 
 /// Equations (21) and (22): the change to `x`, as it is sent.
@@ -36,7 +25,7 @@ fn change(x: i64, words: Changes<'_>, threshold: i64, state_exp: i32, cum_error:
 
 /// A step of a SigmaDelta neuron.
 pub(crate) fn sigma_delta(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
-    let Row([threshold, bias, spike_exp, state_exp, relu, cum_error, corrected]) = *row;
+    let Row([threshold, bias, spike_exp, state_exp, relu, cum_error, corrected, _]) = *row;
     let one = 1i64 << (spike_exp + state_exp);
     let [sigma, act, residue, error] = words;
     let mut wrapped = false;

@@ -41,6 +41,35 @@ pub enum NeuronKind {
     Rf,
     /// The same, but it spikes above a threshold of the imaginary part, and is reset (Loihi 2).
     RfIz,
+    /// Decaying current and voltage with two thresholds; sends 1 above and -1 below (Loihi 2).
+    TernaryLif,
+    /// Decaying current and voltage, which return to zero periodically (Loihi 2).
+    LifReset,
+    /// Decaying current and voltage; a spike sends the voltage (lava-dl's CUBA with graded spikes).
+    GradedLif,
+    /// Decaying current and voltage, a threshold that each spike raises, and a refractory state
+    /// (Loihi 2, in lava's integers).
+    AtrLif,
+    /// The same in lava-dl's integers.
+    Alif,
+    /// Resonate-and-fire with the threshold of [`NeuronKind::Alif`] (Loihi 2).
+    Adrf,
+    /// The same, with the test of [`NeuronKind::RfIz`] and without its reset (Loihi 2).
+    AdrfIz,
+    /// Resonate-and-fire that sends its real part as it passes the real axis (Loihi 2).
+    RfZero,
+    /// Sends what arrives, where its magnitude exceeds a threshold (Loihi 2).
+    GradedVec,
+    /// Sends what arrives, where it exceeds a threshold (Loihi 2).
+    GradedReluVec,
+    /// Sends the product of two sums of arrivals (Loihi 2).
+    ProdNeuron,
+    /// Sends the product of a sum of arrivals and the first sum of the step before (Loihi 2).
+    NormVecDelay,
+    /// Sends the square of what arrives (Loihi 2).
+    NormSquare,
+    /// Sends the inverse of the square root of what arrives (Loihi 2).
+    InvSqrt,
     /// What a model file states (Loihi 2).
     Microcode(MicrocodeKind),
 }
@@ -54,6 +83,20 @@ named_variants!(NeuronKind {
     Sigma = "Sigma",
     Rf = "Rf",
     RfIz = "RfIz",
+    TernaryLif = "TernaryLif",
+    LifReset = "LifReset",
+    GradedLif = "GradedLif",
+    AtrLif = "AtrLif",
+    Alif = "Alif",
+    Adrf = "Adrf",
+    AdrfIz = "AdrfIz",
+    RfZero = "RfZero",
+    GradedVec = "GradedVec",
+    GradedReluVec = "GradedReluVec",
+    ProdNeuron = "ProdNeuron",
+    NormVecDelay = "NormVecDelay",
+    NormSquare = "NormSquare",
+    InvSqrt = "InvSqrt",
     ; NeuronKind::Microcode(kind) => kind.name()
 });
 
@@ -87,7 +130,7 @@ pub enum Port {
     /// The only one, or the real one.
     #[default]
     First,
-    /// The imaginary one.
+    /// The imaginary one, or the second factor.
     Second,
 }
 
@@ -158,24 +201,24 @@ pub enum Conversion {
 /// The parameters of a compartment of a kind without the registers of Loihi 1, in the order of its
 /// table; zeros behind them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize)]
-#[serde(from = "Option<[i32; 7]>", into = "Option<[i32; 7]>")]
-pub struct Row(pub [i32; 7]);
+#[serde(from = "Option<[i32; 8]>", into = "Option<[i32; 8]>")]
+pub struct Row(pub [i32; 8]);
 
-impl From<Option<[i32; 7]>> for Row {
-    fn from(row: Option<[i32; 7]>) -> Row {
+impl From<Option<[i32; 8]>> for Row {
+    fn from(row: Option<[i32; 8]>) -> Row {
         Row(row.unwrap_or_default())
     }
 }
 
-impl From<Row> for Option<[i32; 7]> {
+impl From<Row> for Option<[i32; 8]> {
     fn from(row: Row) -> Self {
-        Some(row.0).filter(|row| *row != [0; 7])
+        Some(row.0).filter(|row| *row != [0; 8])
     }
 }
 
 impl Row {
     /// That of a compartment with registers.
-    pub const EMPTY: Row = Row([0; 7]);
+    pub const EMPTY: Row = Row([0; 8]);
 
     /// The parameters that are stored in this place; zeros for the others.
     #[must_use]
@@ -267,26 +310,30 @@ const fn word(name: &'static str) -> Column {
     Column { name, bits: 32 }
 }
 
+const fn sine(low: i64, high: i64, help: &'static str) -> ParameterField {
+    required("sin_decay", range("sine of the rotation", low, high), Storage::Profile, help)
+}
+
+const fn cosine(low: i64, high: i64, help: &'static str) -> ParameterField {
+    required("cos_decay", range("cosine of the rotation", low, high), Storage::Profile, help)
+}
+
+/// A threshold in units of the state.
+const fn threshold(low: i64, high: i64) -> ParameterField {
+    let help = "give the threshold in units of the state";
+    required("threshold", range("threshold", low, high), Storage::Threshold, help)
+}
+
+/// An effective decay, in 4096ths.
+const fn effective(name: &'static str) -> ParameterField {
+    required(name, Decay::FIELD, Storage::Profile, "give the effective decay 0..4096")
+}
+
 static RESONATOR: KindTable = KindTable {
     parameters: &[
-        required(
-            "sin_decay",
-            range("sine of the rotation", -32_768, 32_767),
-            Storage::Profile,
-            "give (1 - alpha) sin(2 pi / period) 2^decay_bits, toward zero",
-        ),
-        required(
-            "cos_decay",
-            range("cosine of the rotation", -32_768, 32_767),
-            Storage::Profile,
-            "give (1 - alpha) cos(2 pi / period) 2^decay_bits, toward zero",
-        ),
-        required(
-            "threshold",
-            range("threshold", 0, (1 << UV_BITS) - 1),
-            Storage::Threshold,
-            "give the threshold in units of the state",
-        ),
+        sine(-32_768, 32_767, "give (1 - alpha) sin(2 pi / period) 2^decay_bits, toward zero"),
+        cosine(-32_768, 32_767, "give (1 - alpha) cos(2 pi / period) 2^decay_bits, toward zero"),
+        threshold(0, (1 << UV_BITS) - 1),
         STATE_EXP,
         optional("decay_bits", range("bits of the decay", 1, 15), Storage::Profile, 12),
     ],
@@ -333,6 +380,122 @@ const SIGMA: KindTable =
     KindTable { parameters: &[], state: &[word("sigma")], ports: 1, emits: Emits::Values, registers: false };
 static SIGMA_TABLE: KindTable = SIGMA;
 
+/// Current and voltage of lava's neurons.
+const IN_24_BITS: [Column; 2] = [Column { name: "u", bits: UV_BITS + 1 }, Column { name: "v", bits: UV_BITS + 1 }];
+/// A threshold mantissa, in units of 64 of the state.
+const MANTISSA: ParameterField =
+    required("vth_mant", ThresholdMantissa::FIELD, Storage::Threshold, "give the threshold mantissa");
+const BIAS: ParameterField = optional("bias_mant", BiasMantissa::FIELD, Storage::Each, 0);
+/// The exponent of a bias; one below 0 rounds the bias down.
+const BIAS_SHIFT: ParameterField = optional("bias_exp", range("bias exponent", -8, 7), Storage::Each, 0);
+/// What a spike adds to an adaptive threshold, and its range and that of the threshold: below half
+/// a word, because a spike adds twice the threshold.
+const MOST_ADAPTIVE: i64 = (1 << 30) - 1;
+const STEP: ParameterField = required(
+    "threshold_step",
+    range("step of the threshold", -MOST_ADAPTIVE, MOST_ADAPTIVE),
+    Storage::Threshold,
+    "give what a spike adds to the threshold, in units of the state",
+);
+/// What a message has to exceed.
+const LEAST: ParameterField = threshold(0, i32::MAX as i64);
+
+static TERNARY_LIF: KindTable = KindTable {
+    parameters: &[
+        effective("du"),
+        effective("dv"),
+        two_sided("vth_hi_mant", "give the mantissa of the upper threshold"),
+        two_sided("vth_lo_mant", "give the mantissa of the lower threshold"),
+        BIAS,
+        BIAS_SHIFT,
+    ],
+    state: &IN_24_BITS,
+    ..SIGMA
+};
+static LIF_RESET: KindTable = KindTable {
+    parameters: &[
+        effective("du"),
+        effective("dv"),
+        MANTISSA,
+        BIAS,
+        BIAS_SHIFT,
+        required("reset_interval", range("reset interval", 1, i32::MAX as i64), Storage::Profile, "give it in steps"),
+        optional("reset_offset", range("reset offset", 0, i32::MAX as i64), Storage::Profile, 0),
+    ],
+    state: &IN_24_BITS,
+    emits: Emits::Spikes,
+    ..SIGMA
+};
+static GRADED_LIF: KindTable =
+    KindTable { parameters: &[effective("du"), effective("dv"), MANTISSA], state: &[word("u"), word("v")], ..SIGMA };
+static ATR_LIF: KindTable = KindTable {
+    parameters: &[
+        effective("du"),
+        effective("dv"),
+        effective("dtheta"),
+        effective("dr"),
+        threshold(0, MOST_ADAPTIVE),
+        STEP,
+        BIAS,
+        BIAS_SHIFT,
+    ],
+    state: &[IN_24_BITS[0], IN_24_BITS[1], word("theta"), word("r")],
+    emits: Emits::Spikes,
+    ..SIGMA
+};
+static ALIF: KindTable = KindTable {
+    parameters: &[
+        effective("du"),
+        effective("dv"),
+        effective("dtheta"),
+        effective("dr"),
+        threshold(0, MOST_ADAPTIVE),
+        STEP,
+    ],
+    state: &[word("u"), word("v"), word("theta"), word("r")],
+    emits: Emits::Spikes,
+    ..SIGMA
+};
+static ADAPTIVE_RESONATOR: KindTable = KindTable {
+    parameters: &[
+        sine(-4096, 4096, "give (1 - alpha) sin(2 pi / period) in 4096ths"),
+        cosine(-4096, 4096, "give (1 - alpha) cos(2 pi / period) in 4096ths"),
+        effective("dtheta"),
+        effective("dr"),
+        threshold(0, MOST_ADAPTIVE),
+        STEP,
+        STATE_EXP,
+    ],
+    state: &[word("re"), word("im"), word("theta"), word("r")],
+    ports: 2,
+    emits: Emits::Spikes,
+    registers: false,
+};
+static RF_ZERO: KindTable = KindTable {
+    parameters: &[
+        sine(-32_768, 32_767, "give the sine of the rotation in 32,768ths, toward zero"),
+        cosine(-32_768, 32_767, "give the cosine of the rotation in 32,768ths, toward zero"),
+        LEAST,
+    ],
+    state: &[word("u"), word("v")],
+    ports: 2,
+    ..SIGMA
+};
+static GRADED_VEC: KindTable = KindTable { parameters: &[LEAST], state: &[], ..SIGMA };
+static PROD_NEURON: KindTable = KindTable {
+    parameters: &[LEAST, optional("exp", range("exponent of the product", 0, 31), Storage::Profile, 0)],
+    state: &[],
+    ports: 2,
+    ..SIGMA
+};
+static NORM_VEC_DELAY: KindTable =
+    KindTable { parameters: &[LEAST], state: &[word("v"), word("v2")], ports: 2, ..SIGMA };
+static NO_STATE: KindTable = KindTable { state: &[], ..SIGMA };
+
+const fn two_sided(name: &'static str, help: &'static str) -> ParameterField {
+    required(name, range("threshold mantissa", -(1 << 23), (1 << 23) - 1), Storage::Threshold, help)
+}
+
 impl NeuronKind {
     /// What the kind consists of.
     #[must_use]
@@ -345,6 +508,17 @@ impl NeuronKind {
             NeuronKind::Delta => &DELTA,
             NeuronKind::Sigma => &SIGMA_TABLE,
             NeuronKind::Rf | NeuronKind::RfIz => &RESONATOR,
+            NeuronKind::TernaryLif => &TERNARY_LIF,
+            NeuronKind::LifReset => &LIF_RESET,
+            NeuronKind::GradedLif => &GRADED_LIF,
+            NeuronKind::AtrLif => &ATR_LIF,
+            NeuronKind::Alif => &ALIF,
+            NeuronKind::Adrf | NeuronKind::AdrfIz => &ADAPTIVE_RESONATOR,
+            NeuronKind::RfZero => &RF_ZERO,
+            NeuronKind::GradedVec | NeuronKind::GradedReluVec => &GRADED_VEC,
+            NeuronKind::ProdNeuron => &PROD_NEURON,
+            NeuronKind::NormVecDelay => &NORM_VEC_DELAY,
+            NeuronKind::NormSquare | NeuronKind::InvSqrt => &NO_STATE,
             NeuronKind::Microcode(kind) => &kind.0.table,
         }
     }

@@ -8,6 +8,9 @@
 //! To add a kind: its row in [`nsim_ir::neurons`], a file here with its line in [`updater`], and
 //! its arithmetic again in `nsim_golden`.
 
+mod adaptive;
+mod graded;
+mod lif;
 mod microcode;
 mod neuron;
 mod resonator;
@@ -33,6 +36,8 @@ pub struct Block<'a> {
     pub arrived: [&'a [[i32; CHUNK]]; 2],
     /// What is sent, by chunk.
     pub sent: &'a mut [[i32; CHUNK]],
+    /// The step.
+    pub step: u32,
     /// The vectors of the processor.
     pub vectors: pulp::Arch,
 }
@@ -56,6 +61,8 @@ pub struct Effects {
 pub trait Updater: Debug + Send + Sync {
     /// One step of all compartments.
     fn update(&self, block: &mut Block<'_>) -> Effects;
+    /// Writes the first state of all compartments, as [`Block::columns`] has it.
+    fn clear(&self, columns: &mut [[i32; CHUNK]]);
     /// Whether some compartment is not idle in its first state.
     fn wakes(&self) -> bool;
     /// Compartments.
@@ -100,6 +107,7 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
                 let (mut s, mut left) = (N::State::load(&state, lane), Left::default());
                 let arrived = [arrived[0][lane], arrived[1][lane]];
                 let active = (arrived[0] | arrived[1] != 0) | !N::idle(&p, &s);
+                N::restart(&p, &mut s, block.step);
                 let Emission { sends, value } = N::update(&p, &mut s, arrived, &mut left);
                 let busy = !N::idle(&p, &s);
                 s.store(&mut state, lane);
@@ -137,10 +145,18 @@ impl<N: Neuron> Updater for Chunked<N> {
         vectors.dispatch(Run(self, block))
     }
 
+    fn clear(&self, columns: &mut [[i32; CHUNK]]) {
+        columns.fill([0; CHUNK]);
+        for lane in 0..self.lanes {
+            let first = N::first(&self.parameters(lane));
+            first.store(&mut columns[lane / CHUNK * N::State::COUNT..], lane % CHUNK);
+        }
+    }
+
     fn wakes(&self) -> bool {
         let idle = |lane: usize| {
-            let of = &self.parameters[lane / CHUNK * N::Parameters::COUNT..];
-            N::idle(&N::Parameters::load(of, lane % CHUNK), &N::State::default())
+            let p = self.parameters(lane);
+            N::idle(&p, &N::first(&p))
         };
         !(0..self.lanes).all(idle)
     }
@@ -151,6 +167,12 @@ impl<N: Neuron> Updater for Chunked<N> {
 
     fn words(&self) -> usize {
         N::State::COUNT
+    }
+}
+
+impl<N: Neuron> Chunked<N> {
+    fn parameters(&self, lane: usize) -> N::Parameters {
+        N::Parameters::load(&self.parameters[lane / CHUNK * N::Parameters::COUNT..], lane % CHUNK)
     }
 }
 
@@ -174,6 +196,20 @@ pub fn updater(kind: NeuronKind, rows: &[Row]) -> Option<Box<dyn Updater>> {
         NeuronKind::Sigma => chunked::<sigma_delta::Sigma>(rows),
         NeuronKind::Rf => chunked::<resonator::Resonator<false>>(rows),
         NeuronKind::RfIz => chunked::<resonator::Resonator<true>>(rows),
+        NeuronKind::TernaryLif => chunked::<lif::TernaryLif>(rows),
+        NeuronKind::LifReset => chunked::<lif::LifReset>(rows),
+        NeuronKind::GradedLif => chunked::<lif::GradedLif>(rows),
+        NeuronKind::AtrLif => chunked::<adaptive::AdaptiveLif<true>>(rows),
+        NeuronKind::Alif => chunked::<adaptive::AdaptiveLif<false>>(rows),
+        NeuronKind::Adrf => chunked::<resonator::Adaptive<false>>(rows),
+        NeuronKind::AdrfIz => chunked::<resonator::Adaptive<true>>(rows),
+        NeuronKind::RfZero => chunked::<resonator::RfZero>(rows),
+        NeuronKind::GradedVec => chunked::<graded::GradedVec<false>>(rows),
+        NeuronKind::GradedReluVec => chunked::<graded::GradedVec<true>>(rows),
+        NeuronKind::ProdNeuron => chunked::<graded::ProdNeuron>(rows),
+        NeuronKind::NormVecDelay => chunked::<graded::NormVecDelay>(rows),
+        NeuronKind::NormSquare => chunked::<graded::NormSquare>(rows),
+        NeuronKind::InvSqrt => chunked::<graded::InvSqrt>(rows),
         NeuronKind::Microcode(kind) => Some(microcode::updater(kind, rows)),
     }
 }

@@ -102,6 +102,13 @@ impl Left {
     }
 }
 
+/// Equation (3): what a decay leaves of a word, rounded toward zero; `keep` is in 4096ths.
+#[inline(always)]
+pub(super) fn decay(x: i32, keep: i32) -> i64 {
+    let kept = (u64::from(x.unsigned_abs()) * u64::from(keep as u32) >> 12) as i64;
+    if x < 0 { -kept } else { kept }
+}
+
 /// All ones where something holds, 0 where not.
 #[inline(always)]
 pub(super) fn mask(holds: bool) -> i32 {
@@ -171,10 +178,22 @@ pub trait Neuron: Debug + Send + Sync + 'static {
     /// The parameters from a row of its table.
     fn prepare(row: &Row) -> Self::Parameters;
 
+    /// The state before the first step.
+    #[inline(always)]
+    fn first(_: &Self::Parameters) -> Self::State {
+        Self::State::default()
+    }
+
+    /// What happens before the update of a step, in some steps only: nothing, unless a kind resets
+    /// itself.
+    #[inline(always)]
+    fn restart(_: &Self::Parameters, _: &mut Self::State, _step: u32) {}
+
     /// One update; `left` notes words that left their bits. Without branches it becomes vectors.
     fn update(p: &Self::Parameters, s: &mut Self::State, arrived: Arrived, left: &mut Left) -> Emission;
 
-    /// Whether an update without arrivals would change nothing, send nothing and report nothing.
+    /// Whether an update without arrivals would change nothing, send nothing and report nothing, in
+    /// any step.
     #[inline(always)]
     fn idle(p: &Self::Parameters, s: &Self::State) -> bool {
         let (mut after, mut left) = (*s, Left::default());

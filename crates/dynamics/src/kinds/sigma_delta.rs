@@ -104,7 +104,7 @@ impl Neuron for SigmaDelta {
     type State = Summed;
     type Parameters = Parameters;
 
-    fn prepare(&Row([vth, bias, spike_exp, state_exp, relu, cum_error, corrected]): &Row) -> Parameters {
+    fn prepare(&Row([vth, bias, spike_exp, state_exp, relu, cum_error, corrected, _]): &Row) -> Parameters {
         let shift = spike_exp + state_exp;
         Parameters {
             bias: bias << shift,

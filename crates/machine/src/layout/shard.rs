@@ -38,6 +38,11 @@ impl WordBlock {
     pub fn chunks(&self) -> usize {
         self.updater.lanes().div_ceil(CHUNK)
     }
+
+    /// Where its words are among those of the shard, in chunks.
+    pub fn columns(&self) -> std::ops::Range<usize> {
+        self.first..self.first + self.chunks() * self.updater.words()
+    }
 }
 
 /// The parameters of a core block.

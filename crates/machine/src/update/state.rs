@@ -257,7 +257,9 @@ impl ShardState {
         state.u.fill(0);
         state.v.fill(0);
         state.hold.fill(0);
-        state.words.fill([0; CHUNK]);
+        for block in &shard.words {
+            block.updater.clear(&mut state.words[block.columns()]);
+        }
         state.busy.copy_from_slice(&shard.wakes);
         state.spikes.clear();
         state.payloads.clear();
@@ -485,12 +487,12 @@ impl CompartmentState {
         words: &WordBlock,
         input: &StepInput,
     ) -> RunEffects {
-        let WordBlock { start, first, updater, bits, resets_from, two_ports } = words;
+        let WordBlock { start, updater, bits, resets_from, two_ports, .. } = words;
         let (start, lanes) = (*start as usize, updater.lanes());
         let chunks = lanes.div_ceil(CHUNK);
-        let columns = &mut self.words[*first..*first + chunks * updater.words()];
+        let columns = &mut self.words[words.columns()];
         if image.reset.is_some_and(|reset| falls_on(reset, input.step, *resets_from)) {
-            columns.fill([0; CHUNK]);
+            updater.clear(columns);
         }
         let (mut arrived, mut narrowed) = ([[0; SKIP_BLOCK]; 2], 0u64);
         for (port, arrived) in arrived.iter_mut().enumerate().take(1 + usize::from(*two_ports)) {
@@ -503,7 +505,7 @@ impl CompartmentState {
         }
         let sent = &mut self.sent[start..start + chunks * CHUNK].as_chunks_mut().0[..chunks];
         let arrived = [arrived[0].as_chunks().0, arrived[1].as_chunks().0];
-        let effects = updater.update(&mut Block { columns, arrived, sent, vectors: input.arch });
+        let effects = updater.update(&mut Block { columns, arrived, sent, step: input.step, vectors: input.arch });
         let mut too_wide = 0;
         if *bits > 0 && *bits < 32 {
             for (lane, &value) in self.sent[start..start + lanes].iter().enumerate() {

@@ -1,0 +1,85 @@
+//! Adaptive thresholds: each spike raises the threshold and a refractory state, and both decay.
+//! Leaky integrate-and-fire neurons that have them.
+//!
+//! Equation (32) of `docs/loihi2.md`. Source: lava-nc b6822fb, `proc/atrlif/models.py`;
+//! lava-dl d825ac5, `slayer/neuron/dynamics/adaptive_threshold.py`.
+
+use nsim_ir::base::fixed::WEIGHT_SHIFT;
+use nsim_ir::neurons::Row;
+
+use super::lif::{bias, current, voltage};
+use super::neuron::{Arrived, Emission, Left, Neuron, columns, decay, mask};
+
+/// A leaky integrate-and-fire neuron: with `LAVA` in lava's integers, with current and voltage of
+/// 24 bits, else in lava-dl's, with words of 32.
+#[derive(Debug)]
+pub(super) struct AdaptiveLif<const LAVA: bool>;
+
+columns!(
+    /// Current, voltage, threshold and refractory state.
+    State { u = 0, v = 1, theta = 2, r = 3 }
+);
+columns!(
+    /// Parameters in the units of the state; what a step keeps is in 4096ths.
+    Parameters { keep_u = 0, keep_v = 1, keep_theta = 2, keep_r = 3, threshold = 4, step = 5, bias = 6 }
+);
+
+/// How a threshold adapts.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Adaptation {
+    /// What a step keeps of the threshold above its rest, in 4096ths.
+    pub keep_theta: i32,
+    /// What a step keeps of the refractory state, in 4096ths.
+    pub keep_r: i32,
+    /// The threshold at rest.
+    pub threshold: i32,
+    /// What a spike adds to it.
+    pub step: i32,
+}
+
+impl Adaptation {
+    /// The next threshold and refractory state, and all ones where there is a spike: where `allowed`
+    /// and `tested` reaches the sum of both.
+    #[inline(always)]
+    pub fn adapt(&self, [theta, r]: [i32; 2], tested: i32, allowed: bool, left: &mut Left) -> ([i32; 2], bool) {
+        let above = left.subtract(theta, self.threshold);
+        let theta = left.word(decay(above, self.keep_theta) + i64::from(self.threshold));
+        let r = decay(r, self.keep_r) as i32;
+        let spikes = allowed & (i64::from(tested) - i64::from(r) >= i64::from(theta));
+        let raised = theta & mask(spikes);
+        let raised = left.add(raised, raised);
+        ([left.add(theta, self.step & mask(spikes)), left.add(r, raised)], spikes)
+    }
+}
+
+impl<const LAVA: bool> Neuron for AdaptiveLif<LAVA> {
+    type State = State;
+    type Parameters = Parameters;
+    const VALUES: bool = false;
+
+    fn prepare(&Row([du, dv, dtheta, dr, threshold, step, mantissa, exponent]): &Row) -> Parameters {
+        let [keep_u, keep_v, keep_theta, keep_r] = [du, dv, dtheta, dr].map(|decay| 4096 - decay);
+        Parameters { keep_u, keep_v, keep_theta, keep_r, threshold, step, bias: bias(mantissa, exponent) }
+    }
+
+    #[inline(always)]
+    fn first(p: &Parameters) -> State {
+        State { theta: p.threshold, ..State::default() }
+    }
+
+    #[inline(always)]
+    fn update(p: &Parameters, s: &mut State, [arrived, _]: Arrived, left: &mut Left) -> Emission {
+        let &Parameters { keep_u, keep_v, keep_theta, keep_r, threshold, step, bias } = p;
+        let (u, v) = if LAVA {
+            let u = current(s.u, keep_u, arrived, left);
+            (u, voltage(s.v, keep_v, u, bias, left))
+        } else {
+            let u = left.word(decay(s.u, keep_u) + (i64::from(arrived) << WEIGHT_SHIFT));
+            (u, left.word(decay(s.v, keep_v) + i64::from(u)))
+        };
+        let adaptation = Adaptation { keep_theta, keep_r, threshold, step };
+        let ([theta, r], spikes) = adaptation.adapt([s.theta, s.r], v, true, left);
+        *s = State { u, v, theta, r };
+        Emission::spike(spikes)
+    }
+}
