@@ -1,7 +1,7 @@
 //! `nsim export MODEL -o FILE.nir`: a model in a form that other tools read.
 //!
-//! Input: a model of any kind that nsim reads. Output: a NIR file, and notes on what other tools
-//! will not see of the model. nsim itself reads it back without loss.
+//! Input: a model of any kind that nsim reads. Output: a NIR file or one of lava-dl's netx, and
+//! notes on what other tools will not see of the model. nsim itself reads it back without loss.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_files::write;
-use nsim_import::foreign::{hdf5, nir_export};
+use nsim_import::foreign::{hdf5, netx_export, nir_export};
 use nsim_report::inspect::Findings;
 use nsim_session::error::Error;
 
@@ -19,13 +19,14 @@ use nsim_session::error::Error;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
   nsim export vtsnn-slip -o slip.nir
-  nsim export network.net -o network.nir        from one foreign form to another")]
+  nsim export network.net -o network.nir        from one foreign form to another
+  nsim export pilotnet.ron -o pilotnet.net      layers in a row, for lava-dl's netx")]
 pub struct Args {
     /// A model file or the name of a shipped model
     pub model: String,
     #[command(flatten)]
     timestep: TimestepArgs,
-    /// The NIR file to write
+    /// The NIR file to write, or the netx file (.net)
     #[arg(short, long, value_name = "FILE.nir")]
     output: PathBuf,
 }
@@ -36,26 +37,29 @@ pub struct Args {
 /// When the model cannot be read, is one that no command would run, or has parts that NIR has no
 /// form for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    if args.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("nir")) {
-        return Err(Error::Usage(format!("-o {}: models are exported as .nir", args.output.display())));
-    }
+    let has = |other: &str| args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(other));
+    let (kind, parts, path) = match (has("nir"), has("net")) {
+        (true, _) => ("NIR", "nodes", "node/nodes"),
+        (_, true) => ("lava-dl netx", "layers", "layer"),
+        _ => return Err(Error::Usage(format!("-o {}: models are exported as .nir or .net", args.output.display()))),
+    };
     write::check_free(&args.output, context.force)?;
     let network = args.timestep.load(&args.model)?;
     nsim_session::front::check(&network)?;
     let model = network.resolved()?;
-    let (tree, notes) = nir_export::export(&model)?;
+    let (tree, notes) = if has("nir") { nir_export::export(&model)? } else { netx_export::export(&model)? };
     let bytes = hdf5::write(&tree)?;
     write::file(&args.output, context.force, |out| out.write_all(&bytes))?;
     for note in &notes {
         tracing::warn!("{note}");
     }
-    let nodes = tree.group("node/nodes").map_or(0, |nodes| nodes.items.len());
+    let count = tree.group(path).map_or(0, |group| group.items.len());
     let found = Findings {
-        kind: "NIR",
+        kind,
         facts: vec![
             ("model", json!(args.model)),
             ("written", json!(args.output.display().to_string())),
-            ("nodes", json!(nodes)),
+            (parts, json!(count)),
             ("bytes", json!(bytes.len())),
             ("notes", json!(notes)),
         ],

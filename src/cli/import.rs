@@ -86,6 +86,12 @@ pub struct Args {
     /// image
     #[arg(long, value_name = "C,H,W", value_delimiter = ',')]
     input_shape: Option<Vec<u64>>,
+    /// Bits of the fraction of a message of SDNN neurons (netx) [default: 6]
+    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u8).range(..=7))]
+    spike_exp: Option<u8>,
+    /// Bits of the fraction of their state below that [default: 6]
+    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u8).range(..=7))]
+    state_exp: Option<u8>,
     /// The model file to write; its arrays go beside it as .safetensors
     #[arg(short, long, value_name = "MODEL.ron")]
     output: Option<PathBuf>,
@@ -112,6 +118,8 @@ impl Args {
             reset_interval: self.reset_interval,
             reset_offset: self.reset_offset,
             input_shape: self.input_shape.clone(),
+            spike_exp: self.spike_exp,
+            state_exp: self.state_exp,
         })
     }
 }

@@ -3,7 +3,7 @@
 
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
 use nsim::ir::base::fixed::{
-    MessageBits, Payload, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits,
+    Decay, MessageBits, Payload, Refractory, SignMode, ThresholdMantissa, VmaxExponent, VminExponent, WeightBits,
     WeightExponent,
 };
 use nsim::ir::base::id::{ChannelId, IdVec, PopulationId};
@@ -45,11 +45,14 @@ impl Draw {
     }
 }
 
-fn random_neuron(draw: &mut Draw, semantics: Semantics) -> Neuron {
-    let decay = |draw: &mut Draw| match draw.from(0, 5) {
+fn decay(draw: &mut Draw) -> i64 {
+    match draw.from(0, 5) {
         0 => draw.one_of(&[0, 1, 2, 4095, 4096]),
         _ => draw.from(0, 4096),
-    };
+    }
+}
+
+fn random_neuron(draw: &mut Draw, semantics: Semantics) -> Neuron {
     let (du, dv) = (decay(draw), decay(draw));
     let vth = match draw.from(0, 9) {
         0 => draw.from(0, 2),
@@ -213,6 +216,9 @@ pub fn network(seed: u64) -> Quantised {
 /// short enough to pass.
 fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
     let value = |parameter: &ParameterField| {
+        if parameter.field == Decay::FIELD {
+            return decay(draw);
+        }
         let most = match parameter.name {
             "reset_interval" => 30,
             _ if parameter.storage == Storage::Threshold => 500,
@@ -258,7 +264,9 @@ pub fn mixed(seed: u64) -> Quantised {
                     false => PerCompartment::Each((0..units).map(|_| of_kind(draw, kind)).collect()),
                 };
                 if kind.table().emits == Emits::Values {
-                    population.message = Message::Value(MessageBits::new(draw.from(4, 32)).unwrap());
+                    // Without a width every message counts as 1.
+                    let bits = MessageBits::new(draw.from(4, 32)).unwrap();
+                    population.message = if draw.chance(85) { Message::Value(bits) } else { Message::Spike };
                 }
             }
             _ => {}
@@ -267,7 +275,13 @@ pub fn mixed(seed: u64) -> Quantised {
     for projection in parts.projections.iter_mut() {
         let table = kinds[projection.target].table();
         if !table.registers && projection.format.exponent < WeightExponent::ZERO {
+            // Sums in finer units, which are shifted once.
+            let lost = projection.format.exponent.get().unsigned_abs();
             projection.format.exponent = WeightExponent::ZERO;
+            if let Units::Compartments { neurons, .. } = &mut parts.populations[projection.target].units {
+                let shifted = |_, neuron| Ok::<_, ()>(Neuron { shift: lost, ..neuron });
+                *neurons = neurons.try_map(shifted).unwrap();
+            }
         }
         if table.ports == 2 && draw.chance(50) {
             projection.format.port = Port::Second;

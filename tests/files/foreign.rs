@@ -436,7 +436,7 @@ fn what_is_known_and_not_imported_is_named() {
         ("b.net", b"g 3 threshold=1\nn 0.0 bias=2\ne 0.0->0.1 w=1\n".to_vec(), "import.sanafe", "SANA-FE"),
         ("c.pt", of("checkpoint", "module"), "import.pickle", "models.Net"),
         ("d.net", of("hdf5", "no_network"), "import.not-a-network", "holds no network"),
-        ("e.net", of("hdf5", "netx_alif"), "import.unsupported", "ALIF"),
+        ("e.net", of("hdf5", "netx_alif"), "import.netx", "thDecay"),
         ("f.yml", of("yaml", "loihi"), "import.kind", "--neuron"),
         ("g.pt", of("checkpoint", "zip"), "import.option", "--neuron"),
         ("h.net", Vec::new(), "import.kind", "empty"),

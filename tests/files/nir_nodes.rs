@@ -6,15 +6,16 @@ use std::path::Path;
 use crate::real::{STEPS, input, spikes, total};
 use crate::tree::{int, ints, nir, node, reals, typed};
 use nsim::files::lower::lower;
-use nsim::files::network::{NetworkFile, Parameter, ProjectionKind};
+use nsim::files::network::{NetworkFile, Parameter, ProjectionDesc, ProjectionKind};
 use nsim::import::foreign;
 use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::{Group, Item, Numbers};
 use nsim::import::foreign::imported::DecayRule;
-use nsim::import::foreign::{Imported, Options, ResetMode, nir_export};
+use nsim::import::foreign::{Imported, Options, ResetMode, netx_export, nir_export};
 use nsim::ir::arithmetic::ThresholdTest;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::rng;
+use nsim::ir::neurons::NeuronKind;
 
 /// Numbers from -0.5 to 1.5 in steps of 1/64.
 fn noise(count: usize, seed: u64) -> Vec<f64> {
@@ -373,6 +374,125 @@ fn a_pool_of_slayer_has_silent_rows_behind_where_the_file_says_so() {
     assert!(beyond.code == "model.window" && beyond.help.unwrap().contains("padding_after"));
 }
 
+/// A netx file of dense layers, each with two units and these neurons.
+fn dense_layers(neurons: &[Group]) -> Group {
+    let layers = neurons.iter().enumerate().fold(Group::default(), |layers, (number, neuron)| {
+        let matrix = || Numbers::i64(&[2, 2], &[2, 4, -6, 8]);
+        let layer = typed("dense").with("shape", ints(&[2])).with("neuron", neuron.clone());
+        let layer = match neuron.text("type").unwrap().contains("RF_") {
+            true => layer.with("weight", Group::default().with("real", matrix()).with("imag", matrix())),
+            false => layer.with("weight", matrix()),
+        };
+        layers.with(&number.to_string(), layer)
+    });
+    Group::default().with("layer", layers)
+}
+
+/// A neuron of netx with these integers.
+fn of_netx(kind: &str, fields: &[(&str, i64)]) -> Group {
+    fields.iter().fold(typed(kind), |neuron, (key, value)| neuron.with(key, int(*value)))
+}
+
+#[test]
+fn adaptive_and_graded_neurons_of_netx_keep_what_netx_drops() {
+    const ADAPTS: [(&str, i64); 4] = [("thDecay", 205), ("refDecay", 819), ("vThMant", 32), ("vThStep", 16)];
+    let leaky = |refractory| {
+        let own = [("iDecay", 1024), ("vDecay", 410), ("refDelay", refractory), ("gradedSpike", 0)];
+        of_netx("ALIF", &[&own[..], &ADAPTS].concat())
+    };
+    let rotates = |kind| of_netx(kind, &[&[("sinDecay", 2287), ("cosDecay", 3148)][..], &ADAPTS].concat());
+    let graded = |graded| of_netx("CUBA", &[("iDecay", 7), ("vDecay", 9), ("vThMant", 80), ("gradedSpike", graded)]);
+    let layers = [leaky(1), rotates("ADRF_PHASE"), rotates("ADRF_IZHIKEVICH"), graded(1)];
+    let model = read(&dense_layers(&layers), &Options::default()).unwrap().model;
+    let adapts = [("dtheta", 205.0), ("dr", 819.0), ("threshold", 2048.0), ("threshold_step", 1024.0)];
+    let turns = [("sin_decay", 2287.0), ("cos_decay", 3148.0), ("state_exp", 6.0)];
+    let expected = [
+        (NeuronKind::Alif, [&[("du", 1024.0), ("dv", 410.0)][..], &adapts].concat()),
+        (NeuronKind::Adrf, [&turns[..], &adapts].concat()),
+        (NeuronKind::AdrfIz, [&turns[..], &adapts].concat()),
+        (NeuronKind::GradedLif, vec![("du", 7.0), ("dv", 9.0), ("vth_mant", 80.0)]),
+    ];
+    for (number, (kind, parameters)) in expected.iter().enumerate() {
+        let population = model.population(&format!("layer{number}")).unwrap();
+        assert_eq!(population.kind, *kind);
+        for (name, value) in parameters {
+            assert_eq!(population.parameter(name), Some(&Parameter::Same(*value)), "{kind:?} {name}");
+        }
+    }
+    let refused = |layers: &[Group], says: &str| {
+        let error = read(&dense_layers(layers), &Options::default()).unwrap_err();
+        assert!(error.code == "import.unsupported" && error.message.contains(says), "{error}");
+    };
+    refused(&[leaky(2)], "refractory period");
+    refused(&[leaky(1).with("gradedSpike", int(1))], "its spikes are graded");
+    refused(&[rotates("ADRF_PHASE").with("gradedSpike", int(1))], "its spikes are graded");
+    refused(&[graded(1), graded(0)], "carry voltages");
+    refused(&[of_netx("LIFR", &[])], "its neuron is 'LIFR'");
+
+    let changes = [of_netx("SDNN", &[("vThMant", 6)])];
+    let given = Options { spike_exp: Some(3), state_exp: Some(0), ..Options::default() };
+    let model = read(&dense_layers(&changes), &given).unwrap().model;
+    let exponents = ["spike_exp", "state_exp"].map(|name| model.population("layer0").unwrap().parameter(name).cloned());
+    assert_eq!(exponents, [3.0, 0.0].map(|value| Some(Parameter::Same(value))));
+    let error = read(&dense_layers(&[graded(0)]), &given).unwrap_err();
+    assert!(error.code == "import.option" && error.message.contains("--spike-exp"), "{error}");
+}
+
+/// A model that came from netx goes back there: whole, with nsim's text; and by its layers alone.
+fn goes_back_to_netx(model: &NetworkFile, options: &Options) {
+    let (tree, notes) = netx_export::export(model).unwrap();
+    assert!(notes.is_empty(), "{notes:?}");
+    assert_eq!(read(&tree, &Options::default()).unwrap().model, *model);
+    let mut bare = tree;
+    bare.items.remove("nsim").unwrap();
+    let mut again = read(&bare, options).unwrap().model;
+    again.provenance.clone_from(&model.provenance);
+    again.name.clone_from(&model.name);
+    assert_eq!(again, *model);
+}
+
+#[test]
+fn models_go_to_netx_and_back_or_are_refused_by_name() {
+    let sdnn = |threshold| of_netx("SDNN", &[("vThMant", threshold)]);
+    let turns = [("sinDecay", 2287), ("cosDecay", 3148), ("vThMant", 32)];
+    let cuba = [("iDecay", 7), ("vDecay", 9), ("vThMant", 80), ("refDelay", 3)];
+    let adapts = [("thDecay", 205), ("refDecay", 819), ("vThMant", 32), ("vThStep", 16)];
+    let alif = of_netx("ALIF", &[&[("iDecay", 5), ("vDecay", 6)][..], &adapts].concat());
+    let adrf = of_netx("ADRF_PHASE", &[&turns[..2], &adapts].concat());
+    let graded = of_netx("CUBA", &[("iDecay", 7), ("vDecay", 9), ("vThMant", 80), ("gradedSpike", 1)]);
+    let options = Options::default();
+    for layers in [
+        vec![sdnn(6), sdnn(7), sdnn(0).with("sigma_output", int(1))],
+        vec![of_netx("RF_PHASE", &turns), of_netx("RF_IZHIKEVICH", &turns), of_netx("CUBA", &cuba), alif, adrf, graded],
+    ] {
+        goes_back_to_netx(&read(&dense_layers(&layers), &options).unwrap().model, &options);
+    }
+    if let Some(folder) = crate::common::data("loihi2/pilotnet_sdnn") {
+        let model = foreign::read(&folder.join("network.net"), &options).unwrap().model;
+        goes_back_to_netx(&model, &options);
+    }
+    let given = Options { spike_exp: Some(3), ..Options::default() };
+    let model = read(&dense_layers(&[sdnn(6)]), &given).unwrap().model;
+    let (tree, notes) = netx_export::export(&model).unwrap();
+    assert!(notes[0].contains("spike_exp"), "{notes:?}");
+    assert_eq!(read(&tree, &Options::default()).unwrap().model, model);
+    let refused = |change: &dyn Fn(&mut NetworkFile), says: &str| {
+        let mut model = model.clone();
+        change(&mut model);
+        let error = netx_export::export(&model).unwrap_err();
+        assert!(error.code == "export.unsupported" && error.message.contains(says), "{error}");
+    };
+    refused(&|model| model.populations[1].kind = NeuronKind::InvSqrt, "InvSqrt neurons");
+    refused(&|model| model.projections[0].weight_exp = Some(-2), "not whole");
+    refused(&|model| model.projections[0].delay = 1, "after a delay");
+    refused(&|model| model.projections.push(ProjectionDesc::new("layer0", "input", noisy())), "does not lead");
+    refused(&|model| model.projections[0].kind = noisy(), "Random");
+}
+
+fn noisy() -> ProjectionKind {
+    ProjectionKind::Random { fan_out: 1, low: 2, high: 4, seed: 1 }
+}
+
 #[test]
 fn a_bias_reaches_a_current_from_the_first_step_on_and_layers_wait_for_it() {
     let (w, b) = (noise(3 * 4, 51), [0.25, 0.5, -0.125]);
@@ -429,6 +549,8 @@ fn options_are_used_or_refused() {
         (Options { first_step: Some(1), ..step() }, "--first-step"),
         (Options { reset_interval: Some(9), ..step() }, "--reset-interval"),
         (Options { input_shape: Some(vec![1, 2, 2]), ..step() }, "--input-shape"),
+        (Options { spike_exp: Some(6), ..step() }, "--spike-exp"),
+        (Options { state_exp: Some(6), ..step() }, "--state-exp"),
     ] {
         let error = read(&root, &options).unwrap_err();
         assert!(error.code == "import.option" && error.message.contains(name), "{error}");

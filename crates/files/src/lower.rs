@@ -205,6 +205,8 @@ impl Lowering<'_> {
                 Err(wrong("message_bits", &"its neurons send spikes, which carry no integer of their own")
                     .help("remove message_bits, or give a payload"))
             }
+            // Every message counts as 1.
+            (None, Some(0)) => Ok(Message::Spike),
             (None, Some(bits)) => MessageBits::new(bits).map(Message::Value).map_err(|e| wrong("message_bits", &e)),
             (None, None) if computes => Ok(Message::Value(MessageBits::MAX)),
             (None, None) => Ok(Message::Spike),

@@ -244,8 +244,8 @@ impl Golden {
             _ => in_words(neuron, state, sums),
         };
         // A message that its population does not have room for is sent, and reported.
-        if let Some(value) = outcome.value {
-            outcome.u_wrapped |= wrap(value, message.bits() - 1) != value;
+        if let (Some(value), Message::Value(bits)) = (outcome.value, *message) {
+            outcome.u_wrapped |= wrap(value, u32::from(bits.get()) - 1) != value;
         }
         *sent = match *message {
             Message::Spike => 1,
@@ -542,8 +542,10 @@ fn slayer(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64
 
 /// A step of a kind without u and v.
 fn in_words(neuron: &Neuron, State { words, stated, .. }: &mut State, sums: [i64; 2]) -> Outcome {
-    // Rule (19): sums count weights times messages, in 32 bits.
-    let arrived = sums.map(|sum| wrap(sum / 64, 31));
+    // Rules (19) and (39): sums count weights times messages, shifted toward minus infinity, in 32
+    // bits.
+    let shifted = sums.map(|sum| (sum / 64).div_euclid(1 << neuron.shift));
+    let arrived = shifted.map(|sum| wrap(sum, 31));
     let outcome = match neuron.kind {
         NeuronKind::SigmaDelta => sigma_delta::sigma_delta(&neuron.row, words, arrived[0]),
         NeuronKind::Delta => sigma_delta::delta(&neuron.row, words, arrived[0]),
@@ -567,7 +569,7 @@ fn in_words(neuron: &Neuron, State { words, stated, .. }: &mut State, sums: [i64
         NeuronKind::Microcode(kind) => microcode::step(kind.code(), &neuron.row, stated, arrived),
         NeuronKind::Loihi | NeuronKind::If | NeuronKind::SoftReset => unreachable!("they have u and v"),
     };
-    Outcome { q_wrapped: (0..2).any(|port| 64 * arrived[port] != sums[port]), ..outcome }
+    Outcome { q_wrapped: arrived != shifted, ..outcome }
 }
 
 /// The state of a compartment before its first step.

@@ -31,7 +31,7 @@ use nsim_ir::base::fixed::{
 use nsim_ir::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph;
 use nsim_ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
-use nsim_ir::neurons::{Conversion, ParameterField};
+use nsim_ir::neurons::{Conversion, ParameterField, Port};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, Units};
 use nsim_ir::tensor::Tensor;
@@ -85,9 +85,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]));
     let mut projections: IdVec<ProjectionId, Projection> =
         gathered(problems.into_iter().chain(projections))?.into_iter().collect();
-    if graph.facts().semantics == Semantics::Lava {
-        stage.shift_sums(&mut populations, &mut projections)?;
-    }
+    stage.shift_sums(&mut populations, &mut projections)?;
     if detail >= Detail::Carried {
         carry::carry(graph, &populations, &scales, &mut projections);
     }
@@ -177,34 +175,51 @@ impl Stage<'_> {
     }
 
     /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
-    /// weight. Where a weight would lose bits, what arrives at its targets is summed in finer
-    /// units, and shifted once (rule 11).
+    /// weight. Where a weight would lose bits under its semantics, or on its way to a kind of
+    /// Loihi 2, what arrives at its targets is summed in finer units, and shifted once (rules 11
+    /// and 39).
     fn shift_sums(
         &mut self,
         populations: &mut IdVec<PopulationId, Population>,
         projections: &mut IdVec<ProjectionId, Projection>,
     ) -> Result<()> {
-        let lossy: Vec<(PopulationId, i8)> = (projections.iter())
-            .filter(|p| p.format.exponent.get() < 0 && !p.connectivity.all_multiples_of(1 << -p.format.exponent.get()))
-            .map(|p| (p.target, p.format.exponent.get()))
+        let lava = self.graph.facts().semantics == Semantics::Lava;
+        let sums_whole = |population: &Population| match &population.units {
+            Units::Compartments { neurons, .. } => neurons.any(|neuron| !neuron.kind.table().registers),
+            Units::Input(_) => false,
+        };
+        let lossy: Vec<(PopulationId, SynapseFormat)> = (projections.iter())
+            .filter(|p| p.format.exponent < WeightExponent::ZERO && (lava || sums_whole(&populations[p.target])))
+            .filter(|p| !p.connectivity.all_multiples_of(p.format.exponent.lost()))
+            .map(|p| (p.target, p.format))
             .collect();
-        for &(target, exponent) in &lossy {
+        for (place, &(target, SynapseFormat { exponent, .. })) in lossy.iter().enumerate() {
+            let into_target = || lossy.iter().filter(|other| other.0 == target).map(|other| other.1);
+            if lossy[..place].iter().any(|other| other.0 == target) {
+                continue;
+            }
             let population = &mut populations[target];
-            let several = lossy.iter().filter(|other| other.0 == target).count() > 1;
+            // Each sum of a compartment is shifted once.
+            let several = [Port::First, Port::Second].map(|port| into_target().filter(|p| p.port == port).count() > 1);
+            let exponent = into_target().map(|format| format.exponent.get()).min().unwrap_or(exponent.get());
             let into = || projections.iter().filter(|p| p.target == target);
             let most = into().map(|p| p.format.exponent.get()).max().unwrap_or(exponent) - exponent;
-            if several || i64::from(most) > i64::from(WeightExponent::MAX.get()) {
+            if several.contains(&true) || i64::from(most) > i64::from(WeightExponent::MAX.get()) {
                 let message = format!(
-                    "population '{}': under semantics Lava, of the projections into it one at most may have a negative \
-                     weight_exp by which weights lose bits, and the others at most {} more",
+                    "population '{}': as lava shifts sums, of the projections into it one at most may have a negative \
+                     weight_exp by which weights lose bits (one for each port), and the others at most {} more",
                     population.name,
                     WeightExponent::MAX
                 );
                 let span = self.graph.populations().nth(target.0 as usize).map_or(Span::default(), |(_, p)| p.span);
-                return Err(self.error("model.semantics", message, span).help(
-                    "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use semantics \
-                     Hardware",
-                ));
+                let help = match lava {
+                    true => {
+                        "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use semantics \
+                         Hardware"
+                    }
+                    false => "give all its synapses one delay, or weights that are multiples of 2^-weight_exp",
+                };
+                return Err(self.error("model.semantics", message, span).help(help));
             }
             if let Units::Compartments { neurons, .. } = &mut population.units {
                 let shifted = |_, neuron| Ok::<_, Diagnostic>(Neuron { shift: exponent.unsigned_abs(), ..neuron });
@@ -397,15 +412,6 @@ impl Stage<'_> {
             if format.port.index() >= usize::from(table.ports) {
                 let message = format!("projection {name}: {} neurons have one sum of arrivals", p.kind.name());
                 return Err(self.error("model.port", message, projection.span).help("remove port: Second"));
-            }
-            if !table.registers && format.exponent < WeightExponent::ZERO {
-                let message = format!(
-                    "projection {name}: weight_exp {} leads to {} neurons, which sum weights as they are",
-                    format.exponent,
-                    p.kind.name()
-                );
-                let span = projection.weight_exp.span;
-                return Err(self.error("model.synapse-format", message, span).help("give a weight_exp of 0 to 7"));
             }
         }
         if let Some(scale) = &projection.weight_scale

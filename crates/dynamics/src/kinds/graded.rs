@@ -70,7 +70,7 @@ impl Neuron for ProdNeuron {
 
     #[inline(always)]
     fn update(p: &Product, (): &mut (), [a, b]: Arrived, left: &mut Left) -> Emission {
-        above(left.word(i64::from(a) * i64::from(b) >> p.exp), p.threshold)
+        above(left.word((i64::from(a) * i64::from(b)) >> p.exp), p.threshold)
     }
 }
 
@@ -122,9 +122,9 @@ impl Neuron for InvSqrt {
         let first = FIRST_VALUES[(clipped | 1).leading_zeros() as usize - 8];
         let (mut factor, mut root, mut b) = (i64::from(first), i64::from(first / 2), i64::from(clipped));
         for _ in 0..5 {
-            b = (b * factor >> 13) * factor >> 13;
+            b = (((b * factor) >> 13) * factor) >> 13;
             factor = 3 * 4096 - b;
-            root = root * factor >> 13;
+            root = (root * factor) >> 13;
         }
         Emission::value(choice(mask(clipped == 0), 0, root as i32))
     }

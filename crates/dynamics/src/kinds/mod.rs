@@ -69,6 +69,8 @@ pub trait Updater: Debug + Send + Sync {
     fn lanes(&self) -> usize;
     /// Words of state of a compartment.
     fn words(&self) -> usize;
+    /// Whether its messages carry what it computes.
+    fn computes(&self) -> bool;
 }
 
 /// The update of a block, compartment by compartment, in chunks that compilers turn into vectors.
@@ -167,6 +169,10 @@ impl<N: Neuron> Updater for Chunked<N> {
 
     fn words(&self) -> usize {
         N::State::COUNT
+    }
+
+    fn computes(&self) -> bool {
+        N::VALUES
     }
 }
 

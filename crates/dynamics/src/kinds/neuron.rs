@@ -105,7 +105,7 @@ impl Left {
 /// Equation (3): what a decay leaves of a word, rounded toward zero; `keep` is in 4096ths.
 #[inline(always)]
 pub(super) fn decay(x: i32, keep: i32) -> i64 {
-    let kept = (u64::from(x.unsigned_abs()) * u64::from(keep as u32) >> 12) as i64;
+    let kept = ((u64::from(x.unsigned_abs()) * u64::from(keep as u32)) >> 12) as i64;
     if x < 0 { -kept } else { kept }
 }
 

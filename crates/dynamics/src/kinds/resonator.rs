@@ -75,7 +75,7 @@ columns!(
 /// A product of a word and a factor in 4096ths, of at most 1, rounded toward zero.
 #[inline(always)]
 fn share(factor: i32, x: i32) -> i64 {
-    let size = (u64::from(x.unsigned_abs()) * u64::from(factor.unsigned_abs()) >> 12) as i64;
+    let size = ((u64::from(x.unsigned_abs()) * u64::from(factor.unsigned_abs())) >> 12) as i64;
     if (x ^ factor) < 0 { -size } else { size }
 }
 
@@ -131,7 +131,7 @@ impl Neuron for RfZero {
 
     #[inline(always)]
     fn update(p: &ZeroParameters, s: &mut Parts, [real, imag]: Arrived, left: &mut Left) -> Emission {
-        let floor = |factor: i32, x: i32| i64::from(factor) * i64::from(x) >> 15;
+        let floor = |factor: i32, x: i32| (i64::from(factor) * i64::from(x)) >> 15;
         let u = left.word(floor(p.cos, s.u) - floor(p.sin, s.v) + i64::from(real));
         let v = left.word(floor(p.cos, s.v) + floor(p.sin, s.u) + i64::from(imag));
         let sends = (u > p.threshold) & (v >= 0) & (s.v < 0);

@@ -5,25 +5,19 @@ use std::collections::BTreeMap;
 use super::{Network, NetworkFile, Parameter, ProjectionDesc, ProjectionKind, Weights, place, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-fn unsupported(what: &str) -> Diagnostic {
-    Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
-}
-
 fn seeded(what: &str) -> Diagnostic {
-    unsupported(what).help("seeded numbers have no form in other tools: give them as an array")
+    Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
+        .help("seeded numbers have no form in other tools: give them as an array")
 }
 
 impl Network {
     /// The model with every array in place.
     ///
     /// # Errors
-    /// `export.unsupported` for seeded arrays, and for spikes with a payload.
+    /// `export.unsupported` for seeded arrays.
     pub fn resolved(&self) -> Result<NetworkFile> {
         let mut model = self.file().clone();
         for population in &mut model.populations {
-            if population.payload.is_some() || population.message_bits.is_some() {
-                return Err(unsupported(&format!("population '{}', whose messages carry integers,", population.name)));
-            }
             for (_, parameter) in population.loihi.iter_mut().flatten() {
                 if let Parameter::From(source) = parameter {
                     let array = source.array().ok_or_else(|| seeded("a Uniform array"))?;

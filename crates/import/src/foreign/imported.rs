@@ -38,6 +38,10 @@ pub struct Options {
     pub reset_offset: u32,
     /// Channels, height, width of the input of a network that begins with a convolution.
     pub input_shape: Option<Vec<u64>>,
+    /// Bits of the fraction of a message of sigma-delta neurons (netx), 6 if not given.
+    pub spike_exp: Option<u8>,
+    /// Bits of the fraction of their state below that (netx), 6 if not given.
+    pub state_exp: Option<u8>,
 }
 
 impl Options {
@@ -51,6 +55,8 @@ impl Options {
             ("--first-step", self.first_step.is_some()),
             ("--reset-interval", self.reset_interval.is_some()),
             ("--input-shape", self.input_shape.is_some()),
+            ("--spike-exp", self.spike_exp.is_some()),
+            ("--state-exp", self.state_exp.is_some()),
         ];
         match given.into_iter().find(|(name, given)| *given && !used.contains(name)) {
             None => Ok(()),

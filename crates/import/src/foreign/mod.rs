@@ -23,6 +23,7 @@ use std::path::Path;
 
 use self::imported::listed;
 pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
+pub use self::netx::export as netx_export;
 use super::kind::FileKind;
 use nsim_files::changes;
 use nsim_files::network::Network;
@@ -86,7 +87,7 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
             .help("store it as integers, as floating-point numbers of 16, 32 or 64 bits, or as text"));
     }
     if root.group("layer").is_some() {
-        let used = ["--image", "--first-step", "--reset-interval", "--input-shape"];
+        let used = ["--image", "--first-step", "--reset-interval", "--input-shape", "--spike-exp", "--state-exp"];
         options.refuse_unused("a network of lava-dl's netx", &used)?;
         netx::read(&root, &name, options)
     } else if root.group("node").is_some() {

@@ -39,9 +39,14 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 /// The tree of a file, and what other tools will not see of the model.
 ///
 /// # Errors
-/// `export.unsupported` for what has no form in NIR: spike response neurons, lists of synapses
-/// beyond 2^24 places.
+/// `export.unsupported` for what has no form in NIR: spike response neurons, messages that carry
+/// integers, lists of synapses beyond 2^24 places.
 pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
+    let integers = |population: &&PopulationDesc| population.payload.is_some() || population.message_bits.is_some();
+    if let Some(population) = model.populations.iter().find(integers) {
+        let name = &population.name;
+        return Err(unsupported(format!("population '{name}', whose messages carry integers, cannot be exported")));
+    }
     let dt = model.timestep_ms / 1e3;
     let mut graph =
         Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt, biases: BTreeMap::new() };
@@ -66,24 +71,32 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     let name = graph.free("output");
     graph.nodes.insert(&name, node("Output").with("shape", shape(&output.shape)));
     graph.edges.push((model.output.clone(), name));
+    let metadata = text_of(model)?;
+    let root = nir_graph(graph.nodes, graph.edges).with("metadata", metadata);
+    Ok((Group::default().with("version", VERSION).with("node", root), graph.notes))
+}
+
+/// The text of a model and its arrays.
+pub(super) fn text_of(model: &NetworkFile) -> Result<Group> {
     let (text, arrays) = model.ron(ARRAYS)?;
     let mut stored = Group::default();
     for (index, (key, tensor)) in arrays.iter().enumerate() {
         let entry = Group::default().with("key", key.as_str()).with("numbers", array(tensor));
         stored.insert(&index.to_string(), entry);
     }
-    let metadata = Group::default().with(TEXT, text.as_str()).with("nsim_arrays", stored);
-    let root = nir_graph(graph.nodes, graph.edges).with("metadata", metadata);
-    Ok((Group::default().with("version", VERSION).with("node", root), graph.notes))
+    Ok(Group::default().with(TEXT, text.as_str()).with("nsim_arrays", stored))
+}
+
+/// The model of [`text_of`], or why it is none; nothing where there is no text.
+pub(super) fn read_text(metadata: &Group) -> Option<Result<NetworkFile, String>> {
+    Some(restored(metadata, metadata.text(TEXT)?))
 }
 
 /// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not
 /// write it.
 #[must_use]
 pub fn restore(root: &Group) -> Option<Result<NetworkFile, String>> {
-    let metadata = root.group("node/metadata")?;
-    let text = metadata.text(TEXT)?;
-    Some(restored(metadata, text).and_then(|model| match export(&model) {
+    Some(read_text(root.group("node/metadata")?)?.and_then(|model| match export(&model) {
         // The text may be that of another version, which writes the same model otherwise.
         Ok((again, _)) if GRAPH.iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
         Ok(_) => Err("its nodes are not those that it was written with".to_string()),

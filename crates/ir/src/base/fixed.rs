@@ -182,6 +182,12 @@ pub enum SignMode {
 impl WeightExponent {
     /// Weights count as they are.
     pub const ZERO: WeightExponent = WeightExponent(0);
+
+    /// What a weight has to be a multiple of, so that it loses no bits: 1 unless this is negative.
+    #[must_use]
+    pub const fn lost(self) -> i16 {
+        if self.0 < 0 { 1 << -self.0 } else { 1 }
+    }
 }
 
 impl BiasMantissa {

@@ -45,7 +45,8 @@ pub struct Neuron {
     pub vmin: VminExponent,
     /// Exponent of the upper clip.
     pub vmax: VmaxExponent,
-    /// Bits by which lava shifts what arrives in a step; 0 but under its semantics.
+    /// Bits by which lava shifts what arrives in a step; 0 but under its semantics and for kinds
+    /// that have none of these registers.
     pub shift: u8,
     /// The parameters of a kind that has none of these registers.
     pub row: Row,
@@ -388,12 +389,15 @@ impl Quantised {
             {
                 return wrong("has not the parameters of one neuron for each compartment");
             }
-            let computes = match &population.units {
-                Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.kind.table().emits == Emits::Values),
-                Units::Input(_) => matches!(population.message, Message::Value(_)),
+            let carries = match (&population.units, population.message) {
+                (Units::Input(_), _) | (_, Message::Spike) => true,
+                (Units::Compartments { neurons, .. }, message) => {
+                    let computes = |neuron: &Neuron| neuron.kind.table().emits == Emits::Values;
+                    !neurons.any(|neuron| computes(neuron) != matches!(message, Message::Value(_)))
+                }
             };
-            if computes != matches!(population.message, Message::Value(_)) {
-                return wrong("does not say the width of the messages that it computes");
+            if !carries {
+                return wrong("sends messages that its neurons do not have");
             }
             *counter = end;
         }
@@ -620,8 +624,12 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
     if neurons.any(|neuron| projection.format.port.index() >= usize::from(neuron.kind.table().ports)) {
         return Err(wrong("its targets have no such port"));
     }
-    if neurons.any(|neuron| !neuron.kind.table().registers) && projection.format.exponent < WeightExponent::ZERO {
-        return Err(wrong("a negative exponent leads to neurons without an accumulator"));
+    let exponent = projection.format.exponent;
+    if exponent < WeightExponent::ZERO
+        && neurons.any(|neuron| !neuron.kind.table().registers)
+        && !projection.connectivity.all_multiples_of(exponent.lost())
+    {
+        return Err(wrong("weights lose bits on their way to neurons that sum them as they are"));
     }
     projection.connectivity.check(projection.format, source.shape, target.shape).map_err(wrong)
 }

@@ -27,6 +27,7 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
 use nsim_ir::neurons::Row;
 use nsim_ir::program::{CoreClass, Program};
 use nsim_ir::quantised::{Neuron, Reset};
+use nsim_ir::spikes::Message;
 
 /// The lane of a compartment that another process holds.
 pub(crate) const ELSEWHERE: u32 = u32::MAX;
@@ -271,8 +272,8 @@ impl Image {
                     lane = lane.next_multiple_of(if ports > 1 { SKIP_BLOCK } else { LANES } as u32);
                     let room = if ports > 1 { SKIP_BLOCK / 2 } else { SKIP_BLOCK - lane as usize % SKIP_BLOCK };
                     let same = |&at: &usize| {
-                        (of(at).neuron.kind, of(at).start_step, kind_of[at].1)
-                            == (kind, of(slot).start_step, kind_of[slot].1)
+                        let [own, other] = [at, slot].map(|at| (of(at).neuron.shift, of(at).start_step, kind_of[at].1));
+                        (of(at).neuron.kind, own) == (kind, other)
                     };
                     let length = (slot..field_of.len()).take(room).take_while(same).count();
                     let starts = of(slot).start_step;
@@ -455,7 +456,8 @@ impl Image {
         let updater = kinds::updater(kind, &rows)?;
         let first = before.last().map_or(0, |last| last.first + last.chunks() * last.updater.words());
         let (resets_from, two_ports) = (field(fields[0]).resets_from, kind.table().ports > 1);
-        Some(WordBlock { start: block.start, first, updater, bits: 32, resets_from, two_ports })
+        let shift = field(fields[0]).neuron.shift;
+        Some(WordBlock { start: block.start, first, updater, bits: 0, shift, resets_from, two_ports })
     }
 
     /// Notes which compartment each lane holds.
@@ -471,7 +473,10 @@ impl Image {
             for block in &mut shard.words {
                 let source = self.channels + shard.names[block.start as usize].0;
                 let graded = self.program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
-                block.bits = graded.map_or(32, |graded| graded.message.bits());
+                block.bits = match graded.map(|graded| graded.message) {
+                    Some(Message::Value(bits)) => bits.get().into(),
+                    _ => 0,
+                };
             }
         }
     }

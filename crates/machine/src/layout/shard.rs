@@ -25,8 +25,10 @@ pub(crate) struct WordBlock {
     pub first: usize,
     /// Its update.
     pub updater: Box<dyn Updater>,
-    /// The bits of what each of its messages carries.
+    /// The bits of what each of its messages carries; 0 where it always is the same.
     pub bits: u32,
+    /// Bits by which what arrives in a step is shifted.
+    pub shift: u8,
     /// The step that periodic resets are counted from.
     pub resets_from: u32,
     /// Whether each compartment has two sums.

@@ -487,18 +487,20 @@ impl CompartmentState {
         words: &WordBlock,
         input: &StepInput,
     ) -> RunEffects {
-        let WordBlock { start, updater, bits, resets_from, two_ports, .. } = words;
+        let WordBlock { start, updater, bits, shift, resets_from, two_ports, .. } = words;
         let (start, lanes) = (*start as usize, updater.lanes());
         let chunks = lanes.div_ceil(CHUNK);
         let columns = &mut self.words[words.columns()];
         if image.reset.is_some_and(|reset| falls_on(reset, input.step, *resets_from)) {
             updater.clear(columns);
         }
-        let (mut arrived, mut narrowed) = ([[0; SKIP_BLOCK]; 2], 0u64);
+        let (mut arrived, mut reached, mut narrowed) = ([[0; SKIP_BLOCK]; 2], 0u64, 0u64);
         for (port, arrived) in arrived.iter_mut().enumerate().take(1 + usize::from(*two_ports)) {
             let sums = sums.iter_mut().skip(port * SECOND_PORT as usize).take(lanes);
             for (lane, (sum, arrived)) in sums.zip(arrived).enumerate() {
                 let whole = std::mem::take(sum).whole();
+                reached |= u64::from(whole != 0) << lane;
+                let whole = whole >> shift;
                 *arrived = whole as i32;
                 narrowed |= u64::from(i64::from(*arrived) != whole) << lane;
             }
@@ -507,7 +509,10 @@ impl CompartmentState {
         let arrived = [arrived[0].as_chunks().0, arrived[1].as_chunks().0];
         let effects = updater.update(&mut Block { columns, arrived, sent, step: input.step, vectors: input.arch });
         let mut too_wide = 0;
-        if *bits > 0 && *bits < 32 {
+        if *bits == 0 && updater.computes() {
+            // Each message counts as 1.
+            self.sent[start..start + lanes].fill(1);
+        } else if *bits > 0 && *bits < 32 {
             for (lane, &value) in self.sent[start..start + lanes].iter().enumerate() {
                 let leaves = value << (32 - bits) >> (32 - bits) != value;
                 too_wide |= u64::from(leaves) << lane;
@@ -524,7 +529,7 @@ impl CompartmentState {
                 Effect { spiked: false, q_wrapped: is_in(narrowed), u_wrapped: is_in(wraps), v_clipped: is_in(clips) };
             self.note_overflow(effect, 0, input.step, start + lane, shard);
         }
-        RunEffects { spiked: effects.emitted, moved: effects.active | narrowed, busy: effects.busy != 0 }
+        RunEffects { spiked: effects.emitted, moved: effects.active | reached, busy: effects.busy != 0 }
     }
 
     /// Updates lane by lane the chunks of a vector run in which a value leaves its field.

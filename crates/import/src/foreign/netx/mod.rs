@@ -7,9 +7,10 @@
 //! in the order C, H, W. A network of chip time has one step between layers; one with the older
 //! neuron type `LOIHI` has SLAYER's time, in which layer k starts at step k + 1.
 //!
-//! Left out on purpose: neurons with another dynamics (ALIF, ADRF), graded spikes of compartments,
+//! Left out on purpose: neurons with another dynamics, graded spikes before the last layer,
 //! concatenation.
 
+pub mod export;
 mod kinds;
 mod layer;
 mod neuron;
@@ -20,24 +21,36 @@ use std::cell::Cell;
 
 use super::hdf5::Group;
 use super::imported::{Imported, Options, listed};
+use super::nir::check_restored;
 use layer::Layer;
 use neuron::set_bias;
-use nsim_files::network::{NetworkFile, ProjectionDesc, ProjectionKind};
+use nsim_files::network::{NetworkFile, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_files::npy;
 use nsim_ir::arithmetic::{ResetDesc, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::neurons::NeuronKind;
-use reader::{Neurons, Reader, units, wrong};
+use reader::{DEFAULT_BITS, Neurons, Reader, units, wrong};
 
 /// Reads the tree of a file.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
+    let mut notes = Vec::new();
+    match export::restore(root) {
+        Some(Ok(model)) => {
+            options.refuse_unused("a model of nsim, which is restored as it was", &[])?;
+            check_restored(&model, options)?;
+            notes.push("written by nsim and unchanged since: restored as it was".to_string());
+            return Ok(Imported { kind: "lava-dl netx", model, notes, layers: Vec::new() });
+        }
+        Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
+        None => {}
+    }
     let layers = layers(root)?;
     let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
     let mut reader = Reader {
         options,
         model: NetworkFile::new(name, dt_ms),
-        notes: Vec::new(),
+        notes,
         layers: Vec::new(),
         last: None,
         expanded: Cell::new(0),
@@ -96,12 +109,12 @@ impl Reader<'_> {
             return Err(wrong(format!("layer {number} does not say its type; it holds {}", listed(&members))));
         };
         let layer = Layer { number, kind: kind.to_string(), group };
-        if layer.is_complex() != layer.group.text("neuron/type").is_some_and(|kind| kind.starts_with("RF"))
+        if layer.is_complex() != layer.group.text("neuron/type").is_some_and(|kind| kind.contains("RF_"))
             || layer.is_complex() && kind != "dense"
         {
             return Err(layer.unsupported(
                 "complex weights go with resonate-and-fire neurons, and those with complex weights",
-                "imported are dense layers with weight/real and weight/imag and neurons RF_PHASE or RF_IZHIKEVICH",
+                "imported are dense layers with weight/real and weight/imag and neurons RF_* or ADRF_*",
             ));
         }
         let known = fields(kind);
@@ -191,7 +204,8 @@ impl Reader<'_> {
     fn encoder(&mut self, shape: Vec<u64>, neurons: Neurons) {
         self.push("input", shape.clone(), None);
         if let Some(input) = self.model.populations.last_mut() {
-            input.message_bits = neurons.message_bits;
+            // What is counted as 1 are the encoder's messages, not the numbers of the input.
+            input.message_bits = neurons.message_bits.map(|bits| if bits == 0 { DEFAULT_BITS } else { bits });
         }
         let kind = match shape.len() {
             1 => ProjectionKind::Sparse((0..shape[0]).map(|unit| (unit, unit, 1.0)).collect()),
@@ -284,6 +298,14 @@ impl Reader<'_> {
                 self.notes
                     .push("chip time: every layer runs from step 0, one step of delay between layers".to_string());
             }
+        }
+        let exponents = [("--spike-exp", self.options.spike_exp), ("--state-exp", self.options.state_exp)];
+        let sends_changes = |p: &PopulationDesc| [NeuronKind::SigmaDelta, NeuronKind::Delta].contains(&p.kind);
+        if let Some((name, _)) = exponents.iter().find(|(_, given)| given.is_some())
+            && !self.model.populations.iter().any(sends_changes)
+        {
+            let message = format!("{name} says nothing of a network without SDNN neurons");
+            return Err(Diagnostic::new("import.option", message).help("leave it out"));
         }
         if let Some(interval) = self.options.reset_interval {
             self.model.reset = Some(ResetDesc { interval: interval.into(), offset: self.options.reset_offset.into() });

@@ -4,7 +4,7 @@
 //! one a unit.
 
 use super::layer::Layer;
-use super::reader::{BIAS_EXP, MOST_EXPANDED, Neurons, Reader, SDNN_EXP, units};
+use super::reader::{BIAS_EXP, DEFAULT_BITS, MOST_EXPANDED, Neurons, RESONATOR_EXP, Reader, SDNN_EXP, units};
 use crate::foreign::imported::{NEVER, integrator};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
@@ -75,23 +75,21 @@ impl Reader<'_> {
         let Some(kind) = layer.group.text("neuron/type") else {
             return Err(layer.wrong("its neuron does not say its type"));
         };
-        let missing = match kind {
-            "CUBA" => None,
-            "LOIHI" => {
-                self.slayer_time = true;
-                None
-            }
+        match kind {
+            "CUBA" => {}
+            "LOIHI" => self.slayer_time = true,
             "SDNN" => return self.sigma_delta(layer, shape),
             "RF_PHASE" | "RF_IZHIKEVICH" => return self.resonator(layer, shape, kind == "RF_PHASE"),
-            "ALIF" => Some("an adaptive threshold and a refractory state (thDecay, refDecay, vThStep)"),
-            other if other.starts_with("ADRF") => Some("an adaptive threshold (thDecay, refDecay, vThStep)"),
-            _ => Some("this neuron"),
-        };
-        if let Some(missing) = missing {
-            return Err(layer.unsupported(
-                format!("its neuron is '{kind}'; no kind of neuron here has {missing}"),
-                "networks of CUBA, LOIHI, SDNN, RF_PHASE and RF_IZHIKEVICH neurons are imported",
-            ));
+            "ALIF" => return self.adaptive(layer, shape, NeuronKind::Alif),
+            "ADRF_PHASE" => return self.adaptive(layer, shape, NeuronKind::Adrf),
+            "ADRF_IZHIKEVICH" => return self.adaptive(layer, shape, NeuronKind::AdrfIz),
+            _ => {
+                return Err(layer.unsupported(
+                    format!("its neuron is '{kind}'; no kind of neuron here has its dynamics"),
+                    "imported are neurons CUBA, LOIHI, SDNN, ALIF, RF_PHASE, RF_IZHIKEVICH, ADRF_PHASE and \
+                     ADRF_IZHIKEVICH",
+                ));
+            }
         }
         check_fields(layer, kind, FIELDS)?;
         if let (Some(theta), Some(mantissa)) =
@@ -120,12 +118,53 @@ impl Reader<'_> {
                 parameters.push((ours, value));
             }
         }
+        if is_graded(layer) {
+            if parameters.iter().any(|(name, _)| *name == "refractory") {
+                return Err(layer.unsupported("graded spikes with a refractory period", "train with refDelay 1"));
+            }
+            return Ok(Neurons { kind: NeuronKind::GradedLif, parameters, message_bits: None });
+        }
         Ok(parameters.into())
     }
 
-    /// Sigma-delta neurons as netx makes them: with 6 bits of a spike and 6 of the state, and a
-    /// rectification, whatever the field `activation` says.
+    /// Neurons with an adaptive threshold. (netx imports none of them: it drops the layer or the
+    /// adaptation.)
+    fn adaptive(&mut self, layer: &Layer<'_>, shape: &[u64], kind: NeuronKind) -> Result<Neurons> {
+        const RESONATOR: [(&str, &str, f64); 2] = [("sin_decay", "sinDecay", 1.0), ("cos_decay", "cosDecay", 1.0)];
+        const LEAKY: [(&str, &str, f64); 2] = [("du", "iDecay", 1.0), ("dv", "vDecay", 1.0)];
+        const THRESHOLD: [(&str, &str, f64); 4] = [
+            ("dtheta", "thDecay", 1.0),
+            ("dr", "refDecay", 1.0),
+            ("threshold", "vThMant", 64.0),
+            ("threshold_step", "vThStep", 64.0),
+        ];
+        let leaky = kind == NeuronKind::Alif;
+        let own = if leaky { LEAKY } else { RESONATOR };
+        let fields = if leaky {
+            "type iDecay vDecay thDecay refDecay vThMant vThStep refDelay gradedSpike"
+        } else {
+            "type sinDecay cosDecay thDecay refDecay vThMant vThStep gradedSpike"
+        };
+        check_binary(layer, kind.name())?;
+        check_fields(layer, kind.name(), fields)?;
+        if leaky && layer.group.number("neuron/refDelay").is_some_and(|delay| delay != 1.0) {
+            return Err(layer.unsupported("adaptive neurons with a refractory period", "train with refDelay 1"));
+        }
+        let mut parameters = Vec::new();
+        for (ours, theirs, unit) in own.into_iter().chain(THRESHOLD) {
+            let numbers = layer.reals(&format!("neuron/{theirs}"))?;
+            parameters.push((ours, self.each(layer, theirs, numbers, shape)?.map(|number| number * unit)));
+        }
+        if !leaky {
+            parameters.push(("state_exp", Parameter::Same(RESONATOR_EXP)));
+        }
+        Ok(Neurons { kind, parameters, message_bits: None })
+    }
+
+    /// Sigma-delta neurons as netx makes them: with 6 bits of a spike and 6 of the state unless the
+    /// options give others, and a rectification, whatever the field `activation` says.
     fn sigma_delta(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Neurons> {
+        check_binary(layer, "SDNN")?;
         check_fields(layer, "SDNN", "type activation vThMant sigma_output tauRho scaleRho")?;
         if layer.group.get("neuron/sigma_output").is_some() {
             return Ok(Neurons { kind: NeuronKind::Sigma, ..Neurons::default() });
@@ -133,23 +172,24 @@ impl Reader<'_> {
         if let Some(activation) = layer.group.text("neuron/activation").filter(|text| *text != "relu") {
             self.notes.push(format!("layer {}: '{activation}' becomes a rectification, as in netx", layer.number));
         }
-        let bits = layer.group.number("messageBits").unwrap_or(16.0);
+        let bits = layer.group.number("messageBits").map_or(DEFAULT_BITS, |bits| bits as i64);
         let mut parameters = vec![
             ("vth_mant", self.each(layer, "vThMant", layer.reals("neuron/vThMant")?, shape)?),
-            ("spike_exp", Parameter::Same(SDNN_EXP)),
-            ("state_exp", Parameter::Same(SDNN_EXP)),
+            ("spike_exp", Parameter::Same(self.options.spike_exp.map_or(SDNN_EXP, f64::from))),
+            ("state_exp", Parameter::Same(self.options.state_exp.map_or(SDNN_EXP, f64::from))),
         ];
         let kind = if layer.kind == "input" { NeuronKind::Delta } else { NeuronKind::SigmaDelta };
         if kind == NeuronKind::SigmaDelta {
             parameters.push(("relu", Parameter::Same(1.0)));
         }
-        Ok(Neurons { kind, parameters, message_bits: Some(bits as i64) })
+        Ok(Neurons { kind, parameters, message_bits: Some(bits) })
     }
 
     /// Resonate-and-fire neurons, with the rotation that the file has. (netx computes it again from
     /// its period, which lowers some by one.)
     fn resonator(&mut self, layer: &Layer<'_>, shape: &[u64], phase: bool) -> Result<Neurons> {
         let kind = if phase { NeuronKind::Rf } else { NeuronKind::RfIz };
+        check_binary(layer, kind.name())?;
         check_fields(layer, kind.name(), "type sinDecay cosDecay vThMant gradedSpike")?;
         let number =
             |key: &str| -> Result<Parameter> { self.each(layer, key, layer.reals(&format!("neuron/{key}"))?, shape) };
@@ -157,20 +197,30 @@ impl Reader<'_> {
             ("sin_decay", number("sinDecay")?),
             ("cos_decay", number("cosDecay")?),
             ("threshold", number("vThMant")?.map(|mantissa| mantissa * 64.0)),
-            ("state_exp", Parameter::Same(6.0)),
+            ("state_exp", Parameter::Same(RESONATOR_EXP)),
         ];
         Ok(Neurons { kind, parameters, message_bits: None })
     }
 }
 
-/// Refuses fields of a neuron that are not known, and graded spikes of neurons that send spikes.
-fn check_fields(layer: &Layer<'_>, kind: &str, known: &str) -> Result<()> {
-    if layer.group.number("neuron/gradedSpike").is_some_and(|graded| graded != 0.0) {
-        return Err(layer.unsupported(
+/// Whether its spikes carry values.
+fn is_graded(layer: &Layer<'_>) -> bool {
+    layer.group.number("neuron/gradedSpike").is_some_and(|graded| graded != 0.0)
+}
+
+/// Refuses graded spikes of neurons that send none here.
+fn check_binary(layer: &Layer<'_>, kind: &str) -> Result<()> {
+    match is_graded(layer) {
+        true => Err(layer.unsupported(
             format!("its spikes are graded, and those of {kind} neurons carry no value here"),
             "export the network with graded_spike=False",
-        ));
+        )),
+        false => Ok(()),
     }
+}
+
+/// Refuses fields of a neuron that are not known.
+fn check_fields(layer: &Layer<'_>, kind: &str, known: &str) -> Result<()> {
     let mut keys = layer.group.group("neuron").into_iter().flat_map(|neuron| neuron.items.keys());
     match keys.find(|key| !known.split(' ').any(|known| known == *key)) {
         Some(key) => Err(layer.unsupported(

@@ -11,6 +11,7 @@ use crate::foreign::window::{MOST_LISTED, by_delay, listed};
 use nsim_files::network::{ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::SignMode;
+use nsim_ir::neurons::NeuronKind;
 
 impl Reader<'_> {
     /// The projection from the layer before, with its weights in a format that holds them.
@@ -22,6 +23,12 @@ impl Reader<'_> {
         key: &str,
         kind: impl FnOnce(Vec<f64>) -> Result<ProjectionKind>,
     ) -> Result<()> {
+        if self.model.population(&source.name).is_some_and(|population| population.kind == NeuronKind::GradedLif) {
+            return Err(layer.unsupported(
+                format!("the spikes of '{}' carry voltages, which lava-dl weights in 4096ths", source.name),
+                "graded spikes are imported in the last layer; export the others with graded_spike=False",
+            ));
+        }
         // netx reads weights as integers, toward zero.
         let given = layer.reals(key)?;
         let whole: Vec<f64> = given.iter().map(|x| x.trunc() + 0.0).collect();

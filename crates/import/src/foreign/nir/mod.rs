@@ -84,7 +84,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
 }
 
 /// Refuses options that contradict a model of nsim's own.
-fn check_restored(model: &NetworkFile, options: &Options) -> Result<()> {
+pub(super) fn check_restored(model: &NetworkFile, options: &Options) -> Result<()> {
     let ours = |kind| model.populations.iter().any(|population| population.loihi.is_some() && population.kind == kind);
     let contradicted = match options.reset {
         None => None,

@@ -1,0 +1,295 @@
+//! A model as a netx file of lava-dl, and back without loss.
+//!
+//! Input: a model of one input whose populations follow each other, as the layers of netx do.
+//! Output: the tree of a `.net` file, and what other tools will not see of the model. Weights are
+//! mantissas times `2^weight_exp`. As in NIR, what netx has no word for stands in a group of nsim's
+//! own, as the text of the model and its arrays; [`restore`] takes the model from there, provided
+//! that exporting it again gives the layers that it was found with.
+//!
+//! Errors: `export.unsupported` for what has no form in netx.
+
+use crate::foreign::hdf5::{Group, Item, Numbers};
+use crate::foreign::nir_export::{read_text, text_of};
+use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::neurons::{NeuronKind, Port};
+
+/// The group of the model's text.
+const GROUP: &str = "nsim";
+/// The most numbers that a list of synapses may take as a matrix.
+const MOST_MATRIX: u64 = 1 << 24;
+
+/// How a kind is written.
+struct Form {
+    /// Its type in netx.
+    kind: &'static str,
+    /// Fields: the parameter here, the name there, and what the field's unit counts here.
+    fields: &'static [(&'static str, &'static str, f64)],
+    /// Parameters that netx fixes; others, and those of its bias, have their defaults.
+    fixed: &'static [(&'static str, f64)],
+    /// What a bias of 1 counts in units of the mantissa, if it has a bias.
+    bias: Option<f64>,
+}
+
+const LEAKY: &[(&str, &str, f64)] =
+    &[("du", "iDecay", 1.0), ("dv", "vDecay", 1.0), ("vth_mant", "vThMant", 1.0), ("refractory", "refDelay", 1.0)];
+const CHANGES: &[(&str, &str, f64)] = &[("vth_mant", "vThMant", 1.0)];
+const TURNS: &[(&str, &str, f64)] =
+    &[("sin_decay", "sinDecay", 1.0), ("cos_decay", "cosDecay", 1.0), ("threshold", "vThMant", 64.0)];
+const ADAPTIVE: &[(&str, &str, f64)] = &[
+    ("du", "iDecay", 1.0),
+    ("dv", "vDecay", 1.0),
+    ("dtheta", "thDecay", 1.0),
+    ("dr", "refDecay", 1.0),
+    ("threshold", "vThMant", 64.0),
+    ("threshold_step", "vThStep", 64.0),
+];
+const TURNS_ADAPTIVE: &[(&str, &str, f64)] = &[
+    ("sin_decay", "sinDecay", 1.0),
+    ("cos_decay", "cosDecay", 1.0),
+    ("dtheta", "thDecay", 1.0),
+    ("dr", "refDecay", 1.0),
+    ("threshold", "vThMant", 64.0),
+    ("threshold_step", "vThStep", 64.0),
+];
+const EXPONENTS: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0)];
+const RECTIFIED: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0), ("relu", 1.0)];
+
+fn form(kind: NeuronKind) -> Option<Form> {
+    let (kind, fields, fixed, bias): (_, _, &[_], _) = match kind {
+        NeuronKind::Loihi => ("CUBA", LEAKY, &[], Some(64.0)),
+        NeuronKind::GradedLif => ("CUBA", LEAKY, &[], None),
+        NeuronKind::SigmaDelta => ("SDNN", CHANGES, RECTIFIED, Some(1.0)),
+        NeuronKind::Delta => ("SDNN", CHANGES, EXPONENTS, None),
+        NeuronKind::Sigma => ("SDNN", &[][..], &[], None),
+        NeuronKind::Rf => ("RF_PHASE", TURNS, &[("state_exp", 6.0)], None),
+        NeuronKind::RfIz => ("RF_IZHIKEVICH", TURNS, &[("state_exp", 6.0)], None),
+        NeuronKind::Alif => ("ALIF", ADAPTIVE, &[], None),
+        NeuronKind::Adrf => ("ADRF_PHASE", TURNS_ADAPTIVE, &[("state_exp", 6.0)], None),
+        NeuronKind::AdrfIz => ("ADRF_IZHIKEVICH", TURNS_ADAPTIVE, &[("state_exp", 6.0)], None),
+        _ => return None,
+    };
+    Some(Form { kind, fields, fixed, bias })
+}
+
+fn unsupported(message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new("export.unsupported", message)
+        .help("netx holds an input and layers of integers in a row; a .nir file holds other networks")
+}
+
+/// The tree of a file, and what other tools will not see of the model.
+///
+/// # Errors
+/// `export.unsupported` for populations that do not follow each other, real parameters, kinds of
+/// neurons or of projections that netx has none of, weights that are not whole.
+pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
+    let mut notes = Vec::new();
+    let mut layers = Group::default();
+    let is_input = |population: &PopulationDesc| population.loihi.is_none() && population.srm.is_none();
+    let inputs = model.populations.iter().filter(|population| is_input(population)).count();
+    let last = model.populations.last().map(|population| &population.name);
+    if inputs != 1 || !model.populations.first().is_some_and(is_input) || last != Some(&model.output) {
+        return Err(unsupported("the model does not begin with its only input and end with its output"));
+    }
+    if let Some(population) = model.populations.iter().find(|population| population.payload.is_some()) {
+        return Err(unsupported(format!("the spikes of '{}' have a payload", population.name)));
+    }
+    let (mut connected, mut number) = (0, 0u32);
+    for pair in model.populations.windows(2) {
+        let [before, population] = pair else { continue };
+        let into: Vec<_> = model.projections.iter().filter(|projection| projection.to == population.name).collect();
+        if let Some(other) = into.iter().find(|projection| projection.from != [before.name.as_str()]) {
+            return Err(unsupported(format!("'{}' receives spikes of {:?}", population.name, other.from)));
+        }
+        connected += into.len();
+        let delay = model.projections.iter().find(|other| other.from == [population.name.as_str()]).map(|p| p.delay);
+        let neuron = neuron(population, &mut notes)?;
+        let mut layer = layer(before, population, &into)?.with("neuron", neuron);
+        if let Some(delay) = delay.filter(|delay| *delay > 0) {
+            layer.insert("delay", int(delay.into()));
+        }
+        if let Some(bits) = population.message_bits {
+            layer.insert("messageBits", int(bits));
+        }
+        if let Some(bias) = bias(population) {
+            layer.insert("bias", numbers(&bias));
+        }
+        if layer.text("type") == Some("dense") && before.loihi.is_some() && before.shape.len() == 3 {
+            let flat = Group::default().with("type", "flatten").with("shape", ints(&[before.units()]));
+            layers.insert(&number.to_string(), flat);
+            number += 1;
+        }
+        layers.insert(&number.to_string(), layer);
+        number += 1;
+    }
+    if connected != model.projections.len() {
+        return Err(unsupported("a projection does not lead from a population to the next"));
+    }
+    let simulation = Group::default().with("Ts", Numbers::f64(&[], &[model.timestep_ms]));
+    let root = Group::default().with("layer", layers).with("simulation", simulation);
+    Ok((root.with(GROUP, text_of(model)?), notes))
+}
+
+/// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not
+/// write it.
+pub(super) fn restore(root: &Group) -> Option<Result<NetworkFile, String>> {
+    Some(read_text(root.group(GROUP)?)?.and_then(|model| match export(&model) {
+        Ok((again, _)) if ["layer", "simulation"].iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
+        Ok(_) => Err("its layers are not those that it was written with".to_string()),
+        Err(problem) => Err(problem.to_string()),
+    }))
+}
+
+fn int(number: i64) -> Numbers {
+    Numbers::i64(&[], &[number])
+}
+
+fn ints(numbers: &[u64]) -> Numbers {
+    Numbers::i64(&[numbers.len()], &numbers.iter().map(|&x| x as i64).collect::<Vec<_>>())
+}
+
+/// One number, or one a unit.
+fn numbers(parameter: &Parameter) -> Numbers {
+    match parameter {
+        Parameter::Same(number) => Numbers::f64(&[], &[*number]),
+        each => Numbers::f64(&[each.values().len()], each.values()),
+    }
+}
+
+fn neuron(population: &PopulationDesc, notes: &mut Vec<String>) -> Result<Group> {
+    let name = &population.name;
+    let Some(form) = population.loihi.as_ref().and(form(population.kind)) else {
+        return Err(unsupported(format!("'{name}' has {} neurons, which netx does not have", population.kind_name())));
+    };
+    let mut neuron = Group::default().with("type", form.kind);
+    for (ours, theirs, unit) in form.fields {
+        if let Some(value) = population.parameter(ours) {
+            neuron.insert(theirs, numbers(&value.map(|value| value / unit)));
+        }
+    }
+    match population.kind {
+        NeuronKind::Sigma => neuron.insert("sigma_output", int(1)),
+        NeuronKind::GradedLif => neuron.insert("gradedSpike", int(1)),
+        _ => {}
+    }
+    let mut lost = Vec::new();
+    for field in population.kind.parameters() {
+        let written = form.fields.iter().any(|(ours, ..)| *ours == field.name);
+        if written && population.parameter(field.name).is_none() && field.default.is_none() {
+            return Err(unsupported(format!("'{name}' has no {}: netx holds integers", field.name)));
+        }
+        let is_bias = form.bias.is_some() && ["bias_mant", "bias_exp"].contains(&field.name);
+        let fixed = form.fixed.iter().find(|(fixed, _)| *fixed == field.name).map(|(_, value)| *value);
+        let default = field.default.unwrap_or(0) as f64;
+        let given = population.parameter(field.name).cloned().unwrap_or(Parameter::Same(default));
+        if !written && !is_bias && given != Parameter::Same(fixed.unwrap_or(default)) {
+            lost.push(field.name);
+        }
+    }
+    lost.extend((population.start_step > 0).then_some("start_step"));
+    if !lost.is_empty() {
+        notes.push(format!("netx has no {}: only nsim will see that of '{name}'", lost.join(", ")));
+    }
+    Ok(neuron)
+}
+
+/// The bias in units of netx, unless it is 0.
+fn bias(population: &PopulationDesc) -> Option<Parameter> {
+    let (unit, mantissa) = (form(population.kind)?.bias?, population.parameter("bias_mant")?);
+    let exponent = |at: usize| population.parameter("bias_exp").map_or(0.0, |exponent| exponent.get(at));
+    let each = (0..population.units() as usize).map(|at| mantissa.get(at) * exponent(at).exp2() / unit).collect();
+    Some(Parameter::from_values(each)).filter(|bias| *bias != Parameter::Same(0.0))
+}
+
+/// A layer without its neurons: its type, shape and weights.
+fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&ProjectionDesc]) -> Result<Group> {
+    let name = &population.name;
+    let is_input = before.loihi.is_none();
+    let first = match into {
+        [first] if population.kind.table().ports == 1 => first,
+        [first, second]
+            if population.kind.table().ports == 2 && (first.port, second.port) == (Port::First, Port::Second) =>
+        {
+            first
+        }
+        _ => return Err(unsupported(format!("'{name}' has {} projections into it", into.len()))),
+    };
+    if is_input && into.iter().any(|projection| projection.delay > 0) {
+        return Err(unsupported(format!("'{name}' receives its input after a delay")));
+    }
+    if into.iter().any(|projection| projection.delay != first.delay || projection.weight_scale.is_some()) {
+        return Err(unsupported(format!("'{name}' has projections with a weight_scale or with several delays")));
+    }
+    let flat = [population.units()];
+    if population.kind == NeuronKind::Delta {
+        let identity = match &first.kind {
+            ProjectionKind::Sparse(all) => {
+                all.len() as u64 == flat[0] && (0..).zip(all).all(|(unit, synapse)| *synapse == (unit, unit, 1.0))
+            }
+            ProjectionKind::SumPool2d { kernel: (1, 1), stride: (1, 1), weight: 1.0, .. } => true,
+            _ => false,
+        };
+        if !identity || !is_input || first.weight_exp.unwrap_or(0) != 0 {
+            return Err(unsupported(format!("'{name}' sends other changes than those of the input")));
+        }
+        return Ok(Group::default().with("type", "input").with("shape", ints(&population.shape)));
+    }
+    let pair = |(y, x): (u64, u64)| ints(&[y, x]);
+    let window = |layer: Group, [stride, padding, dilation]: [(u64, u64); 3], after: (u64, u64)| match after == padding
+    {
+        true => Ok(layer.with("stride", pair(stride)).with("padding", pair(padding)).with("dilation", pair(dilation))),
+        false => Err(unsupported(format!("the window into '{name}' has another padding behind the image"))),
+    };
+    let typed = |kind: &str, shape: &[u64]| Group::default().with("type", kind).with("shape", ints(shape));
+    match &first.kind {
+        ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups } if into.len() == 1 => {
+            let kernel = weights.tensor();
+            let weights = whole(first, kernel.reals().collect())?;
+            let layer = typed("conv", &population.shape).with("groups", int(*groups as i64));
+            let layer = layer.with("weight", Numbers::f64(kernel.shape(), &weights));
+            window(layer, [*stride, *padding, *dilation], *padding_after)
+        }
+        ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight } if into.len() == 1 => {
+            let weights = whole(first, vec![*weight; (kernel.0 * kernel.1) as usize])?;
+            let weights = Numbers::f64(&[1, 1, kernel.0 as usize, kernel.1 as usize], &weights);
+            let layer = typed("pool", &population.shape).with("kernelSize", pair(*kernel)).with("weight", weights);
+            window(layer, [*stride, *padding, (1, 1)], *padding_after)
+        }
+        _ => {
+            let matrix = |projection: &&ProjectionDesc| {
+                let sources = before.units() as usize;
+                let weights = match &projection.kind {
+                    ProjectionKind::Dense(weights) => weights.tensor().reals().collect(),
+                    ProjectionKind::Sparse(synapses) if flat[0].saturating_mul(before.units()) <= MOST_MATRIX => {
+                        let mut matrix = vec![0.0; flat[0] as usize * sources];
+                        synapses.iter().for_each(|&(from, to, w)| matrix[to as usize * sources + from as usize] += w);
+                        matrix
+                    }
+                    _ => {
+                        let kind = projection.kind_name();
+                        return Err(unsupported(format!("netx has no {kind} projection like that into '{name}'")));
+                    }
+                };
+                Ok(Numbers::f64(&[flat[0] as usize, sources], &whole(projection, weights)?))
+            };
+            let weights: Vec<Numbers> = into.iter().map(matrix).collect::<Result<_>>()?;
+            let weights = match weights.as_slice() {
+                [real, imag] => Item::from(Group::default().with("real", real.clone()).with("imag", imag.clone())),
+                weights => Item::from(weights[0].clone()),
+            };
+            let features = [("inFeatures", before.units()), ("outFeatures", flat[0])];
+            let layer = features.iter().fold(typed("dense", &flat), |layer, (key, n)| layer.with(key, int(*n as i64)));
+            Ok(layer.with("weight", weights))
+        }
+    }
+}
+
+/// Weights times their exponent.
+fn whole(projection: &ProjectionDesc, weights: Vec<f64>) -> Result<Vec<f64>> {
+    let unit = (projection.weight_exp.unwrap_or(0) as f64).exp2();
+    let scaled: Vec<f64> = weights.iter().map(|weight| weight * unit).collect();
+    match scaled.iter().all(|weight| weight.fract() == 0.0) {
+        true => Ok(scaled),
+        false => Err(unsupported(format!("the weights into '{}' are not whole, times 2^weight_exp", projection.to))),
+    }
+}
