@@ -407,7 +407,8 @@ pub(crate) struct RowBuilder {
     /// The stencil without rows comes first.
     stencils: Vec<Stencil>,
     places: Vec<RowPlace>,
-    known: HashMap<Vec<RowPlace>, u32>,
+    /// By rows and synapses: rows that share weights may differ in synapses of weight 0.
+    known: HashMap<(Vec<RowPlace>, u32), u32>,
 }
 
 impl RowBuilder {
@@ -438,19 +439,20 @@ impl RowBuilder {
     fn stencil(&mut self, rows: &[RowPlace], synapses: u32) -> u32 {
         // Neighbours mostly have the same one.
         if let Some(&Origin { stencil, .. }) = self.origins.last() {
-            let Stencil { first, rows: count, .. } = self.stencils[stencil as usize];
-            if &self.places[first as usize..(first + count) as usize] == rows {
+            let Stencil { first, rows: count, synapses: of_last } = self.stencils[stencil as usize];
+            if of_last == synapses && &self.places[first as usize..(first + count) as usize] == rows {
                 return stencil;
             }
         }
-        if let Some(&known) = self.known.get(rows) {
+        let key = (rows.to_vec(), synapses);
+        if let Some(&known) = self.known.get(&key) {
             return known;
         }
         let number = self.stencils.len() as u32;
         let first = self.places.len() as u32;
         self.places.extend_from_slice(rows);
         self.stencils.push(Stencil { first, rows: rows.len() as u32, synapses });
-        self.known.insert(rows.to_vec(), number);
+        self.known.insert(key, number);
         number
     }
 
@@ -555,6 +557,21 @@ mod tests {
             let (own, padding) = held.split_at(content.weights.len());
             assert!(own == content.weights && padding.len() < LANES && padding.iter().all(|&weight| weight == 0));
         }
+    }
+
+    /// The same weights with and without a synapse of weight 0 behind them.
+    #[test]
+    fn synapses_of_weight_zero_are_counted() {
+        let contents = [(vec![3, 4], 2), (vec![3, 4, 0], 3)].map(|(weights, synapses)| Content { weights, synapses });
+        let (rows, places) = WeightRows::with(&contents);
+        assert_eq!(rows.chunks(), 1);
+        let mut builder = RowBuilder::new();
+        let counts = [(1, 2), (1, 3), (1, 2), (1, 2), (1, 3)];
+        let places: Vec<RowPlace> = [0, 1, 0, 0, 1].iter().map(|&row| RowPlace::new(7, places[row].unwrap())).collect();
+        builder.append(&counts, &places);
+        let table = builder.finish(&Arc::new(rows)).unwrap().unwrap();
+        let synapses: Vec<u32> = table.origins.iter().map(|&origin| table.stencil(origin).0.synapses).collect();
+        assert_eq!(synapses, counts.map(|(_, synapses)| synapses));
     }
 
     #[test]
