@@ -224,6 +224,7 @@ mod tests {
                     columns: &mut columns,
                     arrived: [&arrived[0], &arrived[1]],
                     sent: &mut sent,
+                    step,
                     vectors,
                 });
                 for lane in 0..lanes {

@@ -15,7 +15,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
-use nsim_ir::neurons::{MicrocodeKind, Row};
+use nsim_ir::neurons::{Emits, MicrocodeKind, NeuronKind, Row};
 
 use self::compile::Code;
 use self::run::Registers;
@@ -29,6 +29,8 @@ const CHUNKS: usize = MOST_LANES / CHUNK;
 struct Programmed {
     code: Arc<Code>,
     lanes: usize,
+    /// Whether messages carry what the rule computes.
+    computes: bool,
     /// What depends on parameters alone.
     fixed: Registers,
 }
@@ -55,13 +57,18 @@ pub(super) fn updater(kind: MicrocodeKind, rows: &[Row]) -> Box<dyn Updater> {
         }
     }
     run::fix(&code, &mut fixed);
-    Box::new(Programmed { code, lanes: rows.len(), fixed })
+    let computes = NeuronKind::Microcode(kind).table().emits == Emits::Values;
+    Box::new(Programmed { code, lanes: rows.len(), computes, fixed })
 }
 
 impl Updater for Programmed {
     fn update(&self, block: &mut Block<'_>) -> Effects {
         let Block { columns, arrived, sent, vectors, .. } = block;
         self.step(columns, *arrived, sent, *vectors)
+    }
+
+    fn clear(&self, columns: &mut [[i32; CHUNK]]) {
+        columns.fill([0; CHUNK]);
     }
 
     fn wakes(&self) -> bool {
@@ -80,6 +87,10 @@ impl Updater for Programmed {
     fn words(&self) -> usize {
         self.code.words
     }
+
+    fn computes(&self) -> bool {
+        self.computes
+    }
 }
 
 impl Programmed {
@@ -91,7 +102,7 @@ impl Programmed {
         sent: &mut [[i32; CHUNK]],
         vectors: pulp::Arch,
     ) -> Effects {
-        let Programmed { code, lanes, fixed } = self;
+        let Programmed { code, lanes, fixed, .. } = self;
         REGISTERS.with_borrow_mut(|registers| {
             registers.make_room(&code.step);
             let effects = vectors.dispatch(run::Step { code, fixed, registers, columns, arrived, sent });
