@@ -177,12 +177,19 @@ mod tests {
 
     #[test]
     fn results_are_drawn_and_what_lacks_its_numbers_is_not() {
-        let row = |unit: &str, mw: f64| json!({ "hardware": "loihi", "unit": unit, "static_mw": mw, "dynamic_mw": 1.0, "energy_uj": 5.0 });
+        let row = |unit: &str, mw: f64| {
+            json!({ "hardware": "loihi", "unit": unit, "static_mw": mw, "dynamic_mw": 1.0, "energy_uj": 5.0,
+                    "low": { "energy_uj": 4.0 }, "high": { "energy_uj": 6.0 }, "source": "simulated" })
+        };
         let result = json!({
             "model": "m", "target": "t", "rows": [row("x86", 3.0), row("neuron", 2.0), row("total", 5.0)],
             "breakdown_pj_per_timestep": { "synaptic_event": 30.0, "hop": 0.0, "spike": 70.0 },
             "time_us_per_timestep": { "slowest_core": 2.0, "barrier": 1.0, "host": 0.0 },
         });
+        // A point of the total row with its interval, and those of the legend.
+        let svg = hardware(&result).unwrap();
+        assert!(svg.contains(">(simulated)<") && svg.matches("<circle").count() == 1 + 4, "{svg}");
+        assert_eq!(svg.matches("stroke-width=\"2.00\"").count(), 1, "{svg}");
         let svg = energy(&result).unwrap();
         assert!(svg.contains(">synaptic event<") && !svg.contains(">hop<") && svg.contains("all: 5.00 uJ"));
         let svg = time(&result).unwrap();
@@ -198,7 +205,7 @@ mod tests {
         assert!(agreement(&agreed).unwrap().contains(">hidden<"));
         let caused = json!({ "attribution": [{ "cause": "weights", "forward": 0.1, "reversed": 0.2 }] });
         assert!(agreement(&caused).unwrap().contains(">weights<"));
-        for drawn in [energy, time, pareto, agreement] {
+        for drawn in [hardware, energy, time, pareto, agreement] {
             for nothing in
                 [json!({}), json!([]), json!({ "rows": [{}], "pareto": [7], "layers": "x", "attribution": [] })]
             {
