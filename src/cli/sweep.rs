@@ -91,7 +91,8 @@ pub struct Args {
     /// Draw the column that --axes names second over the first
     #[arg(long, value_name = FILE, requires = "axes")]
     plot: Option<PathBuf>,
-    /// Two columns; the table of a whole sweep gets a column that says which rows are on their front
+    /// Two columns; the table of a whole sweep gets a column that says which rows are on their
+    /// front
     #[arg(long, value_name = "X,Y")]
     axes: Option<Columns>,
 }

@@ -1,8 +1,9 @@
 //! `nsim show NAME`: a shipped file as it is, or a stage of the compiler (`--as`), as RON.
 //!
 //! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it; a
-//! training file is found by its name where no other file has it. With `--as` a model. Output: its text, which can be saved, changed and used in its place; or the
-//! network in integers, its cores, their places, or their tables, as `nsim::ir` reads them.
+//! training file is found by its name where no other file has it. With `--as` a model. Output: its text,
+//! which can be saved, changed and used in its place; or the network in integers, its cores, their
+//! places, or their tables, as `nsim::ir` reads them.
 
 use std::path::PathBuf;
 
@@ -40,7 +41,8 @@ named_variants!(Stage {
     Program = "program",
 });
 
-/// Print a shipped model, training file, target, chip or preset of constants, or a stage of the compiler, as RON
+/// Print a shipped model, training file, target, chip or preset of constants, or a stage of the
+/// compiler, as RON
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
   nsim show nahuku-32                      a target

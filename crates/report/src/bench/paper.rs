@@ -1,7 +1,8 @@
 //! The result of `nsim bench paper`: grids like the paper's, tables of every figure, JSON and CSV.
 //!
-//! Input: the rows of the tables. Output: a grid has networks by senses, each cell what was measured
-//! here and, in brackets, as the paper prints it; JSON and CSV have every figure, a row each.
+//! Input: the rows of the tables. Output: a grid has networks by senses, each cell what was
+//! measured here and, in brackets, as the paper prints it; JSON and CSV have every figure, a row
+//! each.
 
 use serde_json::{Value, json};
 
@@ -49,13 +50,13 @@ pub struct Grid {
 
 impl Grid {
     /// A grid without the columns and the rows that are empty; none where all are.
-    fn new(title: &str, header: Vec<String>, rows: Vec<Vec<String>>) -> Option<Grid> {
+    fn new(title: &str, header: &[String], rows: &[Vec<String>]) -> Option<Grid> {
         let used = |place: &usize| *place == 0 || rows.iter().any(|row| !row[*place].is_empty());
         let places: Vec<usize> = (0..header.len()).filter(used).collect();
-        let kept = |row: &Vec<String>| places.iter().map(|&place| row[place].clone()).collect();
+        let kept = |row: &[String]| places.iter().map(|&place| row[place].clone()).collect();
         let full = rows.iter().filter(|row| row[1..].iter().any(|cell| !cell.is_empty()));
-        let rows: Vec<Vec<String>> = full.map(kept).collect();
-        (!rows.is_empty()).then(|| Grid { title: title.to_string(), header: kept(&header), rows })
+        let rows: Vec<Vec<String>> = full.map(|row| kept(row)).collect();
+        (!rows.is_empty()).then(|| Grid { title: title.to_string(), header: kept(header), rows })
     }
 
     /// For people.
@@ -70,8 +71,8 @@ impl Grid {
     }
 }
 
-/// The networks of the tables of accuracy: the name in a grid, the table, the loss, and how the note
-/// of a row begins.
+/// The networks of the tables of accuracy: the name in a grid, the table, the loss, and how the
+/// note of a row begins.
 const NETWORKS: [(&str, &str, Option<&str>, &str); 6] = [
     ("SNN (L), chip", "accuracy", Some("count"), ""),
     ("SNN (L_w), chip", "accuracy", Some("weighted"), ""),
@@ -116,8 +117,8 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
             };
             std::iter::once((*name).to_string()).chain(SENSES.map(cell)).collect()
         };
-        let rows = NETWORKS.iter().map(network).collect();
-        Grid::new(&format!("{title}: accuracy here (in the paper)"), header("", &SENSES.map(|(_, name)| name)), rows)
+        let rows: Vec<Vec<String>> = NETWORKS.iter().map(network).collect();
+        Grid::new(&format!("{title}: accuracy here (in the paper)"), &header("", &SENSES.map(|(_, name)| name)), &rows)
     };
     let hardware = || {
         let kinds = [("offline", "offline"), ("realtime", "real time")];
@@ -133,7 +134,11 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
             std::iter::once(format!("{chip}, {how}")).chain(quantities.map(cell)).collect()
         };
         let header = header("", &["static (mW)", "dynamic (mW)", "total (mW)", "step (us)"]);
-        Grid::new("One of 32 copies: modelled here (in the paper)", header, of_kinds.map(row).collect())
+        Grid::new(
+            "One of 32 copies: modelled here (in the paper)",
+            &header,
+            &of_kinds.map(row).collect::<Vec<Vec<String>>>(),
+        )
     };
     let early = |(task, title): (&str, &str)| {
         let of_time =
@@ -150,9 +155,10 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
             let decided = share("decided_ms").map_or(String::new(), three);
             std::iter::once(name).chain(by).chain([decided]).collect()
         };
-        let cells = SENSES.iter().flat_map(|senses| LOSSES.map(|loss| row((*senses, loss)))).collect();
+        let cells: Vec<Vec<String>> =
+            SENSES.iter().flat_map(|senses| LOSSES.map(|loss| row((*senses, loss)))).collect();
         let names: Vec<&str> = times.iter().map(String::as_str).chain(["decided"]).collect();
-        Grid::new(&format!("{title}: accuracy here by time (ms), and when it is decided"), header("", &names), cells)
+        Grid::new(&format!("{title}: accuracy here by time (ms), and when it is decided"), &header("", &names), &cells)
     };
     TASKS.into_iter().map(accuracy).chain([hardware()]).chain(TASKS.into_iter().map(early)).flatten().collect()
 }
@@ -259,7 +265,8 @@ mod tests {
                 assert_eq!(grids[grid].rows[1][at + 1], cell);
             }
         }
-        assert_eq!(grids[2].rows[1], ["RTX 2080 Ti, offline", "- (3594)", "- (56296)", "- (59890)", "- (21)"]);
+        let gpu = rows.iter().find(|row| row.table == "offline" && row.quantity == "gpu_static_mw").unwrap();
+        assert_eq!(grids[2].rows[1][1], format!("- ({})", gpu.published.unwrap()));
         assert!(summary(&rows).lines().count() <= 70, "{}", summary(&rows));
         // Of one cell there is one column of figures.
         let tactile: Vec<PaperRow> = rows.into_iter().filter(|row| row.modality == "tactile").collect();

@@ -123,7 +123,7 @@ fn colour(index: usize) -> String {
     format!("{}{half}", COLOURS[index % COLOURS.len()])
 }
 
-/// Writes the names of groups below the chart, a line each of theirs, and returns the width of a group.
+/// Writes the names of groups below the chart, line by line, and returns the width of a group.
 fn name_groups(sheet: &mut Sheet, names: &[String]) -> f64 {
     let group = (RIGHT - LEFT) / names.len().max(1) as f64;
     let lines = || names.iter().flat_map(|name| name.lines());
@@ -142,8 +142,8 @@ fn name_groups(sheet: &mut Sheet, names: &[String]) -> f64 {
 /// A number, and the ends of its interval where one is known.
 pub type Marked = (f64, Option<(f64, f64)>);
 
-/// A chart of points: one group a category, one point a series in it, with its interval. Unlike bars
-/// they need no ground, which an axis of factors has not.
+/// A chart of points: one group a category, one point a series in it, with its interval. Points,
+/// unlike bars, need no ground; an axis of factors has none.
 pub fn marks(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<Option<Marked>>)]) -> String {
     let all = series.iter().flat_map(|(_, marks)| marks.iter().flatten());
     let ends =
