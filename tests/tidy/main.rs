@@ -266,7 +266,7 @@ const CITED: [&str; 2] = ["docs/source/primitives.md", "docs/spec.md"];
 
 /// Words of a page of `docs`, and of all pages with the README and CONTRIBUTING; the pages of
 /// commands are generated.
-const MOST_WORDS: (usize, usize) = (4_100, 34_800);
+const MOST_WORDS: (usize, usize) = (4_100, 35_600);
 
 /// Words of no field, in place of the terms of this one.
 const DIALECT: &str = "alike, at once, beside, comes to, dealt, for want of, foretold, handed, hears, in turn, \
