@@ -135,11 +135,11 @@ fn what_is_wrong_in_a_stated_kind_is_told_with_line_and_column() {
         ("reset: [", "rest: [", "model.kind", 11, 13, "rest"),
         ("name: \"Leaky\",\n", "name: \"Loihi\",\n", "model.kind", 6, 20, "is the name of another kind"),
         ("Leaky(name: \"out\"", "Leeky(name: \"out\"", "model.syntax", 17, 9, "did you mean 'Leaky'?"),
-        ("dv: 0, theta: 64", "dw: 0, theta: 64", "model.syntax", 17, 42, "dw"),
+        ("dv: 0, theta: 64", "dw: 0, theta: 64", "model.syntax", 17, 40, "dw"),
         ("dv: 0, theta: 64", "dv: 4097, theta: 64", "model.range", 17, 44, "4097"),
         ("dv: 0, theta: 64", "dv: 0", "model.parameter-missing", 17, 9, "has no theta"),
         ("[100, 200, 90000]", "[100, 200]", "model.parameter-size", 16, 49, "2 entries for 3"),
-        ("payload: 3", "message_bits: 3", "model.syntax", 17, 69, "message_bits"),
+        ("payload: 3", "message_bits: 3", "model.syntax", 17, 58, "message_bits"),
     ] {
         let text = MODEL.replacen(from, to, 1);
         assert_ne!(text, MODEL, "{from}");

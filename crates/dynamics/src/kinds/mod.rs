@@ -9,6 +9,7 @@
 //! its arithmetic again in `nsim_golden`.
 
 mod adaptive;
+mod block;
 mod graded;
 mod lif;
 mod microcode;
@@ -16,62 +17,13 @@ mod neuron;
 mod resonator;
 mod sigma_delta;
 
+pub use block::{Block, Effects, MOST_LANES, Updater};
 pub use neuron::{Arrived, CHUNK, Columns, Emission, Left, Neuron};
 
-use std::fmt::Debug;
 use std::marker::PhantomData;
 
 use neuron::choice;
 use nsim_ir::neurons::{NeuronKind, Row};
-
-/// Compartments that are updated together.
-pub const MOST_LANES: usize = 64;
-/// Compartments of one kind, at most [`MOST_LANES`], in chunks; lanes behind the last compartment
-/// are padding.
-#[derive(Debug)]
-pub struct Block<'a> {
-    /// Words of state: of each chunk, column after column.
-    pub columns: &'a mut [[i32; CHUNK]],
-    /// The sums of each port, by chunk.
-    pub arrived: [&'a [[i32; CHUNK]]; 2],
-    /// What is sent, by chunk.
-    pub sent: &'a mut [[i32; CHUNK]],
-    /// The step.
-    pub step: u32,
-    /// The vectors of the processor.
-    pub vectors: pulp::Arch,
-}
-
-/// What the update of a block did, a bit a lane.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Effects {
-    /// It sent a message.
-    pub emitted: u64,
-    /// It was not idle, or something arrived.
-    pub active: u64,
-    /// A word left its bits and wrapped.
-    pub wrapped: u64,
-    /// A word left its bits and was clipped.
-    pub clipped: u64,
-    /// It is not idle afterwards.
-    pub busy: u64,
-}
-
-/// The update of a block.
-pub trait Updater: Debug + Send + Sync {
-    /// One step of all compartments.
-    fn update(&self, block: &mut Block<'_>) -> Effects;
-    /// Writes the first state of all compartments, as [`Block::columns`] has it.
-    fn clear(&self, columns: &mut [[i32; CHUNK]]);
-    /// Whether some compartment is not idle in its first state.
-    fn wakes(&self) -> bool;
-    /// Compartments.
-    fn lanes(&self) -> usize;
-    /// Words of state of a compartment.
-    fn words(&self) -> usize;
-    /// Whether its messages carry what it computes.
-    fn computes(&self) -> bool;
-}
 
 /// The update of a block, compartment by compartment, in chunks that compilers turn into vectors.
 #[derive(Debug)]

@@ -6,6 +6,7 @@
 //! [`nsim_ir::locate`] finds them where a message needs one. Whether the values make sense is for
 //! [`crate::lower`].
 
+mod kinds;
 mod read;
 mod resolve;
 mod write;
@@ -15,6 +16,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use self::kinds::with_kinds;
 use super::synapses::SynapseArrays;
 use nsim_ir::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
@@ -422,7 +424,7 @@ impl NetworkFile {
                 return Err(Diagnostic::new("model.kind", message).at(source, span).help("choose another name"));
             }
         }
-        read::with_kinds(&kinds, || parse(source, "model.syntax"))
+        with_kinds(&kinds, || parse(source, "model.syntax"))
     }
 
     /// A population by name.

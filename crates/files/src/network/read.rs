@@ -1,12 +1,12 @@
 //! Populations and projections of a model file, read by serde.
 
-use std::cell::RefCell;
 use std::fmt;
 use std::sync::{LazyLock, Mutex, PoisonError};
 
 use serde::de::{DeserializeSeed, EnumAccess, Error, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
+use super::kinds::stated_here;
 use super::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, Source, Weights};
 use crate::numbers;
 use crate::synapses::SynapseArrays;
@@ -60,22 +60,9 @@ static POPULATIONS: LazyLock<Vec<&'static str>> = LazyLock::new(|| FIELDS.iter()
 /// The fields of populations of stated kinds, each for as long as its kind.
 static STATED: Mutex<Vec<(MicrocodeKind, &'static [&'static str])>> = Mutex::new(Vec::new());
 
-thread_local! {
-    /// The kinds that the text states which this thread is reading.
-    static KINDS: RefCell<Vec<MicrocodeKind>> = const { RefCell::new(Vec::new()) };
-}
-
-/// Reads populations that may be of these kinds besides those that have a name of their own.
-pub(super) fn with_kinds<T>(kinds: &[MicrocodeKind], read: impl FnOnce() -> T) -> T {
-    let before = KINDS.replace(kinds.to_vec());
-    let found = read();
-    KINDS.set(before);
-    found
-}
-
 /// A stated kind by its name, and the fields of its populations.
 fn stated(name: &str) -> Option<(MicrocodeKind, &'static [&'static str])> {
-    let kind = KINDS.with_borrow(|kinds| kinds.iter().copied().find(|kind| kind.name() == name))?;
+    let kind = stated_here().into_iter().find(|kind| kind.name() == name)?;
     let mut known = STATED.lock().unwrap_or_else(PoisonError::into_inner);
     let found = known.iter().find(|(known, _)| *known == kind).copied();
     Some(found.unwrap_or_else(|| {
@@ -86,7 +73,7 @@ fn stated(name: &str) -> Option<(MicrocodeKind, &'static [&'static str])> {
 
 /// What to say of a population of no kind.
 fn unknown<E: Error>(name: &str) -> E {
-    let stated: Vec<&str> = KINDS.with_borrow(|kinds| kinds.iter().map(|kind| kind.name()).collect());
+    let stated: Vec<&str> = stated_here().iter().map(|kind| kind.name()).collect();
     if stated.is_empty() {
         return E::unknown_variant(name, &POPULATIONS);
     }

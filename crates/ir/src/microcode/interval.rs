@@ -4,58 +4,10 @@
 //! 64 bits; or why there is none. Every value of the result lies in it; not every value in it
 //! occurs, since each operand is taken by itself.
 
-use super::Operation;
-
-/// All integers from the least to the greatest.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Interval {
-    /// The least.
-    pub low: i64,
-    /// The greatest.
-    pub high: i64,
-}
+use super::tree::{Interval, Operation, bits};
 
 /// The greatest amount of a shift.
 const MOST_SHIFT: i64 = 62;
-
-impl Interval {
-    /// The values of this many bits in two's complement, 1 to 64.
-    #[must_use]
-    pub fn of_bits(bits: u32) -> Interval {
-        Interval { low: i64::MIN >> (64 - bits), high: i64::MAX >> (64 - bits) }
-    }
-
-    /// The same without the least.
-    #[must_use]
-    pub fn symmetric(bits: u32) -> Interval {
-        let high = Interval::of_bits(bits).high;
-        Interval { low: -high, high }
-    }
-
-    /// One value.
-    #[must_use]
-    pub fn one(value: i64) -> Interval {
-        Interval { low: value, high: value }
-    }
-
-    /// Whether all of another interval is in this one.
-    #[must_use]
-    pub fn holds(self, other: Interval) -> bool {
-        self.low <= other.low && other.high <= self.high
-    }
-
-    /// Bits that each value fits, the sign included.
-    #[must_use]
-    pub fn bits(self) -> u32 {
-        bits(self.low.into(), self.high.into())
-    }
-}
-
-/// Bits that both fit in two's complement.
-fn bits(low: i128, high: i128) -> u32 {
-    let of = |x: i128| 129 - (if x < 0 { !x } else { x }).leading_zeros();
-    of(low).max(of(high))
-}
 
 /// The interval of a result.
 ///

@@ -1,8 +1,8 @@
 //! The rule of a neuron that a model file states: expressions of integers over words of state.
 //!
 //! Input: a [`Declaration`], as `docs/formats.md` describes it. Output: [`Microcode`], a checked
-//! tree; or a [`Problem`] with its place. The grammar is in `text`, the intervals of results are in
-//! `interval`.
+//! tree; or a [`Problem`] with its place. The parts of a tree are in `tree`,
+//! the grammar in `text`, the intervals of results in `interval`.
 //!
 //! Invariants of a checked tree:
 //!
@@ -16,17 +16,17 @@
 
 mod interval;
 mod text;
+mod tree;
 
 use serde::{Deserialize, Serialize};
 
-pub use interval::Interval;
+pub use tree::{Assignment, Expression, Interval, Node, Operation, Problem, Variable};
 
 use text::{Parser, Scope};
+use tree::{MOST_TEMPORARIES, is_name};
 
 /// The most words of state of a neuron.
 pub const MOST_WORDS: usize = 8;
-/// The most temporaries, declared or not.
-const MOST_TEMPORARIES: usize = 64;
 /// The most assignments of an update, or of a reset.
 const MOST_ASSIGNMENTS: usize = 128;
 
@@ -102,120 +102,6 @@ pub struct Declaration {
     /// Assignments after it sent, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub reset: Vec<String>,
-}
-
-/// What is wrong with a declaration, and where.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{message}")]
-pub struct Problem {
-    /// The path of a value in the declaration, such as `update.[2]`.
-    pub path: String,
-    /// The byte of that text.
-    pub at: usize,
-    /// What is wrong there, and what to do.
-    pub message: String,
-}
-
-impl Problem {
-    fn new(path: impl Into<String>, message: impl Into<String>) -> Problem {
-        Problem { path: path.into(), at: 0, message: message.into() }
-    }
-}
-
-/// What a name stands for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Variable {
-    /// The sum of arrivals at a port: 0 or 1.
-    Arrived(usize),
-    /// A parameter, by its place.
-    Parameter(usize),
-    /// A word of state, by its place.
-    State(usize),
-    /// A temporary, by its place.
-    Temporary(usize),
-}
-
-/// An operation on integers. Comparisons and logical operations give 1 or 0; what is not 0 is true.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Operation {
-    /// `a + b`.
-    Add,
-    /// `a - b`.
-    Subtract,
-    /// `a * b`.
-    Multiply,
-    /// `a * 2^b`.
-    ShiftLeft,
-    /// `a / 2^b`, rounded down.
-    ShiftRight,
-    /// `a / 2^b`, rounded toward zero.
-    TowardZero,
-    /// `a < b`.
-    Less,
-    /// `a <= b`.
-    LessOrEqual,
-    /// `a == b`.
-    Equal,
-    /// `a != b`.
-    NotEqual,
-    /// The lesser one.
-    Minimum,
-    /// The greater one.
-    Maximum,
-    /// Both are true.
-    And,
-    /// One is true.
-    Or,
-    /// `a` is not true.
-    Not,
-    /// The magnitude.
-    Absolute,
-    /// `b` where `a` is true, else `c`.
-    Select,
-    /// The nearest value of `-(2^(bits - 1) - 1)..=2^(bits - 1) - 1`, not reported.
-    Clip(u32),
-    /// The low bits in two's complement, not reported.
-    Wrap(u32),
-}
-
-/// A tree, or a part of one.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Expression {
-    /// What it is.
-    pub node: Node,
-    /// The values that it can have.
-    pub interval: Interval,
-}
-
-/// What an expression is.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Node {
-    /// A number.
-    Constant(i64),
-    /// What a name stands for.
-    Read(Variable),
-    /// An operation on as many expressions as it takes.
-    Apply(Operation, Vec<Expression>),
-}
-
-impl Expression {
-    /// Operations of the tree.
-    #[must_use]
-    pub fn operations(&self) -> u32 {
-        match &self.node {
-            Node::Apply(_, of) => 1 + of.iter().map(Expression::operations).sum::<u32>(),
-            _ => 0,
-        }
-    }
-}
-
-/// An assignment.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Assignment {
-    /// What is written: a word of state or a temporary.
-    pub target: Variable,
-    /// Its new value, before it is narrowed to the target's width.
-    pub value: Expression,
 }
 
 /// A checked rule of a neuron.
@@ -371,12 +257,6 @@ impl Microcode {
 fn assignments(list: &str, texts: &[String], scope: &mut Scope) -> Result<Vec<Assignment>, Problem> {
     let parsed = |(place, text): (usize, &String)| Parser::new(&format!("{list}.[{place}]"), text, scope).assignment();
     texts.iter().enumerate().map(parsed).collect()
-}
-
-/// Whether a text is a letter or `_`, then letters, digits and `_`.
-fn is_name(text: &str) -> bool {
-    let part = |c: char| c.is_ascii_alphanumeric() || c == '_';
-    text.len() <= 64 && text.starts_with(|c: char| part(c) && !c.is_ascii_digit()) && text.chars().all(part)
 }
 
 #[cfg(test)]

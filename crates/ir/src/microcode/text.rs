@@ -11,8 +11,8 @@
 //! operand    := '-' operand | number | name | function '(' expression, .. ')' | '(' expression ')'
 //! ```
 
-use super::interval::{Interval, result};
-use super::{Assignment, Expression, MOST_TEMPORARIES, Node, Operation, Problem, Variable, is_name};
+use super::interval::result;
+use super::tree::{Assignment, Expression, Interval, MOST_TEMPORARIES, Node, Operation, Problem, Variable, is_name};
 use crate::base::names::did_you_mean;
 
 /// The longest text, in bytes.

@@ -18,11 +18,9 @@ use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use nsim_ir::neurons::{Emits, MicrocodeKind, NeuronKind, Row};
 
 use self::compile::Code;
-use self::run::Registers;
-use super::{Block, CHUNK, Effects, MOST_LANES, Updater};
-
-/// Chunks of a register.
-const CHUNKS: usize = MOST_LANES / CHUNK;
+use self::run::{CHUNKS, Registers};
+use super::block::{Block, Effects, MOST_LANES, Updater};
+use super::neuron::CHUNK;
 
 /// The update of neurons of one kind.
 #[derive(Debug)]

@@ -6,10 +6,12 @@
 
 use nsim_ir::microcode::{Operation, Overflow};
 
-use super::super::neuron::mask;
-use super::super::{CHUNK, Effects};
-use super::CHUNKS;
+use super::super::block::{Effects, MOST_LANES};
+use super::super::neuron::{CHUNK, mask};
 use super::compile::{Action, Code, FIXED, Instruction, NONE, Place, Section, WORDS};
+
+/// Chunks of a register.
+pub(super) const CHUNKS: usize = MOST_LANES / CHUNK;
 
 /// A value for each lane.
 type Register<T> = [[T; CHUNK]; CHUNKS];
