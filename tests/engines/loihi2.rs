@@ -338,7 +338,7 @@ fn by_parts(synapses: &[(usize, usize, i64)], delay: usize) -> Vec<String> {
 
 fn quantised(text: String) -> Result<Quantised, String> {
     let network = model::network(SourceText::new("connection.ron", text), Origin::File).unwrap();
-    front(&network).map(|front| front.into_quantised()).map_err(|problem| problem.to_string())
+    front(&network).map(nsim::compile::Front::into_quantised).map_err(|problem| problem.to_string())
 }
 
 /// Holds the sums that every engine takes to the recorded ones, which have this many bits; unit n

@@ -85,7 +85,7 @@ fn priced(
     context: Context,
 ) -> Result<Result<Priced, Vec<Refused>>, Error> {
     let job = JobArgs {
-        timestep: args.timestep.clone(),
+        timestep: args.timestep,
         target: Some(name.to_string()),
         copies: args.conversion.clone(),
         needs_scene: args.input.input.is_empty(),

@@ -244,7 +244,7 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
     match &first.kind {
         ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups } if into.len() == 1 => {
             let kernel = weights.tensor();
-            let weights = whole(first, kernel.reals().collect())?;
+            let weights = whole(first, kernel.reals())?;
             let layer = typed("conv", &population.shape).with("groups", int(*groups as i64));
             let layer = layer.with("weight", Numbers::f64(kernel.shape(), &weights));
             window(layer, [*stride, *padding, *dilation], *padding_after)
@@ -285,9 +285,9 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
 }
 
 /// Weights times their exponent.
-fn whole(projection: &ProjectionDesc, weights: Vec<f64>) -> Result<Vec<f64>> {
+fn whole(projection: &ProjectionDesc, weights: impl IntoIterator<Item = f64>) -> Result<Vec<f64>> {
     let unit = (projection.weight_exp.unwrap_or(0) as f64).exp2();
-    let scaled: Vec<f64> = weights.iter().map(|weight| weight * unit).collect();
+    let scaled: Vec<f64> = weights.into_iter().map(|weight| weight * unit).collect();
     match scaled.iter().all(|weight| weight.fract() == 0.0) {
         true => Ok(scaled),
         false => Err(unsupported(format!("the weights into '{}' are not whole, times 2^weight_exp", projection.to))),
