@@ -512,7 +512,7 @@ impl Declared<'_> {
             );
             return Err(self.error("model.weights-shape", message, "weights").help(
                 "weights are [target][source], kernels [out channel][in channel / groups][height][width]; a \
-                     layer of another size is trained: nsim train NAME --set layers.LAYER.size=N",
+                     layer of another size is trained anew, with nsim train",
             ));
         }
         Ok(tensor)

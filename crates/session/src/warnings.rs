@@ -361,13 +361,13 @@ pub fn widen(network: &Quantised, id: PopulationId) -> String {
     if narrow { "raise vmax_exp".to_string() } else { HALVE.to_string() }
 }
 
-/// Projections into a population whose weights are others than the file's: integers that were
-/// rounded, or real numbers all of which were rounded coarsely.
+/// Projections into a population all of whose weights were rounded.
 fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
     // Real numbers are hardly ever multiples of a step: what counts is how coarse the steps are.
     let whole = |note: &&Note| {
-        note.rounded
-            .is_some_and(|rounded| !rounded.real || rounded.changed == rounded.weights && rounded.worst_share > COARSE)
+        note.rounded.is_some_and(|rounded| {
+            rounded.changed == rounded.weights && (!rounded.real || rounded.worst_share > COARSE)
+        })
     };
     let leads_here = |note: &&Note| network.incoming(id).any(|(_, projection)| projection.name == note.entity);
     let notes: Vec<&Note> = network.parts().notes.iter().filter(whole).filter(leads_here).collect();
@@ -380,8 +380,7 @@ fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
         false => "double them and lower weight_exp by 1, which keeps odd weights",
     };
     Some(format!(
-        "{} of {} were rounded, in {} by up to {:.2} % of the greatest: {change}",
-        all.clone().map(|rounded| rounded.changed).sum::<u64>(),
+        "all {} were rounded, in {} by up to {:.2} % of the greatest: {change}",
         counted(all.map(|rounded| rounded.weights).sum(), "weight"),
         worst.0.entity,
         100.0 * worst.1.worst_share,

@@ -167,7 +167,10 @@ fn line(widths: &[usize; 7], name: &str, cells: &[String; 6], source: &str) -> S
     let mut out = format!("{name:<width$}", width = widths[0]);
     // A name that is too long takes room from the first column.
     let mut over = out.chars().count().saturating_sub(widths[0]);
-    for (cell, width) in cells.iter().zip(&widths[1..]) {
+    for (at, (cell, width)) in cells.iter().zip(&widths[1..]).enumerate() {
+        if at == 5 && cell.chars().count() >= *width {
+            out.push(' ');
+        }
         let width = width.saturating_sub(over).max(cell.chars().count().min(*width));
         over = 0;
         let _ = write!(out, "{cell:>width$}");
@@ -396,7 +399,8 @@ impl EnergyReport {
         out.push('\n');
         let lines = self.lines(every_interval);
         let mut widths = WIDTHS;
-        for (width, column) in widths[1..].iter_mut().zip(0..) {
+        // The last one of an interval has the room of the source.
+        for (width, column) in widths[1..6].iter_mut().zip(0..) {
             let longest = lines.iter().map(|(_, cells, _)| cells[column].chars().count()).max();
             *width = longest.map_or(*width, |longest| (*width).max(longest + 1));
         }

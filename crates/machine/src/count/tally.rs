@@ -9,7 +9,7 @@
 //! How many synapses of a list are dense is known beforehand. Only near a sample's end, where
 //! deliveries fall after it, are synapses counted one by one.
 //!
-//! A run is counted once, core by core ([`Tally::sum`]): first each message writes its source to
+//! A run is counted once, core by core (`Tally::sum`): first each message writes its source to
 //! the input axon that it reaches, then each core reads its lists in order. Following each message
 //! to its list would miss the cache two or three times a message.
 

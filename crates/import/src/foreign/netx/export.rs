@@ -3,7 +3,7 @@
 //! Input: a model of one input whose populations follow each other, as the layers of netx do.
 //! Output: the tree of a `.net` file, and what other tools will not see of the model. Weights are
 //! mantissas times `2^weight_exp`. As in NIR, what netx has no word for stands in a group of nsim's
-//! own, as the text of the model and its arrays; [`restore`] takes the model from there, provided
+//! own, as the text of the model and its arrays; `restore` takes the model from there, provided
 //! that exporting it again gives the layers that it was found with.
 //!
 //! Errors: `export.unsupported` for what has no form in netx.
