@@ -74,7 +74,7 @@ struct Bounds {
 
 impl Bounds {
     /// Of these sources, by population; `None` where one is no volume.
-    fn of(network: &Quantised, sources: &[u32]) -> Option<Vec<Self>> {
+    fn around(network: &Quantised, sources: &[u32]) -> Option<Vec<Self>> {
         let mut found: Vec<(Range<u32>, (u32, u32), Bounds)> = Vec::new();
         for &source in sources {
             let at = match found.iter().position(|(range, ..)| range.contains(&source)) {
@@ -198,7 +198,8 @@ pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<Co
     for image in program.cores().iter().filter(|image| image.axons_out.cores().iter().any(|&core| is_first(core))) {
         image.ids.iter().zip(image.axons_out.iter()).for_each(|(id, messages)| note(channels + id.0, messages));
     }
-    let bounds = sources.as_slice().par_iter().map(|sources| Bounds::of(network, sources)).collect::<Vec<_>>().into();
+    let bounds =
+        sources.as_slice().par_iter().map(|sources| Bounds::around(network, sources)).collect::<Vec<_>>().into();
     let shifts = Shifts { network, program, sizes: Sizes::new(network, copies), bounds };
     let all: Vec<CoreId> = program.cores().ids().collect();
     let of = |&core: &CoreId| match is_first(core) {

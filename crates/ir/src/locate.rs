@@ -344,8 +344,8 @@ Network(name: "a, (b", /* name: "x" /* ] */ */ timestep_ms: 1.0,
     #[test]
     fn what_is_not_there_is_named() {
         let error = |path| replaced(MODEL, path, "1").unwrap_err();
-        assert_eq!(error("populations.out.du"), "populations has no out");
-        assert_eq!(error("populations.7.du"), "populations has no 7");
+        assert_eq!(error("populations.out.du"), "populations has no out; it has in, hidden");
+        assert_eq!(error("populations.7.du"), "populations has no 7; it has in, hidden");
         assert_eq!(error("nothing.du"), "the file has no nothing");
         assert_eq!(error("timestep_ms.du"), "timestep_ms has no du");
         assert_eq!(replaced("", "a", "1").unwrap_err(), "the file has no a");

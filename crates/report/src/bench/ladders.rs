@@ -65,7 +65,7 @@ mod tests {
             (&json["name"], &json["seed"], &json["rows"][1]["cliff"]),
             (&json!("sweep"), &json!(7), &json!(true))
         );
-        assert_eq!(csv_of(&json).lines().nth(2), Some("delays,8,delays,1000,6.25,4.0,true"));
+        assert_eq!(csv_of(&json).lines().nth(2), Some("delays,8,delays,1000,6.25,4,true"));
         let text = text(7, &here, &rows);
         assert!(
             text.contains("6.25") && text.contains("Seed 7: 1 cliffs") && text.matches("cliff\n").count() == 1,
