@@ -348,8 +348,10 @@ impl EnergyReport {
             lines.push((row_name(row, self.hardware()), self.cells(row), source));
             if own
                 && (every_interval || !is_part)
-                && let Some(interval) = self.interval(row)
+                && let Some(mut interval) = self.interval(row)
             {
+                // Time and energy are of the whole.
+                interval[3..].iter_mut().filter(|_| is_part).for_each(String::clear);
                 let name = if self.level.is_some() { "  80 % interval" } else { "  model's bounds" };
                 lines.push((name.to_string(), interval, String::new()));
             }
@@ -399,11 +401,21 @@ impl EnergyReport {
         out.push('\n');
         let lines = self.lines(every_interval);
         let mut widths = WIDTHS;
-        // The last one of an interval has the room of the source.
-        for (width, column) in widths[1..6].iter_mut().zip(0..) {
+        let needs = |column: usize| {
             let longest = lines.iter().map(|(_, cells, _)| cells[column].chars().count()).max();
-            *width = longest.map_or(*width, |longest| (*width).max(longest + 1));
+            longest.unwrap_or_default().max(self.headings()[column].len()) + 1
+        };
+        // The last one of an interval has the room of the source.
+        (0..5).for_each(|column| widths[column + 1] = WIDTHS[column + 1].max(needs(column)));
+        // What is more than the columns of a terminal is taken where there is room.
+        let mut over = widths.iter().sum::<usize>().saturating_sub(WIDTHS.iter().sum());
+        for column in (0..5).rev() {
+            let room = widths[column + 1].saturating_sub(needs(column)).min(over);
+            widths[column + 1] -= room;
+            over -= room;
         }
+        // A name that is then too long takes it from the first column.
+        widths[0] -= over.min(2);
         out += &line(&widths, "", &groups, "");
         out += &line(&widths, "", &self.headings(), "");
         for (name, cells, source) in lines {
