@@ -102,7 +102,7 @@ impl Bounds {
         Some(found.into_iter().map(|(.., bounds)| bounds).collect())
     }
 
-    /// Whether so many rows and columns further on they are in the volume still.
+    /// Whether they are still in the volume, this number of rows and columns further on.
     fn hold(&self, down: i64, right: i64, (_, height, width): (u32, u32, u32)) -> bool {
         let inside = |(low, high): (i64, i64), by: i64, size: u32| low + by >= 0 && high + by < i64::from(size);
         inside(self.rows, down, height) && inside(self.columns, right, width)

@@ -197,7 +197,7 @@ pub struct ByStatus {
 }
 
 impl ByStatus {
-    /// Of these constants, on so many chips: what is between chips counts where there are several.
+    /// Of these constants, on a number of chips: links between chips count where there are several.
     ///
     /// # Errors
     /// As [`CostTable::new`].

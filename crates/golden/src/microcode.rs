@@ -19,7 +19,7 @@ fn power(bits: i128) -> i128 {
     2i128.pow(bits as u32)
 }
 
-/// Two's complement of so many bits.
+/// Two's complement of this number of bits.
 fn wrapped(x: i128, bits: u32) -> i128 {
     let half = power(i128::from(bits) - 1);
     (x + half).rem_euclid(2 * half) - half

@@ -488,7 +488,7 @@ impl EnergyReport {
         Some(format!("{free} {} us, {share} % of it for {what}.", three(all)))
     }
 
-    /// What injecting takes: so many input spikes of a step at the constants' time of one.
+    /// What injecting takes: the input spikes of a step at the constants' time of one.
     fn injecting(&self, injection_us: f64) -> String {
         let of_one = self.constants.iter().find(|entry| entry.name == "injection_time").map(|entry| entry.value);
         match of_one {
