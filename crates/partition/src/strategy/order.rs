@@ -247,15 +247,28 @@ impl<'a> Filler<'a> {
     /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that
     /// fits no core.
     pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Found, CompileError> {
+        let whole = || self.settled(order, chips, true, self.first_filling(order, true)?);
         if !self.may_keep_whole(order) {
-            return self.settled(order, chips, true);
+            return whole();
         }
-        let (whole, full) = rayon::join(|| self.settled(order, chips, true), || self.settled(order, chips, false));
+        let (whole, full) = rayon::join(whole, || self.first_filling(order, false));
         let whole = whole?;
-        match full {
-            Ok(full) if full.members.len() < whole.members.len() => Ok(full),
+        // Settling takes more cores, if any.
+        let full = full.ok().filter(|(_, full)| full.members.len() < whole.members.len());
+        match full.map(|full| self.settled(order, chips, false, full)) {
+            Some(Ok(full)) if full.members.len() < whole.members.len() => Ok(full),
             _ => Ok(whole),
         }
+    }
+
+    /// Fills once, with what large networks are expected to send.
+    fn first_filling(&self, order: &[Segment], keep_whole: bool) -> Result<(Estimate, Filled), CompileError> {
+        let estimate = match parts(order).is_some() {
+            true => Estimate::expected(self.network, self.target),
+            false => Estimate::nothing(self.network),
+        };
+        let filled = self.fill(order, &estimate, keep_whole)?;
+        Ok((estimate, filled))
     }
 
     /// Whether keeping segments whole could fill cores otherwise than not: a segment that is no
@@ -297,18 +310,17 @@ impl<'a> Filler<'a> {
         members.as_slice().par_iter().map_init(filling, of_core).collect::<Vec<_>>().into()
     }
 
-    /// Fills until output axons fit too.
-    ///
-    /// # Errors
-    /// As [`Filler::fewest_cores`].
-    pub fn settled(&self, order: &[Segment], chips: Chips, keep_whole: bool) -> Result<Found, CompileError> {
+    /// Fills again until output axons fit too.
+    fn settled(
+        &self,
+        order: &[Segment],
+        chips: Chips,
+        keep_whole: bool,
+        (mut estimate, mut filled): (Estimate, Filled),
+    ) -> Result<Found, CompileError> {
         let limits = self.target.limits();
-        let mut estimate = match parts(order).is_some() {
-            true => Estimate::expected(self.network, self.target),
-            false => Estimate::nothing(self.network),
-        };
         for round in 0.. {
-            let Filled { members, usage } = self.fill(order, &estimate, keep_whole)?;
+            let Filled { members, usage } = filled;
             let members: Members = members.into();
             let fan_out = self.fan_out(&members, chips);
             let mut misfits = Misfits::default();
@@ -337,6 +349,7 @@ impl<'a> Filler<'a> {
             }
             self.raise(&mut estimate.slots, &fan_out, round);
             estimate.together = fan_out.together;
+            filled = self.fill(order, &estimate, keep_whole)?;
         }
         unreachable!("the last round gives reasons or members")
     }
