@@ -18,7 +18,7 @@ use crate::emit::classes::Classes;
 use crate::emit::route::{Shift, Tables, assemble, parameters};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, ProjectionId};
+use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::dealt::Dealt;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
@@ -147,50 +147,55 @@ fn tables_of(
         let range = held.iter().min()..=held.iter().max();
         let mut keys = Vec::new();
         let mut longest = Delay::MIN;
-        for (projection, index) in sources_of(network, &fan_in, held) {
-            let of = &network.projections()[projection];
-            let Some(first) = network.populations()[of.target].first_compartment() else { continue };
-            let source = first_source(network, &network.populations()[of.source]) + index;
-            let format = tables.formats.by_projection()[projection.index()];
-            of.connectivity.for_each_from(index, |target, weight| {
-                let target = CompartmentId(first.0 + target);
-                if !range.contains(&Some(&target)) {
-                    return;
-                }
-                let seat = partition.seats()[target];
-                if seat.core == core {
-                    longest = longest.max(of.delay);
-                    keys.push(Key::new(source, format, seat.slot, of.delay.get(), weight));
-                }
-            });
+        for (population, source, index) in sources_of(network, &fan_in, held) {
+            let begin = keys.len();
+            for (projection, of, first) in network.targets_of(population) {
+                let format = tables.formats.by_projection()[projection.index()];
+                of.connectivity.for_each_from(index, |target, weight| {
+                    let target = CompartmentId(first.0 + target);
+                    if !range.contains(&Some(&target)) {
+                        return;
+                    }
+                    let seat = partition.seats()[target];
+                    if seat.core == core {
+                        longest = longest.max(of.delay);
+                        keys.push(Key::new(source, format, seat.slot, of.delay.get(), weight));
+                    }
+                });
+            }
+            keys[begin..].sort_unstable();
         }
-        keys.sort_unstable();
         tables.class(core, &keys, longest)
     };
     cores.par_iter().map(one).collect()
 }
 
-/// The sources of compartments, each by a projection and its index in its population.
-fn sources_of(network: &Quantised, fan_in: &FanIn, held: &[CompartmentId]) -> Vec<(ProjectionId, u32)> {
-    let mut sources = Vec::new();
+/// The sources of compartments in ascending order: population, number, and index in the population.
+fn sources_of(network: &Quantised, fan_in: &FanIn, held: &[CompartmentId]) -> Vec<(PopulationId, u32, u32)> {
+    let mut found = vec![0u64; (network.channels() + network.compartments()).div_ceil(64) as usize];
     for &id in held {
         let (population, index) = network.population_of(id);
         fan_in.for_each_into(population, index, |source, projection, _, bundle| {
-            let of = &network.projections()[projection];
-            let positions = match &of.connectivity {
+            let positions = match &network.projections()[projection].connectivity {
                 Connectivity::Conv2d { window, .. } => window.source.1 * window.source.2,
                 _ => 0,
             };
-            let first = source - first_source(network, &network.populations()[of.source]);
-            sources.extend((0..bundle).map(|k| (projection, first + k * positions)));
+            for source in (0..bundle).map(|k| source + k * positions) {
+                found[source as usize / 64] |= 1 << (source % 64);
+            }
         });
-        // Neighbours share most of their sources.
-        if sources.len() > 1 << 20 {
-            sources.sort_unstable();
-            sources.dedup();
+    }
+    let mut firsts: Vec<(u32, PopulationId)> =
+        network.populations().enumerate().map(|(id, population)| (first_source(network, population), id)).collect();
+    firsts.sort_unstable();
+    let mut sources = Vec::new();
+    for (word, mut bits) in (0..).zip(found).filter(|(_, bits)| *bits != 0) {
+        while bits != 0 {
+            let source = 64 * word + bits.trailing_zeros();
+            let (first, population) = firsts[firsts.partition_point(|(first, _)| *first <= source) - 1];
+            sources.push((population, source, source - first));
+            bits &= bits - 1;
         }
     }
-    sources.sort_unstable();
-    sources.dedup();
     sources
 }
