@@ -3,8 +3,7 @@
 //! Input: a program and one of its cores. Output: its slots in the order of lanes. Compartments of
 //! a population over space are ordered by position, the channels of a position side by side,
 //! whatever the order of their slots: a row of a kernel then reaches lanes that follow each other.
-//! Where most sources reach one channel only, as in a depthwise convolution, they are ordered by
-//! channel instead, for the same reason. All others keep the order of slots.
+//! All others keep the order of slots.
 
 use nsim_ir::base::id::{CompartmentId, CoreId};
 use nsim_ir::program::{Compartments, Program};
@@ -18,41 +17,14 @@ pub(crate) struct LaneOrder<'p> {
     program: &'p Program,
     /// Ascending.
     populations: Vec<Compartments>,
-    /// Whether each is ordered by channel.
-    by_channel: Vec<bool>,
 }
-
-/// Input axons of a class that are looked at, about.
-const LOOKED_AT: usize = 256;
 
 impl<'p> LaneOrder<'p> {
     /// For the cores of a program.
     pub fn new(program: &'p Program) -> Self {
         let mut populations: Vec<Compartments> = program.parts().populations.iter().flatten().copied().collect();
         populations.sort_unstable_by_key(|population| population.first);
-        let by_channel = vec![false; populations.len()];
-        let mut order = LaneOrder { program, populations, by_channel };
-        order.find_depthwise();
-        order
-    }
-
-    /// Notes the populations most of whose lists of several synapses reach one channel each.
-    fn find_depthwise(&mut self) {
-        // More of one channel than of several, summed over lists.
-        let mut more = vec![0i64; self.populations.len()];
-        for (class, &core) in self.program.classes().iter().zip(&self.program.first_cores()) {
-            let (inputs, ids) = (&class.inputs, &self.program.cores()[core].ids);
-            for axon in (0..inputs.len()).step_by(inputs.len() / LOOKED_AT + 1) {
-                let mut ids = inputs.get(axon).synapses().map(|synapse| ids[usize::from(synapse.slot)]);
-                let (Some(first), Some(second)) = (ids.next(), ids.next()) else { continue };
-                let Some(place) = self.population(first).checked_sub(1) else { continue };
-                let Compartments { first: begin, positions, .. } = self.populations[place];
-                let channel = |id: CompartmentId| (id.0 - begin.0) / positions;
-                let is_same = |id: CompartmentId| id >= begin && channel(id) == channel(first);
-                more[place] += if is_same(second) && ids.all(is_same) { 1 } else { -1 };
-            }
-        }
-        self.by_channel = more.into_iter().map(|more| more > 0).collect();
+        LaneOrder { program, populations }
     }
 
     /// The place of a compartment's population in the order of compartments.
@@ -69,7 +41,6 @@ impl<'p> LaneOrder<'p> {
             let Some(place) = population(&same[0]).checked_sub(1) else { continue };
             let Compartments { first, positions, count } = self.populations[place];
             if positions > 1 && positions < count {
-                let positions = if self.by_channel[place] { count } else { positions };
                 same.sort_by_key(|&slot| {
                     let index = ids[usize::from(slot)].0 - first.0;
                     (index % positions, index / positions)
