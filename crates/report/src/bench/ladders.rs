@@ -16,7 +16,7 @@ pub fn json(seed: u64, environment: &Environment, rows: &[Row]) -> Value {
             "class": row.class,
             "synaptic_events": row.events,
             "ns_an_event": rounded(row.ns_an_event),
-            "goal_ns": row.goal,
+            "goal_ns": rounded(row.goal),
             "cliff": row.is_cliff,
         })
     };
@@ -36,11 +36,13 @@ pub fn text(seed: u64, environment: &Environment, rows: &[Row]) -> String {
         ("at", |row| row.at.clone()),
         ("class", |row| row.class.to_string()),
         ("ns an event", |row| three(row.ns_an_event)),
-        ("goal", |row| row.goal.to_string()),
+        ("goal", |row| three(row.goal)),
         ("", |row| if row.is_cliff { "cliff" } else { "" }.to_string()),
     ];
     let cliffs = rows.iter().filter(|row| row.is_cliff).count();
-    let said = format!("Seed {seed}: {cliffs} cliffs, rungs that take more than {CLIFF} times as long as a neighbour.");
+    let said = format!(
+        "Seed {seed}: {cliffs} cliffs, rungs that take more than {CLIFF} times as long as a neighbour does for its goal."
+    );
     format!("{}\n{}\n{}", wrapped(&environment.to_string()), table_of(rows, &columns), wrapped(&said))
 }
 
