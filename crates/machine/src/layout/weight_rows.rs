@@ -34,7 +34,7 @@ const SHORTEST: usize = 2;
 const USES: usize = 3;
 /// Synapses of a program from which on rows that only other cores use too are shared: the weights
 /// of fewer fit a cache, where dense blocks are faster.
-const MANY: u64 = 1 << 26;
+const MANY: u64 = 1 << 22;
 
 /// A row: its first chunk in the high bits, its number of chunks in the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -170,10 +170,24 @@ impl ProgramRows {
             })
             .collect();
         let synapses: u64 = firsts.par_iter().map(|(class, _, cores)| class.inputs.count() * *cores as u64).sum();
-        let found: Vec<Option<CoreRows>> = firsts
-            .par_iter()
-            .map(|&(class, ranks, cores)| CoreRows::of_class(class, ranks, if synapses < MANY { 1 } else { cores }))
-            .collect();
+        let mut found: Vec<Option<CoreRows>> =
+            firsts.par_iter().map(|&(class, ranks, _)| CoreRows::of_class(class, ranks)).collect();
+        // How often the cores of all classes together use each row.
+        let mut uses: HashMap<Content, usize> = HashMap::new();
+        if synapses >= MANY {
+            for (found, &(_, _, cores)) in found.iter().zip(&firsts) {
+                let Some(CoreRows { contents, axons }) = found else { continue };
+                for (_, _, number) in axons.items() {
+                    match uses.get_mut(&contents[*number as usize]) {
+                        Some(uses) => *uses += cores,
+                        None => drop(uses.insert(contents[*number as usize].clone(), cores)),
+                    }
+                }
+            }
+        }
+        for found in &mut found {
+            found.take_if(|found| !found.is_shared(&uses));
+        }
         let mut numbers: HashMap<&Content, usize> = HashMap::new();
         let mut contents = Vec::new();
         for content in found.iter().flatten().flat_map(|found| &found.contents) {
@@ -231,8 +245,8 @@ struct CoreRows {
 }
 
 impl CoreRows {
-    /// The rows of a core's input axons, if they are shared enough when this many cores share them.
-    fn of_class(class: &CoreClass, ranks: &[u16], cores: usize) -> Option<Self> {
+    /// The rows of a core's input axons, if it has any.
+    fn of_class(class: &CoreClass, ranks: &[u16]) -> Option<Self> {
         let stored: &Stored = &class.inputs;
         let (mut contents, mut numbers) = (Vec::new(), HashMap::new());
         let mut axons = Csr::with_capacity(stored.len(), 0);
@@ -249,8 +263,13 @@ impl CoreRows {
             }
             axons.end();
         }
-        (!contents.is_empty() && cores * axons.items().len() >= USES * contents.len())
-            .then_some(CoreRows { contents, axons })
+        (!contents.is_empty()).then_some(CoreRows { contents, axons })
+    }
+
+    /// Whether the rows are used often enough: by the core's own axons, or by this many of all cores.
+    fn is_shared(&self, uses: &HashMap<Content, usize>) -> bool {
+        let by_all: usize = self.contents.iter().filter_map(|content| uses.get(content)).sum();
+        self.axons.items().len().max(by_all) >= USES * self.contents.len()
     }
 }
 
