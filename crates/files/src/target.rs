@@ -420,6 +420,11 @@ pub(crate) mod tests {
         assert_eq!(wide.limits(), &plain.limits().clone().with(Resource::AxonsOut, 8192));
         assert_eq!(wide.constants().len(), plain.constants().len());
         assert!(wide.chip().limit_sources.iter().all(|entry| entry.limit.value != "axons_out"));
+        let stated = "Target(base: \"wide\", limits: (axons_out: 9000), limit_sources: [(limit: \"axons_out\", source: \"my layout\", \
+                      status: assumed), (limit: \"axons_in\", source: \"my layout\", status: assumed)])";
+        let stated = write("stated.ron", stated).unwrap();
+        let mine: Vec<_> = stated.chip().limit_sources.iter().filter(|entry| entry.source == "my layout").collect();
+        assert_eq!((mine.len(), stated.chip().limit_sources.len()), (2, wide.chip().limit_sources.len() + 1));
         let board = "Target(base: \"wide\", name: \"board\", chips_x: 3, constants: [\"davies2018\"])";
         let board = write("board.ron", board).unwrap();
         assert_eq!((board.name(), board.cores(), board.constants().len()), ("board", 768, 1));
