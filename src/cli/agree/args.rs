@@ -12,7 +12,7 @@ use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_agree::compare::LayerRow;
-use nsim_compile::Compiled;
+use nsim_compile::Mapping;
 use nsim_ir::spikes::Sample;
 use nsim_report::agree::AgreeReport;
 use nsim_report::charts::picture::FILE;
@@ -93,7 +93,7 @@ pub(super) fn answer(args: &Args, report: &AgreeReport<'_>) -> Answer {
 }
 
 /// What to warn of in the deployed network. What its rounding costs, the comparison says itself.
-pub(super) fn deployed_warnings(deployed: &Compiled, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
+pub(super) fn deployed_warnings(deployed: &Mapping, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
     let mut warnings = warnings_of(&deployed.quantised, &deployed.program, samples)?;
     warnings.retain(|warning| warning.code != "weights-rounded");
     Ok(warnings)

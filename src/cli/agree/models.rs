@@ -12,7 +12,7 @@ use crate::cli::args::jobs::Refusal;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_agree::compare::{Agreement, compare_models};
-use nsim_compile::{CompileError, Compiled, Form, Options, compile};
+use nsim_compile::{CompileError, Form, Mapping, Options, compile};
 use nsim_files as io;
 use nsim_import::kind::FileKind;
 use nsim_ir::graph::Graph;
@@ -71,7 +71,7 @@ impl Obstacle {
 }
 
 /// A network on simulated cores.
-fn deployed(model: &str, network: &Quantised, target: &Target) -> Result<Compiled, Obstacle> {
+fn deployed(model: &str, network: &Quantised, target: &Target) -> Result<Mapping, Obstacle> {
     match compile(network.clone(), target, &Options::default()) {
         Ok(compiled) => Ok(compiled),
         Err(CompileError::DoesNotFit(reasons)) => Err(Obstacle::Refused(Refusal::new(model, target.clone(), reasons))),
