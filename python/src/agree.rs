@@ -1,7 +1,7 @@
 //! How far the integers of a network are from what was trained, and why: `nsim agree`.
 //!
-//! Input: a network, spikes, and what it is held against. Output: an [`Agreement`], whose figures
-//! are those of the command line. Left out on purpose: comparisons with recordings, which the
+//! Input: a network, spikes, and what it is compared with. Output: an [`Agreement`], whose figures
+//! are those of the command line. Not here: comparisons with recordings, which the
 //! command line has.
 
 use std::path::{Path, PathBuf};

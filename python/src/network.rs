@@ -267,7 +267,7 @@ impl Network {
     /// `nsim agree`.
     ///
     /// `against` is 'srm', 'cuba' or 'golden', by default what was trained, or a model file or a
-    /// network that is run beside this one; `conversion` 'search'
+    /// network that is run on the same spikes; `conversion` 'search'
     /// or 'analytic' is how spike response neurons become integers, the search on
     /// `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only this
     /// many timesteps of each sample; `attribution` finds the causes, on `attribution_samples`

@@ -63,7 +63,7 @@ pub fn converted_from(graph: &Graph) -> Option<&str> {
     Some(source)
 }
 
-/// What a network was held against, in words.
+/// What a network was compared with, in words.
 fn in_words(against: &str) -> &str {
     match against {
         "srm" => "trained, spike response neurons",

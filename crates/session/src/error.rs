@@ -69,7 +69,7 @@ impl From<Diagnostic> for Error {
     }
 }
 
-/// The same, with the shipped targets that have every kind of neurons where that is what is lacking.
+/// The diagnostic, with the shipped targets that have every kind of neurons where the target lacks one.
 fn with_targets(diagnostic: Diagnostic) -> Diagnostic {
     let (Some(help), "map.neuron-kind" | "map.message") = (&diagnostic.help, diagnostic.code) else {
         return diagnostic;
