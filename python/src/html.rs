@@ -21,12 +21,17 @@ fn flat_key(parent: &str, key: &str) -> String {
     }
 }
 
-/// A row whose objects are columns of their own.
+/// A row whose objects, and objects in these, are columns of their own.
 fn flat(row: &Value) -> Value {
     let mut out = serde_json::Map::new();
     for (key, value) in row.as_object().into_iter().flatten() {
         match value {
-            Value::Object(inner) => out.extend(inner.iter().map(|(sub, value)| (flat_key(key, sub), value.clone()))),
+            Value::Object(_) => {
+                let inner = flat(value);
+                out.extend(
+                    inner.as_object().into_iter().flatten().map(|(sub, cell)| (flat_key(key, sub), cell.clone())),
+                );
+            }
             _ => _ = out.insert(key.clone(), value.clone()),
         }
     }
