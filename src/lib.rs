@@ -51,7 +51,7 @@ pub use nsim_session as session;
 pub use nsim_study as study;
 pub use nsim_train as train;
 
-pub use nsim_compile::{CompileError, Compiled, Options, compile};
+pub use nsim_compile::{CompileError, Mapping, Options, compile};
 pub use nsim_files::target::load_target;
 pub use nsim_import::model::load_model;
 pub use nsim_session::error::Error;

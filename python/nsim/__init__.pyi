@@ -132,8 +132,8 @@ class Network:
         self,
         spikes: Spikes = None,
         *,
-        target: Path = "nahuku-32",
-        against: Optional[str] = None,
+        target: Optional[Path] = None,
+        against: Union[str, "PathLike[str]", Network, None] = None,
         conversion: str = "search",
         calibrate: Sources = None,
         calibration_samples: int = 60,
@@ -141,6 +141,8 @@ class Network:
         steps: Optional[int] = None,
         attribution: bool = True,
         attribution_samples: int = 100,
+        plot: Optional[Path] = None,
+        force: bool = False,
         labels: Optional[Sequence[int]] = None,
         samples: Optional[tuple[int, int]] = None,
         repeat: int = 1,
@@ -397,6 +399,8 @@ class Run:
         """What stands out: code, population, message."""
     def probe(self, name: str) -> NDArray[np.int32]:
         """What `run(probe=[name])` recorded, `[samples, compartments, T]`."""
+    def samples(self) -> Any:
+        """A data frame with a row for each sample: sample, label, predicted, steps, counts_0 and so on."""
     def neurobench(self) -> dict[str, Any]:
         """The metrics of NeuroBench's harness, a sample."""
     @property

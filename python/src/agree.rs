@@ -1,22 +1,32 @@
 //! How far the integers of a network are from what was trained, and why: `nsim agree`.
 //!
-//! Input: a network, spikes, and what it is held against. Output: an [`Agreement`], whose figures
-//! are those of the command line. Left out on purpose: comparisons with recordings and other
-//! models, which the command line has.
+//! Input: a network, spikes, and what it is compared with. Output: an [`Agreement`], whose figures
+//! are those of the command line. Not here: comparisons with recordings, which the
+//! command line has.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use nsim::agree::attribution::attribute;
-use nsim::agree::compare::{Counterpart, Deployed, compare, output_layer};
+use nsim::agree::compare::{Counterpart, Deployed, LayerRow, compare, compare_models, output_layer};
 use nsim::compile::{Form, Options, compile};
 use nsim::files::network::Network;
-use nsim::report::agree::{AgreeReport, named_fits};
+use nsim::files::shipped;
+use nsim::files::target::target_with_neurons;
+use nsim::files::write;
+use nsim::files::write::check_free;
+use nsim::ir::quantised::Quantised;
+use nsim::report::agree::{AgreeReport, converted_from, named_fits, potentials};
 use nsim::session::front::real_and_integers;
 use nsim::train::convert::calibration::RunInput;
 use nsim::train::convert::copies::{MOST, USUAL};
 use nsim::train::convert::deployed::{Choice, Conversion, Integers};
+use nsim::train::convert::next::in_python;
+use nsim::train::convert::staged::is_real;
 use pyo3::prelude::*;
 use serde_json::Value;
 
-use crate::error::raised;
+use crate::error::{raised, warn_of};
 use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::spikes::{Shown, sources};
@@ -43,14 +53,21 @@ impl Agreement {
     pub fn new(
         py: Python<'_>,
         network: &Network,
-        target: &str,
+        target: Option<&str>,
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
+        in_memory: InMemory,
     ) -> PyResult<Self> {
         let (graph, written) = detached(py, || real_and_integers(network)).map_err(|problem| raised(py, problem))?;
         Form::require_written("agree", &written, 1).map_err(|problem| raised(py, problem))?;
-        let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
-        let against = match keywords.take::<String>("against")?.as_deref() {
+        let target = target_with_neurons(network.file(), target).map_err(|problem| raised(py, problem))?;
+        let against: Option<Bound<'_, PyAny>> = keywords.take("against")?;
+        let other = against.as_ref().map(|given| model(py, given, in_memory)).transpose()?.flatten();
+        let word = match &other {
+            Some(_) => None,
+            None => against.map(|given| given.extract::<String>()).transpose()?,
+        };
+        let against = match word.as_deref() {
             None if graph.has_srm() => Counterpart::Srm,
             Some("srm") if graph.has_srm() => Counterpart::Srm,
             None | Some("cuba") => Counterpart::Cuba,
@@ -60,8 +77,8 @@ impl Agreement {
                 return Err(usage(message, "compare it with against='cuba' or against='golden'"));
             }
             Some(other) => {
-                let message = format!("against is '{other}', which is not known");
-                return Err(usage(message, "against is one of srm, cuba, golden"));
+                let message = format!("against is '{other}', which is no word that is known and no model file");
+                return Err(usage(message, "against is one of srm, cuba, golden, a model file, or an nsim.Network"));
             }
         };
         let conversion = keywords.one_of("conversion", &Conversion::ALL, Conversion::name)?;
@@ -72,32 +89,91 @@ impl Agreement {
         let steps = keywords.whole("steps", 1..=u32::MAX.into())?.map(|steps| steps as u32);
         let attributed = counted(keywords, "attribution_samples", 100, MOST_SAMPLES)?;
         let most = if keywords.take("attribution")?.unwrap_or(true) { attributed } else { 0 };
+        let plot: Option<PathBuf> = keywords.take("plot")?;
+        let force = keywords.take("force")?.unwrap_or(false);
+        if let Some(path) = &plot {
+            if path.extension().is_none_or(|extension| extension != "svg") {
+                let message = format!("plot is {}, which is no .svg", path.display());
+                return Err(usage(message, "name a file that ends in .svg"));
+            }
+            check_free(path, force).map_err(|problem| raised(py, problem))?;
+        }
         let scene = network.file().scene.as_deref();
         let shown = Shown::new(&written, scene, spikes, keywords)?;
         keywords.none_left()?;
-        work(py, true, |progress| {
+        let (json, text, falls) = work(py, true, |progress| {
             let samples = shown.samples();
+            let seen = (shown.stimulus.origin.as_slice(), shown.stimulus.seed, samples.len());
+            let name = graph.facts().name.as_str();
+            let mapped = |network: &Quantised| compile(network.clone(), &target, &Options::default());
+            let done = |report: AgreeReport<'_>,
+                        layers: &[LayerRow]|
+             -> Result<(Value, String, Option<String>), nsim::Error> {
+                if let (Some(path), Some(svg)) = (&plot, potentials(name, layers)) {
+                    write::text(path, force, &svg)?;
+                }
+                let report = AgreeReport { target: Some(target.name()), ..report };
+                Ok((report.json(), report.text(), report.falls()))
+            };
+            if let Some(other) = &other {
+                Form::require_written("agree", other, 1)?;
+                let own = match is_real(&graph) {
+                    true => None,
+                    false => Some(mapped(&written)?.program),
+                };
+                let second = mapped(other)?;
+                let both = ((&graph, &written, own.as_ref()), (other, &second.program));
+                let agreement = compare_models(both.0, both.1, &samples, steps, progress)?;
+                return done(AgreeReport::of_two((name, "another model"), seen, &agreement), &agreement.layers);
+            }
             let run = RunInput { sources: &shown.stimulus.origin, seed: shown.stimulus.seed, scene };
             let choice = Choice { conversion, calibrate: &calibrate, run, wanted, most_copies: copies };
             let integers = Integers::find((&graph, &written), choice, &samples, |_| progress())?;
             let (fits, ladder) = (&integers.fits, integers.ladder(&graph)?);
-            let program = &compile(ladder.deployed().clone(), &target, &Options::default())?.program;
+            let program = &mapped(ladder.deployed())?.program;
             let deployed = Deployed { graph: &graph, fits, ladder: &ladder, program, samples: &samples, steps };
             let agreement = compare(deployed, &against, progress)?;
             let some = &samples[..samples.len().min(most)];
             let attribution =
                 (against.is_real() && most > 0).then(|| attribute(&ladder, &output_layer(ladder.deployed()), some));
-            let seen = (shown.stimulus.origin.as_slice(), shown.stimulus.seed, samples.len());
+            let next = attribution.as_ref().and_then(|attribution| in_python(&graph, attribution));
             let report = AgreeReport {
                 found: integers.found.as_ref(),
                 fits: &named_fits(&graph, fits),
                 attribution: attribution.as_ref(),
                 attribution_samples: some.len(),
-                ..AgreeReport::of_two((&graph.facts().name, against.name()), seen, &agreement)
+                next: next.as_ref(),
+                source: converted_from(&graph)
+                    .filter(|_| matches!(against, Counterpart::Cuba))
+                    .map(|trained| (trained, "trained.agree(spikes, against=network)".to_string())),
+                ..AgreeReport::of_two((name, against.name()), seen, &agreement)
             };
-            Ok(Agreement { json: report.json(), text: report.text() })
-        })
+            done(report, &agreement.layers)
+        })?;
+        falls.iter().try_for_each(|falls| warn_of(py, falls))?;
+        Ok(Agreement { json, text })
     }
+}
+
+/// The network that an `nsim.Network` holds; none of another object.
+pub type InMemory = fn(&Bound<'_, PyAny>) -> Option<Arc<Network>>;
+
+/// The integers of an `nsim.Network` or of a model file; none of a word that is neither.
+fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyResult<Option<Quantised>> {
+    let loaded = match (in_memory(given), given.extract::<PathBuf>()) {
+        (Some(network), _) => network,
+        (_, Ok(path)) if path.exists() || shipped::MODELS.iter().any(|known| Path::new(known.name) == path) => {
+            let name = path.to_string_lossy().into_owned();
+            Arc::new(detached(py, || nsim::load_model(&name)).map_err(|problem| raised(py, problem))?)
+        }
+        (_, Ok(_)) => return Ok(None),
+        (_, Err(_)) => {
+            let message = "against is neither text nor a network".to_string();
+            return Err(usage(message, "give srm, cuba, golden, a model file, or an nsim.Network"));
+        }
+    };
+    let (_, integers) = detached(py, || real_and_integers(&loaded)).map_err(|problem| raised(py, problem))?;
+    Ok(Some(integers))
 }
 
 #[pymethods]
@@ -140,9 +216,13 @@ impl Agreement {
         self.text.clone()
     }
 
-    /// The layers as a table for notebooks.
+    /// Layers and causes as tables for notebooks.
     fn _repr_html_(&self) -> String {
-        let layers = self.json["layers"].as_array().map_or(&[][..], Vec::as_slice);
-        table(&self.__repr__().replace(['<', '>'], ""), &columns(layers), layers)
+        let rows = |key: &str| self.json[key].as_array().map_or(&[][..], Vec::as_slice);
+        let layers = table(&self.__repr__().replace(['<', '>'], ""), &columns(rows("layers")), rows("layers"));
+        match rows("attribution") {
+            [] => layers,
+            causes => layers + &table("why", &columns(causes), causes),
+        }
     }
 }

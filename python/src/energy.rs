@@ -19,7 +19,7 @@ use nsim::report::page::{Origin, Provenance, html};
 use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 
-use crate::error::{raised, warn};
+use crate::error::{raised, warn, worded};
 use crate::html::{frame, table};
 use crate::keywords::Keywords;
 use crate::run::{is_long, rule};
@@ -198,14 +198,23 @@ impl Energy {
     }
 
     fn __str__(&self) -> String {
-        self.report.headline()
+        worded(&self.report.headline())
     }
 
     /// The table for notebooks: a row for each unit of hardware, of a timestep and one copy.
     fn _repr_html_(&self) -> String {
         let json = self.report.json();
+        let mut rows = json["rows"].as_array().cloned().unwrap_or_default();
+        let level = 100.0 * json["level"].as_f64().unwrap_or(0.8);
+        let interval = format!("{level:.0} % interval (uJ)");
+        for row in &mut rows {
+            if let (Some(low), Some(high)) = (row["low"]["energy_uj"].as_f64(), row["high"]["energy_uj"].as_f64()) {
+                row[interval.as_str()] = format!("{low:.3} .. {high:.3}").into();
+            }
+        }
         let columns = ["hardware", "unit", "static_mw", "dynamic_mw", "total_mw", "latency_us", "energy_uj", "edp_pjs"];
+        let columns: Vec<&str> = columns.into_iter().chain([interval.as_str()]).collect();
         let caption = format!("{} on {}, of a timestep and one copy", self.report.model, self.report.target);
-        table(&caption, &columns, json["rows"].as_array().map_or(&[], Vec::as_slice))
+        table(&caption, &columns, &rows)
     }
 }

@@ -26,12 +26,47 @@ pyo3::create_exception!(
     "What stands out in a run, such as a population that never spikes, and what would change it."
 );
 
+/// Values of options that messages name.
+const VALUES: [&str; 8] =
+    ["rails", "zero", "subtract", "subtract-later", "exponential", "search", "oheo-gulch", "inclusive"];
+
+/// A message with the arguments of Python in the place of the command line's options: `dt_ms=` for `--dt`.
+pub fn worded(text: &str) -> String {
+    let mut parts = text.split("--");
+    let mut out = parts.next().unwrap_or_default().replace("nsim convert", "network.convert(spikes)");
+    for part in parts {
+        let end = part.find(|c: char| !(c.is_ascii_lowercase() || c == '-')).unwrap_or(part.len());
+        let (name, rest) = part.split_at(end);
+        let name = match name {
+            "" => {
+                out += &format!("--{part}");
+                continue;
+            }
+            "dt" => "dt_ms".to_string(),
+            "input" => "spikes".to_string(),
+            other => other.replace('-', "_"),
+        };
+        let value = rest.strip_prefix([' ', '=']).unwrap_or_default();
+        let value =
+            &value[..value.find(|c: char| !(c.is_ascii_alphanumeric() || ".-".contains(c))).unwrap_or(value.len())];
+        let number = value.trim_end_matches('.');
+        let (said, taken) = match value {
+            _ if name == "force" => ("force=True".to_string(), 0),
+            _ if VALUES.contains(&value) => (format!("{name}='{value}'"), 1 + value.len()),
+            _ if number.parse::<f64>().is_ok() => (format!("{name}={number}"), 1 + number.len()),
+            _ => (format!("{name}="), 0),
+        };
+        out += &(said + &rest[taken..].replace("nsim convert", "network.convert(spikes)"));
+    }
+    out
+}
+
 /// Warns of what stands out in a run.
 pub fn warn(py: Python<'_>, found: &[nsim::session::warnings::Warning]) -> PyResult<()> {
     for warning in found {
         let message = match &warning.population {
-            Some(population) => format!("'{population}': {}", warning.message),
-            None => warning.message.clone(),
+            Some(population) => format!("'{population}': {}", worded(&warning.message)),
+            None => worded(&warning.message),
         };
         warn_of(py, &message)?;
     }
@@ -54,12 +89,13 @@ pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
         (_, Some(first)) => std::iter::once(&**first).chain(first.others()).map(shown).collect(),
         (_, None) => vec![json!({ "code": error.code(), "message": error.to_string(), "place": null, "help": null })],
     };
-    let mut text = error.to_string();
-    let (mut problem, mut help) = (None, None);
+    let mut text = worded(&error.to_string());
+    let (mut problem, mut help): (Option<String>, Option<String>) = (None, None);
     if let Some(first) = &diagnostic {
-        first.help.iter().for_each(|help| text += &format!("\n  help: {help}"));
-        first.others().iter().for_each(|other| text += &format!("\n{other}"));
-        (problem, help) = (place(first), first.help.clone());
+        help = first.help.as_deref().map(worded);
+        help.iter().for_each(|help| text += &format!("\n  help: {help}"));
+        first.others().iter().for_each(|other| text += &format!("\n{}", worded(&other.to_string())));
+        problem = place(first);
     }
     let raised = Error::new_err(text);
     let value = raised.value(py);
@@ -77,7 +113,8 @@ pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
 
 /// A problem as a dictionary.
 fn shown(problem: &Diagnostic) -> Value {
-    json!({ "code": problem.code, "message": problem.message, "place": place(problem), "help": problem.help })
+    let help = problem.help.as_deref().map(worded);
+    json!({ "code": problem.code, "message": worded(&problem.message), "place": place(problem), "help": help })
 }
 
 fn place(diagnostic: &Diagnostic) -> Option<String> {

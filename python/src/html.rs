@@ -6,14 +6,41 @@
 use pyo3::prelude::*;
 use serde_json::Value;
 
+use crate::keywords::usage;
 use crate::value::to_python;
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
+/// The key of a bound in a row of its own: `energy_uj` of `low` is `energy_low_uj`.
+fn flat_key(parent: &str, key: &str) -> String {
+    match (parent, key.rsplit_once('_')) {
+        ("low" | "high", Some((name, unit))) => format!("{name}_{parent}_{unit}"),
+        _ => format!("{parent}_{key}"),
+    }
+}
+
+/// A row whose objects, and objects in these, are columns of their own.
+fn flat(row: &Value) -> Value {
+    let mut out = serde_json::Map::new();
+    for (key, value) in row.as_object().into_iter().flatten() {
+        match value {
+            Value::Object(_) => {
+                let inner = flat(value);
+                out.extend(
+                    inner.as_object().into_iter().flatten().map(|(sub, cell)| (flat_key(key, sub), cell.clone())),
+                );
+            }
+            _ => _ = out.insert(key.clone(), value.clone()),
+        }
+    }
+    Value::Object(out)
+}
+
 fn shown(value: &Value) -> String {
     match value {
+        Value::Number(number) if number.as_f64() == Some(0.0) => "0".to_string(),
         Value::Null => String::new(),
         Value::String(text) => escaped(text),
         Value::Number(number) if number.is_f64() => {
@@ -39,8 +66,11 @@ pub fn table(caption: &str, columns: &[&str], rows: &[Value]) -> String {
 
 /// Rows as a data frame of pandas, or of polars where only that is installed.
 pub fn frame<'py>(py: Python<'py>, rows: &Value) -> PyResult<Bound<'py, PyAny>> {
-    let library = py.import("pandas").or_else(|_| py.import("polars"))?;
-    library.call_method1("DataFrame", (to_python(py, rows)?,))
+    let library = py.import("pandas").or_else(|_| py.import("polars")).map_err(|_| {
+        usage("a table is a data frame of pandas, which is not installed".to_string(), "install it: pip install pandas")
+    })?;
+    let rows: Vec<Value> = rows.as_array().into_iter().flatten().map(flat).collect();
+    library.call_method1("DataFrame", (to_python(py, &Value::Array(rows))?,))
 }
 
 /// The keys of rows that have one value.

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use nsim::compile::{Compiled, CopyPlacement, Objective, Options, Strategy};
+use nsim::compile::{self, CopyPlacement, Objective, Options, Strategy};
 use nsim::files::mapping::mapping_text;
 use nsim::files::network::Network;
 use nsim::ir::graph::Shape;
@@ -55,7 +55,7 @@ impl MappingRequest {
         Ok(MappingRequest { target, file, copies, options: Options { placement, strategy, objective, seed, ..usual } })
     }
 
-    fn obtained(&self, model: &str, network: &Network) -> Result<(Compiled, Target), nsim::Error> {
+    fn obtained(&self, model: &str, network: &Network) -> Result<(compile::Mapping, Target), nsim::Error> {
         let integers = |network: &Network| integers(network, USUAL);
         let request = Request {
             target: TargetChoice::Named(self.target.as_deref()),

@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 use crate::agree::Agreement;
 use crate::convert::Conversion;
 use crate::energy::{self, Energy};
-use crate::error::raised;
+use crate::error::{raised, worded};
 use crate::keywords::{Keywords, whole};
 use crate::mapping::{Mapping, MappingRequest, TARGET};
 use crate::memory;
@@ -164,7 +164,7 @@ impl Network {
     /// By which conventions another tool's network was read, and what was changed.
     #[getter]
     fn notes(&self) -> Vec<String> {
-        self.notes.clone()
+        self.notes.iter().map(|note| worded(note)).collect()
     }
 
     /// Its name.
@@ -266,17 +266,19 @@ impl Network {
     /// Where and why the integers on the cores disagree with the network that was trained:
     /// `nsim agree`.
     ///
-    /// `against` is 'srm', 'cuba' or 'golden', by default what was trained; `conversion` 'search'
+    /// `against` is 'srm', 'cuba' or 'golden', by default what was trained, or a model file or a
+    /// network that is run on the same spikes; `conversion` 'search'
     /// or 'analytic' is how spike response neurons become integers, the search on
     /// `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only this
     /// many timesteps of each sample; `attribution` finds the causes, on `attribution_samples`
-    /// (100). `spikes` and its keywords are those of `Mapping.run`.
+    /// (100); `plot` is an .svg with both potentials around the first spike that differs, which
+    /// `force` lets replace a file. Without `target` it is the first that has the neurons. `spikes` and its keywords are those of `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
-        text_signature = "($self, spikes=None, *, target='nahuku-32', against=None, conversion='search', \
+        text_signature = "($self, spikes=None, *, target=None, against=None, conversion='search', \
                           calibrate=None, calibration_samples=60, \
-                          delayed_copies=None, steps=None, attribution=True, attribution_samples=100, labels=None, \
-                          samples=None, \
+                          delayed_copies=None, steps=None, attribution=True, attribution_samples=100, plot=None, \
+                          force=False, labels=None, samples=None, \
                           repeat=1, seed=None, time_first=False)"
     )]
     fn agree(
@@ -286,8 +288,10 @@ impl Network {
         target: Option<PathBuf>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Agreement> {
-        let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
-        Agreement::new(py, &self.network, &target, spikes, &Keywords::new(options)?)
+        let target = target.map(|target| target.to_string_lossy().into_owned());
+        Agreement::new(py, &self.network, target.as_deref(), spikes, &Keywords::new(options)?, |given| {
+            Some(given.cast::<Network>().ok()?.get().network.clone())
+        })
     }
 
     /// The network in integers, searched for on samples: `nsim convert`.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use nsim::compile::Compiled;
+use nsim::compile::Mapping;
 use nsim::files::network::Network;
 use nsim::ir::hardware::Target;
 use nsim::machine::Image;
@@ -18,7 +18,7 @@ pub struct Shared {
     pub target: Target,
     /// The network as its file says.
     pub network: Arc<Network>,
-    compiled: Compiled,
+    compiled: Mapping,
     /// The program laid out for one thread; none where threads share a sample, as its image
     /// depends on their number.
     image: Option<Arc<Image>>,
@@ -27,7 +27,7 @@ pub struct Shared {
 
 impl Shared {
     /// A mapping of this network, laid out where one thread runs it.
-    pub fn new(model: &str, network: &Arc<Network>, compiled: Compiled, target: Target) -> Self {
+    pub fn new(model: &str, network: &Arc<Network>, compiled: Mapping, target: Target) -> Self {
         let division = Division::new(&compiled.program, usize::MAX);
         let image = match division.shards {
             1 => laid_out(&compiled.program, division).ok(),
@@ -46,7 +46,7 @@ impl Shared {
     }
 
     /// The compiled network.
-    pub fn compiled(&self) -> &Compiled {
+    pub fn compiled(&self) -> &Mapping {
         &self.compiled
     }
 

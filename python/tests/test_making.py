@@ -96,6 +96,76 @@ class Converted(unittest.TestCase):
             self.assertEqual(raised.exception.code, code)
 
 
+class Agreed(unittest.TestCase):
+    def test_with_a_network_and_with_its_file(self):
+        trained = nsim.load("vtsnn-slip-srm")
+        network = trained.convert(samples=(0, 3), calibration_samples=4).network
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "b.ron")
+            network.save(path)
+            theirs = command("agree", "vtsnn-slip-srm", "--samples", "0..3", "--against", path)
+            ours = [trained.agree(samples=(0, 3), against=other).json() for other in (network, path)]
+        self.assertEqual([without(one) for one in ours], [without(theirs)] * 2)
+        self.assertEqual(ours[0]["against"], "another model")
+        # The conversion compared with itself is not the trained network.
+        said = " ".join(str(network.agree(samples=(0, 3))).split())
+        self.assertIn("was converted from vtsnn-slip-srm", said)
+        self.assertIn("trained.agree(spikes, against=network)", said)
+        for wrong in ("nothing.ron", 3):
+            with self.assertRaises(nsim.Error) as raised:
+                trained.agree(samples=(0, 1), against=wrong)
+            self.assertIn("nsim.Network", raised.exception.help)
+
+    def test_a_picture_and_what_to_do_next(self):
+        trained = nsim.load("vtsnn-slip-srm")
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "first.svg")
+            agreement = trained.agree(samples=(0, 3), calibration_samples=4, plot=path)
+            self.assertIn("<svg", Path(path).read_text())
+            with self.assertRaises(nsim.Error) as raised:
+                trained.agree(samples=(0, 3), plot=path)
+            self.assertIn("force=True", raised.exception.help)
+        following = agreement.json()["next"]
+        self.assertTrue(following["command"].startswith("network."), following)
+        self.assertIn("next:", str(agreement))
+        self.assertEqual(agreement._repr_html_().count("<table>"), 2)
+
+    def test_neurons_that_subtract(self):
+        populations = [
+            {"name": "in", "shape": 4, "kind": "Input"},
+            {"name": "out", "shape": 2, "kind": "SoftReset", "du": 4096, "dv": 300, "vth_mant": 3},
+        ]
+        network = nsim.Network("soft", populations, [{"from": "in", "to": "out", "weights": np.full((2, 4), 40)}], output="out")
+        spikes = np.ones((2, 4, 12), np.uint8)
+        self.assertEqual(network.agree(spikes).json()["target"], "oheo-gulch")
+        with self.assertRaises(nsim.Error) as raised:
+            network.map()
+        for word in ("target='oheo-gulch'", "network.convert(spikes)", "reset_mechanism='zero'"):
+            self.assertIn(word, raised.exception.help)
+        with self.assertRaises(nsim.Error) as raised:
+            network.map("loihi2")
+        self.assertIn("'oheo-gulch'", raised.exception.help)
+
+
+class Tables(unittest.TestCase):
+    def setUp(self):
+        try:
+            import pandas  # noqa: F401
+        except ImportError:
+            self.skipTest("pandas is absent")
+
+    def test_no_cell_holds_a_dictionary(self):
+        mapping = nsim.load("vtsnn-slip").map()
+        run = mapping.run(samples=(0, 3))
+        energy = mapping.energy(samples=(0, 3)).table()
+        for frame in (run.table(), run.samples(), energy):
+            self.assertFalse(any(isinstance(cell, dict) for column in frame for cell in frame[column]))
+        self.assertTrue({"energy_low_uj", "energy_high_uj", "latency_low_us"} <= set(energy.columns), energy.columns)
+        samples = run.samples()
+        self.assertEqual(samples["predicted"].tolist(), run.predicted)
+        self.assertEqual(samples[["counts_0", "counts_1"]].to_numpy().tolist(), run.counts.tolist())
+
+
 class Trained(unittest.TestCase):
     def test_as_the_command_line(self):
         spikes, labels = two_classes()

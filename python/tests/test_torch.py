@@ -77,6 +77,29 @@ class Tables(unittest.TestCase):
         self.assertIn("refractory 2", held.notes[-1])
 
 
+    def test_a_bias_of_a_channel_passes_a_pool(self):
+        def spikes(pooled):
+            side = 2 if pooled else 4
+            lif = {key: np.full((2, side, side), value) for key, value in (("tau", 1e-3), ("r", 10.0), ("v_leak", 0.0), ("v_threshold", 1.0))}
+            nodes = {
+                "input": {"type": "Input", "shape": np.array([1, 4, 4])},
+                "conv": {"type": "Conv2d", "weight": np.zeros((2, 1, 1, 1)), "bias": np.array([0.4, 0.7])},
+                "pool": {"type": "AvgPool2d", **{key: np.array([2 if key != "padding" else 0] * 2) for key in ("kernel_size", "stride", "padding")}},
+                "lif": {"type": "LIF", **lif},
+                "output": {"type": "Output"},
+            }
+            way = ["input", "conv", "pool", "lif", "output"]
+            if not pooled:
+                del nodes["pool"], way[2]
+            network = nsim._nsim.from_nodes("x", nodes, list(zip(way, way[1:])), [], dt_ms=0.1, reset="zero")
+            (_, rows), = nsim._nsim.real_spikes(network, np.zeros((1, 1, 4, 4, 12), np.uint8))
+            return np.bincount(rows[:, 2], minlength=2 * side * side).reshape(2, -1)
+
+        pooled, whole = spikes(True), spikes(False)
+        self.assertEqual([set(channel) for channel in pooled.tolist()], [set(channel) for channel in whole.tolist()])
+        self.assertGreater(pooled.min(), 0)
+
+
 @unittest.skipIf(torch is None, "torch or snntorch is absent")
 class Modules(unittest.TestCase):
     def setUp(self):
@@ -136,6 +159,9 @@ class Modules(unittest.TestCase):
         first[1].weight.data *= 1.5
         layers = [nn.AvgPool2d(2), nn.Identity(), nn.Conv2d(4, 4, 3, stride=2, padding="valid"), self.lif(threshold=0.2), nn.Flatten()]
         self.read(nn.Sequential(first, *layers, nn.Linear(4, 3), self.lif(threshold=0.2, output=True)), 2, 8, 8)
+        pooled = [nn.Conv2d(2, 4, 3), nn.BatchNorm2d(4), nn.AvgPool2d(2), self.lif(threshold=0.2), nn.Flatten()]
+        pooled[1].bias.data += 0.05
+        self.read(nn.Sequential(*pooled, nn.Linear(36, 3), self.lif(threshold=0.2, output=True)), 2, 8, 8)
         line = [nn.Conv1d(2, 4, 3), self.lif(threshold=0.3), nn.Flatten(), nn.Linear(24, 8), nn.BatchNorm1d(8)]
         self.read(nn.Sequential(*line, self.lif(beta=1.0, threshold=0.3, output=True)), 2, 8)
         each = self.lif(beta=torch.rand(8) * 0.5, threshold=torch.rand(8) + 0.1, output=True)

@@ -1,6 +1,6 @@
 //! `nsim agree`.
 
-use crate::{SRM, has_keys, nsim, object, said, write};
+use crate::{MODEL, SRM, has_keys, nsim, object, said, write};
 
 #[test]
 fn agreement_says_what_each_layer_loses_and_draws_where_spikes_part() {
@@ -53,6 +53,42 @@ fn a_spike_response_model_runs_in_real_numbers_and_agrees_or_not() {
     assert_eq!(said(&["agree", "vtsnn-slip", "--against", "srm"]).0, 2);
     let one_thread = object(&[&analytic[..], &["--threads", "1"]].concat(), 0);
     assert_eq!(one_thread, object(&[&analytic[..], &["--threads", "2"]].concat(), 0));
+}
+
+#[test]
+fn neurons_that_subtract_are_compared_on_a_target_that_has_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let subtracting = MODEL.replace("Loihi(", "SoftReset(");
+    let model = write(folder.path(), "soft.ron", &subtracting);
+    let scene = ["--input", "scene:noise?samples=3&steps=20&rate=0.4"];
+    let agree = object(&[&["agree", &model][..], &scene].concat(), 0);
+    assert_eq!(agree["target"], "oheo-gulch");
+    let (code, _, stderr) = said(&[&["map", &model][..], &[]].concat());
+    assert!(code == 3 && stderr.contains("--target oheo-gulch") && stderr.contains("nsim convert"), "{stderr}");
+    // A target that is named is taken as it is.
+    assert_eq!(said(&[&["agree", &model, "--target", "nahuku-32"][..], &scene].concat()).0, 3);
+}
+
+#[test]
+fn a_conversion_is_not_taken_for_the_trained_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let trained = write(folder.path(), "srm.ron", SRM);
+    let converted = folder.path().join("c.ron").display().to_string();
+    let scene = ["--input", "scene:noise?samples=4&steps=20&rate=0.3"];
+    let (code, text, stderr) = said(&[&["convert", &trained, "-o", &converted][..], &scene].concat());
+    assert_eq!(code, 0, "{stderr}");
+    // What it says of samples that were held out comes first.
+    assert!(text.find("held-out").unwrap() < text.find("stage").unwrap(), "{text}");
+    let (_, text, _) = said(&[&["agree", &converted][..], &scene].concat());
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(text.contains("(a: the conversion, real numbers)"), "{text}");
+    assert!(text.contains(&format!("nsim agree {trained} --against {converted}")), "{text}");
+    let agree = object(&[&["agree", &converted][..], &scene].concat(), 0);
+    assert_eq!(agree["converted_from"], trained.as_str());
+    let first = folder.path().join("first.svg").display().to_string();
+    let line = [&["agree", &trained, "--against", &converted, "--plot", &first][..], &scene].concat();
+    let (_, text, _) = said(&line);
+    assert!(std::path::Path::new(&first).exists() == text.contains("written: "), "{text}");
 }
 
 #[test]

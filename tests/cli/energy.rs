@@ -94,6 +94,25 @@ fn a_shipped_preset_is_for_every_target() {
 }
 
 #[test]
+fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = "Target(base: \"loihi1-chip\", name: \"mine\", limits: (compartments: 2048))";
+    let target = write(folder.path(), "mine.ron", target);
+    let energy = ["energy", "--samples", "0..1", "--baseline", "--target", &target];
+    let noted = |line: &[&str]| {
+        let (code, text, stderr) = said(line);
+        assert_eq!(code, 0, "{stderr}");
+        text.split_whitespace().collect::<Vec<_>>().join(" ").matches("are loihi's, not mine's own").count()
+    };
+    assert_eq!((noted(&energy), noted(&[&energy[..], &["--full"]].concat()), noted(&energy[..4])), (1, 1, 0));
+    let (_, full, _) = said(&[&energy[..], &["--full"]].concat());
+    assert!(full.contains("mine, until decided") && !full.contains("loihi, until"), "{full}");
+    let own = "Constants(base: \"loihi1-evidence\", hardware: \"mine\")";
+    let own = write(folder.path(), "own.ron", own);
+    assert_eq!(noted(&[&energy[..], &["--constants", &own]].concat()), 0);
+}
+
+#[test]
 fn energy_is_of_as_many_copies_as_a_mapping_has() {
     let folder = tempfile::tempdir().unwrap();
     let saved = folder.path().join("mapping.ron").display().to_string();

@@ -21,6 +21,7 @@ fn a_slip_is_answered_with_what_was_meant() {
     for (line, status, answer) in [
         (&["run", "vtsnn-slp"][..], 3, "did you mean 'vtsnn-slip'?"),
         (&["map", "--target", "nahuku32"], 3, "did you mean 'nahuku-32'?"),
+        (&["map", "--target", "loihi2"], 3, "did you mean 'oheo-gulch'?"),
         (&["energy", &model, "--input", "scene:noise", "--constants", "davies2017"], 2, "did you mean 'davies2018'?"),
         (&["run", &unknown], 3, "did you mean 'hidden'?"),
         (&["run", &model, "--input", &format!("inn={first}")], 3, "did you mean 'in'?"),

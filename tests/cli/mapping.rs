@@ -34,6 +34,14 @@ fn what_does_not_fit_is_answered_with_the_command_s_own_object() {
 }
 
 #[test]
+fn a_file_is_shown_by_its_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(folder.path(), "tiny.ron", MODEL);
+    assert_eq!(said(&["show", &path]), (0, MODEL.to_string(), String::new()));
+    assert_eq!(said(&["show", "./none.ron"]).0, 2);
+}
+
+#[test]
 fn stages_of_the_compiler_are_shown_as_text_that_reads_back() {
     let shown = |stage: &str| {
         let (code, stdout, stderr) = said(&["show", "vtsnn-slip", "--as", stage, "--target", "loihi1-chip"]);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::common::{Builder, format, neuron};
 use nsim::compile::explore::traffic::traffic;
-use nsim::compile::{Compiled, CopyPlacement, Effort, Objective, Options, Strategy, compile, compile_saved};
+use nsim::compile::{CopyPlacement, Effort, Mapping, Objective, Options, Strategy, compile, compile_saved};
 use nsim::dynamics::synapses::Enumerate;
 use nsim::files::mapping::load_mapping;
 use nsim::files::target::load_target;
@@ -266,7 +266,7 @@ fn best_places(walker: &Walker, nets: &[Told], blocks: usize, known: u64) -> u64
     best
 }
 
-fn nets_of(compiled: &Compiled) -> Vec<Told> {
+fn nets_of(compiled: &Mapping) -> Vec<Told> {
     let program = &compiled.program;
     let mut nets = Vec::new();
     for (core, image) in program.cores().enumerate() {

@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 
 use crate::common::compare::{Trace, assert_on_machine, roomy, trace};
 use crate::common::{Builder, format, neuron, random};
-use nsim::compile::{Compiled, DEFAULT_RATE, Form, Front, Options, compile, compile_saved};
+use nsim::compile::{DEFAULT_RATE, Form, Front, Mapping, Options, compile, compile_saved};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::model::load_model;
@@ -34,7 +34,7 @@ static CHIP: LazyLock<Target> = LazyLock::new(|| roomy("loihi1-chip"));
 
 /// Three partitions: as few cores as possible, at most this many compartments a core, dealt out at
 /// random.
-fn partitions(network: &Quantised, few: u32, seed: u64) -> Vec<(&'static str, Compiled)> {
+fn partitions(network: &Quantised, few: u32, seed: u64) -> Vec<(&'static str, Mapping)> {
     // Searching for places takes most of the time and decides nothing here; dealt out, cores stand
     // anywhere.
     let options = Options { place: seed.is_multiple_of(8), ..Options::default() };
@@ -62,8 +62,8 @@ fn compare(seed: u64) -> u64 {
 
 /// A golden trace against the machine's on every mapping and setting; returns how many chunks of
 /// shared weights it added.
-fn compare_on(golden: &Trace, network: &Quantised, sample: &Sample, mapped: Vec<(&str, Compiled)>, seed: u64) -> usize {
-    let compared = |(name, compiled): (&str, Compiled)| {
+fn compare_on(golden: &Trace, network: &Quantised, sample: &Sample, mapped: Vec<(&str, Mapping)>, seed: u64) -> usize {
+    let compared = |(name, compiled): (&str, Mapping)| {
         assert_on_machine(network, &compiled.program, sample, golden, &format!("network {seed}, {name}")).1
     };
     mapped.into_iter().map(compared).sum()

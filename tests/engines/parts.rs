@@ -3,7 +3,7 @@
 
 use crate::common::compare::small_cores;
 use crate::common::random;
-use nsim::compile::{Compiled, Options, compile};
+use nsim::compile::{Mapping, Options, compile};
 use nsim::cost::model::{core_time, energy};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use nsim::files::steps::{StepFormat, StepWriter};
@@ -76,7 +76,7 @@ fn populations_and_cores_sum_to_the_totals() {
 }
 
 /// A metered run on the machine.
-fn compare(compiled: &Compiled, target: &Target, samples: &[&Sample], expected: &ByPopulation, what: &str) {
+fn compare(compiled: &Mapping, target: &Target, samples: &[&Sample], expected: &ByPopulation, what: &str) {
     let program = &compiled.program;
     let table = CostTable::new(&target.constants()[0]).unwrap();
     let deployment =
@@ -146,7 +146,7 @@ fn copies_count_together() {
 
 /// A metered run with a row for each step, and the file.
 fn recorded(
-    compiled: &Compiled,
+    compiled: &Mapping,
     target: &Target,
     samples: &[&Sample],
     format: StepFormat,
@@ -164,7 +164,7 @@ fn recorded(
 }
 
 /// Rows add up to the run, column by column.
-fn assert_rows_add_up(compiled: &Compiled, target: &Target, samples: &[&Sample], what: &str) {
+fn assert_rows_add_up(compiled: &Mapping, target: &Target, samples: &[&Sample], what: &str) {
     let (run, layout, file) = recorded(compiled, target, samples, StepFormat::Csv);
     let mut reader = csv::Reader::from_reader(&file[..]);
     let header: Vec<String> = reader.headers().unwrap().iter().map(str::to_string).collect();

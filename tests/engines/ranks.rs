@@ -4,7 +4,7 @@
 
 use crate::common::compare::small_cores;
 use crate::common::random;
-use nsim::compile::{Compiled, Options, compile};
+use nsim::compile::{Mapping, Options, compile};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use nsim::files::target::load_target;
 use nsim::ir::arithmetic::ReadOut;
@@ -69,7 +69,7 @@ impl Case {
         Case { network, target: small_cores("nahuku-32", few), samples, copies, skip: !seed.is_multiple_of(4), what }
     }
 
-    fn compiled(&self, share: Share) -> Compiled {
+    fn compiled(&self, share: Share) -> Mapping {
         let options = Options { copies: self.copies, place: false, share, ..Options::default() };
         compile(self.network.clone(), &self.target, &options).unwrap_or_else(|e| panic!("{}: {e}", self.what))
     }

@@ -7,7 +7,7 @@ use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
 
 use crate::common::{Builder, biased, engines, neuron};
-use nsim::compile::{Compiled, Options, compile};
+use nsim::compile::{Mapping, Options, compile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::model::load_model;
@@ -43,7 +43,7 @@ fn essence(outcome: Outcome) -> (Outcome, u64, u64) {
 }
 
 /// A model on cores of at most five compartments, so that there is something to share out.
-fn on_small_cores(model: &str) -> Compiled {
+fn on_small_cores(model: &str) -> Mapping {
     let chip = load_target("loihi1-chip").unwrap();
     let mut limits = chip.limits().clone();
     limits[Resource::Compartments] = 5;

@@ -227,6 +227,30 @@ pub fn compare_networks(
     Ok(Tally::of_samples(a.layers.to_vec(), output, samples, &both, &measured_shift))
 }
 
+/// Compares a network with another of the same populations that is mapped: as it was trained, or on cores of its own where
+/// `mapped` is its program.
+///
+/// # Errors
+/// As [`compare_networks`], [`real_trace`] and [`machine_trace`].
+pub fn compare_models(
+    (graph, integers, mapped): (&Graph, &Quantised, Option<&Arc<Program>>),
+    (other, program): (&Quantised, &Arc<Program>),
+    samples: &[&Sample],
+    steps: Option<u32>,
+    progress: Progress<'_>,
+) -> Result<Agreement> {
+    let trained = real_trace(graph, integers)?;
+    let machine = mapped.map(|program| machine_trace(integers, program)).transpose()?;
+    let trace = machine_trace(other, program)?;
+    let a: &(dyn Fn(&Sample) -> Trace + Sync) = match &machine {
+        Some(machine) => machine,
+        None => &trained,
+    };
+    let (here, there) = (layers(integers), layers(other));
+    let sides = (Side { layers: &here, trace: a }, Side { layers: &there, trace: &trace });
+    compare_networks(sides, &output_layer(integers), samples, steps, progress)
+}
+
 /// Comparisons of layers and classes so far.
 #[derive(Debug, Default)]
 struct Tally {

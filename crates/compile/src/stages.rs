@@ -301,7 +301,7 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
             let message =
                 format!("messages of population '{name}' carry integers of {bits} bits, those of {target} {carry}");
             return Err(Diagnostic::new("map.message", message)
-                .help("choose a target with wider messages (its message_bits): docs/loihi2.md names one")
+                .help("choose a target with wider messages (its message_bits)")
                 .into());
         }
         let Units::Compartments { neurons, .. } = &population.units else { continue };
@@ -319,10 +319,10 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
             return Err(Diagnostic::new("map.neuron-kind", message)
                 .help(match kind {
                     NeuronKind::SoftReset => {
-                        "nsim convert makes it reset to zero and measures the loss; or choose a target with these \
-                         neuron_kinds"
+                        "train with a reset to zero (snnTorch: reset_mechanism='zero'); or nsim convert makes it one and \
+                         measures the loss; or choose a target with these neuron_kinds"
                     }
-                    _ => "choose a target with these neuron_kinds: docs/loihi2.md names one",
+                    _ => "choose a target with these neuron_kinds",
                 })
                 .into());
         }

@@ -14,7 +14,7 @@ use crate::paper;
 use crate::published::scenario::{ScenarioFile, shipped_for};
 use crate::report::table::EnergyReport;
 use crate::workload::Workload;
-use nsim_compile::{Compiled, CopyPlacement};
+use nsim_compile::{CopyPlacement, Mapping};
 use nsim_cost::estimate::{ByStatus, Case, Convention, EnergyRow, step_price};
 use nsim_cost::job::Accounting;
 use nsim_cost::{Deployment, MeterSettings, StepMeter};
@@ -96,7 +96,7 @@ impl Plan {
     ///
     /// # Errors
     /// When it does not compile.
-    pub fn job_mapped(&self, compiled: &Compiled, target: &Target) -> Result<Option<Compiled>, Error> {
+    pub fn job_mapped(&self, compiled: &Mapping, target: &Target) -> Result<Option<Mapping>, Error> {
         self.job().map(|scenario| paper::mapped(&compiled.one, scenario, target)).transpose()
     }
 }

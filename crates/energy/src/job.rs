@@ -32,6 +32,7 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDec
     let (spent, samples) = (spent(case, until_decided), outcomes.len().max(1) as f64);
     let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
     PerDecision {
+        hardware: case.hardware.to_string(),
         rule: rule.to_string(),
         time_us: spent.time_us / samples,
         energy_uj: spent.energy_uj / samples,
@@ -54,6 +55,11 @@ pub fn report(
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
     let steps = case.activity.steps() as f64 / samples.max(1) as f64;
     let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
+    let preset = &target.constants()[case.preset];
+    let inherited = (preset.hardware != case.hardware && !preset.hardware.is_empty()).then(|| {
+        let (theirs, own) = (&preset.hardware, case.hardware);
+        format!("Constants, static power too, are {theirs}'s, not {own}'s own (--constants FILE).")
+    });
     EnergyReport {
         model: model.to_string(),
         target: target.name().to_string(),
@@ -76,8 +82,9 @@ pub fn report(
         early_exit: None,
         detail: Detail::default(),
         expected: None,
-        constants: constant_entries(&target.constants()[case.preset]),
+        constants: constant_entries(preset),
         notes: estimate.notes.clone(),
+        inherited,
         estimate,
     }
 }

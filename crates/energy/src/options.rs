@@ -6,7 +6,7 @@ use crate::baseline::{Baseline, SHIPPED};
 use crate::published::scenario::{ScenarioFile, scenario};
 use nsim_compile as compile;
 use nsim_compile::place::SAVED;
-use nsim_compile::{Compiled, CopyPlacement, Options, mapping_file};
+use nsim_compile::{CopyPlacement, Mapping, Options, mapping_file};
 use nsim_cost::estimate::Convention;
 use nsim_cost::job::{Accounting, DeployedCores, Mode};
 use nsim_cost::{CostTable, Deployment, Host, HostWork, Streams, Transport};
@@ -174,7 +174,7 @@ impl DeploymentSource {
     /// # Errors
     /// [`Error::Usage`] when a scenario is of another model; [`Error::Input`] when a saved mapping
     /// is not one of `copies` copies of this network on this target.
-    pub fn deployment(&self, compiled: &Compiled, target: &Target, copies: u32, work: HostWork) -> Result<Deployment> {
+    pub fn deployment(&self, compiled: &Mapping, target: &Target, copies: u32, work: HostWork) -> Result<Deployment> {
         let model = &compiled.one.parts().name;
         match self {
             DeploymentSource::Mapped(_) => {

@@ -8,7 +8,7 @@ use super::options::CostOptions;
 use super::workload::Workload;
 use crate::published::measurement::load_measurements;
 use crate::published::scenario::ScenarioFile;
-use nsim_compile::{Compiled, Options, compile};
+use nsim_compile::{Mapping, Options, compile};
 use nsim_cost::estimate::{Case, Convention, EnergyRow, FigureSource, estimate};
 use nsim_cost::job::Mode;
 use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings};
@@ -26,7 +26,7 @@ use nsim_session::samples::Running;
 ///
 /// # Errors
 /// When it does not compile.
-pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Result<Compiled, Error> {
+pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Result<Mapping, Error> {
     let network = if scenario.input_relays { with_input_relays(one)? } else { one.clone() };
     let target = match scenario.compartments_per_core {
         Some(most) => target.clone().with_limits(target.limits().clone().with(Resource::Compartments, most)),

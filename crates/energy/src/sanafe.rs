@@ -21,7 +21,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use nsim_compile::Compiled;
+use nsim_compile::Mapping;
 use nsim_cost::CostTable;
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::scaled;
@@ -36,7 +36,7 @@ use nsim_ir::spikes::Sample;
 #[derive(Debug, Clone, Copy)]
 pub struct Export<'a> {
     /// The mapped network.
-    pub compiled: &'a Compiled,
+    pub compiled: &'a Mapping,
     /// Its constants.
     pub table: &'a CostTable,
     /// What it is shown.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use nsim_compile::{Compiled, CopyPlacement, Options, compile};
+use nsim_compile::{CopyPlacement, Mapping, Options, compile};
 use nsim_cost::estimate::Case;
 use nsim_cost::job::{Convention, DeployedCores, Mode};
 use nsim_cost::transport::Words;
@@ -33,7 +33,7 @@ fn paper() -> Deployment {
 }
 
 /// Counts of these steps, and their meter.
-fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles_used: u64, compiled: &Compiled) -> (Activity, StepMeter) {
+fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles_used: u64, compiled: &Mapping) -> (Activity, StepMeter) {
     let (reset, sent) = (Words::NONE, Words::NONE);
     let mut activity = Activity::new(1);
     let mut meter = StepMeter::new(MeterSettings {
@@ -60,12 +60,12 @@ fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles_used: u64, compiled
     (activity, meter)
 }
 
-fn mapped(copies: u32, placement: CopyPlacement) -> Compiled {
+fn mapped(copies: u32, placement: CopyPlacement) -> Mapping {
     let options = Options { copies, placement, ..Options::default() };
     compile(nsim_testing::slip(100), &nahuku(), &options).unwrap()
 }
 
-fn deployed(model: &str, arg: &str, compiled: &Compiled, copies: u32) -> Result<Deployment, Error> {
+fn deployed(model: &str, arg: &str, compiled: &Mapping, copies: u32) -> Result<Deployment, Error> {
     let shipped = shipped_for(model)?;
     let source = DeploymentSource::load(arg, model, shipped.as_ref())?;
     source.deployment(compiled, &nahuku(), copies, HostWork::default())
@@ -103,7 +103,7 @@ fn copies_are_spread_or_packed_and_the_paper_s_job_says_where_its_are() {
     let named = |model: &str| {
         let mut parts = one.one.parts().clone();
         parts.name = model.to_string();
-        Compiled { one: nsim_ir::quantised::Quantised::new(parts).unwrap(), ..one.clone() }
+        Mapping { one: nsim_ir::quantised::Quantised::new(parts).unwrap(), ..one.clone() }
     };
     let found = deployed("vtsnn-slip", "paper", &named("vtsnn-slip"), 32).unwrap();
     assert_eq!(numbers(&found), (32, 594, 5, 5));

@@ -1,6 +1,6 @@
 //! Samples on the mapped program, metered step by step.
 
-use nsim_compile::Compiled;
+use nsim_compile::Mapping;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use nsim_ir::base::id::CompartmentId;
@@ -24,7 +24,7 @@ use nsim_session::{Keep, Outcome, Quantity, accuracy};
 #[derive(Debug)]
 pub struct Workload<'j> {
     /// The network.
-    pub compiled: &'j Compiled,
+    pub compiled: &'j Mapping,
     /// Where it is mapped.
     pub target: &'j Target,
     /// Copies of the network on the target.
@@ -46,7 +46,7 @@ impl<'j> Workload<'j> {
     /// # Errors
     /// [`Error::Usage`] when there is no such sample.
     pub fn new(
-        compiled: &'j Compiled,
+        compiled: &'j Mapping,
         target: &'j Target,
         stimulus: Stimulus,
         order: Vec<usize>,

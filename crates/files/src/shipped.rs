@@ -177,13 +177,18 @@ pub fn is_path(argument: &str) -> bool {
     is_standard_stream(path) || argument.contains(['/', '\\', '.']) || path.is_file()
 }
 
+/// What chips are called, and the shipped targets that are of them.
+const MEANT: [(&str, &str); 4] =
+    [("loihi", "nahuku-32"), ("loihi1", "nahuku-32"), ("loihi2", "oheo-gulch"), ("loihi-2", "oheo-gulch")];
+
 /// The error for a name that is not shipped.
 #[must_use]
 pub fn unknown(code: &'static str, kind: &str, name: &str, table: &[Shipped]) -> Diagnostic {
     let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
+    let meant = MEANT.iter().find(|(called, target)| *called == name.to_lowercase() && names.contains(target));
     Diagnostic::new(code, format!("there is no shipped {kind} named '{name}'")).help(format!(
         "{}shipped are: {}; or give a path to a .ron file",
-        did_you_mean(name, names.iter().copied()),
+        did_you_mean(meant.map_or(name, |(_, target)| *target), names.iter().copied()),
         names.join(", ")
     ))
 }

@@ -123,15 +123,25 @@ pub fn csv_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Colum
 }
 
 /// The fields of serialisable rows as CSV under a header of their names. `HEADING=a.b` in it is the
-/// field `b` of the object `a` under another heading; what is null or missing is an empty cell.
+/// field `b` of the object `a` under another heading; what is null is an empty cell.
+///
+/// # Panics
+/// When a row lacks a field of the header, which is then misspelt.
 pub fn csv(rows: impl IntoIterator<Item = impl Serialize>, header: &str) -> String {
     let columns: Vec<(&str, &str)> =
         header.split(',').map(|column| column.split_once('=').unwrap_or((column, column))).collect();
     let cells = |row| {
         let row = serde_json::to_value(row).unwrap_or_default();
-        columns.iter().map(|(_, path)| cell(path.split('.').fold(&row, |value, key| &value[key]))).collect()
+        columns.iter().map(|(_, path)| cell(path.split('.').fold(&row, field))).collect()
     };
     csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows.into_iter().map(cells))
+}
+
+fn field<'v>(value: &'v Value, key: &str) -> &'v Value {
+    match value {
+        Value::Null => value,
+        _ => value.get(key).unwrap_or_else(|| panic!("the row has no field '{key}': {value}")),
+    }
 }
 
 /// A value as a cell of CSV: text bare, numbers as short as they can be read back.
@@ -373,8 +383,13 @@ mod tests {
 
     #[test]
     fn fields_of_rows_become_cells() {
-        let rows = [serde_json::json!({ "name": "a,b", "low": { "mw": 2.0 }, "n": 3, "on": true }), Value::Null];
-        assert_eq!(csv(rows, "name,mw_low=low.mw,n,on,no"), "name,mw_low,n,on,no\n\"a,b\",2,3,true,\n,,,,\n");
+        let row = serde_json::json!({ "name": "a,b", "low": { "mw": 2.0 }, "n": 3, "on": true, "no": null });
+        let rows = [row, Value::Null];
+        assert_eq!(csv(&rows, "name,mw_low=low.mw,n,on,no"), "name,mw_low,n,on,no\n\"a,b\",2,3,true,\n,,,,\n");
+        assert_eq!(csv(&rows, "high=no.mw"), "high\n\"\"\n\"\"\n");
+        for misspelt in ["nam", "low.mv"] {
+            assert!(std::panic::catch_unwind(|| csv(&rows, misspelt)).is_err(), "{misspelt}");
+        }
     }
 
     #[test]

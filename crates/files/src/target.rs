@@ -4,15 +4,18 @@
 //! is a file are looked for beside it, then in the folders that the project keeps them in relative
 //! to it (`../chips`, `../constants`), then among the shipped ones.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::changes;
+use super::network::NetworkFile;
 use super::shipped::{self, Origin, Shipped};
 use super::text::{beside, read_text};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::hardware::constants::{Constants, ConstantsChanges};
 use nsim_ir::hardware::{Chip, Target, TargetChanges, TargetFile};
 use nsim_ir::locate::value;
+use nsim_ir::neurons::NeuronKind;
 use nsim_ir::spanned::{Spanned, parse};
 
 /// Loads a target: a path, `-`, or a shipped name.
@@ -30,6 +33,32 @@ pub fn load_target(argument: &str) -> Result<Target> {
     }
     target.change_constants(changes::constants)?;
     Ok(target)
+}
+
+/// The target that is named, else that of the model or the usual one; where this lacks a kind of the model's neurons, the
+/// first shipped one that has them all.
+///
+/// # Errors
+/// As [`load_target`].
+pub fn target_with_neurons(file: &NetworkFile, named: Option<&str>) -> Result<Target> {
+    let target = load_target(file.target_or_usual(named))?;
+    let neurons = file.populations.iter().filter(|population| population.loihi.is_some());
+    let kinds: BTreeSet<NeuronKind> = neurons.map(|population| population.kind).collect();
+    if named.is_some() || has_kinds(&target, &kinds) {
+        return Ok(target);
+    }
+    Ok(shipped_with(&kinds).into_iter().next().unwrap_or(target))
+}
+
+fn has_kinds(target: &Target, kinds: &BTreeSet<NeuronKind>) -> bool {
+    kinds.iter().all(|kind| target.chip().neuron_kinds.contains(&kind.family()))
+}
+
+/// Shipped targets whose compartments can be of all these kinds.
+#[must_use]
+pub fn shipped_with(kinds: &BTreeSet<NeuronKind>) -> Vec<Target> {
+    let targets = shipped::TARGETS.iter().filter_map(|shipped| load_target(shipped.name).ok());
+    targets.filter(|target| has_kinds(target, kinds)).collect()
 }
 
 /// Loads a target from its text.
@@ -391,6 +420,11 @@ pub(crate) mod tests {
         assert_eq!(wide.limits(), &plain.limits().clone().with(Resource::AxonsOut, 8192));
         assert_eq!(wide.constants().len(), plain.constants().len());
         assert!(wide.chip().limit_sources.iter().all(|entry| entry.limit.value != "axons_out"));
+        let stated = "Target(base: \"wide\", limits: (axons_out: 9000), limit_sources: [(limit: \"axons_out\", source: \"my layout\", \
+                      status: assumed), (limit: \"axons_in\", source: \"my layout\", status: assumed)])";
+        let stated = write("stated.ron", stated).unwrap();
+        let mine: Vec<_> = stated.chip().limit_sources.iter().filter(|entry| entry.source == "my layout").collect();
+        assert_eq!((mine.len(), stated.chip().limit_sources.len()), (2, wide.chip().limit_sources.len() + 1));
         let board = "Target(base: \"wide\", name: \"board\", chips_x: 3, constants: [\"davies2018\"])";
         let board = write("board.ron", board).unwrap();
         assert_eq!((board.name(), board.cores(), board.constants().len()), ("board", 768, 1));

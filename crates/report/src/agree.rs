@@ -48,6 +48,29 @@ pub struct AgreeReport<'a> {
     pub attribution_samples: usize,
     /// What to type next.
     pub next: Option<&'a Next>,
+    /// The target of the deployed network.
+    pub target: Option<&'a str>,
+    /// What a converted model was converted from, and how to compare it with that.
+    pub source: Option<(&'a str, String)>,
+    /// Pictures that were written.
+    pub files: &'a [String],
+}
+
+/// What a model that `nsim convert` wrote was converted from.
+#[must_use]
+pub fn converted_from(graph: &Graph) -> Option<&str> {
+    let (source, _) = graph.facts().provenance.as_deref()?.strip_prefix("nsim convert ")?.split_once(';')?;
+    Some(source)
+}
+
+/// What a network was compared with, in words.
+fn in_words(against: &str) -> &str {
+    match against {
+        "srm" => "trained, spike response neurons",
+        "cuba" => "trained, real numbers",
+        "golden" => "the same integers, interpreted",
+        other => other,
+    }
 }
 
 impl<'a> AgreeReport<'a> {
@@ -71,6 +94,9 @@ impl<'a> AgreeReport<'a> {
             attribution: None,
             attribution_samples: 0,
             next: None,
+            target: None,
+            source: None,
+            files: &[],
         }
     }
 }
@@ -96,7 +122,7 @@ pub(super) fn classes_text(classes: &ClassTally) -> String {
     match classes.agreement() {
         Some(share) => {
             let compared = count(classes.compared as u64, "sample");
-            format!("classes agree in {} of {compared}{rest}", three(share))
+            format!("classes agree in {} of {compared} ({}){rest}", classes.same, three(share))
         }
         None => format!("no sample is decided by both, so that no class is compared{rest}"),
     }
@@ -268,7 +294,16 @@ impl AgreeReport<'_> {
             "attribution_samples": self.attribution.map(|_| self.attribution_samples),
             "attribution": self.attribution.map_or(&[][..], |a| &a.shares).iter().map(Self::share_json).collect::<Vec<_>>(),
             "next": self.next.map(next_json),
+            "target": self.target,
+            "converted_from": self.source.as_ref().map(|(trained, _)| trained),
         })
+    }
+
+    /// Whether the deployed network is right markedly less often than the other: by a twentieth of the samples.
+    #[must_use]
+    pub fn falls(&self) -> Option<String> {
+        let (a, b) = self.accuracy.filter(|(a, b)| a - b >= 0.05)?;
+        Some(format!("accuracy falls from {} to {} on simulated cores", three(a), three(b)))
     }
 
     /// A row a layer.
@@ -327,12 +362,21 @@ impl AgreeReport<'_> {
 
     /// For people.
     pub fn text(&self) -> String {
-        let mut out = wrapped(&format!("{} (a: {}) and as deployed on simulated cores (b)", self.model, self.against));
+        let on = self.target.map_or(String::new(), |target| format!(" of {target}"));
+        let a = if self.source.is_some() { "the conversion, real numbers" } else { in_words(self.against) };
+        let mut out = wrapped(&format!("{} (a: {a}) and as deployed on simulated cores{on} (b)", self.model));
         out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));
         let accuracy = self.accuracy.map(|(a, b)| format!("; accuracy {} (a), {} (b)", three(a), three(b)));
         let classes = self.classes.as_ref().map(|classes| format!("; {}", classes_text(classes)));
         let samples = count(self.samples as u64, "sample");
         out += &wrapped(&format!("{samples}{}{}", classes.unwrap_or_default(), accuracy.unwrap_or_default()));
+        if let Some((trained, command)) = &self.source {
+            out += &wrapped(&format!(
+                "{} was converted from {trained}, and a is what the conversion made, not the trained network; compare \
+                 with that: {command}",
+                self.model
+            ));
+        }
         if let Some(SearchResult { start, end, tried, samples, .. }) = self.found {
             let samples = count(*samples as u64, "calibration sample");
             out += &wrapped(&format!(
@@ -345,7 +389,11 @@ impl AgreeReport<'_> {
         if self.layers.iter().any(|row| row.shift != 0) {
             out += &wrapped("shift: steps by which b answers later than a (negative: earlier), which are removed");
         }
-        out + &self.attribution_text()
+        out += &self.attribution_text();
+        if !self.files.is_empty() {
+            out += &wrapped(&format!("written: {}", self.files.join(", ")));
+        }
+        out
     }
 }
 
@@ -371,6 +419,10 @@ pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
     if let (Some((cause, back)), Some(now)) = (attribution.worst_of_classes(), attribution.machine.class_agreement) {
         let words = cause.words();
         out += &wrapped(&format!("Classes agree in {now:.3}, in {:.3} without {words}.", now + back));
+    }
+    let lossy = attribution.layers.iter().any(LayerLoss::is_lossy);
+    if let Some(remedy) = attribution.worst().filter(|_| lossy).and_then(Cause::remedy) {
+        out += &wrapped(&format!("What helps: {remedy}."));
     }
     if let Some(Next { what, command, .. }) = next {
         out += &format!("{}{}\n", wrapped(&format!("next: a command that {what}")), shell_lines(command));

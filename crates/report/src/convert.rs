@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::agree::{blame, lost_json, next_json};
 use nsim_agree::attribution::{Distance, Share};
-use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table_of, wrapped};
+use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table, table_of, wrapped};
 use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
 use nsim_train::convert::job::{Done, Job, sentence};
 use nsim_train::convert::next::Next;
@@ -198,8 +198,20 @@ impl ConvertReport<'_> {
     pub fn text(&self) -> String {
         let calibration = &self.done.converted.calibration;
         let mut out =
-            format!("{}, {}\n\n", self.job.graph.facts().name, count(calibration.samples as u64, "calibration sample"));
-        out += &format!("{}\n", table_of(&self.done.converted.stages, &STAGES));
+            format!("{}, {}\n", self.job.graph.facts().name, count(calibration.samples as u64, "calibration sample"));
+        if let Some(held) = self.done.held_out.as_ref() {
+            out += &wrapped(&format!("on {}: {}", count(held.samples as u64, "held-out sample"), sentence(held)));
+        }
+        // Names would be broken: stages are numbered, and named behind the table.
+        let stages = &self.done.converted.stages;
+        let cells = |(number, stage): (usize, &StageRow)| {
+            let others = STAGES[1..].iter().map(|(_, cell)| cell(stage));
+            std::iter::once(number.to_string()).chain(others).collect()
+        };
+        let rows: Vec<Vec<String>> = (1..).zip(stages).map(cells).collect();
+        out += &format!("\n{}\n", table(&STAGES.map(|(heading, _)| heading), &rows));
+        (1..).zip(stages).for_each(|(number, stage)| out += &wrapped(&format!("{number}: {}", stage.name)));
+        out += "\n";
         out += &format!("{}\n", table_of(&self.done.converted.layers, &LAYERS));
         for layer in &self.done.converted.layers {
             if let Some(problem) = &layer.problem {
@@ -207,10 +219,13 @@ impl ConvertReport<'_> {
             }
         }
         out += &blame(&self.done.converted.attribution, self.next);
-        out += &format!("\nwhat is left to gain\n{}\n", table_of(&self.done.converted.left, &LEFT));
-        if let Some(held) = self.done.held_out.as_ref() {
-            out += &wrapped(&format!("on {}: {}", count(held.samples as u64, "held-out sample"), sentence(held)));
+        if self.job.resets_are_replaced() {
+            out += &wrapped(
+                "Trained with a reset to zero (snnTorch: reset_mechanism='zero'), the network needs no other reset; a \
+                 target whose neurons subtract runs it as it is.",
+            );
         }
+        out += &format!("\nwhat is left to gain\n{}\n", table_of(&self.done.converted.left, &LEFT));
         if let Some(tuned) = self.tuned {
             out += &tuned_text(tuned);
         }

@@ -3,7 +3,9 @@
 use std::borrow::Cow;
 
 use nsim_compile::{CompileError, Reason};
+use nsim_files::target::shipped_with;
 use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::neurons::NeuronKind;
 
 /// What a command's work returns.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -67,10 +69,21 @@ impl From<Diagnostic> for Error {
     }
 }
 
+/// The diagnostic, with the shipped targets that have every kind of neurons where the target lacks one.
+fn with_targets(diagnostic: Diagnostic) -> Diagnostic {
+    let (Some(help), "map.neuron-kind" | "map.message") = (&diagnostic.help, diagnostic.code) else {
+        return diagnostic;
+    };
+    let targets = shipped_with(&NeuronKind::ALL.into_iter().collect());
+    let named: Vec<String> = targets.iter().map(|target| format!("--target {}", target.name())).collect();
+    let help = format!("{help}: {}", named.join(", "));
+    diagnostic.help(help)
+}
+
 impl From<CompileError> for Error {
     fn from(error: CompileError) -> Self {
         match error {
-            CompileError::Input(diagnostic) => diagnostic.into(),
+            CompileError::Input(diagnostic) => with_targets(diagnostic).into(),
             CompileError::Fault(message) => Error::Fault(message),
             CompileError::DoesNotFit(reasons) => Error::DoesNotFit(reasons),
         }

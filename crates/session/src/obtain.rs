@@ -8,9 +8,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use nsim_compile::{
-    CompileError, Compiled, DEFAULT_RATE, Form, Front, Mapping, Options, Strategy, explore, load, mapping_file,
-};
+use nsim_compile::{CompileError, DEFAULT_RATE, Form, Front, Mapping, Options, Strategy, explore, load, mapping_file};
 use nsim_files::mapping::load_mapping;
 use nsim_files::network::Network;
 use nsim_files::target::load_target;
@@ -144,7 +142,7 @@ impl<'a> Request<'a> {
 #[derive(Debug)]
 pub enum Job {
     /// Mapped onto a target.
-    Mapped(Box<Compiled>, Box<Target>, Option<String>),
+    Mapped(Box<Mapping>, Box<Target>, Option<String>),
     /// Only quantised, for the golden engine.
     Quantised(Box<Quantised>, Option<String>),
     /// In real numbers, for the reference engine; and in integers, with the same unit numbers.
@@ -169,7 +167,7 @@ impl Job {
 
     /// The compiled network and its target, when it is mapped.
     #[must_use]
-    pub fn mapped(&self) -> Option<(&Compiled, &Target)> {
+    pub fn mapped(&self) -> Option<(&Mapping, &Target)> {
         match self {
             Job::Mapped(compiled, target, _) => Some((compiled, target)),
             Job::Quantised(..) | Job::Real(..) => None,
@@ -288,7 +286,7 @@ impl Goal {
     ///
     /// # Errors
     /// As [`Goal::mapped`], and for a network of too many synapses.
-    pub fn compiled(&self, front: Front) -> Result<Compiled, Error> {
+    pub fn compiled(&self, front: Front) -> Result<Mapping, Error> {
         front.form(self.options.copies).require_program(front.quantised(), self.options.copies)?;
         Ok(self.mapped(front, &Rates::assumed(DEFAULT_RATE))?)
     }

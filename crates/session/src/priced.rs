@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::samples::{Meter, Run, Running, fast};
 use super::{Keep, Outcome, Passed};
-use nsim_compile::Compiled;
+use nsim_compile::Mapping;
 use nsim_cost::estimate::{Case, Estimate, estimate, step_price};
 use nsim_cost::job::Accounting;
 use nsim_cost::job::Mode;
@@ -35,7 +35,7 @@ impl Meter for StepMeter {
 /// that do the same go.
 #[derive(Debug)]
 pub struct Metered<'c> {
-    compiled: &'c Compiled,
+    compiled: &'c Mapping,
     /// One group of cores of each kind; `None` where all cores are run.
     groups: Option<CoreGroups>,
     /// The routes of all messages.
@@ -45,7 +45,7 @@ pub struct Metered<'c> {
 impl<'c> Metered<'c> {
     /// Of groups of cores that hold copies alike, one is run for all.
     #[must_use]
-    pub fn new(compiled: &'c Compiled) -> Self {
+    pub fn new(compiled: &'c Mapping) -> Self {
         let groups = compiled.core_groups();
         let routes = match &groups {
             Some(groups) => MessageRoutes::of_groups(groups),
@@ -56,7 +56,7 @@ impl<'c> Metered<'c> {
 
     /// The same with every core run: the obvious way, which tests compare with.
     #[must_use]
-    pub fn every_core(compiled: &'c Compiled) -> Self {
+    pub fn every_core(compiled: &'c Mapping) -> Self {
         let one = compiled.one_copy();
         let groups = CoreGroups::each(&compiled.program, one, &compiled.together()).ok();
         let program = MessageRoutes::of_program(&compiled.program);
@@ -78,7 +78,7 @@ impl<'c> Metered<'c> {
     /// # Errors
     /// As [`Self::offline`].
     pub fn offline_with(&self, target: &Target, work: HostWork) -> Result<(MeterSettings, Deployment)> {
-        let Compiled { placement, options, one, .. } = self.compiled;
+        let Mapping { placement, options, one, .. } = self.compiled;
         let deployment = Deployment::from_placement(options.placement.name(), placement, target, options.copies, work);
         let settings = MeterSettings {
             tables: vec![CostTable::new(&target.constants()[0])?],
@@ -181,7 +181,7 @@ pub struct Priced {
 ///
 /// # Errors
 /// A constant that no integer holds; as [`fast`].
-pub fn run_priced(compiled: &Compiled, target: &Target, samples: &[Sample]) -> Result<Priced> {
+pub fn run_priced(compiled: &Mapping, target: &Target, samples: &[Sample]) -> Result<Priced> {
     let copies = compiled.options.copies;
     let timestep_ms = compiled.one.parts().timestep_ms;
     let metered = Metered::new(compiled);

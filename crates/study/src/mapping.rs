@@ -13,7 +13,7 @@ use crate::networks::BenchNetwork;
 use crate::suite::{STEPS, SuiteCase};
 use nsim_compile::explore::traffic::Traffic;
 use nsim_compile::{
-    CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Effort, Form, Front, Objective, Options, Strategy, explore,
+    CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Front, Mapping, Objective, Options, Strategy, explore,
 };
 use nsim_cost::{MessageRoutes, MeterSettings, StepMeter};
 use nsim_golden::Golden;
@@ -178,7 +178,7 @@ pub fn map_all(
 /// Mean energy and time of a step; the network's own spikes must equal golden's.
 fn simulated(
     case: &SuiteCase,
-    (compiled, own): (&Compiled, u32),
+    (compiled, own): (&Mapping, u32),
     target: &Target,
     sample: &Sample,
     meant: &[Vec<u32>],

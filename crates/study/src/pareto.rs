@@ -17,7 +17,7 @@ use nsim_agree::classes::ClassTally;
 use nsim_agree::ladder::layers;
 use nsim_agree::metrics::TrainSums;
 use nsim_agree::trace::{Comparison, Layer, Trace};
-use nsim_compile::{Compiled, Options, compile};
+use nsim_compile::{Mapping, Options, compile};
 use nsim_cost::meter::{MeterSettings, StepMeter};
 use nsim_cost::transport::{Timing, Transport};
 use nsim_dynamics as neuron;
@@ -317,7 +317,7 @@ impl<'a> Subject<'a> {
     }
 
     /// A meter that sees every step.
-    fn meter(&self, compiled: &Compiled, transport: Transport) -> Result<StepMeter, Error> {
+    fn meter(&self, compiled: &Mapping, transport: Transport) -> Result<StepMeter, Error> {
         let (settings, _) = Metered::new(compiled).offline(self.target)?;
         let timing = Timing { transport, ..settings.timing };
         Ok(StepMeter::new(MeterSettings { timing, ..settings }))

@@ -12,7 +12,7 @@ use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_agree::compare::LayerRow;
-use nsim_compile::Compiled;
+use nsim_compile::Mapping;
 use nsim_ir::spikes::Sample;
 use nsim_report::agree::AgreeReport;
 use nsim_report::charts::picture::FILE;
@@ -71,9 +71,10 @@ pub struct Args {
     /// it
     #[arg(long, value_name = "FILE.md")]
     pub(super) update: Option<PathBuf>,
-    /// The target of the deployed network: a file or the name of a shipped target
-    #[arg(long, default_value = "nahuku-32")]
-    pub(super) target: String,
+    /// The target of the deployed network: a file or the name of a shipped target [default: that of
+    /// the model or nahuku-32, or the first that has the model's neurons]
+    #[arg(long)]
+    pub(super) target: Option<String>,
     /// Exit with status 1 if fewer than this share of the samples have the same class
     #[arg(long, value_name = "SHARE")]
     pub(super) require_class_agreement: Option<f64>,
@@ -92,20 +93,23 @@ pub(super) fn answer(args: &Args, report: &AgreeReport<'_>) -> Answer {
 }
 
 /// What to warn of in the deployed network. What its rounding costs, the comparison says itself.
-pub(super) fn deployed_warnings(deployed: &Compiled, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
+pub(super) fn deployed_warnings(deployed: &Mapping, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
     let mut warnings = warnings_of(&deployed.quantised, &deployed.program, samples)?;
     warnings.retain(|warning| warning.code != "weights-rounded");
     Ok(warnings)
 }
 
-/// Writes the picture of both potentials, where one is asked for and something parts.
-pub(super) fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Context) -> Result<(), Error> {
-    let Some(path) = &args.plot else { return Ok(()) };
+/// Writes the picture of both potentials, where one is asked for and something parts; gives what was written.
+pub(super) fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Context) -> Result<Vec<String>, Error> {
+    let Some(path) = &args.plot else { return Ok(Vec::new()) };
     match nsim_report::agree::potentials(model, layers) {
-        Some(svg) => output::write_picture(path, &svg, context),
+        Some(svg) => {
+            output::write_picture(path, &svg, context)?;
+            Ok(vec![path.display().to_string()])
+        }
         None => {
             tracing::warn!("no spike parts whose potentials are known: {} is not written", path.display());
-            Ok(())
+            Ok(Vec::new())
         }
     }
 }

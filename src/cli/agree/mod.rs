@@ -20,12 +20,12 @@ use nsim_agree::attribution::attribute;
 use nsim_agree::compare::{Counterpart, Deployed, compare, output_layer};
 use nsim_agree::ladder::layers;
 use nsim_compile::{CompileError, Form, Options, compile};
-use nsim_files as io;
+use nsim_files::target::target_with_neurons;
 use nsim_import::spikes::read_source;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::stimulus::{InputArg, InputSource};
-use nsim_report::agree::{AgreeReport, named_fits};
+use nsim_report::agree::{AgreeReport, converted_from, named_fits};
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
 use nsim_session::inputs;
@@ -46,17 +46,18 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Form::require_written("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
+    let target = target_with_neurons(network.file(), args.target.as_deref())?;
+    let (trained, on) = ((&graph, &analytic), (&target, context));
     match models::named(&args.against)?.as_slice() {
         [] => {}
-        [other] => return models::with_one(args, (&graph, &analytic), other, (&stimulus, &samples), context),
-        several => return models::with_several(args, (&graph, &analytic), several, (&stimulus, &samples), context),
+        [other] => return models::with_one(args, trained, other, (&stimulus, &samples), on),
+        several => return models::with_several(args, trained, several, (&stimulus, &samples), on),
     }
     let against = against(args, &graph, &analytic)?;
 
     let wanted = args.calibration_samples as usize;
     let integers = args.conversion.integers((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
     let ladder = integers.ladder(&graph)?;
-    let target = io::target::load_target(&args.target)?;
     let compiled = match compile(ladder.deployed().clone(), &target, &Options::default()) {
         Ok(compiled) => compiled,
         Err(CompileError::DoesNotFit(reasons)) => {
@@ -106,7 +107,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let svg = nsim_report::agree::bars(&graph.facts().name, attribution);
         output::write_picture(path, &svg, context)?;
     }
-    draw(args, &graph.facts().name, &agreement.layers, context)?;
+    let mut files = draw(args, &graph.facts().name, &agreement.layers, context)?;
+    files.extend(args.plot_causes.iter().map(|path| path.display().to_string()));
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
     let report = AgreeReport {
         found: integers.found.as_ref(),
@@ -114,6 +116,11 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         attribution: attribution.as_ref(),
         attribution_samples: samples.len().min(args.attribution_samples as usize),
         next: next.as_ref(),
+        files: &files,
+        target: Some(target.name()),
+        source: converted_from(&graph)
+            .filter(|_| matches!(against, Counterpart::Cuba))
+            .map(|trained| (trained, format!("nsim agree {trained} --against {}", args.model))),
         ..AgreeReport::of_two((&graph.facts().name, against.name()), shown, &agreement)
     };
     if let (Some(path), Some(attribution)) = (&args.update, &attribution) {
@@ -122,6 +129,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let svg = nsim_report::agree::bars(name, attribution);
         output::update_section(path, &mark, &report.markdown(&picture), Some((&picture, &svg)), context)?;
     }
+    report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
     if !taken {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     }

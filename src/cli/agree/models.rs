@@ -11,10 +11,10 @@ use crate::cli::agree::args::{Args, answer, deployed_warnings, draw};
 use crate::cli::args::jobs::Refusal;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use nsim_agree::compare::{Agreement, Side, compare_networks, machine_trace, output_layer, real_trace};
-use nsim_agree::ladder::layers;
-use nsim_compile::{CompileError, Compiled, Form, Options, compile};
+use nsim_agree::compare::{Agreement, compare_models};
+use nsim_compile::{CompileError, Form, Mapping, Options, compile};
 use nsim_files as io;
+use nsim_import::kind::FileKind;
 use nsim_ir::graph::Graph;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
@@ -33,7 +33,8 @@ pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
     let is_model = |word: &&str| {
         let path = Path::new(word);
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-        let foreign = extension.as_deref().is_some_and(|extension| ["nir", "net"].contains(&extension));
+        let foreign = extension.as_deref().is_some_and(|extension| ["nir", "net"].contains(&extension))
+            || FileKind::detect(path).is_ok_and(|kind| kind == FileKind::Torch);
         // A manifest of recorded spikes is RON as well.
         let written = extension.as_deref() == Some("ron");
         let model = written && io::text::read_text(path).is_ok_and(|text| text.text().contains("Network("));
@@ -70,7 +71,7 @@ impl Obstacle {
 }
 
 /// A network on simulated cores.
-fn deployed(model: &str, network: &Quantised, target: &Target) -> Result<Compiled, Obstacle> {
+fn deployed(model: &str, network: &Quantised, target: &Target) -> Result<Mapping, Obstacle> {
     match compile(network.clone(), target, &Options::default()) {
         Ok(compiled) => Ok(compiled),
         Err(CompileError::DoesNotFit(reasons)) => Err(Obstacle::Refused(Refusal::new(model, target.clone(), reasons))),
@@ -90,35 +91,22 @@ fn compared(
     (graph, integers): (&Graph, &Quantised),
     files: &[&str],
     samples: &[&Sample],
-    context: Context,
+    (target, context): (&Target, Context),
 ) -> Result<Vec<(Agreement, Other)>, Obstacle> {
-    let target = io::target::load_target(&args.target)?;
     // A network in real numbers is not mapped: it runs as it was trained.
     let mapped = match is_real(graph) {
         true => None,
-        false => Some(deployed(&args.model, integers, &target)?),
+        false => Some(deployed(&args.model, integers, target)?),
     };
-    let trained = real_trace(graph, integers)?;
-    let machine = mapped.as_ref().map(|mapped| machine_trace(integers, &mapped.program)).transpose()?;
-    let here = layers(integers);
-    let output = output_layer(integers);
     let mut all = Vec::new();
     for file in files {
         let (_, second) = real_and_integers(&args.timestep.load(file)?)?;
         Form::require_written("nsim agree", &second, 1)?;
-        let compiled = deployed(file, &second, &target)?;
-        let there = layers(&second);
-        let agreement = {
-            let trace = machine_trace(&second, &compiled.program)?;
-            let a: &(dyn Fn(&Sample) -> _ + Sync) = match &machine {
-                Some(machine) => machine,
-                None => &trained,
-            };
-            let (a, b) = (Side { layers: &here, trace: a }, Side { layers: &there, trace: &trace });
-            output::with_progress(context, samples.len(), "samples", |done| {
-                compare_networks((a, b), &output, samples, args.steps, done)
-            })?
-        };
+        let compiled = deployed(file, &second, target)?;
+        let first = (graph, integers, mapped.as_ref().map(|mapped| &mapped.program));
+        let agreement = output::with_progress(context, samples.len(), "samples", |done| {
+            compare_models(first, (&second, &compiled.program), samples, args.steps, done)
+        })?;
         output::warn_all(&deployed_warnings(&compiled, samples)?);
         all.push((agreement, Other { name: second.parts().name.clone(), cores: compiled.program.cores().len() }));
     }
@@ -131,16 +119,18 @@ pub(super) fn with_one(
     (graph, integers): (&Graph, &Quantised),
     other: &str,
     (stimulus, samples): (&Stimulus, &[&Sample]),
-    context: Context,
+    (target, context): (&Target, Context),
 ) -> Result<Answer, Error> {
-    let mut all = match compared(args, (graph, integers), &[other], samples, context) {
+    let mut all = match compared(args, (graph, integers), &[other], samples, (target, context)) {
         Ok(all) => all,
         Err(obstacle) => return obstacle.say(context),
     };
     let Some((agreement, _)) = all.pop() else { return Ok(Answer::No) };
-    draw(args, &graph.facts().name, &agreement.layers, context)?;
+    let files = draw(args, &graph.facts().name, &agreement.layers, context)?;
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
-    let report = AgreeReport::of_two((&graph.facts().name, "another model"), shown, &agreement);
+    let two = AgreeReport::of_two((&graph.facts().name, "another model"), shown, &agreement);
+    let report = AgreeReport { files: &files, target: Some(target.name()), ..two };
+    report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
     if args.plot.as_deref().is_none_or(|path| !io::text::is_standard_stream(path)) {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     }
@@ -153,13 +143,13 @@ pub(super) fn with_several(
     (graph, integers): (&Graph, &Quantised),
     files: &[&str],
     (stimulus, samples): (&Stimulus, &[&Sample]),
-    context: Context,
+    (target, context): (&Target, Context),
 ) -> Result<Answer, Error> {
     if args.plot.is_some() || args.plot_causes.is_some() || args.update.is_some() {
         let message = "--plot, --plot-causes and --update show one comparison: give one --against";
         return Err(Error::Usage(message.to_string()));
     }
-    let all = match compared(args, (graph, integers), files, samples, context) {
+    let all = match compared(args, (graph, integers), files, samples, (target, context)) {
         Ok(all) => all,
         Err(obstacle) => return obstacle.say(context),
     };

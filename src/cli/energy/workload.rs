@@ -8,7 +8,7 @@ use crate::cli::args::steps::recorded;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::cli::process::ranks;
-use nsim_compile::Compiled;
+use nsim_compile::Mapping;
 use nsim_cost::{MeterSettings, StepMeter};
 use nsim_energy::workload::Workload;
 use nsim_files as io;
@@ -36,7 +36,7 @@ pub fn workload<'j>(job: &'j Job, input: &InputArgs) -> Result<Workload<'j>, Err
 /// # Errors
 /// As [`workload`].
 pub fn workload_of<'j>(
-    (compiled, target): (&'j Compiled, &'j Target),
+    (compiled, target): (&'j Mapping, &'j Target),
     job: &Job,
     input: &InputArgs,
 ) -> Result<Workload<'j>, Error> {

@@ -1,11 +1,11 @@
 //! `nsim show NAME`: a shipped file as it is, or a stage of the compiler (`--as`), as RON.
 //!
-//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it; a
-//! training file is found by its name where no other file has it. With `--as` a model. Output: its text,
+//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it, or the
+//! path of a file; a training file is found by its name where no other file has it. With `--as` a model. Output: its text,
 //! which can be saved, changed and used in its place; or the network in integers, its cores, their
 //! places, or their tables, as `nsim::ir` reads them.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
@@ -52,8 +52,8 @@ named_variants!(Stage {
   nsim show model.ron --as quantised       a model in integers that fit their hardware fields
   nsim show model.ron --as program --target loihi1-chip -o program.ron   the tables of its cores")]
 pub struct Args {
-    /// A shipped name, with its kind before it where several files have it; with --as, a model file
-    /// or the name of a shipped model
+    /// A shipped name, with its kind before it where several files have it, or a file; with --as, a
+    /// model file or the name of a shipped model
     pub name: Option<String>,
     /// A stage of the compiler instead: the network in integers, its compartments on cores, the
     /// places of the cores, or their tables
@@ -91,6 +91,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     };
     output::check_files(&args.output, [], context)?;
     let (name, text) = match args.stage {
+        None if shipped::is_path(name) && Path::new(name).is_file() => {
+            (name.as_str(), io::text::read_text(Path::new(name))?.text().to_string())
+        }
         None => find(name).map(|file| (without_extension(file), file.text.to_string()))?,
         Some(stage) => {
             let job = JobArgs { target: args.target.clone(), ..JobArgs::for_model(name) };

@@ -18,7 +18,7 @@ use crate::common::compare::small_cores;
 use crate::common::random::{self, Draw};
 use nsim::check::equivalence::{Difference, check_copies};
 use nsim::check::verify::{Violation, used, verify};
-use nsim::compile::{Compiled, DEFAULT_RATE, Front, Options, compile, map};
+use nsim::compile::{DEFAULT_RATE, Front, Mapping, Options, compile, map};
 use nsim::ir::base::fixed::Delay;
 use nsim::ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim::ir::firing_rates::Rates;
@@ -137,8 +137,8 @@ struct Tally {
 }
 
 /// Mutates a program once by every kind.
-fn mutate(compiled: Compiled, target: &Target, seed: u64, tallies: &mut [Tally]) {
-    let Compiled { program, quantised: network, partition, options: Options { copies, .. }, .. } = compiled;
+fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) {
+    let Mapping { program, quantised: network, partition, options: Options { copies, .. }, .. } = compiled;
     let check = |program: &Program| check_copies(&network, program, copies).map(drop);
     assert_eq!((verify(&program, target), check(&program)), (Ok(()), Ok(())), "seed {seed}");
     // One less of anything than the program uses is too little.

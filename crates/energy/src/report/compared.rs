@@ -38,6 +38,8 @@ pub struct PerSample {
 /// Time and energy until a sample is decided, on the simulated chip.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PerDecision {
+    /// The chip.
+    pub hardware: String,
     /// What decides it.
     pub rule: String,
     /// Mean time of a sample until then.
@@ -115,7 +117,11 @@ impl Comparison {
             let row = |name: String, time_us: f64, energy_uj: f64| vec![name, three(time_us / 1e3), three(energy_uj)];
             let samples = self.per_sample.iter().map(|on| row(on.hardware.clone(), on.time_us, on.energy_uj));
             let decided = self.per_decision.iter().map(|decision| {
-                row(format!("loihi, until decided ({})", decision.rule), decision.time_us, decision.energy_uj)
+                row(
+                    format!("{}, until decided ({})", decision.hardware, decision.rule),
+                    decision.time_us,
+                    decision.energy_uj,
+                )
             });
             let rows: Vec<Vec<String>> = samples.chain(decided).collect();
             out += &table(&["One sample on", "Time (ms)", "Energy (uJ)"], &rows);

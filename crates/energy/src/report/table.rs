@@ -141,6 +141,8 @@ pub struct EnergyReport {
     pub printed: Option<[f64; 2]>,
     /// What is not known and why, for people; also on stderr when the output is for programs.
     pub notes: Vec<String>,
+    /// Of which hardware the constants are, where it is not the chip.
+    pub inherited: Option<String>,
 }
 
 /// What a row of the table is called.
@@ -253,7 +255,7 @@ impl EnergyReport {
             "early_exit": self.early_exit,
             "constants": self.constants,
             "expected": self.expected,
-            "notes": self.notes,
+            "notes": self.notes.iter().chain(&self.inherited).collect::<Vec<_>>(),
         });
         let total = self.total();
         object["low"] = json!(total.and_then(|row| row.low).unwrap_or_default());
@@ -500,8 +502,8 @@ impl EnergyReport {
     /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
     pub fn headline(&self) -> String {
         let mut out = self.table(false);
-        for remark in self.remarks() {
-            let _ = writeln!(out, "{remark}");
+        for remark in self.remarks().iter().chain(&self.inherited) {
+            out += &wrapped(remark);
         }
         if let Some(saved) = self.early_exit {
             let share =
@@ -530,8 +532,8 @@ impl EnergyReport {
     /// The whole report for people: what a reader asks first comes first.
     pub fn text(&self) -> String {
         let mut out = self.table(true);
-        for remark in self.remarks() {
-            let _ = writeln!(out, "{remark}");
+        for remark in self.remarks().iter().chain(&self.inherited) {
+            out += &wrapped(remark);
         }
         out.push('\n');
         out.push_str(&self.breakdown());

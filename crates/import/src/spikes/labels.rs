@@ -45,7 +45,8 @@ pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
 pub fn apply(path: &Path, labels: &[u32], samples: &mut [PopulationSpikes]) -> Result<()> {
     let wrong = |message: String| Diagnostic::new("input.labels", message).in_file(path);
     if labels.len() != samples.len() {
-        return Err(wrong(format!("there are {} labels and {} samples", labels.len(), samples.len())));
+        return Err(wrong(format!("there are {} labels and {} samples", labels.len(), samples.len()))
+            .help("give a class for each sample of the input, in their order; --samples A..B runs some of both"));
     }
     for (index, (sample, &label)) in samples.iter_mut().zip(labels).enumerate() {
         if let Some(own) = sample.label.filter(|own| *own != label) {

@@ -175,6 +175,9 @@ pub struct TargetChanges {
     /// Limits of a core.
     #[serde(default)]
     pub limits: LimitChanges,
+    /// Where limits come from, in place of what the other target says of the same.
+    #[serde(default)]
+    pub limit_sources: Vec<LimitSource>,
     /// Presets of constants in place of the other target's.
     pub constants: Option<Vec<Spanned<String>>>,
 }
@@ -204,7 +207,9 @@ impl TargetChanges {
         chip.neuron_kinds = self.neuron_kinds.clone().unwrap_or(chip.neuron_kinds);
         chip.message_bits = self.message_bits.unwrap_or(chip.message_bits);
         chip.limits = self.limits.applied(chip.limits);
-        chip.limit_sources.retain(|entry| !self.limits.changes(&entry.limit));
+        let is_stated = |entry: &LimitSource| self.limit_sources.iter().any(|own| own.limit.value == entry.limit.value);
+        chip.limit_sources.retain(|entry| !self.limits.changes(&entry.limit) && !is_stated(entry));
+        chip.limit_sources.extend(self.limit_sources.iter().cloned());
         chip.alternatives.retain(|entry| !self.limits.changes(&entry.limit));
         chip
     }

@@ -145,7 +145,7 @@ impl<S: Sum> DelayRing<S> {
 
     /// Delivers spikes of channels or of compartments, ascending if there are dense blocks, and
     /// with `MARK` marks where they arrive. Returns the synaptic events that fall within `left`
-    /// steps. Spikes that fan_out narrow dense blocks are counted in `counts` by source, unless it
+    /// steps. Spikes that reach narrow dense blocks are counted in `counts` by source, unless it
     /// is empty.
     #[inline(always)]
     pub fn deliver<const MARK: bool, P: Spike>(

@@ -4,13 +4,13 @@
 use serde_json::{Value, json};
 
 use crate::charts::board::mostly;
-use nsim_compile::Compiled;
+use nsim_compile::Mapping;
 use nsim_compile::explore::traffic::Links;
 use nsim_ir::hardware::Target;
 use nsim_ir::resource::Resource;
 
 /// Cores with their use of each resource, and loaded links.
-pub fn json(compiled: &Compiled, target: &Target, links: &Links) -> Value {
+pub fn json(compiled: &Mapping, target: &Target, links: &Links) -> Value {
     let mesh = compiled.placement.mesh();
     let limits = target.limits();
     let resources = [Resource::Compartments, Resource::AxonsIn, Resource::AxonsOut, Resource::SynapseWords];

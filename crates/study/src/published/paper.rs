@@ -40,7 +40,6 @@ pub struct PaperRow {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub folds: Vec<f64>,
     /// What the shipped network of the first fold came to when it was run now.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub shipped: Option<f64>,
     /// Standard deviation that the paper prints.
     pub published_deviation: Option<f64>,

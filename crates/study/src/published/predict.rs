@@ -6,7 +6,7 @@
 //! that price a user's network.
 
 use super::network::{COUNTED, Rates, build, warm_up};
-use nsim_compile::{CompileError, Compiled, Front, Options};
+use nsim_compile::{CompileError, Front, Mapping, Options};
 use nsim_cost::estimate::{Case, JobPower};
 use nsim_cost::job::DeployedCores;
 use nsim_cost::job::Mode;
@@ -60,7 +60,7 @@ fn members(file: &WorkloadFile, network: &Quantised) -> IdVec<CoreId, Vec<Compar
 }
 
 /// One copy on the cores of its layout, in the order of the file.
-fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Compiled, Error> {
+fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Mapping, Error> {
     let failed = |error: CompileError| failed(file, format!("does not compile: {error}"));
     let members = members(file, &network);
     let mesh = Mesh::for_target(target);

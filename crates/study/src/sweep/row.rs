@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use crate::sweep::made::MadeOnce;
 use crate::sweep::variants::{FIGURES, Job, Training};
-use nsim_compile::{Compiled, Front};
+use nsim_compile::{Front, Mapping};
 use nsim_cost::estimate::{Case, estimate};
 use nsim_cost::{Host, HostWork};
 use nsim_energy::options::{tables, with_preset};
@@ -80,7 +80,7 @@ pub struct Runner {
     converted: MadeOnce<String, Front>,
     /// Those that variants are priced by come first among a target's constants.
     targets: MadeOnce<(String, Vec<Change>, Option<String>), Target>,
-    mappings: MadeOnce<String, Compiled>,
+    mappings: MadeOnce<String, Mapping>,
     stimuli: MadeOnce<String, Stimulus>,
 }
 
@@ -118,7 +118,7 @@ fn share(of: Option<(&Capacity, u64, u64)>) -> [String; 2] {
 }
 
 /// The resource of which a core uses most of its limit, of all cores: what it uses, and the limit.
-fn tightest(compiled: &Compiled, target: &Target) -> Option<(Capacity, u64, u64)> {
+fn tightest(compiled: &Mapping, target: &Target) -> Option<(Capacity, u64, u64)> {
     let cores = compiled.partition.usage().iter().flat_map(|used| target.limits().against(used.of));
     let of_cores = cores.filter(|(resource, ..)| resource.heading().is_some());
     of_cores.reduce(|a, b| if b.1 * a.2.max(1) > a.1 * b.2.max(1) { b } else { a })
@@ -205,7 +205,7 @@ impl Runner {
     }
 
     /// The network of a variant on its cores.
-    fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Compiled>, Error> {
+    fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Mapping>, Error> {
         let as_integers = |network: &Network| {
             if !has_srm(network) {
                 return integers(network, USUAL);

@@ -12,6 +12,12 @@ use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
+/// The bias of each channel where all of its units have the same: the mean over a window without padding is that too.
+fn shared(bias: &[f64], channels: usize) -> Option<Vec<f64>> {
+    let planes = bias.chunks(bias.len() / channels);
+    planes.map(|plane| plane.iter().all(|b| *b == plane[0]).then_some(plane[0])).collect()
+}
+
 impl Reader<'_> {
     /// The linear map of these nodes behind a population of this shape.
     pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
@@ -72,11 +78,21 @@ impl Reader<'_> {
             }
             "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
                 let window = self.window(&connection.shape, name)?;
+                let shared = (node.kind == "AvgPool2d" && window.sliding.padding == (0, 0))
+                    .then(|| shared(connection.bias.as_deref()?, connection.shape[0]))
+                    .flatten();
+                if shared.is_some() {
+                    connection.bias = None;
+                }
                 self.before_weights(&mut connection, name)?;
                 let target = window.sliding.target.to_vec();
                 connection.linear = self.then_window(connection.linear, window, &connection.shape, name)?;
+                let plane = target[1] * target[2];
                 connection.shape = target;
-                connection.bias = self.bias(group, name, &connection.shape)?;
+                connection.bias = match shared {
+                    Some(each) => Some(each.into_iter().flat_map(|bias| std::iter::repeat_n(bias, plane)).collect()),
+                    None => self.bias(group, name, &connection.shape)?,
+                };
             }
             "Delay" => {
                 let delays = reals(group, name, "delay")?;
