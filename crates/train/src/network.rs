@@ -371,7 +371,9 @@ mod tests {
                     worst = worst.max((difference - f64::from(gradient[layer][i])).abs());
                 }
             }
-            assert!(worst < 2e-3 * norm, "{neuron}, {loss}: {worst} of {norm}");
+            // The surrogate of a zero crossing has a corner, which a difference of 2 h may step over.
+            let most = if neuron == RF { 1.5e-2 } else { 2e-3 };
+            assert!(worst < most * norm, "{neuron}, {loss}: {worst} of {norm}");
         }
     }
 }
