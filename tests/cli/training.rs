@@ -178,6 +178,38 @@ fn outputs_are_read_out_by_their_potential_as_they_were_trained() {
     }
 }
 
+#[test]
+fn neurons_of_loihi_2_decide_as_they_were_trained() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    samples(folder);
+    let neuron = "Loihi(tau_u_ms: Same(5), tau_v_ms: Spread(4, 12, 3), weight_scale: 16, theta: 10, refractory: 2, \
+                  credit: UpToReset)";
+    let config = std::fs::read_to_string(folder.join("config.ron")).unwrap();
+    assert!(config.contains(neuron));
+    let count = "SpikeCount(right: 12, wrong: 2)";
+    let potential = "Potential(decision: LastV, temperature: 900)";
+    let resonator = "Rf(period_ms: Spread(4, 9, 3), tau_ms: Same(8), weight_scale: 16, theta: 10)";
+    let outputs = format!("size: 3, neuron: {neuron}");
+    for (hidden, output, loss) in [
+        (resonator, outputs.as_str(), count),
+        (resonator, "size: 3", count),
+        ("SigmaDelta(weight_scale: 16, theta: 0.5)", "size: 3, neuron: Sigma(weight_scale: 16)", potential),
+    ] {
+        let text = config.replace(neuron, hidden).replace("size: 3", output).replace(count, loss);
+        std::fs::write(folder.join("n.ron"), text).unwrap();
+        let trained = nsim(folder, &["train", "n.ron", "--epochs", "40", "-o", "m.ron", "--force"]);
+        for engine in ["fast", "golden"] {
+            let run = nsim(folder, &["run", "m.ron", "--input", "set.ron", "--engine", engine]);
+            assert_eq!(run["accuracy"], trained["test_accuracy"], "{hidden}, {engine}");
+            assert_eq!(run["digest"], trained["digest"], "{hidden}, {engine}");
+        }
+        assert!(trained["test_accuracy"].as_f64().unwrap() > 0.8, "{hidden}: {trained}");
+    }
+    let changes = config.replace(neuron, "SigmaDelta(weight_scale: 16, theta: 0.5)");
+    assert!(refused(folder, &changes).contains("layer 'out' sends changes"));
+}
+
 /// What `nsim train` says of a training file that it refuses.
 fn refused(folder: &Path, config: &str) -> String {
     std::fs::write(folder.join("refused.ron"), config).unwrap();

@@ -152,11 +152,18 @@ fn training(draw: &mut Draw) -> String {
         0 => format!("Same({})", draw.number()),
         _ => format!("Spread({}, {}, {})", draw.number(), draw.number(), draw.number()),
     };
-    let neuron = match draw.below(2) {
+    let neuron = match draw.below(4) {
         0 => format!(
             "Srm(tau_sr_ms: {}, tau_ref_ms: 1.0, scale_ref: {}, theta: {})",
             times(draw),
             draw.number(),
+            draw.number()
+        ),
+        1 => format!("SigmaDelta(weight_scale: {}, theta: {})", draw.number(), draw.number()),
+        2 => format!(
+            "Rf(period_ms: {}, tau_ms: {}, weight_scale: 9, theta: {})",
+            times(draw),
+            times(draw),
             draw.number()
         ),
         _ => format!(

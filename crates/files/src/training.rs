@@ -96,6 +96,29 @@ pub enum NeuronDesc {
         #[serde(default)]
         credit: CreditDesc,
     },
+    /// Resonate-and-fire neurons of Loihi 2; what arrives is real.
+    Rf {
+        /// Period of the resonance.
+        period_ms: TimesDesc,
+        /// Time constant of its decay.
+        tau_ms: TimesDesc,
+        /// Mantissa units that a trained weight of 1 counts.
+        weight_scale: f64,
+        /// Threshold of the real part in the units of the trained weights.
+        theta: f64,
+    },
+    /// Neurons of Loihi 2 that send changes of their rectified sum.
+    SigmaDelta {
+        /// Mantissa units that a trained weight of 1 counts.
+        weight_scale: f64,
+        /// The least change that is sent, in the units of the trained weights.
+        theta: f64,
+    },
+    /// Neurons of Loihi 2 whose sum is read out.
+    Sigma {
+        /// Mantissa units that a trained weight of 1 counts.
+        weight_scale: f64,
+    },
 }
 
 fn one_step() -> i64 {

@@ -337,6 +337,10 @@ impl Engine for Golden {
         narrow(self.compartments[compartment].state.v)
     }
 
+    fn potential(&self, compartment: CompartmentId) -> f64 {
+        self.state(compartment, self.compartments[compartment].neuron.kind.potential()).into()
+    }
+
     fn v_register(&self, compartment: CompartmentId) -> i32 {
         // Equation (8).
         let Compartment { neuron, state, .. } = &self.compartments[compartment];

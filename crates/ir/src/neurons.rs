@@ -538,6 +538,12 @@ impl NeuronKind {
         self.table().parameters
     }
 
+    /// The word of state by which an output is read out: v, else the first.
+    #[must_use]
+    pub fn potential(self) -> usize {
+        self.table().state.iter().position(|word| word.name == "v").unwrap_or(0)
+    }
+
     /// Every name that a parameter of the kind may be given under, each once.
     pub fn parameter_names(self) -> impl Iterator<Item = &'static str> {
         let parameters = self.parameters();

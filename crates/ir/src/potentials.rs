@@ -32,25 +32,24 @@ impl Potentials {
 
     /// Adds a step with the potential of each output after it.
     pub fn add(&mut self, potential: impl Fn(u32) -> f64) {
+        self.rest(1, potential);
+    }
+
+    /// Adds steps after each of which every output has the same potential.
+    pub fn rest(&mut self, steps: u32, potential: impl Fn(u32) -> f64) {
+        if steps == 0 {
+            return;
+        }
         for (output, (score, moved)) in self.scores.iter_mut().zip(&mut self.moved).enumerate() {
             let v = potential(output as u32);
             *moved |= v != 0.0;
             *score = match self.read_out {
                 ReadOut::GreatestV if self.steps > 0 => score.max(v),
-                ReadOut::SumOfV => *score + v,
+                ReadOut::SumOfV => *score + v * f64::from(steps),
                 _ => v,
             };
         }
-        self.steps += 1;
-    }
-
-    /// Adds steps in which all potentials are zero.
-    pub fn rest(&mut self, steps: u32) {
-        if steps > 0 {
-            // A sum of zeros, their maximum and the last of them are those of one.
-            self.add(|_| 0.0);
-            self.steps += u64::from(steps) - 1;
-        }
+        self.steps += u64::from(steps);
     }
 
     /// The score of each output.
@@ -115,15 +114,16 @@ mod tests {
     }
 
     #[test]
-    fn steps_at_rest_are_steps_of_zeros() {
+    fn steps_at_rest_are_steps_of_equal_potentials() {
         for read_out in [ReadOut::GreatestV, ReadOut::SumOfV, ReadOut::LastV] {
             for rests in [0, 1, 4] {
                 let [mut one, mut other] = [(); 2].map(|()| Potentials::new(read_out, 2).unwrap());
                 for potentials in [&mut one, &mut other] {
                     potentials.add(|output| -1.0 - f64::from(output));
                 }
-                one.rest(rests);
-                (0..rests).for_each(|_| other.add(|_| 0.0));
+                let held = |output| 3.0 * f64::from(output);
+                one.rest(rests, held);
+                (0..rests).for_each(|_| other.add(held));
                 assert_eq!(one, other);
             }
         }

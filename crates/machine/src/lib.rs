@@ -428,6 +428,13 @@ impl Engine for Machine {
         state.registers(lane).v
     }
 
+    fn potential(&self, compartment: CompartmentId) -> f64 {
+        if !self.image.holds(compartment) {
+            return 0.0;
+        }
+        self.state(compartment, self.image.neuron(compartment).kind.potential()).into()
+    }
+
     fn v_register(&self, compartment: CompartmentId) -> i32 {
         if !self.image.holds(compartment) {
             return 0;

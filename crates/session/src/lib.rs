@@ -213,7 +213,8 @@ pub fn run_copies<E: Engine + ?Sized>(
             if engine.rest(passed) {
                 outcome.skipped_steps += u64::from(passed);
                 if let Some(potentials) = &mut outcome.potentials {
-                    potentials.rest((step + passed).saturating_sub(start_step.max(step)));
+                    let rested = (step + passed).saturating_sub(start_step.max(step));
+                    potentials.rest(rested, |output| engine.potential(CompartmentId(first.0 + output)));
                 }
                 after_step(engine, Passed { steps: passed, decided: outcome.decided_at.is_some() });
                 step += passed;

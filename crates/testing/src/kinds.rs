@@ -88,14 +88,7 @@ const KINDS: &str = r#"[
     ),
     Kind(
         name: "OwnRf",
-        state: [(name: "re", bits: 24, overflow: Clip), (name: "im", bits: 24, overflow: Clip)],
-        parameters: [
-            (name: "sin_decay", range: (-32768, 32767)),
-            (name: "cos_decay", range: (-32768, 32767)),
-            (name: "threshold", range: (0, 8388607)),
-            (name: "state_exp", range: (0, 7), default: 0),
-            (name: "decay_bits", range: (1, 15), default: 12),
-        ],
+        RESONATOR
         update: [
             "x = tz(cos_decay * re, decay_bits) - tz(sin_decay * im, decay_bits) + (in << state_exp)",
             "y = tz(sin_decay * re, decay_bits) + tz(cos_decay * im, decay_bits) + (in2 << state_exp)",
@@ -107,14 +100,7 @@ const KINDS: &str = r#"[
     ),
     Kind(
         name: "OwnRfIz",
-        state: [(name: "re", bits: 24, overflow: Clip), (name: "im", bits: 24, overflow: Clip)],
-        parameters: [
-            (name: "sin_decay", range: (-32768, 32767)),
-            (name: "cos_decay", range: (-32768, 32767)),
-            (name: "threshold", range: (0, 8388607)),
-            (name: "state_exp", range: (0, 7), default: 0),
-            (name: "decay_bits", range: (1, 15), default: 12),
-        ],
+        RESONATOR
         update: [
             "x = tz(cos_decay * re, decay_bits) - tz(sin_decay * im, decay_bits) + (in << state_exp)",
             "im = tz(sin_decay * re, decay_bits) + tz(cos_decay * im, decay_bits) + (in2 << state_exp)",
@@ -125,13 +111,24 @@ const KINDS: &str = r#"[
     ),
 ]"#;
 
+/// State and parameters of both resonators.
+const RESONATOR: &str = r#"state: [(name: "re", bits: 24, overflow: Clip), (name: "im", bits: 24, overflow: Clip)],
+        parameters: [
+            (name: "sin_decay", range: (-32768, 32767)),
+            (name: "cos_decay", range: (-32768, 32767)),
+            (name: "threshold", range: (0, 8388607)),
+            (name: "state_exp", range: (0, 7), default: 0),
+            (name: "decay_bits", range: (1, 15), default: 12),
+        ],"#;
+
 /// A kind as a model file states it; itself where there is no such text.
 ///
 /// # Panics
 /// When the text of a kind is wrong.
 #[must_use]
 pub fn stated(kind: NeuronKind) -> NeuronKind {
-    let kinds: Vec<MicrocodeKind> = parse(&SourceText::new("kinds.ron", KINDS), "kinds").expect("kinds that hold");
+    let source = SourceText::new("kinds.ron", KINDS.replace("RESONATOR", RESONATOR));
+    let kinds: Vec<MicrocodeKind> = parse(&source, "kinds").expect("kinds that hold");
     let own = kinds.into_iter().find(|own| own.name().strip_prefix("Own") == Some(kind.name()));
     own.map_or(kind, NeuronKind::Microcode)
 }

@@ -5,6 +5,7 @@
 //! `[step][neuron]`, so that the inner loop runs over contiguous memory. Potentials and thresholds
 //! are in the units of the trained weights.
 
+use super::loihi2::Loihi2;
 use super::raster::Raster;
 use super::surrogate::Surrogate;
 use nsim_dynamics::{Fields, Registers, update};
@@ -57,8 +58,10 @@ pub struct Loihi {
 pub enum Cells {
     /// Real numbers.
     Srm(Srm),
-    /// Integers.
+    /// Integers, with the registers of Loihi 1.
     Loihi(Loihi),
+    /// Integers, of a kind of Loihi 2.
+    Loihi2(Loihi2),
 }
 
 /// What a neuron did in a step, as far as credit depends on it.
@@ -70,8 +73,10 @@ const HELD: u8 = 2;
 #[derive(Debug, Clone, Default)]
 pub struct Trace {
     /// Potentials before the reset by a spike, `[step][neuron]`; of neurons that never spike, the
-    /// register v after the step.
+    /// register v after the step. Of neurons of Loihi 2 the first word of state.
     pub potential: Vec<f32>,
+    /// Imaginary parts of resonators.
+    pub(super) imaginary: Vec<f32>,
     /// `FREE`, `SPIKED` or `HELD`, `[step][neuron]`.
     state: Vec<u8>,
     /// Spikes.
@@ -83,7 +88,7 @@ impl Trace {
     #[must_use]
     pub fn of_stand_in(potential: Vec<f32>, spikes: Raster) -> Trace {
         // Credit of spike response neurons does not depend on what a neuron did.
-        Trace { potential, state: Vec::new(), spikes }
+        Trace { potential, spikes, ..Trace::default() }
     }
 }
 
@@ -153,6 +158,7 @@ impl Cells {
         match self {
             Cells::Srm(srm) => srm.response.len(),
             Cells::Loihi(loihi) => loihi.fields.len(),
+            Cells::Loihi2(loihi2) => loihi2.rows.len(),
         }
     }
 
@@ -168,6 +174,17 @@ impl Cells {
         match self {
             Cells::Srm(srm) => srm.theta,
             Cells::Loihi(loihi) => loihi.theta,
+            Cells::Loihi2(loihi2) => loihi2.theta,
+        }
+    }
+
+    /// The register that is read out at a potential of 1 in the units of the trained weights.
+    #[must_use]
+    pub fn unit(&self) -> f32 {
+        match self {
+            Cells::Srm(_) => 1.0,
+            Cells::Loihi(loihi) => loihi.unit(),
+            Cells::Loihi2(loihi2) => loihi2.unit,
         }
     }
 
@@ -181,6 +198,7 @@ impl Cells {
                 loihi.fields.truncate(1);
                 loihi.leaves.truncate(1);
             }
+            Cells::Loihi2(loihi2) => loihi2.rows.truncate(1),
         }
         let mut impulse = vec![0.0; steps];
         if let Some(last) = impulse.last_mut() {
@@ -189,6 +207,7 @@ impl Cells {
         match &one {
             Cells::Srm(srm) => srm.correlate(&mut impulse),
             Cells::Loihi(loihi) => loihi.correlate(&vec![FREE; steps], &mut impulse),
+            Cells::Loihi2(loihi2) => loihi2.correlate(&mut impulse, &[]),
         }
         impulse.reverse();
         impulse
@@ -200,7 +219,7 @@ impl Cells {
     pub fn lag(&self) -> usize {
         match self {
             Cells::Srm(_) => 0,
-            Cells::Loihi(_) => 1,
+            Cells::Loihi(_) | Cells::Loihi2(_) => 1,
         }
     }
 
@@ -217,6 +236,8 @@ impl Cells {
             (Cells::Srm(srm), _) => srm.forward(drive, surrogate, spiking, trace),
             (Cells::Loihi(loihi), Spiking::Hard) => loihi.forward(drive, trace),
             (Cells::Loihi(loihi), Spiking::Smooth) => loihi.forward_smooth(drive, surrogate, trace),
+            (Cells::Loihi2(loihi2), Spiking::Hard) => loihi2.forward(drive, trace),
+            (Cells::Loihi2(loihi2), Spiking::Smooth) => loihi2.forward_smooth(drive, surrogate, trace),
         }
     }
 
@@ -224,12 +245,13 @@ impl Cells {
     /// potential of neurons that never spike, to that by each step's input in the units of the
     /// trained weights, in place.
     pub fn backward(&self, trace: &Trace, surrogate: &Surrogate, error: &mut [f32]) {
-        if self.theta().is_finite() {
+        if self.theta().is_finite() && !matches!(self, Cells::Loihi2(_)) {
             error.iter_mut().zip(&trace.potential).for_each(|(e, &u)| *e *= surrogate.slope(u));
         }
         match self {
             Cells::Srm(srm) => srm.correlate(error),
             Cells::Loihi(loihi) => loihi.correlate(&trace.state, error),
+            Cells::Loihi2(loihi2) => loihi2.backward(trace, surrogate, error),
         }
     }
 }

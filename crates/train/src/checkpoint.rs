@@ -97,6 +97,10 @@ fn layer(layer: &Layer) -> Value {
             "kind": "loihi", "fields": loihi.fields.iter().map(fields).collect::<Vec<_>>(), "leaves": loihi.leaves,
             "theta": loihi.theta, "weight_unit": loihi.weight_unit, "credit": credit(loihi.credit),
         }),
+        Cells::Loihi2(loihi2) => json!({
+            "kind": loihi2.kind.name(), "rows": loihi2.rows, "turns": loihi2.turns, "theta": loihi2.theta,
+            "weight_unit": loihi2.weight_unit, "unit": loihi2.unit,
+        }),
     };
     json!({
         "name": layer.name,

@@ -33,6 +33,9 @@ pub fn model(file: &TrainingFile, topology: &Topology, weights: &Weights, proven
             ..ProjectionDesc::new("", &desc.name, kind)
         });
     }
+    // The chip that has these kinds.
+    let loihi2 = |layer: &Layer| matches!(layer.cells, Cells::Loihi2(_));
+    model.target = topology.layers.iter().any(loihi2).then(|| "oheo-gulch".to_string());
     model.output = file.layers.last().map_or_else(String::new, |layer| layer.name.clone());
     if let LossDesc::Potential { decision, .. } = file.loss.value {
         model.decision = decision;
@@ -63,6 +66,12 @@ fn population(file: &TrainingFile, desc: &LayerDesc, layer: &Layer) -> Result<Po
                 ("refractory", of(|n| n.refractory.get().into())),
             ];
             Ok(PopulationDesc::loihi(&desc.name, shape, parameters))
+        }
+        (Cells::Loihi2(loihi2), _) => {
+            let of = |place: usize| Parameter::from_values(loihi2.rows.iter().map(|row| row.0[place].into()).collect());
+            let names = loihi2.kind.parameters().iter().map(|parameter| parameter.name);
+            let parameters = names.enumerate().map(|(place, name)| (name, of(place))).collect();
+            Ok(PopulationDesc { kind: loihi2.kind, ..PopulationDesc::loihi(&desc.name, shape, parameters) })
         }
         (Cells::Srm(_), NeuronDesc::Srm { tau_sr_ms: TimesDesc::Same(tau), tau_ref_ms, scale_ref, theta, .. }) => {
             let srm = [("tau_sr_ms", *tau), ("tau_ref_ms", *tau_ref_ms), ("scale_ref", *scale_ref), ("theta", *theta)];

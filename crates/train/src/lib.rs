@@ -15,6 +15,7 @@ pub mod convert;
 pub mod export;
 pub mod fit;
 pub mod job;
+pub mod loihi2;
 pub mod loss;
 pub mod network;
 pub mod optimiser;

@@ -310,6 +310,8 @@ mod tests {
         ];
         let reads_potential =
             ", neuron: Loihi(tau_u_ms: Same(4), tau_v_ms: Spread(6, 12, 3), weight_scale: 16, theta: inf)";
+        const RF: &str = "Rf(period_ms: Spread(4, 9, 3), tau_ms: Same(8), weight_scale: 16, theta: 10)";
+        const CHANGES: &str = "SigmaDelta(weight_scale: 16, theta: 1)";
         let losses = [
             "SpikeCount(right: 6, wrong: 1)",
             "Weighted(right: 6, wrong: 1, beta: -1, gamma: 1)",
@@ -319,7 +321,11 @@ mod tests {
         let by_potential = [
             (neurons[2], reads_potential, "Potential(decision: GreatestV, temperature: 20)"),
             (neurons[3], reads_potential, "Potential(decision: SumOfV, temperature: 200)"),
+            (RF, reads_potential, "Potential(decision: GreatestV, temperature: 20)"),
+            (CHANGES, ", neuron: Sigma(weight_scale: 16)", "Potential(decision: LastV, temperature: 900)"),
+            (CHANGES, ", neuron: Sigma(weight_scale: 16)", "Potential(decision: SumOfV, temperature: 9000)"),
             (neurons[2], reads_potential, "Potential(decision: LastV, temperature: 20)"),
+            (RF, "", losses[0]),
         ];
         for (case, (neuron, output, loss)) in by_spikes.chain(by_potential).enumerate() {
             let plan = smooth_plan(neuron, output, loss);
@@ -365,7 +371,9 @@ mod tests {
                     worst = worst.max((difference - f64::from(gradient[layer][i])).abs());
                 }
             }
-            assert!(worst < 2e-3 * norm, "{neuron}, {loss}: {worst} of {norm}");
+            // The surrogate of a zero crossing has a corner, which a difference of 2 h may step over.
+            let most = if neuron == RF { 1.5e-2 } else { 2e-3 };
+            assert!(worst < most * norm, "{neuron}, {loss}: {worst} of {norm}");
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::cells::{Cells, Loihi, Srm, response_peak};
 use super::fit::Plan;
+use super::loihi2::Loihi2;
 use super::loss::{Form, Loss};
 use super::network::{Layer, Mantissas, Source, Topology};
 use super::optimiser::{Optimiser, Rule};
@@ -11,6 +12,7 @@ use nsim_files::training::{LossDesc, NeuronDesc, OptimiserDesc, TimesDesc, Train
 use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::{Decay, OutOfRange, Refractory, ThresholdMantissa, WeightExponent};
+use nsim_ir::neurons::{NeuronKind, Row, Storage};
 use nsim_ir::quantised::Neuron;
 use nsim_reference::kernel::{Alpha, Kernel};
 use nsim_reference::srm::Parameters;
@@ -127,17 +129,27 @@ fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Lo
     for (index, layer) in layers.iter().enumerate() {
         let never_spikes = layer.cells.theta().is_infinite();
         if never_spikes && (index < last || !by_potential) {
-            let message = format!("layer '{}' has theta inf and never spikes, and its spikes are needed", layer.name);
+            let message = format!(
+                "layer '{}' is read out by its potential (theta inf, or Sigma), and what it sends is needed",
+                layer.name
+            );
             return Err(problems.at("train.layer", file.layers[index].span, message).help(
                 "give it a threshold such as theta: 10; only the last layer is read out by its potential, with the \
                  loss Potential(decision: LastV, temperature: 1)",
             ));
         }
+        if index == last && matches!(&layer.cells, Cells::Loihi2(loihi2) if loihi2.kind == NeuronKind::SigmaDelta) {
+            let message = format!("layer '{}' sends changes, whose number decides nothing", layer.name);
+            return Err(problems.at("train.layer", file.layers[index].span, message).help(
+                "give this layer the neuron Sigma(weight_scale: 64), with the loss Potential(decision: LastV, \
+                 temperature: 64)",
+            ));
+        }
         if by_potential && index == last && !never_spikes {
             let message = format!("layer '{}' spikes, and a spike resets the potential that is to decide", layer.name);
-            return Err(problems
-                .at("train.layer", file.layers[index].span, message)
-                .help("give this layer a neuron of its own that never spikes: neuron: Loihi(.., theta: inf)"));
+            return Err(problems.at("train.layer", file.layers[index].span, message).help(
+                "give this layer a neuron of its own: neuron: Loihi(.., theta: inf), which never spikes, or Sigma(..)",
+            ));
         }
     }
     let output = &layers[last].cells;
@@ -156,8 +168,7 @@ fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Lo
         }
         LossDesc::Potential { decision, temperature } => {
             let temperature = problems.number(span, "temperature", temperature, 1e-6, 1e9)? as f32;
-            let unit = if let Cells::Loihi(loihi) = output { loihi.unit() } else { 1.0 };
-            (Form::Potential { decision, unit, temperature }, 0.0, 0.0)
+            (Form::Potential { decision, unit: output.unit(), temperature }, 0.0, 0.0)
         }
     };
     Ok(Loss { form, right: right as f32, wrong: wrong as f32 })
@@ -222,5 +233,58 @@ fn cells(
             }
             Ok((Cells::Loihi(Loihi::new(fields, theta as f32, mantissas.unit(), credit)), Some(mantissas)))
         }
+        NeuronDesc::Rf { period_ms, tau_ms, weight_scale, theta } => {
+            let period = times(problems, span, "period_ms in steps", period_ms, n, step)?;
+            let tau = times(problems, span, "tau_ms in steps", tau_ms, n, step)?;
+            let turn = |(period, tau): (f64, f64)| {
+                let angle = std::f64::consts::TAU / period;
+                let part = |part: f64| (4096.0 * libm::exp(-1.0 / tau) * part).trunc() as i32;
+                [part(libm::cos(angle)), part(libm::sin(angle))]
+            };
+            let turns: Vec<[i32; 2]> = period.into_iter().zip(tau).map(turn).collect();
+            let row = |&[cos, sin]: &[i32; 2], threshold| Row([sin, cos, threshold, RF_STATE_EXP, 12, 0, 0, 0]);
+            let share = |x| x as f32 / 4096.0;
+            loihi2(problems, span, NeuronKind::Rf, (weight_scale, theta, RF_STATE_EXP), |threshold| {
+                (
+                    turns.iter().map(|turn| row(turn, threshold)).collect(),
+                    turns.iter().map(|turn| turn.map(share)).collect(),
+                )
+            })
+        }
+        NeuronDesc::SigmaDelta { weight_scale, theta } => {
+            let parts = (weight_scale, theta, 0);
+            // vth_mant, and of the rest only relu.
+            let row = |threshold| Row([threshold, 0, 0, 0, 1, 0, 0, 0]);
+            loihi2(problems, span, NeuronKind::SigmaDelta, parts, |threshold| (vec![row(threshold); n], Vec::new()))
+        }
+        NeuronDesc::Sigma { weight_scale } => {
+            let parts = (weight_scale, f64::INFINITY, 0);
+            loihi2(problems, span, NeuronKind::Sigma, parts, |_| (vec![Row::EMPTY; n], Vec::new()))
+        }
     }
+}
+
+/// Bits of the state of a resonator below an arriving 1, as netx sets them.
+const RF_STATE_EXP: i32 = 6;
+
+/// Neurons of a kind of Loihi 2: weight scale, threshold in trained weights and bits of the state
+/// below an arriving 1; `build` makes rows and rotations from the threshold in units of the state.
+fn loihi2(
+    problems: &Problems,
+    span: Span,
+    kind: NeuronKind,
+    (scale, theta, state_exp): (f64, f64, i32),
+    build: impl FnOnce(i32) -> (Vec<Row>, Vec<[f32; 2]>),
+) -> Result<(Cells, Option<Mantissas>)> {
+    let scale = problems.number(span, "weight_scale", scale, 1e-6, 1e6)?;
+    let mantissas = Mantissas { scale: scale as f32, exponent: WeightExponent::ZERO };
+    let unit = f64::from(mantissas.unit()) * f64::from(1 << state_exp);
+    let mut threshold = 0;
+    if let Some(parameter) = kind.parameters().iter().find(|parameter| parameter.storage == Storage::Threshold) {
+        let theta = problems.number(span, "theta", theta, 1e-6, 1e6)?;
+        threshold = problems.field(span, parameter.field.check((theta * unit).round() as i64))? as i32;
+    }
+    let (rows, turns) = build(threshold);
+    let (theta, weight_unit, unit) = (theta as f32, mantissas.unit(), unit as f32);
+    Ok((Cells::Loihi2(Loihi2 { kind, rows, turns, theta, weight_unit, unit }), Some(mantissas)))
 }

@@ -38,6 +38,20 @@ impl Surrogate {
         let x = (u - self.theta) * self.steepness;
         self.scale * if x < 0.0 { exp_minus(-x) } else { 2.0 - exp_minus(x) }
     }
+
+    /// A pulse at 0 of area 1, as wide as the slope: what a zero crossing has instead of a step.
+    #[inline]
+    #[must_use]
+    pub fn pulse(&self, x: f32) -> f32 {
+        0.5 * self.steepness * exp_minus((x * self.steepness).abs())
+    }
+
+    /// The derivative of [`Surrogate::pulse`].
+    #[inline]
+    #[must_use]
+    pub fn pulse_slope(&self, x: f32) -> f32 {
+        -self.steepness * x.signum() * self.pulse(x)
+    }
 }
 
 /// `exp(-x)` for x >= 0 within 3e-7, in operations that every machine rounds alike: a power of two

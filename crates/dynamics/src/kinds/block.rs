@@ -37,6 +37,18 @@ pub struct Effects {
     pub busy: u64,
 }
 
+impl Effects {
+    /// Adds those of a chunk: of each lane a bit for every field, in their order.
+    #[inline(always)]
+    pub(super) fn add(&mut self, chunk: usize, flags: &[u32; CHUNK]) {
+        let Effects { emitted, active, wrapped, clipped, busy } = self;
+        for (flag, set) in [emitted, active, wrapped, clipped, busy].into_iter().enumerate() {
+            let bit = |(lane, flags): (usize, &u32)| u64::from(flags >> flag & 1) << lane;
+            *set |= flags.iter().enumerate().map(bit).sum::<u64>() << (chunk * CHUNK);
+        }
+    }
+}
+
 /// The update of a block.
 pub trait Updater: Debug + Send + Sync {
     /// One step of all compartments.

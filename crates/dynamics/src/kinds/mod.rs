@@ -76,15 +76,7 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
             }
             columns.copy_from_slice(&state[..words]);
             *sent = values;
-            let bits = |flag: u32| {
-                let bit = |(lane, flags): (usize, &u32)| u64::from(flags >> flag & 1) << lane;
-                flags.iter().enumerate().map(bit).sum::<u64>() << (chunk * CHUNK)
-            };
-            effects.emitted |= bits(0);
-            effects.active |= bits(1);
-            effects.wrapped |= bits(2);
-            effects.clipped |= bits(3);
-            effects.busy |= bits(4);
+            effects.add(chunk, &flags);
         }
         let own = u64::MAX >> (MOST_LANES - lanes);
         let Effects { emitted, active, wrapped, clipped, busy } = effects;

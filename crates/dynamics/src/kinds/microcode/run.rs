@@ -349,14 +349,7 @@ impl pulp::NullaryFnOnce for Step<'_> {
                 flags[lane] =
                     sends[lane] as u32 | u32::from(active) << 1 | u32::from(wraps) << 2 | u32::from(clips) << 3;
             }
-            let bits = |flag: u32| {
-                let bit = |(lane, flags): (usize, &u32)| u64::from(flags >> flag & 1) << lane;
-                flags.iter().enumerate().map(bit).sum::<u64>() << (chunk * CHUNK)
-            };
-            effects.emitted |= bits(0);
-            effects.active |= bits(1);
-            effects.wrapped |= bits(2);
-            effects.clipped |= bits(3);
+            effects.add(chunk, &flags);
         }
         // What moved may move again; the next update shows.
         Effects { busy: effects.active, ..effects }
