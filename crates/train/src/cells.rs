@@ -6,8 +6,8 @@
 //! are in the units of the trained weights.
 
 use super::loihi2::Loihi2;
-use super::raster::Raster;
 use super::surrogate::Surrogate;
+use super::trace::{FREE, HELD, SPIKED, Trace};
 use nsim_dynamics::{Fields, Registers, update};
 use nsim_files::training::CreditDesc;
 use nsim_ir::base::fixed::Decay;
@@ -62,34 +62,6 @@ pub enum Cells {
     Loihi(Loihi),
     /// Integers, of a kind of Loihi 2.
     Loihi2(Loihi2),
-}
-
-/// What a neuron did in a step, as far as credit depends on it.
-const FREE: u8 = 0;
-const SPIKED: u8 = 1;
-const HELD: u8 = 2;
-
-/// What a forward pass records of a layer, for the backward pass.
-#[derive(Debug, Clone, Default)]
-pub struct Trace {
-    /// Potentials before the reset by a spike, `[step][neuron]`; of neurons that never spike, the
-    /// register v after the step. Of neurons of Loihi 2 the first word of state.
-    pub potential: Vec<f32>,
-    /// Imaginary parts of resonators.
-    pub(super) imaginary: Vec<f32>,
-    /// `FREE`, `SPIKED` or `HELD`, `[step][neuron]`.
-    state: Vec<u8>,
-    /// Spikes.
-    pub spikes: Raster,
-}
-
-impl Trace {
-    /// The trace of another network in place of these neurons; potentials are `[step][neuron]`.
-    #[must_use]
-    pub fn of_stand_in(potential: Vec<f32>, spikes: Raster) -> Trace {
-        // Credit of spike response neurons does not depend on what a neuron did.
-        Trace { potential, spikes, ..Trace::default() }
-    }
 }
 
 impl Srm {

@@ -22,3 +22,4 @@ pub mod optimiser;
 pub mod plan;
 pub mod raster;
 pub mod surrogate;
+pub mod trace;

@@ -5,8 +5,8 @@
 //! lava-dl d825ac5: a change passes errors on as if its threshold were 0 (`slayer/axon/delta.py`),
 //! and a spike of a resonator has the surrogate of `slayer/spike/complex.py`.
 
-use super::cells::Trace;
 use super::surrogate::Surrogate;
+use super::trace::Trace;
 use nsim_dynamics::kinds::{Block, CHUNK, MOST_LANES, updater};
 use nsim_ir::neurons::{NeuronKind, Row};
 

@@ -22,7 +22,7 @@
 //! of its potentials, their sum or the last, as the model's `decision` says. The derivative by a
 //! potential is exact, at the steps that enter the score: the first of the greatest, all, the last.
 
-use super::cells::Trace;
+use super::trace::Trace;
 use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::potentials::Potentials;
 

@@ -5,10 +5,11 @@
 //! spike adds one row. Work forward and in the weights' gradient grows with the spikes; only errors
 //! between layers are dense.
 
-use super::cells::{Cells, Spiking, Trace};
+use super::cells::{Cells, Spiking};
 use super::loss::Loss;
 use super::raster::Raster;
 use super::surrogate::Surrogate;
+use super::trace::Trace;
 use nsim_dynamics::arithmetic::scaled_weight;
 use nsim_ir::base::fixed::WeightExponent;
 

@@ -103,9 +103,8 @@ const WORK_PER_SECOND: u64 = 200_000_000;
 const WORK_PER_PIN: u64 = 60;
 /// Synapses from which on a network is not grouped by levels where its synapses are drawn evenly.
 const EVEN_SYNAPSES: u64 = 1 << 18;
-/// How many times as long as in the order of the file the busiest core may work where that saves
-/// fewer cores; where it saves more, as many times. Where no population is over space, this many
-/// times the cores saved.
+/// How many times as long as in the order of the file the busiest core may work, times the cores
+/// saved.
 const MOST_LONGER: f64 = 1.1;
 /// Synapses of a network whose tiles are also tried with fewer words.
 const FEW_SYNAPSES: u64 = 1 << 23;
@@ -405,12 +404,7 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
         let longer = |(&times, least): (&u64, &f64)| busiest(&one.members, times) / least.max(f64::MIN_POSITIVE);
         let longer = ways.iter().zip(&least).map(longer).fold(0.0, f64::max);
         let saved = first as f64 / one.members.len().max(1) as f64;
-        let most = match over_space {
-            true => MOST_LONGER.max(saved),
-            // The rest of a step, which takes as long in any case, is most of it there.
-            false => MOST_LONGER * saved.max(1.0),
-        };
-        let kept = longer <= most;
+        let kept = longer <= MOST_LONGER * saved.max(1.0);
         longest = if kept { longest.max(longer) } else { longest };
         kept
     });

@@ -23,7 +23,6 @@ use std::sync::Arc;
 use petgraph::graph::NodeIndex;
 use rayon::prelude::*;
 
-use crate::cells;
 use crate::cells::Cells;
 use crate::checkpoint;
 use crate::convert::staged::Measured;
@@ -369,7 +368,7 @@ impl Task {
         let one = |example: &Example| {
             let trace = ladder.run(Rung::MACHINE, &sample(&example.inputs), false);
             let mut error = vec![0.0; (trace.steps as usize + 1) * output.count as usize];
-            let spikes = cells::Trace::of_stand_in(Vec::new(), raster(&trace, &output));
+            let spikes = crate::trace::Trace::of_stand_in(Vec::new(), raster(&trace, &output));
             let loss = self.plan.loss.evaluate(&spikes, example.label, &mut error);
             step();
             (loss, trace.class(&output) == Some(example.label))
@@ -453,7 +452,7 @@ impl<F: Fn() + Sync> Forward for Integers<'_, F> {
         let each = self.task.layers.iter().zip(&self.task.plan.topology.layers).zip(&mut work.traces);
         for ((layer, trained), kept) in each {
             let theta = trained.cells.theta();
-            *kept = cells::Trace::of_stand_in(potentials(&trace, layer, theta), raster(&trace, layer));
+            *kept = crate::trace::Trace::of_stand_in(potentials(&trace, layer, theta), raster(&trace, layer));
         }
         (self.shown)();
     }
