@@ -28,8 +28,8 @@ pub const CLIFF: f64 = 2.5;
 /// The goal of a compartment's update, in nanoseconds: a million compartments in 0.57 ms, as
 /// `nsim bench step` measured `silent-1m` without skipping (AVX-512, `docs/benchmarks.md`).
 const UPDATE_NS: f64 = 0.6;
-/// Runs of a rung, of which the median counts.
-const REPEATS: usize = 3;
+/// Runs of a rung, of which the fastest counts: other programs only make runs longer.
+const REPEATS: usize = 5;
 /// Synaptic events of a run, about.
 const EVENTS: u64 = 12_000_000;
 /// The longest delay of a ladder.
@@ -228,9 +228,8 @@ impl Rung {
             Ok::<_, Error>((0..REPEATS).map(run).map(|run| (run.wall_s, run.activity)).collect::<Vec<_>>())
         })?;
         let events = runs[0].1.sum().synaptic_events();
-        let mut seconds: Vec<f64> = runs.iter().map(|run| run.0).collect();
-        seconds.sort_unstable_by(f64::total_cmp);
-        let ns_an_event = seconds[REPEATS / 2] * 1e9 * self.threads as f64 / events.max(1) as f64;
+        let seconds = runs.iter().map(|run| run.0).fold(f64::INFINITY, f64::min);
+        let ns_an_event = seconds * 1e9 * self.threads as f64 / events.max(1) as f64;
         // In the order of the file a core holds a part of one channel, which is a list.
         let class = match (self.class, self.strategy) {
             (Class::Convolution { .. }, Strategy::Sequential) => Class::Lists { fan_out: 1, delays: 1 },
