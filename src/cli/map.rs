@@ -152,6 +152,8 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     drop(busy);
     if mapped.is_err() && goal.saved.is_none() && form == Form::Written {
         remedies = remedy::remedies(&one, target, options, &larger(target));
+        // A pruned network cannot be given relays.
+        remedies.retain(|remedy| !args.job.relays || remedy.kind != "prune");
     }
     let pruned = mapped.as_ref().map_or(one.pruned(), |mapped| mapped.one.pruned()).cloned();
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);

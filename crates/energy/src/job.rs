@@ -58,7 +58,7 @@ pub fn report(
     let preset = &target.constants()[case.preset];
     let inherited = (preset.hardware != case.hardware && !preset.hardware.is_empty()).then(|| {
         let (theirs, own) = (&preset.hardware, case.hardware);
-        format!("Constants, static power too, are {theirs}'s, not {own}'s own (--constants FILE).")
+        format!("Constants that are not stated for {own}, static power too, are {theirs}'s (--constants FILE).")
     });
     EnergyReport {
         model: model.to_string(),
