@@ -155,6 +155,8 @@ fn every_shipped_model_maps_and_runs() {
         "container-tactile",
         "container-tactile-clock",
         "container-tactile-srm",
+        "slip-tactile-rf",
+        "slip-tactile-sdnn",
     ];
     // A network of the first fold of each cell of the paper's tables.
     let cells =
