@@ -102,7 +102,11 @@ fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
     let noted = |line: &[&str]| {
         let (code, text, stderr) = said(line);
         assert_eq!(code, 0, "{stderr}");
-        text.split_whitespace().collect::<Vec<_>>().join(" ").matches("not stated for mine, static power too, are loihi's").count()
+        text.split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ")
+            .matches("not stated for mine, static power too, are loihi's")
+            .count()
     };
     assert_eq!((noted(&energy), noted(&[&energy[..], &["--full"]].concat()), noted(&energy[..4])), (1, 1, 0));
     let (_, full, _) = said(&[&energy[..], &["--full"]].concat());
