@@ -188,7 +188,8 @@ fn every_shipped_model_maps_and_runs() {
             .flat_map(|counts| counts.as_array().unwrap())
             .map(|count| count.as_u64().unwrap())
             .sum();
-        assert!(spikes > 0, "{name} is silent");
+        // The outputs of slip-tactile-rf are read by their potentials.
+        assert_eq!(spikes > 0, name != "slip-tactile-rf", "{name}: {spikes} spikes");
     }
 }
 
