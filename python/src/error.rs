@@ -30,11 +30,16 @@ pyo3::create_exception!(
 const VALUES: [&str; 8] =
     ["rails", "zero", "subtract", "subtract-later", "exponential", "search", "oheo-gulch", "inclusive"];
 
-/// A message with the arguments of Python in the place of the command line's options: `dt_ms=` for `--dt`.
+/// A message with the arguments of Python in the place of the command line's options: `dt_ms=` for
+/// `--dt`. What is part of a name, as in `a--b.ron`, stays.
 pub fn worded(text: &str) -> String {
     let mut parts = text.split("--");
     let mut out = parts.next().unwrap_or_default().replace("nsim convert", "network.convert(spikes)");
     for part in parts {
+        if !out.ends_with([' ', '(', '`', '\n']) && !out.is_empty() {
+            out += &format!("--{part}");
+            continue;
+        }
         let end = part.find(|c: char| !(c.is_ascii_lowercase() || c == '-')).unwrap_or(part.len());
         let (name, rest) = part.split_at(end);
         let name = match name {

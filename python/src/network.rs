@@ -272,7 +272,8 @@ impl Network {
     /// `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only this
     /// many timesteps of each sample; `attribution` finds the causes, on `attribution_samples`
     /// (100); `plot` is an .svg with both potentials around the first spike that differs, which
-    /// `force` lets replace a file. Without `target` it is the first that has the neurons. `spikes` and its keywords are those of `Mapping.run`.
+    /// `force` lets replace a file. Without `target` it is the first that has the neurons. `spikes`
+    /// and its keywords are those of `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
         text_signature = "($self, spikes=None, *, target=None, against=None, conversion='search', \

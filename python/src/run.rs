@@ -277,14 +277,15 @@ impl Run {
         frame(py, &self.with_report(&self.detail(), |report| report.json())["populations"])
     }
 
-    /// Samples, a row each, as a data frame: `sample`, `label`, `predicted`, `steps`, and `counts_K` for the spikes of
-    /// output K.
+    /// Samples, a row each, as a data frame: `sample`, `label`, `predicted`, `steps`, and
+    /// `counts_K` for the spikes of output K.
     fn samples<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let rows = self.run.outcomes.iter().zip(self.labels()).enumerate().map(|(sample, (outcome, label))| {
             let counts: serde_json::Map<_, _> =
                 outcome.counts.iter().enumerate().map(|(output, &count)| (output.to_string(), count.into())).collect();
             serde_json::json!({
-                "sample": sample, "label": label, "predicted": outcome.class(), "steps": outcome.steps, "counts": counts,
+                "sample": sample, "label": label, "predicted": outcome.class(), "steps": outcome.steps,
+                "counts": counts,
             })
         });
         frame(py, &rows.collect())

@@ -451,6 +451,11 @@ class Forks(Case):
 
 
 class Reasons(Case):
+    def test_names_in_messages_stay_as_they_are(self):
+        with self.assertRaises(nsim.Error) as caught:
+            nsim.load("absent--dt.ron")
+        self.assertIn("absent--dt.ron", str(caught.exception))
+
     def test_all_reasons_are_given(self):
         with self.assertRaises(nsim.Error) as caught:
             nsim.load("vtsnn-slip").map("tiny", copies=4096)

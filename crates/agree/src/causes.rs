@@ -52,17 +52,15 @@ impl Cause {
             Cause::State => "integer currents and voltages",
         }
     }
-}
 
-impl Cause {
     /// What makes it cost less, where that is known of every network.
     #[must_use]
     pub fn remedy(self) -> Option<&'static str> {
         match self {
             Cause::Weights => Some(
-                "weights of a layer that are similar in size (decay or clip large ones in training), since 8 bits divide \
-                 the range of the largest; a conversion that searches exponents; training through the rounding, which \
-                 fine-tunes a conversion",
+                "weights of a layer that are similar in size (decay or clip large ones in training), since 8 bits \
+                 divide the range of the largest; a conversion that searches exponents; training through the \
+                 rounding, which fine-tunes a conversion",
             ),
             _ => None,
         }

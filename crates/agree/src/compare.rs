@@ -227,8 +227,8 @@ pub fn compare_networks(
     Ok(Tally::of_samples(a.layers.to_vec(), output, samples, &both, &measured_shift))
 }
 
-/// Compares a network with another of the same populations that is mapped: as it was trained, or on cores of its own where
-/// `mapped` is its program.
+/// Compares a network with another of the same populations that is mapped: as it was trained, or
+/// on cores of its own where `mapped` is its program.
 ///
 /// # Errors
 /// As [`compare_networks`], [`real_trace`] and [`machine_trace`].

@@ -319,7 +319,8 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
             return Err(Diagnostic::new("map.neuron-kind", message)
                 .help(match kind {
                     NeuronKind::SoftReset => {
-                        "train with a reset to zero (snnTorch: reset_mechanism='zero'); or nsim convert makes it one and \
+                        "train with a reset to zero (snnTorch: reset_mechanism='zero'); or nsim convert makes it one \
+                         and \
                          measures the loss; or choose a target with these neuron_kinds"
                     }
                     _ => "choose a target with these neuron_kinds",

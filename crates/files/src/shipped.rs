@@ -183,7 +183,7 @@ pub fn is_path(argument: &str) -> bool {
 
 /// What chips are called, and the shipped targets that are of them.
 const MEANT: [(&str, &str); 4] =
-    [("loihi", "nahuku-32"), ("loihi1", "nahuku-32"), ("loihi2", "oheo-gulch"), ("loihi-2", "oheo-gulch")];
+    [("loihi", "loihi1-chip"), ("loihi1", "loihi1-chip"), ("loihi2", "oheo-gulch"), ("loihi-2", "oheo-gulch")];
 
 /// The error for a name that is not shipped.
 #[must_use]

@@ -35,8 +35,8 @@ pub fn load_target(argument: &str) -> Result<Target> {
     Ok(target)
 }
 
-/// The target that is named, else that of the model or the usual one; where this lacks a kind of the model's neurons, the
-/// first shipped one that has them all.
+/// The target that is named, else that of the model or the usual one; where this lacks a kind of
+/// the model's neurons, the first shipped one that has them all.
 ///
 /// # Errors
 /// As [`load_target`].
@@ -420,8 +420,9 @@ pub(crate) mod tests {
         assert_eq!(wide.limits(), &plain.limits().clone().with(Resource::AxonsOut, 8192));
         assert_eq!(wide.constants().len(), plain.constants().len());
         assert!(wide.chip().limit_sources.iter().all(|entry| entry.limit.value != "axons_out"));
-        let stated = "Target(base: \"wide\", limits: (axons_out: 9000), limit_sources: [(limit: \"axons_out\", source: \"my layout\", \
-                      status: assumed), (limit: \"axons_in\", source: \"my layout\", status: assumed)])";
+        let stated = "Target(base: \"wide\", limits: (axons_out: 9000), limit_sources: [(limit: \"axons_out\", \
+                      source: \"my layout\", status: assumed), (limit: \"axons_in\", source: \"my layout\", \
+                      status: assumed)])";
         let stated = write("stated.ron", stated).unwrap();
         let mine: Vec<_> = stated.chip().limit_sources.iter().filter(|entry| entry.source == "my layout").collect();
         assert_eq!((mine.len(), stated.chip().limit_sources.len()), (2, wide.chip().limit_sources.len() + 1));

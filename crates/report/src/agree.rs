@@ -299,7 +299,8 @@ impl AgreeReport<'_> {
         })
     }
 
-    /// Whether the deployed network is right markedly less often than the other: by a twentieth of the samples.
+    /// Whether the deployed network is right markedly less often than the other: by a twentieth of
+    /// the samples.
     #[must_use]
     pub fn falls(&self) -> Option<String> {
         let (a, b) = self.accuracy.filter(|(a, b)| a - b >= 0.05)?;

@@ -202,7 +202,7 @@ impl ConvertReport<'_> {
         if let Some(held) = self.done.held_out.as_ref() {
             out += &wrapped(&format!("on {}: {}", count(held.samples as u64, "held-out sample"), sentence(held)));
         }
-        // Names would be broken: stages are numbered, and named behind the table.
+        // Names would be broken: stages are numbered, and named after the table.
         let stages = &self.done.converted.stages;
         let cells = |(number, stage): (usize, &StageRow)| {
             let others = STAGES[1..].iter().map(|(_, cell)| cell(stage));

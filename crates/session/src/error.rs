@@ -69,7 +69,8 @@ impl From<Diagnostic> for Error {
     }
 }
 
-/// The diagnostic, with the shipped targets that have every kind of neurons where the target lacks one.
+/// The diagnostic, with the shipped targets that have every kind of neurons where the target lacks
+/// one.
 fn with_targets(diagnostic: Diagnostic) -> Diagnostic {
     let (Some(help), "map.neuron-kind" | "map.message") = (&diagnostic.help, diagnostic.code) else {
         return diagnostic;

@@ -99,7 +99,8 @@ pub(super) fn deployed_warnings(deployed: &Mapping, samples: &[&Sample]) -> Resu
     Ok(warnings)
 }
 
-/// Writes the picture of both potentials, where one is asked for and something parts; gives what was written.
+/// Writes the picture of both potentials, where one is asked for and something parts; gives what
+/// was written.
 pub(super) fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Context) -> Result<Vec<String>, Error> {
     let Some(path) = &args.plot else { return Ok(Vec::new()) };
     match nsim_report::agree::potentials(model, layers) {

@@ -1,9 +1,9 @@
 //! `nsim show NAME`: a shipped file as it is, or a stage of the compiler (`--as`), as RON.
 //!
-//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it, or the
-//! path of a file; a training file is found by its name where no other file has it. With `--as` a model. Output: its text,
-//! which can be saved, changed and used in its place; or the network in integers, its cores, their
-//! places, or their tables, as `nsim::ir` reads them.
+//! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it, or
+//! the path of a file; a training file is found by its name where no other file has it. With `--as`
+//! a model. Output: its text, which can be saved, changed and used in its place; or the network in
+//! integers, its cores, their places, or their tables, as `nsim::ir` reads them.
 
 use std::path::{Path, PathBuf};
 

@@ -299,8 +299,8 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
             let message = format!("'{}' is {:?}, the kernel of a convolution", array.key, array.shape);
             let advice = "a state dict does not say how a convolution steps: ";
             return Err(Diagnostic::new("import.unsupported", message).help(format!(
-                "{advice}save the network of snnTorch with nsim.from_torch(net, sample).save(\"net.ron\") in Python, or \
-                 export it as .nir, or with lava-dl as .net; a dense layer on an image {kernel:?} is read with \
+                "{advice}save the network of snnTorch with nsim.from_torch(net, sample).save(\"net.ron\") in Python, \
+                 or export it as .nir, or with lava-dl as .net; a dense layer on an image {kernel:?} is read with \
                  --input-shape {}",
                 listed(kernel)
             )));

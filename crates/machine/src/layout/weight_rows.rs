@@ -170,24 +170,22 @@ impl ProgramRows {
             })
             .collect();
         let synapses: u64 = firsts.par_iter().map(|(class, _, cores)| class.inputs.count() * *cores as u64).sum();
-        let mut found: Vec<Option<CoreRows>> =
+        let found: Vec<Option<CoreRows>> =
             firsts.par_iter().map(|&(class, ranks, _)| CoreRows::of_class(class, ranks)).collect();
         // How often the cores of all classes together use each row.
-        let mut uses: HashMap<Content, usize> = HashMap::new();
+        let mut uses: HashMap<&Content, usize> = HashMap::new();
         if synapses >= MANY {
             for (found, &(_, _, cores)) in found.iter().zip(&firsts) {
                 let Some(CoreRows { contents, axons }) = found else { continue };
                 for (_, _, number) in axons.items() {
-                    match uses.get_mut(&contents[*number as usize]) {
-                        Some(uses) => *uses += cores,
-                        None => drop(uses.insert(contents[*number as usize].clone(), cores)),
-                    }
+                    *uses.entry(&contents[*number as usize]).or_default() += cores;
                 }
             }
         }
-        for found in &mut found {
-            found.take_if(|found| !found.is_shared(&uses));
-        }
+        let shared = |found: &Option<CoreRows>| found.as_ref().is_some_and(|found| found.is_shared(&uses));
+        let shared: Vec<bool> = found.iter().map(shared).collect();
+        let of_shared = |(found, shared): (Option<CoreRows>, bool)| found.filter(|_| shared);
+        let found: Vec<Option<CoreRows>> = found.into_iter().zip(shared).map(of_shared).collect();
         let mut numbers: HashMap<&Content, usize> = HashMap::new();
         let mut contents = Vec::new();
         for content in found.iter().flatten().flat_map(|found| &found.contents) {
@@ -266,8 +264,8 @@ impl CoreRows {
         (!contents.is_empty()).then_some(CoreRows { contents, axons })
     }
 
-    /// Whether the rows are used often enough: by the core's own axons, or by this many of all cores.
-    fn is_shared(&self, uses: &HashMap<Content, usize>) -> bool {
+    /// Whether the rows are used often enough: by the core's own axons, or by those of all cores.
+    fn is_shared(&self, uses: &HashMap<&Content, usize>) -> bool {
         let by_all: usize = self.contents.iter().filter_map(|content| uses.get(content)).sum();
         self.axons.items().len().max(by_all) >= USES * self.contents.len()
     }

@@ -41,7 +41,8 @@ pub fn text(seed: u64, environment: &Environment, rows: &[Row]) -> String {
     ];
     let cliffs = rows.iter().filter(|row| row.is_cliff).count();
     let said = format!(
-        "Seed {seed}: {cliffs} cliffs, rungs that take more than {CLIFF} times as long as a neighbour does for its goal."
+        "Seed {seed}: {cliffs} cliffs, rungs that take more than {CLIFF} times as long as a neighbour does for its \
+         goal."
     );
     format!("{}\n{}\n{}", wrapped(&environment.to_string()), table_of(rows, &columns), wrapped(&said))
 }

@@ -177,7 +177,8 @@ pub fn next(
     })
 }
 
-/// What to call next in Python, where a change of the model's file is no answer; `None` where next to nothing is lost.
+/// What to call next in Python, where a change of the model's file is no answer; `None` where next
+/// to nothing is lost.
 #[must_use]
 pub fn in_python(graph: &Graph, attribution: &Attribution) -> Option<Next> {
     let cause = attribution.worst().filter(|_| attribution.layers.iter().any(LayerLoss::is_lossy))?;

@@ -12,7 +12,8 @@ use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// The bias of each channel where all of its units have the same: the mean over a window without padding is that too.
+/// The bias of each channel where all of its units have the same: the mean over a window without
+/// padding is that too.
 fn shared(bias: &[f64], channels: usize) -> Option<Vec<f64>> {
     let planes = bias.chunks(bias.len() / channels);
     planes.map(|plane| plane.iter().all(|b| *b == plane[0]).then_some(plane[0])).collect()
