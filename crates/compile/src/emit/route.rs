@@ -324,6 +324,9 @@ fn write_lists(
     Some((writer.known, Stored::with_populations(writer.lists, populations, axons), sources))
 }
 
+/// Parts of the senders that each thread takes one after the other.
+const PARTS: usize = 8;
+
 /// What a core receives from each of its senders: slots there and input axons here.
 #[derive(Default, PartialEq, Eq, Hash)]
 struct Received {
@@ -395,25 +398,39 @@ fn axons_out(
     let from = |&(to, number): &(CoreId, u32)| (Arc::as_ptr(&received[to].1), number);
     let slots = |core: CoreId| partition.members()[core].len();
     let key = |(core, sent): (CoreId, &Vec<(CoreId, u32)>)| (slots(core), sent.iter().map(from).collect::<Vec<_>>());
+    if let Some((core, _)) = sent.enumerate().find(|(_, sent)| sent.len() > 1 << 16) {
+        return Err(core);
+    }
     let alike = Classes::by_key(sent.enumerate().map(key));
-    let lists = |&core: &CoreId| {
-        let lists = Csr::by_row(slots(core), |put| {
-            for (reached, &(to, number)) in (0..=u16::MAX).zip(&sent[core]) {
-                let (received, number) = (&received[to].1, number as usize);
+    // Some senders at a time read what each core receives in turn: their part of it lies together.
+    let lists = |firsts: &[CoreId]| {
+        let mut messages: Vec<Vec<(u16, Reached)>> = vec![Vec::new(); firsts.len()];
+        let mut reached = vec![0u32; firsts.len()];
+        for (senders, received) in received.iter() {
+            let begin = senders.partition_point(|sender| *sender < firsts[0]);
+            let those = (begin..).zip(&senders[begin..]).take_while(|(_, sender)| Some(*sender) <= firsts.last());
+            for (number, sender) in those {
+                let Ok(place) = firsts.binary_search(sender) else { continue };
                 let part = received.firsts[number] as usize..received.firsts[number + 1] as usize;
-                let reached = |message: u32| Reached { core: reached, axon: message as u16 };
-                received.messages[part].iter().for_each(|&message| put((message >> 16) as usize, reached(message)));
+                let core = reached[place] as u16;
+                let reached_by = |&message: &u32| ((message >> 16) as u16, Reached { core, axon: message as u16 });
+                messages[place].extend(received.messages[part].iter().map(reached_by));
+                reached[place] += 1;
             }
-        });
-        Arc::new(lists)
+        }
+        let by_slot = |(&core, messages): (&CoreId, Vec<(u16, Reached)>)| {
+            let put_all = |put: &mut dyn FnMut(usize, Reached)| {
+                messages.iter().for_each(|&(slot, reached)| put(slot.into(), reached));
+            };
+            Arc::new(Csr::by_row(slots(core), put_all))
+        };
+        firsts.iter().zip(messages).map(by_slot).collect::<Vec<_>>()
     };
-    let lists: IdVec<ClassId, Arc<Csr<Reached>>> =
-        alike.firsts.as_slice().par_iter().map(lists).collect::<Vec<_>>().into();
+    let some = alike.firsts.len().div_ceil(PARTS * rayon::current_num_threads()).max(1);
+    let lists = alike.firsts.as_slice().par_chunks(some).flat_map_iter(lists);
+    let lists: IdVec<ClassId, Arc<Csr<Reached>>> = lists.collect::<Vec<_>>().into();
     let of_core = |(core, sent): (CoreId, &Vec<(CoreId, u32)>)| {
         let cores: Vec<CoreId> = sent.iter().map(|(to, _)| *to).collect();
-        if cores.len() > 1 << 16 {
-            return Err(core);
-        }
         AxonsOut::new(cores, lists[alike.of[core]].clone()).map_err(|_| core)
     };
     sent.enumerate().map(of_core).collect()
