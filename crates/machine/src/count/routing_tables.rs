@@ -1,19 +1,17 @@
 //! Routing tables: from the messages of a spike to the synapses that they select.
 //!
 //! Input: a [`Program`] and sources of spikes. Output: for each of their messages the list of
-//! synapses that its axon selects, in the order of messages.
+//! synapses that its axon selects, batch by batch, in a batch core by core.
 //!
 //! Why: where every synapse is a message of its own, each look-up goes to another core, axon and
-//! list, three cache misses a synapse. So messages are resolved in batches: each table is
-//! prefetched for the whole batch before it is read.
+//! list, three misses of the cache and of the page tables. Input axons are numbered by source, so
+//! the messages of neighbouring sources to one core select lists side by side.
 
-use crate::deliver::prefetch::prefetch;
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, Messages, Program, Stored, Synapse};
 
-/// Messages in a batch: more than a processor core has outstanding misses, few enough for the
-/// first-level cache.
-const BATCH: usize = 128;
+/// Messages in a batch: a few for each core of a large network, whose synapses fit a cache.
+const BATCH: usize = 1 << 16;
 
 /// The tables of a core that a message passes, in one cache line.
 #[derive(Debug, Clone, Copy)]
@@ -38,25 +36,9 @@ impl<'p> Core<'p> {
     }
 }
 
-/// A message that is being resolved.
-#[derive(Debug)]
-struct Message {
-    source: u32,
-    target: AxonTarget,
-    /// The list that its axon selects.
-    list: usize,
-    /// Index of the list's first synapse.
-    at: usize,
-    /// Synapses of the list.
-    count: usize,
-    base: u16,
-}
-
 /// The list that a message selects.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Selected<'p> {
-    /// The source's number.
-    pub source: u32,
     /// The core.
     pub core: CoreId,
     /// The input axon.
@@ -94,41 +76,63 @@ impl<'p> RoutingTables<'p> {
         self.program.messages(source)
     }
 
-    /// Calls `each` with the list that each message of these sources selects.
-    pub fn resolve(&self, sources: impl Iterator<Item = u32>, mut each: impl FnMut(Selected<'p>)) {
-        let mut messages = Vec::with_capacity(BATCH);
-        for source in sources {
-            for target in self.messages(source) {
-                messages.push(Message { source, target, list: 0, at: 0, count: 0, base: 0 });
-                if messages.len() == BATCH {
-                    self.resolve_batch(&mut messages, &mut each);
+    /// The messages of these sources in batches.
+    pub fn batches(&self, sources: impl Iterator<Item = u32>) -> impl Iterator<Item = Batch<'_, 'p>> {
+        let mut sources = sources.peekable();
+        std::iter::from_fn(move || {
+            sources.peek()?;
+            let mut batch = Batch { tables: self, sources: Vec::new(), order: Vec::new() };
+            while let Some(source) = sources.next_if(|_| batch.order.len() < BATCH) {
+                for AxonTarget { core, axon } in self.messages(source) {
+                    let place = batch.order.len() as u64;
+                    batch.order.push(u64::from(core.0) << CORE_SHIFT | place << PLACE_SHIFT | u64::from(axon));
+                    batch.sources.push(source);
                 }
             }
-        }
-        self.resolve_batch(&mut messages, &mut each);
+            batch.order.sort_unstable();
+            Some(batch)
+        })
     }
 
-    /// Resolves and removes all messages.
-    fn resolve_batch(&self, messages: &mut Vec<Message>, each: &mut impl FnMut(Selected<'p>)) {
-        for message in messages.iter() {
-            prefetch(&self.cores, message.target.core.index());
-        }
-        for message in messages.iter_mut() {
-            let (core, axon) = (&self.cores[message.target.core.index()], usize::from(message.target.axon));
-            (message.list, message.base) = core.inputs.map_or((axon, 0), |inputs| inputs.selected(axon));
-            prefetch(core.firsts, message.list);
-            prefetch(core.formats, 0);
-        }
-        for message in messages.iter_mut() {
-            let core = &self.cores[message.target.core.index()];
-            let (first, end) = (core.firsts[message.list], core.firsts[message.list + 1]);
-            (message.at, message.count) = (first as usize, (end - first) as usize);
-            prefetch(core.synapses, message.at);
-        }
-        for Message { source, target, list, at, count, base } in messages.drain(..) {
-            let core = &self.cores[target.core.index()];
-            let (formats, stored) = (core.formats, &core.synapses[at..at + count]);
-            each(Selected { source, core: target.core, axon: target.axon, list, formats, base, stored });
-        }
+    /// The source of each message of these sources and the list that it selects, batch by batch.
+    pub fn resolve(&self, sources: impl Iterator<Item = u32>) -> impl Iterator<Item = (u32, Selected<'p>)> {
+        self.batches(sources).flat_map(|Batch { tables, sources, order }| {
+            order.into_iter().map(move |key| {
+                let (place, selected) = tables.selected(key);
+                (sources[place], selected)
+            })
+        })
+    }
+
+    /// The place of a message in its batch and the list that it selects.
+    #[inline]
+    fn selected(&self, key: u64) -> (usize, Selected<'p>) {
+        let (core, axon) = (CoreId((key >> CORE_SHIFT) as u32), key as u16);
+        let place = (key >> PLACE_SHIFT) as usize & ((1 << (CORE_SHIFT - PLACE_SHIFT)) - 1);
+        let Core { firsts, synapses, formats, inputs } = self.cores[core.index()];
+        let (list, base) = inputs.map_or((axon.into(), 0), |inputs| inputs.selected(axon.into()));
+        let stored = &synapses[firsts[list] as usize..firsts[list + 1] as usize];
+        (place, Selected { core, axon, list, formats, base, stored })
+    }
+}
+
+/// Bits of a message's key below its core's number and below its place in the batch; the lowest are
+/// its input axon. A place is below [`BATCH`] and the number of cores together.
+const CORE_SHIFT: u32 = 40;
+const PLACE_SHIFT: u32 = 16;
+
+/// Messages in the order of sources.
+#[derive(Debug)]
+pub(crate) struct Batch<'t, 'p> {
+    tables: &'t RoutingTables<'p>,
+    /// The source of each message.
+    pub sources: Vec<u32>,
+    order: Vec<u64>,
+}
+
+impl<'p> Batch<'_, 'p> {
+    /// Core by core, the places of messages and the lists that they select.
+    pub fn by_core(&self) -> impl Iterator<Item = (usize, Selected<'p>)> {
+        self.order.iter().map(|&key| self.tables.selected(key))
     }
 }

@@ -229,15 +229,14 @@ impl<'p> Tally<'p> {
     /// below `reach`. Sources are numbered channels first.
     #[must_use]
     pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
-        let mut sum = 0;
         if reach == 0 {
-            return sum;
+            return 0;
         }
-        self.tables.resolve(sources, |Selected { core, list, stored, formats, .. }| {
+        let events = |(_, Selected { core, list, stored, formats, .. })| {
             let (dense, sparse) = self.events((core, list), stored, formats, reach);
-            sum += dense + sparse;
-        });
-        sum
+            dense + sparse
+        };
+        self.tables.resolve(sources).map(events).sum()
     }
 
     /// Adds what one spike of each of these sources causes, counting synapses whose delay field is
@@ -273,39 +272,27 @@ impl<'p> Tally<'p> {
     /// What each message of these sources causes, with its source, counting synapses whose delay
     /// field is below `reach`.
     fn each_caused(&self, sources: impl Iterator<Item = u32>, reach: u32, mut see: impl FnMut(u32, Caused)) {
-        let (mesh, mut last) = (self.program.mesh(), None);
-        self.tables.resolve(sources, |Selected { source, core, list, stored, formats, .. }| {
-            let from = match last {
-                Some((of, from)) if of == source => from,
-                _ => self.core_of(source).map(|core| self.sites[core]),
-            };
-            last = Some((source, from));
+        let mesh = self.program.mesh();
+        for (source, Selected { core, list, stored, formats, .. }) in self.tables.resolve(sources) {
+            let from = self.core_of(source).map(|core| self.sites[core]);
             let (dense, sparse) = self.events((core, list), stored, formats, reach);
             let to = self.sites[core];
             let route = from.map_or_else(|| mesh.route_from_corner(to), |from| mesh.route(from, to));
             // A list has no more synapses than an index counts.
             see(source, Caused { core, dense: dense as u32, sparse: sparse as u32, route });
-        });
+        }
     }
 
     /// What the messages of each source cause, if these are few.
     fn kept(&self) -> Option<&Csr<Caused>> {
         let kept = self.kept.get_or_init(|| {
             let sources = 0..self.program.channels() + self.program.compartments();
-            let mut all = 0;
-            if !sources.clone().all(|source| {
-                all += self.tables.messages(source).len();
-                all <= MOST_KEPT
-            }) {
-                return None;
-            }
-            let mut kept = Csr::default();
-            for source in sources {
-                let mut caused = Vec::new();
-                self.each_caused(std::iter::once(source), u32::MAX, |_, one| caused.push(one));
-                kept.push(caused);
-            }
-            Some(kept)
+            let messages = sources.clone().map(|source| self.tables.messages(source).len());
+            messages.scan(0, |sum, count| Some((*sum += count, *sum).1)).all(|sum| sum <= MOST_KEPT).then(|| {
+                let mut all = Vec::new();
+                self.each_caused(sources.clone(), u32::MAX, |source, caused| all.push((source as usize, caused)));
+                Csr::by_row(sources.len(), |put| all.iter().for_each(|&(source, caused)| put(source, caused)))
+            })
         });
         kept.as_ref()
     }

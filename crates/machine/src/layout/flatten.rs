@@ -120,41 +120,59 @@ impl<'a> Flattener<'a> {
         let empty =
             || Piece { counts: vec![0; none], synapses: Vec::new(), row_counts: vec![(0, 0); none], rows: Vec::new() };
         let mut pieces: Vec<Piece> = (0..self.bases.len() * self.delays.len()).map(|_| empty()).collect();
-        self.tables.resolve(sources.clone(), |selected| {
-            let first_slot = self.slots[selected.core.index()] as usize;
-            let source = (selected.source - sources.start) as usize;
-            let rows = self.rows.of_axon(selected.core, selected.axon);
-            let lanes = |row: &AxonRow| {
-                let first = first_slot + usize::from(row.rank);
-                (self.ascending[first], self.ascending[first + usize::from(row.span) - 1])
-            };
-            // Rows need lanes side by side, in one shard.
-            let adjacent = |row: &AxonRow| {
-                let (first, last) = lanes(row);
-                last - first + 1 == u32::from(row.span) && self.shard(first) == self.shard(last)
-            };
-            let one_port = selected.formats.iter().all(|format| format.synapse.port.is_first());
-            if !rows.is_empty() && one_port && rows.iter().all(adjacent) {
-                for row in rows {
-                    let (lane, _) = lanes(row);
-                    let shard = self.shard(lane);
-                    let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(row.delay)]];
-                    let (rows, synapses) = &mut piece.row_counts[source];
-                    (*rows, *synapses) = (*rows + 1, *synapses + row.synapses);
-                    piece.rows.push(RowPlace::new(lane - self.bases[shard], row.row));
+        let place = |shard: usize, delay: u8| (shard * self.delays.len() + place_of[usize::from(delay)]) as u32;
+        for batch in self.tables.batches(sources.clone()) {
+            // Found core by core, then put in the order of messages.
+            let (mut synapses, mut rows): (Vec<(u32, LaneWeight)>, Vec<(u32, u32, RowPlace)>) = Default::default();
+            let mut messages: Vec<(Range<u32>, Range<u32>)> = vec![(0..0, 0..0); batch.sources.len()];
+            for (number, selected) in batch.by_core() {
+                let first_slot = self.slots[selected.core.index()] as usize;
+                let axon_rows = self.rows.of_axon(selected.core, selected.axon);
+                let lanes = |row: &AxonRow| {
+                    let first = first_slot + usize::from(row.rank);
+                    (self.ascending[first], self.ascending[first + usize::from(row.span) - 1])
+                };
+                // Rows need lanes side by side, in one shard.
+                let adjacent = |row: &AxonRow| {
+                    let (first, last) = lanes(row);
+                    last - first + 1 == u32::from(row.span) && self.shard(first) == self.shard(last)
+                };
+                let one_port = selected.formats.iter().all(|format| format.synapse.port.is_first());
+                let firsts = (synapses.len() as u32, rows.len() as u32);
+                if !axon_rows.is_empty() && one_port && axon_rows.iter().all(adjacent) {
+                    rows.extend(axon_rows.iter().map(|row| {
+                        let (lane, _) = lanes(row);
+                        let shard = self.shard(lane);
+                        (place(shard, row.delay), row.synapses, RowPlace::new(lane - self.bases[shard], row.row))
+                    }));
+                } else {
+                    let slots = first_slot + usize::from(selected.base);
+                    synapses.extend(selected.stored.iter().map(|synapse| {
+                        let port = selected.formats[usize::from(synapse.format)].synapse.port;
+                        let lane = self.lanes[slots + usize::from(synapse.slot)] + port.index() as u32 * SECOND_PORT;
+                        let shard = self.shard(lane);
+                        let weight = units(synapse, selected.formats) as i16;
+                        (place(shard, synapse.delay.get()), (lane - self.bases[shard], weight))
+                    }));
                 }
-                return;
+                let end = (synapses.len() as u32, rows.len() as u32);
+                messages[number] = (firsts.0..end.0, firsts.1..end.1);
             }
-            let slots = first_slot + usize::from(selected.base);
-            for synapse in selected.stored {
-                let port = selected.formats[usize::from(synapse.format)].synapse.port;
-                let lane = self.lanes[slots + usize::from(synapse.slot)] + port.index() as u32 * SECOND_PORT;
-                let shard = self.shard(lane);
-                let piece = &mut pieces[shard * self.delays.len() + place_of[usize::from(synapse.delay.get())]];
-                piece.counts[source] += 1;
-                piece.synapses.push((lane - self.bases[shard], units(synapse, selected.formats) as i16));
+            for (source, (of_synapses, of_rows)) in batch.sources.iter().zip(messages) {
+                let source = (source - sources.start) as usize;
+                for &(place, synapse) in &synapses[of_synapses.start as usize..of_synapses.end as usize] {
+                    let piece = &mut pieces[place as usize];
+                    piece.counts[source] += 1;
+                    piece.synapses.push(synapse);
+                }
+                for &(place, inside, row) in &rows[of_rows.start as usize..of_rows.end as usize] {
+                    let piece = &mut pieces[place as usize];
+                    let (rows, synapses) = &mut piece.row_counts[source];
+                    (*rows, *synapses) = (*rows + 1, *synapses + inside);
+                    piece.rows.push(row);
+                }
             }
-        });
+        }
         pieces
     }
 
