@@ -13,7 +13,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
-use nsim_ir::hardware::constants::{Constants, Status, classes_of};
+use nsim_ir::hardware::constants::{Constants, SET, Status, classes_of};
 use nsim_ir::locate;
 
 /// One change.
@@ -232,6 +232,7 @@ pub fn constants(constants: &mut Constants) -> Result<()> {
         constant.value = number.into();
         (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
         constant.findings.clear();
+        constants.stated_in.extend(Constants::NAMES.iter().find(|name| **name == path).map(|name| (*name, SET.into())));
         constants.forget_errors(classes_of(&path));
     }
     Ok(())

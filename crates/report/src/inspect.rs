@@ -7,10 +7,12 @@ use std::fmt::Write as _;
 
 use serde_json::{Map, Value, json};
 
-use nsim_files::table::{count, csv_text, table, wrapped_at};
+use nsim_files::table::{count, csv_text, table, three, wrapped_at};
 
 /// Rows of a table that the text has.
 const SHOWN_ROWS: usize = 16;
+/// Characters of a number above which the text has three digits of it.
+const LONG: usize = 8;
 
 /// What was found: facts about the whole, and tables of its parts.
 #[derive(Debug, Clone)]
@@ -32,8 +34,8 @@ pub struct FindingsTable {
     pub columns: &'static [&'static str],
     /// A value for each column.
     pub rows: Vec<Vec<Value>>,
-    /// Whether the text has it, or JSON alone.
-    pub in_text: bool,
+    /// Rows that the text has; JSON has all.
+    pub rows_in_text: usize,
 }
 
 impl FindingsTable {
@@ -47,7 +49,7 @@ impl FindingsTable {
             Value::Array(values) => values,
             single => vec![single],
         };
-        FindingsTable { key, columns, rows: rows.into_iter().map(values).collect(), in_text: true }
+        FindingsTable { key, columns, rows: rows.into_iter().map(values).collect(), rows_in_text: SHOWN_ROWS }
     }
 }
 
@@ -62,6 +64,8 @@ fn shown(value: &Value) -> String {
         Value::Null => "-".to_string(),
         Value::String(text) => text.clone(),
         Value::Array(items) => format!("[{}]", items.iter().map(shown).collect::<Vec<_>>().join(", ")),
+        // A real number that is not written to be read.
+        Value::Number(x) if x.is_f64() && x.to_string().len() > LONG => x.as_f64().map_or_else(String::new, three),
         Value::Object(fields) => {
             fields.iter().map(|(name, value)| format!("{name} {}", shown(value))).collect::<Vec<_>>().join(", ")
         }
@@ -79,12 +83,13 @@ impl Findings {
             let value = wrapped_at(&shown(value), width + 4);
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
-        for part in self.tables.iter().filter(|part| part.in_text) {
-            // Where a number comes from is a sentence.
-            let columns: Vec<usize> = (0..part.columns.len()).filter(|&at| part.columns[at] != "source").collect();
+        for part in self.tables.iter().filter(|part| part.rows_in_text > 0) {
+            // Where a number comes from is a sentence; rows of one preset are shown.
+            let is_shown = |at: &usize| !["source", "preset"].contains(&part.columns[*at]);
+            let columns: Vec<usize> = (0..part.columns.len()).filter(is_shown).collect();
             let header: Vec<&str> = columns.iter().map(|&at| part.columns[at]).collect();
             let row = |row: &Vec<Value>| columns.iter().map(|&at| shown(&row[at])).collect();
-            let rows: Vec<Vec<String>> = part.rows.iter().take(SHOWN_ROWS).map(row).collect();
+            let rows: Vec<Vec<String>> = part.rows.iter().take(part.rows_in_text).map(row).collect();
             let _ = write!(out, "\n{}\n{}", part.key, table(&header, &rows));
             if part.rows.len() > rows.len() || header.len() < part.columns.len() {
                 let all = count(part.rows.len() as u64, "row");

@@ -8,11 +8,11 @@ use serde_json::{Map, Value, json};
 
 use nsim_energy::baseline::Baseline;
 use nsim_energy::published::scenario::ScenarioFile;
-use nsim_ir::hardware::constants::{Constant, Constants};
+use nsim_ir::hardware::constants::{BARRIER, Constant, Constants};
 use nsim_ir::hardware::{Chip, Target};
 use nsim_report::inspect::{Findings, FindingsTable};
 
-fn limits_table(chip: &Chip) -> FindingsTable {
+fn limits_table(chip: &Chip, own: &str) -> FindingsTable {
     let pools = &chip.limits.pools;
     let row = |(name, value): (String, Value)| {
         let source_of = |name: &str| chip.limit_sources.iter().find(|entry| entry.limit.value == name);
@@ -20,7 +20,8 @@ fn limits_table(chip: &Chip) -> FindingsTable {
         let pool = pools.iter().find(|pool| pool.costs.keys().any(|resource| resource.name() == name));
         let origin = source_of(&name).or_else(|| source_of(&pool?.name));
         let (status, source) = (origin.map(|entry| entry.status), origin.map(|entry| &entry.source));
-        json!([name, value, status, source])
+        let from = chip.stated_in.get(name.as_str()).map_or(own, String::as_str);
+        json!([name, value, status, source, from])
     };
     let mut limits = match json!(chip.limits) {
         Value::Object(limits) => limits,
@@ -31,24 +32,33 @@ fn limits_table(chip: &Chip) -> FindingsTable {
     limits.remove("pools");
     let pools = pools.iter().map(|pool| (pool.name.clone(), format!("{} {}", pool.limit, pool.unit).into()));
     let rows = pools.chain(limits).chain(unlimited).map(row);
-    FindingsTable::new("limits", &["limit", "value", "status", "source"], rows)
+    FindingsTable {
+        rows_in_text: usize::MAX,
+        ..FindingsTable::new("limits", &["limit", "value", "status", "source", "from"], rows)
+    }
 }
 
-fn constants_table(presets: &[Constants]) -> FindingsTable {
+/// Where a value stands that the file itself states.
+const OWN: &str = "here";
+
+/// Constants of presets; where one stands that its preset states is `own`, or the preset's name.
+fn constants_table(presets: &[Constants], own: Option<&str>) -> FindingsTable {
     let mut rows = Vec::new();
     for preset in presets {
-        let mut add = |name: String, constant: &Constant| {
+        let mut add = |field: &str, name: String, constant: &Constant| {
             let Constant { value, unit, status, source, findings: _ } = constant;
-            rows.push(json!([preset.name, name, value.value, unit, status, source]));
+            let from = preset.stated_in.get(field).map_or(own.unwrap_or(&preset.name), String::as_str);
+            rows.push(json!([preset.name, name, value.value, unit, status, source, from]));
         };
         for (name, constant) in preset.list() {
-            add(name.to_string(), constant);
+            add(name, name.to_string(), constant);
         }
         for entry in &preset.barrier {
-            add(format!("barrier, {} tiles", entry.tiles), &entry.time);
+            add(BARRIER, format!("barrier, {} tiles", entry.tiles), &entry.time);
         }
     }
-    FindingsTable::new("constants", &["preset", "name", "value", "unit", "status", "source"], rows)
+    let columns = &["preset", "name", "value", "unit", "status", "source", "from"];
+    FindingsTable { rows_in_text: usize::MAX, ..FindingsTable::new("constants", columns, rows) }
 }
 
 /// A preset with the number of its constants by status.
@@ -83,19 +93,22 @@ pub(super) fn target_findings(target: &Target) -> Findings {
     ];
     facts.extend(chip_facts(target.chip()));
     facts.push(("presets", target.constants().iter().map(preset_summary).collect()));
-    let constants = FindingsTable { in_text: false, ..constants_table(target.constants()) };
-    Findings { kind: "target", facts, tables: vec![constants, limits_table(target.chip())] }
+    let chip = target.chip();
+    // A target that changes a limit has a chip of its own name.
+    let own = if chip.name == target.name() { OWN } else { &chip.name };
+    let constants = FindingsTable { rows_in_text: 0, ..constants_table(target.constants(), None) };
+    Findings { kind: "target", facts, tables: vec![constants, limits_table(chip, own)] }
 }
 
 pub(super) fn chip_findings(chip: &Chip) -> Findings {
     let mut facts = vec![("name", json!(chip.name))];
     facts.extend(chip_facts(chip));
-    Findings { kind: "chip", facts, tables: vec![limits_table(chip)] }
+    Findings { kind: "chip", facts, tables: vec![limits_table(chip, OWN)] }
 }
 
 pub(super) fn constants_findings(constants: &Constants) -> Findings {
     let facts = vec![("name", json!(constants.name)), ("notes", json!(constants.notes))];
-    Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants))] }
+    Findings { kind: "constants", facts, tables: vec![constants_table(std::slice::from_ref(constants), Some(OWN))] }
 }
 
 pub(super) fn scenario_findings(scenario: &ScenarioFile) -> Findings {

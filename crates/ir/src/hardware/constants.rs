@@ -4,6 +4,8 @@
 //! [`Constants::check`] holds units, signs and sources. What a constant is multiplied with is for
 //! `cost` to say.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
@@ -38,6 +40,12 @@ pub enum Unit {
     messages,
     ratio,
 }
+
+/// Where a value stands that was typed.
+pub const SET: &str = "--set";
+
+/// The name of the barrier times among constants.
+pub const BARRIER: &str = "barrier";
 
 /// Units that a value may be typed in, by what they measure: how many of the first of its kind each
 /// is.
@@ -358,6 +366,10 @@ macro_rules! constants {
             /// Figures of the same sources that enter no sum.
             #[serde(default)]
             pub unused: Vec<UnusedConstant>,
+            /// By the name of a constant that this preset does not state, the preset that does, or
+            /// `--set`.
+            #[serde(skip)]
+            pub stated_in: BTreeMap<&'static str, String>,
             $($(#[$doc])* $(#[serde(default = $default)])? pub $field: Constant,)*
         }
         /// A preset that says only what differs from another.
@@ -388,13 +400,24 @@ macro_rules! constants {
             #[must_use]
             pub fn applied(self, base: &Constants, name: String) -> Constants {
                 let mut made = Constants { name, notes: self.notes, ..base.clone() };
-                if let Some(barrier) = self.barrier {
-                    made.barrier = barrier;
-                    made.forget_errors(&[FigureClass::Time]);
+                let inherited = |stated_in: &mut BTreeMap<_, _>, name| {
+                    stated_in.entry(name).or_insert_with(|| base.name.clone());
+                };
+                match self.barrier {
+                    Some(barrier) => {
+                        made.barrier = barrier;
+                        made.stated_in.remove(BARRIER);
+                        made.forget_errors(&[FigureClass::Time]);
+                    }
+                    None => inherited(&mut made.stated_in, BARRIER),
                 }
-                $(if let Some(constant) = self.$field {
-                    made.$field = constant;
-                    made.forget_errors(classes_of(stringify!($field)));
+                $(match self.$field {
+                    Some(constant) => {
+                        made.$field = constant;
+                        made.stated_in.remove(stringify!($field));
+                        made.forget_errors(classes_of(stringify!($field)));
+                    }
+                    None => inherited(&mut made.stated_in, stringify!($field)),
                 })*
                 made.step = self.step.unwrap_or(made.step);
                 made.hardware = self.hardware.unwrap_or(made.hardware);

@@ -6,6 +6,8 @@
 
 pub mod constants;
 
+use std::collections::BTreeMap;
+
 use serde::Deserialize;
 
 use self::constants::{ClassError, Constants, Status};
@@ -56,6 +58,9 @@ pub struct Chip {
     /// What other sources say.
     #[serde(default)]
     pub alternatives: Vec<AlternativeLimit>,
+    /// By the name of a limit that this chip's file does not state, the chip whose file does.
+    #[serde(skip)]
+    pub stated_in: BTreeMap<&'static str, String>,
 }
 
 /// Where a limit comes from.
@@ -190,6 +195,12 @@ impl TargetChanges {
         let sizes = [self.width, self.height, self.cores_per_tile, self.cores_per_chip];
         let x86 = [self.x86_cores, self.x86_cores_in_use];
         let programmed = self.neuron_kinds.is_some() || self.message_bits.is_some();
+        for limit in Limits::NAMES {
+            match self.limits.changes(limit) {
+                true => chip.stated_in.remove(limit),
+                false => chip.stated_in.insert(limit, chip.stated_in.get(limit).unwrap_or(&chip.name).clone()),
+            };
+        }
         let other = programmed || self.limits != LimitChanges::default();
         if let Some(name) = name.filter(|_| other || sizes.iter().chain(&x86).any(Option::is_some)) {
             (chip.name, chip.hardware) = (name.to_string(), None);
