@@ -8,8 +8,10 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_compile::explore;
 use nsim_compile::explore::remedy;
+use nsim_compile::explore::remedy::Refused;
 use nsim_compile::{CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Objective, Options, Strategy};
 use nsim_files as io;
+use nsim_files::changes::{Change, within};
 use nsim_files::network::Network;
 use nsim_files::shipped;
 use nsim_ir::firing_rates::Rates;
@@ -110,7 +112,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
     let network = args.job.timestep.load(&args.job.model)?;
-    let most_copies = args.job.copies.most();
+    let most_copies = args.job.anew.copies.most();
     let integers = |network: &Network| integers(network, most_copies);
     let request = Request { copies: args.copies, options: options(args), ..args.job.request(&network, &integers) };
     let model = &network.file().name;
@@ -150,10 +152,26 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         Err(other) => return Err(other.into()),
     };
     drop(busy);
-    if mapped.is_err() && goal.saved.is_none() && form == Form::Written {
-        remedies = remedy::remedies(&one, target, options, &larger(target));
+    if let Err(reasons) = &mapped
+        && goal.saved.is_none()
+        && form == Form::Written
+    {
+        let file = network.file();
+        let weight_bits: Vec<_> = file.projections.iter().map(|p| (p.to.clone(), p.weight_bits)).collect();
+        let refused = Refused { one: &one, target, options, reasons, weight_bits: &weight_bits };
+        // Model and target are read again as they will be once the changes are typed.
+        let changed = |changes: &[String]| {
+            let changes: Vec<Change> =
+                changes.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>().ok()?;
+            within(&changes, || {
+                let network = args.job.timestep.load(&args.job.model).ok()?;
+                let (front, goal) = obtain::begin(&Request { network: &network, ..request }).ok()?;
+                Some((front, goal.target))
+            })
+        };
+        remedies = remedy::remedies(refused, &larger(target), &changed);
         // A pruned network cannot be given relays.
-        remedies.retain(|remedy| !args.job.relays || remedy.kind != "prune");
+        remedies.retain(|remedy| !args.job.anew.relays || !["prune", "relays"].contains(&remedy.kind));
     }
     let pruned = mapped.as_ref().map_or(one.pruned(), |mapped| mapped.one.pruned()).cloned();
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);

@@ -98,7 +98,7 @@ enum Command {
     Train(train::Args),
     /// Convert a model of another tool into nsim's format
     Import(import::Args),
-    /// Convert a model into a format of other tools (NIR)
+    /// Convert a model into a format of other tools (NIR, netx)
     Export(export::Args),
     Stress(stress::Args),
     /// Describe the content of a file

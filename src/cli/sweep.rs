@@ -11,6 +11,7 @@ use std::time::{Instant, UNIX_EPOCH};
 
 use serde_json::json;
 
+use crate::cli::args::jobs::MappingArgs;
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
@@ -70,7 +71,7 @@ impl FromStr for Columns {
     }
 }
 
-/// Run many variants of a network and write a table with a row for each
+/// Run many variants of a network and write a table, a row for each
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -79,6 +80,8 @@ pub struct Args {
     sweep: PathBuf,
     #[command(flatten)]
     timestep: TimestepArgs,
+    #[command(flatten)]
+    anew: MappingArgs,
     /// Where to write the table, as CSV; without it the table goes to stdout
     #[arg(short, long, value_name = "FILE.csv")]
     output: Option<PathBuf>,
@@ -109,7 +112,12 @@ struct Done {
 /// # Errors
 /// [`Error`] when an input cannot be used or a file cannot be written.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?.with_timestep(args.timestep.dt_ms);
+    let MappingArgs { relays, prune, copies } = &args.anew;
+    let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?.with_timestep(args.timestep.dt_ms).mapped_with(
+        *relays,
+        prune,
+        copies.most(),
+    );
     let mut table = Table::new(&sweep);
     if let Some(Columns { x, y }) = &args.axes {
         let columns = table.columns();
@@ -200,6 +208,11 @@ fn journal_beside(path: &Path) -> PathBuf {
     name.into()
 }
 
+/// What is typed that changes variants.
+fn typed(args: &Args) -> impl std::fmt::Debug {
+    (args.timestep.dt_ms, &args.anew)
+}
+
 /// What identifies a journal: the program's version, the part, the sweep, and its files by size and
 /// time, which are read at once.
 fn head(args: &Args, sweep: &Sweep) -> String {
@@ -211,14 +224,14 @@ fn head(args: &Args, sweep: &Sweep) -> String {
     format!(
         "nsim sweep {} {}",
         env!("CARGO_PKG_VERSION"),
-        digest(&format!("{:?}", (args.shard, args.timestep.dt_ms)), sweep, of_file)
+        digest(&format!("{:?}", (args.shard, typed(args))), sweep, of_file)
     )
 }
 
 /// What identifies the work of all parts, on every machine: the program's version, the sweep, and
 /// its files by content.
 fn work(args: &Args, sweep: &Sweep) -> String {
-    let before = format!("{} {:?}", env!("CARGO_PKG_VERSION"), args.timestep.dt_ms);
+    let before = format!("{} {:?}", env!("CARGO_PKG_VERSION"), typed(args));
     digest(&before, sweep, |name| io::text::sha256_of_file(Path::new(name)).unwrap_or_default())
 }
 

@@ -154,17 +154,11 @@ fn each_remedy_of_a_mapping_makes_it_fit() {
         for remedy in map["remedies"].as_array().unwrap() {
             kinds.push(remedy["kind"].as_str().unwrap().to_string());
             let change = remedy["change"].as_str().unwrap();
-            let bits = change.split_once("weight_bits: ").map(|(_, bits)| &bits[..1]);
-            let typed = match bits {
-                Some(bits) => format!("set projections.0.weight_bits={bits}"),
-                None => change.split_once("--").unwrap().1.to_string(),
-            };
-            let mut typed = typed.split_whitespace();
-            let (option, value) = (format!("--{}", typed.next().unwrap()), typed.next().unwrap());
+            let typed: Vec<&str> = change.rsplit_once(": ").unwrap().1.split(' ').collect();
             let mut words: Vec<&str> = line.to_vec();
-            match words.iter().position(|word| *word == option && option != "--set") {
-                Some(place) => words[place + 1] = value,
-                None => words.extend([option.as_str(), value]),
+            match words.iter().position(|word| *word == typed[0] && *word != "--set") {
+                Some(place) => words[place + 1] = typed[1],
+                None => words.extend(&typed),
             }
             let fits = object(&words, 0);
             assert_eq!(fits["fits"], true, "{words:?}");

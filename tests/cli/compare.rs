@@ -17,10 +17,17 @@ fn a_row_is_what_energy_says_of_that_target() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(here, "m.ron", MODEL);
-    let compared = object(here, &format!("compare m.ron --targets loihi1-chip,oheo-gulch --input {INPUT}"), 0);
+    for options in ["", " --host none", " --relays --set target.limits.axons_in=2", " --prune static"] {
+        rows_are_those_of_energy(here, options);
+    }
+}
+
+fn rows_are_those_of_energy(here: &std::path::Path, options: &str) {
+    let line = format!("compare m.ron --targets loihi1-chip,oheo-gulch --input {INPUT}{options}");
+    let compared = object(here, &line, 0);
     assert_eq!((&compared["schema"], &compared["model"]), (&"nsim.compare/1".into(), &"small".into()));
     for (row, name) in compared["targets"].as_array().unwrap().iter().zip(["loihi1-chip", "oheo-gulch"]) {
-        let energy = object(here, &format!("energy m.ron --target {name} --baseline --input {INPUT}"), 0);
+        let energy = object(here, &format!("energy m.ron --target {name} --baseline --input {INPUT}{options}"), 0);
         let rows = energy["rows"].as_array().unwrap();
         let total = rows.iter().find(|row| row["unit"] == "total").unwrap();
         assert_eq!((&row["target"], &row["fits"]), (&name.into(), &true.into()));

@@ -116,6 +116,40 @@ fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
     assert_eq!(noted(&[&energy[..], &["--constants", &own]].concat()), 0);
 }
 
+/// A figure that follows from a changed constant has no interval, and the screen and JSON say so.
+#[test]
+fn figures_without_an_interval_are_named_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = "Target(base: \"loihi1-chip\", name: \"mine\", limits: (compartments: 2048))";
+    let target = write(folder.path(), "mine.ron", target);
+    let constants = "Constants(base: \"loihi1-evidence\", hop_ew_energy: (value: 2.0, unit: pJ, source: \"me\", \
+                     status: assumed))";
+    let constants = write(folder.path(), "own.ron", constants);
+    let energy = |more: &[&str]| {
+        let line = [&["energy", "--samples", "0..1", "--baseline"], more].concat();
+        let (_, text, _) = said(&line);
+        let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let found = object(&line, 0);
+        let said: Vec<String> = found["notes"].as_array().unwrap().iter().map(|note| note.to_string()).collect();
+        let reason = said.into_iter().find(|note| note.contains("No interval"));
+        let reason = reason.map(|note| note.trim_matches('"').to_string());
+        assert_eq!(reason.is_some(), found["high"].as_object().unwrap().values().any(Value::is_null), "{found}");
+        assert_eq!(words.contains("No interval"), reason.is_some(), "{text}");
+        assert!(reason.iter().all(|reason| words.contains(reason)), "{text}");
+        reason.unwrap_or_default()
+    };
+    assert_eq!(energy(&[]), "");
+    for (more, why) in [
+        (&["--set", "constants.turn_time=1us"][..], "power, latency, energy, EDP: turn_time is changed, and its error"),
+        (&["--constants", &constants], "power, energy, EDP: hop_ew_energy is changed, and its error"),
+        (&["--constants", "davies2018"], "power, latency, energy, EDP: the errors of 27 constants of davies2018 are"),
+        (&["--target", &target], "power, latency, energy, EDP: the constants' errors on mine"),
+    ] {
+        let said = energy(more);
+        assert!(said.starts_with(&format!("No interval of {why}")), "{more:?}: {said}");
+    }
+}
+
 #[test]
 fn energy_is_of_as_many_copies_as_a_mapping_has() {
     let folder = tempfile::tempdir().unwrap();

@@ -33,6 +33,33 @@ fn what_does_not_fit_is_answered_with_the_command_s_own_object() {
     }
 }
 
+/// A chip and constants of one's own: what the file states, what it inherits and from which file,
+/// and what was typed.
+#[test]
+fn each_constant_and_limit_names_the_file_that_states_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let constant = "(value: 2.0, unit: pJ, source: \"mine\", status: assumed)";
+    let first = format!("Constants(base: \"loihi1-evidence\", name: \"first\", hop_ew_energy: {constant})");
+    write(folder.path(), "first.ron", &first);
+    let second = format!("Constants(base: \"first\", name: \"second\", spike_energy: {constant})");
+    let second = write(folder.path(), "second.ron", &second);
+    let chip = "Target(base: \"loihi1-chip\", limits: (axons_out: 8192))";
+    let chip = write(folder.path(), "chip.ron", chip);
+    let from = |line: &[&str], table: &str, key: &str, name: &str| {
+        let found = object(&[&["inspect"], line].concat(), 0);
+        let rows = found[table].as_array().unwrap();
+        rows.iter().find(|row| row[key] == name).unwrap()["from"].as_str().unwrap().to_string()
+    };
+    let of_constant = |name: &str| from(&[&second], "constants", "name", name);
+    assert_eq!(
+        ["spike_energy", "hop_ew_energy", "turn_time", "barrier, 1 tiles"].map(of_constant),
+        ["here", "first", "loihi1-evidence", "loihi1-evidence"]
+    );
+    let of_limit = |name: &str| from(&[&chip], "limits", "limit", name);
+    assert_eq!(["axons_out", "axons_in"].map(of_limit), ["here", "loihi1"]);
+    assert_eq!(from(&["loihi1-chip"], "limits", "limit", "axons_in"), "loihi1");
+}
+
 #[test]
 fn a_file_is_shown_by_its_path() {
     let folder = tempfile::tempdir().unwrap();

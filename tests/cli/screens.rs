@@ -9,7 +9,7 @@ use crate::{MODEL, SRM, nsim, write};
 const HELP_LINES: usize = 30;
 
 /// Commands on files that the test writes. Of those marked `timed`, figures differ between runs.
-const SCREENS: [(&str, bool); 25] = [
+const SCREENS: [(&str, bool); 27] = [
     ("map vtsnn-slip", true),
     ("map m.ron --target tiny --copies 3 --prune static", true),
     ("run vtsnn-slip --samples 0..2", true),
@@ -24,6 +24,8 @@ const SCREENS: [(&str, bool); 25] = [
     ("import net.nir", false),
     ("export m.ron -o net.nir --force", false),
     ("inspect nahuku-32", false),
+    ("inspect loihi1-evidence", false),
+    ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline --set constants.turn_time=0.4us", false),
     ("inspect vtsnn-slip", false),
     ("inspect rtx-2080-ti", false),
     ("scene slip --samples 2", false),
@@ -75,6 +77,7 @@ fn every_command_fits_its_columns_and_breaks_no_word() {
 #[test]
 fn short_help_is_a_screen_and_long_help_has_every_option() {
     let root = printed(std::path::Path::new("."), &["-h"], 80);
+    assert!(root.lines().count() <= HELP_LINES, "nsim -h: {}\n{root}", root.lines().count());
     let names = root.lines().filter_map(|line| line.strip_prefix("  ")?.split("  ").next());
     let commands: Vec<&str> = names.take_while(|name| !name.starts_with('-')).filter(|name| !name.is_empty()).collect();
     assert!(commands.len() > 16, "{root}");

@@ -43,6 +43,7 @@ fn rows_are_those_of_the_single_commands() {
             {"model": "slip-tactile", "target": "loihi1-chip"}, {"constants.injection_time": "0.4us"},
             {"options.copies": 3, "options.mode": "realtime"}, {"options.constants": "davies2018", "input.seed": 9},
             {"model": "container-tactile-srm"}, {"options.host": "none"}, {"options.copies": 3, "options.deployment": "packed"},
+            {"options.relays": true, "target.limits.axons_in": 1000}, {"options.prune": "static"},
             {"target.limits.axons_in": 100}, {"populations.out.vth_mant": -7},
         ])"#,
     )
@@ -59,13 +60,15 @@ fn rows_are_those_of_the_single_commands() {
                 "container-tactile-srm",
                 "vtsnn-slip --host none",
                 "vtsnn-slip --copies 3 --deployment packed",
+                "vtsnn-slip --relays --set target.limits.axons_in=1000",
+                "vtsnn-slip --prune static",
                 "",
                 "",
             ]),
         ),
     ] {
         let found = rows(&ran(folder, &format!("sweep {file}")));
-        assert_eq!(found.len(), if settings.is_some() { 9 } else { 8 });
+        assert_eq!(found.len(), if settings.is_some() { 11 } else { 8 });
         for (number, row) in found.iter().enumerate() {
             assert_eq!(cell(row, "variant"), number.to_string());
             let line = match settings {
@@ -82,11 +85,11 @@ fn rows_are_those_of_the_single_commands() {
                 }
             };
             if line.is_empty() {
-                let code = ["map.does-not-fit", "model.range"][number - 7];
-                assert_eq!(cell(row, "fits"), ["false", ""][number - 7]);
+                let code = ["map.does-not-fit", "model.range"][number - 9];
+                assert_eq!(cell(row, "fits"), ["false", ""][number - 9]);
                 assert_eq!(cell(row, "error").split('.').next(), code.split('.').next(), "{row:?}");
-                assert_eq!(cell(row, "tightest"), ["axons_in", ""][number - 7]);
-                assert!(cell(row, "reason").contains(["input axons", "-7"][number - 7]), "{row:?}");
+                assert_eq!(cell(row, "tightest"), ["axons in 156 %", ""][number - 9]);
+                assert!(cell(row, "reason").contains(["input axons", "-7"][number - 9]), "{row:?}");
                 continue;
             }
             let copies = if line.contains("--copies") { "" } else { " --copies 1" };
@@ -218,7 +221,7 @@ fn a_table_says_what_limits_and_what_is_on_the_front() {
         assert!(if cell(row, "axons") == "100" { used > 100.0 } else { used <= 100.0 }, "{row:?}");
     }
     // Two compartments of a core are all of its limit.
-    assert_eq!((cell(&found[0], "tightest"), cell(&found[0], "used_percent")), ("compartments", "100"));
+    assert_eq!((cell(&found[0], "tightest"), cell(&found[0], "used_percent")), ("compartments 100 %", "100"));
     let picture = std::fs::read_to_string(folder.join("t.svg")).unwrap();
     assert!(picture.contains("on the front") && picture.contains("64, 4096"), "{picture}");
     // Words of a reason go through a journal and the tables of parts.

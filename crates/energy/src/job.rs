@@ -2,8 +2,9 @@
 
 use crate::report::compared::{Comparison, PerDecision, per_sample, ratios};
 use crate::report::table::{EnergyReport, Saved, constant_entries};
-use nsim_cost::estimate::{Case, EnergyRow, estimate, spent};
+use nsim_cost::estimate::{Bound, Case, EnergyRow, estimate, spent};
 use nsim_ir::hardware::Target;
+use nsim_ir::hardware::constants::{BARRIER, Constants, SET};
 use nsim_session::Outcome;
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
@@ -40,6 +41,32 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDec
     }
 }
 
+/// Which figures of the `total` row have no interval, and why, where errors of constants are the
+/// cause: those of another chip, of a changed constant, or of a whole preset are unknown.
+pub fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> Option<String> {
+    type Figure = (&'static str, Option<f64>, fn(&Bound) -> Option<f64>);
+    let figures: [Figure; 4] = [
+        ("power", total.total_mw, |low| low.total_mw),
+        ("latency", total.latency_us, |low| low.latency_us),
+        ("energy", total.energy_uj, |low| low.energy_uj),
+        ("EDP", total.edp_pjs, |low| low.edp_pjs),
+    ];
+    let is_without = |(_, figure, low): &Figure| figure.is_some() && total.low.and_then(|all| low(&all)).is_none();
+    let names: Vec<&str> = figures.iter().filter(|figure| is_without(figure)).map(|(name, ..)| *name).collect();
+    let (has_base, hardware) = (preset.stated_in.values().any(|from| from != SET), target.chip().hardware());
+    let is_changed = |name: &&str| preset.stated_in.get(name).map_or(has_base, |from| from == SET);
+    let changed: Vec<&str> = Constants::NAMES.iter().copied().chain([BARRIER]).filter(is_changed).collect();
+    let why = match changed.as_slice() {
+        _ if preset.hardware != hardware => format!("the constants' errors on {hardware} are unknown"),
+        [] if preset.errors.is_empty() => format!("the errors of preset {} are unknown", preset.name),
+        [] => return None,
+        [one] => format!("{one} is changed, and its error is unknown"),
+        several if several.len() <= 3 => format!("{} are changed, and their errors are unknown", several.join(", ")),
+        several => format!("the errors of {} constants of {} are unknown", several.len(), preset.name),
+    };
+    (!names.is_empty()).then(|| format!("No interval of {}: {why}.", names.join(", ")))
+}
+
 /// From a finished run to its report: its counts and the conditions of the estimate, of which the
 /// first of the target's presets is one, and rows of other hardware with their sources. Its notes
 /// belong on stderr when the output is for programs.
@@ -52,10 +79,11 @@ pub fn report(
 ) -> EnergyReport {
     let estimate = estimate(case);
     let total = estimate.rows.iter().find(|row| row.unit == "total");
+    let preset = &target.constants()[case.preset];
+    let without_interval = total.and_then(|total| without_interval(target, preset, total));
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
     let steps = case.activity.steps() as f64 / samples.max(1) as f64;
     let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
-    let preset = &target.constants()[case.preset];
     let inherited = (preset.hardware != case.hardware && !preset.hardware.is_empty()).then(|| {
         let (theirs, own) = (&preset.hardware, case.hardware);
         format!("Constants that are not stated for {own}, static power too, are {theirs}'s (--constants FILE).")
@@ -85,6 +113,7 @@ pub fn report(
         constants: constant_entries(preset),
         notes: estimate.notes.clone(),
         inherited,
+        without_interval,
         estimate,
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Input: a path or the name of a shipped model. Output: a [`Network`]. A problem with an array is
 //! reported at the place in the model file that names it, together with what is wrong with the
-//! array's file. Whether the numbers make sense is for `compile::frontend::lower`.
+//! array's file. Whether the numbers make sense is for `nsim_files::lower`.
 
 use std::collections::BTreeMap;
 use std::path::Path;

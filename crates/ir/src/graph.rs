@@ -1,8 +1,8 @@
 //! Populations and projections with real parameters: the model as it was meant, before any integer.
 //!
-//! Made by `compile::frontend::lower`. True of every [`Graph`]: names are unique, endpoints exist,
+//! Made by `nsim_files::lower`. True of every [`Graph`]: names are unique, endpoints exist,
 //! shapes and array sizes agree, delays are in range, and there is one output population of
-//! compartments. Whether numbers fit their hardware fields is for `compile::frontend::quantise`.
+//! compartments. Whether numbers fit their hardware fields is for `nsim_quantise::quantise`.
 
 use std::fmt;
 use std::sync::Arc;
@@ -401,7 +401,7 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// A graph from checked parts; `compile::frontend::lower` is the way to get one from a file.
+    /// A graph from checked parts; `nsim_files::lower` is the way to get one from a file.
     ///
     /// # Panics
     /// When `output` is not one of the nodes: a mistake of the caller.

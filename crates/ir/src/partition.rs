@@ -121,7 +121,7 @@ impl TryFrom<Text> for Partition {
 
 impl Partition {
     /// Cores with their compartments in slot order, and what each core uses (from
-    /// `compile::resources::exact`).
+    /// `nsim_partition::resources::exact`).
     ///
     /// # Errors
     /// [`PartitionError`] when a compartment has not exactly one seat, what a core uses is not

@@ -203,8 +203,7 @@ resources! {
     /// Input axons.
     AxonsIn, axons_in: "map.axons-in", Some("axons in"), "input axons of its core",
         "every compartment that reaches a core takes one input axon there: pool more before this population, or \
-         split the fan-in over intermediate populations; relays are no remedy, because a binary spike cannot carry a \
-         sum";
+         split the fan-in over intermediate populations";
     /// Output axon slots.
     AxonsOut, axons_out: "map.axons-out", Some("axons out"), "output axon slots of its core", FAN_OUT_ADVICE;
     /// The most output axons of one compartment.

@@ -35,6 +35,8 @@ pub struct Priced {
     /// Where its intervals come from: the errors of published works, or the bounds of modelled
     /// constants; `None` without intervals.
     pub intervals: Option<Intervals>,
+    /// Which figures have no interval, and why.
+    pub without_interval: Option<String>,
 }
 
 /// Where intervals come from.
@@ -142,6 +144,7 @@ pub fn text(found: &Comparison) -> String {
     for ComparedTarget { target, constants, found, .. } in &found.targets {
         match found {
             Ok(priced) => {
+                said.extend(priced.without_interval.iter().map(|why| wrapped(&format!("{target}: {why}"))));
                 let figure = |(_, _, figure, _): &Figure| figure(&priced.row).map_or("-".to_string(), three);
                 let counts = [target.clone(), priced.chips_used.to_string(), priced.cores_used.to_string()];
                 lines.push(counts.into_iter().chain(FIGURES.iter().map(figure)).collect());

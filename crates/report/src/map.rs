@@ -14,7 +14,7 @@ use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
 use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, place};
-use nsim_files::table::{Column, count, table_of, three, wrapped};
+use nsim_files::table::{Column, count, shell_lines, table_of, three, wrapped};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -158,8 +158,8 @@ pub fn pareto_text(found: &[Found]) -> String {
         ("cores filled to", |(one, _)| format!("1/{}", one.candidate.divisor)),
         ("placed", |(one, _)| if one.candidate.placed { "yes" } else { "no" }.to_string()),
         ("cores", |(one, _)| one.score.cores.to_string()),
-        ("uJ a step", |(one, _)| format!("{:.4}", one.score.energy_uj)),
-        ("us a step", |(one, _)| format!("{:.3}", one.score.step_us)),
+        ("uJ a step", |(one, _)| three(one.score.energy_uj)),
+        ("us a step", |(one, _)| three(one.score.step_us)),
         ("front", |(_, on_front)| if *on_front { "*" } else { "" }.to_string()),
     ];
     let on_front = |one| front.iter().any(|other| std::ptr::eq(*other, one));
@@ -257,7 +257,15 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
             }
             for Remedy { change, cores, copies, .. } in remedies {
                 let copies = if *copies == 1 { String::new() } else { format!(", {copies} copies") };
-                text += &wrapped(&format!("- {change} ({}{copies})", count(u64::from(*cores), "core")));
+                let takes = format!("({}{copies})", count(u64::from(*cores), "core"));
+                let line = wrapped(&format!("- {change} {takes}"));
+                text += &match change.rsplit_once(": --") {
+                    // What is typed stays in one piece.
+                    Some((words, typed)) if line.lines().count() > 1 => {
+                        format!("{}{}\n", wrapped(&format!("- {words} {takes}:")), shell_lines(&format!("--{typed}")))
+                    }
+                    _ => line,
+                };
             }
             if !pruned.is_empty() {
                 text.push('\n');

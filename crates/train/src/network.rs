@@ -33,7 +33,7 @@ pub struct Mantissas {
 
 impl Mantissas {
     /// The nearest even mantissa of 8 signed bits, ties to even multiples of 2 (as
-    /// `compile::frontend::quantise` rounds).
+    /// `nsim_quantise::quantise` rounds).
     #[must_use]
     pub fn mantissa(&self, weight: f32) -> i16 {
         (2.0 * (weight * self.scale / 2.0).round_ties_even()).clamp(-256.0, 254.0) as i16

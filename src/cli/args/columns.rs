@@ -18,8 +18,7 @@ const TEXT: usize = 28;
 const MOST: usize = 8;
 
 /// The options that `-h` lists.
-const MOST_USED: [(&str, &str); 13] = [
-    ("nsim", "format threads set"),
+const MOST_USED: [(&str, &str); 12] = [
     ("nsim map", "target copies deployment objective prune mapping plot output"),
     ("nsim run", "target input samples engine early_exit probe mapping output"),
     ("nsim energy", "target input samples copies deployment baseline plot full"),
@@ -33,6 +32,9 @@ const MOST_USED: [(&str, &str); 13] = [
     ("nsim bench pareto", "input samples seconds plot"),
     ("nsim bench paper", "full train cell results output"),
 ];
+
+/// What `-h` says of the options that it does not list.
+const OTHERS: &str = "--format, --threads, --set and all other options: ";
 
 /// Commands by what they are for, as `nsim -h` lists them.
 const GROUPS: [(&str, &[&str]); 4] = [
@@ -61,9 +63,10 @@ pub(in crate::cli) fn folded(command: Command) -> Command {
         .override_usage("nsim [OPTIONS] <COMMAND>")
         .disable_version_flag(true)
         .arg(version.hide_short_help(true).help("Print version"))
-        .about(groups.trim_end().to_string())
+        .about(groups.trim_end().replace("\n\n", "\n") + "\n\n" + OTHERS + "nsim --help")
         .long_about(groups)
-        .help_template("{usage-heading} {usage}\n\n{about}\n\n{all-args}{after-help}")
+        .after_help("")
+        .help_template("{usage-heading} {usage}\n\n{about}\n{all-args}{after-help}")
 }
 
 fn folded_as(command: Command, path: &str) -> Command {
@@ -100,7 +103,7 @@ fn short(command: &Command, path: &str, examples: &[String]) -> String {
     }
     let third = examples.iter().enumerate().filter(|(_, line)| line.starts_with("  nsim")).nth(2);
     let examples = examples[..third.map_or(examples.len(), |(at, _)| at)].join("\n");
-    format!("{out}{examples}\n\n--format, --threads, --set and all other options: {path} --help")
+    format!("{out}{examples}\n\n{OTHERS}{path} --help")
 }
 
 /// An argument as it is typed.

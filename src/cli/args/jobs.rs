@@ -20,6 +20,28 @@ use nsim_session::obtain::{Integers, Job, Request, TargetChoice, Wanted, obtain}
 use nsim_train::convert::copies;
 use nsim_train::convert::prepare::integers;
 
+/// How a network is mapped anew, by every command that maps one.
+#[derive(Debug, Clone, clap::Args)]
+pub struct MappingArgs {
+    /// Add relay compartments where spikes reach more cores than a compartment or a core has output
+    /// axons; let sources share input axons where a core has too few
+    #[arg(help_heading = "Mapping", long)]
+    pub relays: bool,
+    /// Remove what cannot change an output: none; static, for every input; or for an INPUT as in
+    /// --input, which also removes channels that never spike in it
+    #[arg(help_heading = "Mapping", long, value_name = "none|static|INPUT")]
+    pub prune: Vec<String>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub copies: CopiesArgs,
+}
+
+impl Default for MappingArgs {
+    fn default() -> Self {
+        MappingArgs { relays: false, prune: Vec::new(), copies: CopiesArgs { delayed_copies: copies::USUAL as u32 } }
+    }
+}
+
 /// What names the network and the hardware.
 #[derive(Debug, Clone, clap::Args)]
 pub struct JobArgs {
@@ -35,17 +57,9 @@ pub struct JobArgs {
     /// A mapping saved by `nsim map -o`
     #[arg(help_heading = "Mapping", long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
-    /// Add relay compartments where spikes reach more cores than a compartment or a core has output
-    /// axons
-    #[arg(help_heading = "Mapping", long)]
-    pub relays: bool,
-    /// Remove what cannot change an output: none; static, for every input; or for an INPUT as in
-    /// --input, which also removes channels that never spike in it
-    #[arg(help_heading = "Mapping", long, value_name = "none|static|INPUT")]
-    pub prune: Vec<String>,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub copies: CopiesArgs,
+    pub anew: MappingArgs,
     /// Where copies of the model are mapped.
     #[arg(skip)]
     pub placement: CopyPlacement,
@@ -58,17 +72,13 @@ impl JobArgs {
     /// A model on the default target, unpruned.
     #[must_use]
     pub fn for_model(model: &str) -> Self {
-        let copies = CopiesArgs { delayed_copies: copies::USUAL as u32 };
-        let placement = CopyPlacement::default();
         JobArgs {
             model: model.to_string(),
             timestep: TimestepArgs::default(),
             target: None,
             mapping: None,
-            relays: false,
-            prune: Vec::new(),
-            copies,
-            placement,
+            anew: MappingArgs::default(),
+            placement: CopyPlacement::default(),
             needs_scene: false,
         }
     }
@@ -80,8 +90,8 @@ impl JobArgs {
             target: TargetChoice::Named(self.target.as_deref()),
             mapping: self.mapping.as_deref(),
             options: Options { placement: self.placement, share: ranks::share(), ..Options::default() },
-            prune: &self.prune,
-            relays: self.relays,
+            prune: &self.anew.prune,
+            relays: self.anew.relays,
             ..Request::new(&self.model, network, integers)
         }
     }
@@ -148,7 +158,7 @@ pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&s
         let help = "give spikes with --input FILE, or --input scene:noise to try";
         inputs::require_scene(&args.model, network.file().scene.as_deref(), help)?;
     }
-    let integers = |network: &Network| integers(network, args.copies.most());
+    let integers = |network: &Network| integers(network, args.anew.copies.most());
     let request = Request { wanted, copies, probed, ..args.request(&network, &integers) };
     let _busy = output::busy(if args.mapping.is_some() { "checking the mapping" } else { "mapping" });
     match obtain(&request) {

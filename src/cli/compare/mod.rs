@@ -1,17 +1,18 @@
 //! `nsim compare`: one network on several targets side by side.
 
-use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs;
-use crate::cli::args::jobs::{JobArgs, Prepared};
+use crate::cli::args::jobs::{JobArgs, MappingArgs, Prepared};
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
+use nsim_cost::Host;
 use nsim_cost::job::Mode;
 use nsim_energy::evaluate;
 use nsim_energy::evaluate::Plan;
+use nsim_energy::job;
 use nsim_energy::options::CostOptions;
 use nsim_files as io;
 use nsim_ir::hardware::Target;
@@ -37,7 +38,7 @@ pub struct Args {
     #[command(flatten)]
     timestep: TimestepArgs,
     #[command(flatten)]
-    conversion: CopiesArgs,
+    anew: MappingArgs,
     /// Targets to compare: target files or names of shipped targets, separated by commas
     #[arg(long, value_name = "TARGET,..", value_delimiter = ',', default_value = "loihi1-chip,oheo-gulch")]
     targets: Vec<String>,
@@ -46,6 +47,10 @@ pub struct Args {
     /// As fast as possible, or held to the model's timestep
     #[arg(long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
     mode: Mode,
+    /// Where input spikes come from, as --host of nsim energy [default: stream where the chip has
+    /// x86 cores]
+    #[arg(long, value_parser = one_of(&Host::ALL, Host::name))]
+    host: Option<Host>,
 }
 
 /// Runs the command. The answer is no if no target can hold the network.
@@ -87,17 +92,17 @@ fn priced(
     let job = JobArgs {
         timestep: args.timestep,
         target: Some(name.to_string()),
-        copies: args.conversion.clone(),
+        anew: args.anew.clone(),
         needs_scene: args.input.input.is_empty(),
         ..JobArgs::for_model(&args.model)
     };
-    let job = match jobs::prepare(&job, Wanted::Mapped, Some(1), &[])? {
+    let prepared = match jobs::prepare(&job, Wanted::Mapped, Some(1), &[])? {
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => return Ok(Err(refusal.reasons().iter().map(Refused::from).collect())),
     };
-    let workload = workload(&job, &args.input)?;
+    let workload = workload(&prepared, &args.input)?;
     let plan = Plan::new(&args.model, None, Some(1))?;
-    let options = CostOptions { mode: args.mode, ..CostOptions::usual(Some(&[]))? };
+    let options = CostOptions { mode: args.mode, host: args.host, ..CostOptions::usual(Some(&[]))? };
     let evaluated = evaluate::evaluate(&plan, &workload, &options, None, |metered, watched| {
         simulate(&workload, metered, watched, true, context)
     })?;
@@ -112,5 +117,7 @@ fn priced(
         _ => Some(Intervals::Works),
     };
     let (chips_used, cores_used) = (evaluated.deployment.chips_used, evaluated.deployment.cores_used);
-    Ok(Ok(Priced { chips_used, cores_used, row, intervals }))
+    let preset = target.constants().first();
+    let without_interval = preset.and_then(|preset| job::without_interval(target, preset, &row));
+    Ok(Ok(Priced { chips_used, cores_used, row, intervals, without_interval }))
 }

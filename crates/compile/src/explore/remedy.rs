@@ -1,36 +1,45 @@
 //! Changes that make a network fit, found by trying them.
 //!
-//! Input: a network that does not fit its target and the target. Output: [`Remedy`]s that were
-//! tried and made it fit, the cheapest change first. What is tried:
+//! Input: a network that does not fit its target, the reasons, and what reads model and target again
+//! with fields changed. Output: [`Remedy`]s that were tried and made it fit, the cheapest change
+//! first. What is tried:
 //!
 //! - the default strategy, where another was asked for;
-//! - fewer copies: the most that fit;
 //! - leaving out what can change no output (`--prune static`);
+//! - relays, and sources that share input axons (`--relays`);
+//! - fewer copies: the most that fit;
 //! - fewer weight bits, each weight rounded to the coarser step: whether the network still does its
 //!   task is another question, which the remedy says;
-//! - the next larger shipped boards.
+//! - the next larger shipped boards;
+//! - the least limits of a core with which the network fits, for a chip of one's own.
 //!
-//! Not tried: what needs another model (merging polarities, pooling, relays), which is advice in
-//! the reason itself. Another sign mode changes no count of words, so it is no remedy for what does
-//! not fit.
+//! Not tried: what needs another model (merging polarities, pooling), which is advice in the reason
+//! itself. Another sign mode changes no count of words, so it is no remedy for what does not fit.
 
-use crate::{DEFAULT_RATE, Effort, Front, Objective, Options, Strategy};
-use nsim_ir::base::fixed::WeightBits;
+use std::collections::BTreeMap;
+
+use crate::{AddedRelays, CompileError, DEFAULT_RATE, Effort, Front, Objective, Options, Reason, Strategy};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
-use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::quantised::{Parts, Quantised};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::resource::{Capacity, Resource};
 use nsim_quantise::prune::{Plan, prune};
 
 /// Synapses above which trying changes would take too long.
 const MOST_SYNAPSES: u64 = 10_000_000;
 /// Weight bits that are tried.
-const BITS: [i64; 3] = [6, 5, 4];
+const BITS: [u32; 3] = [6, 5, 4];
+/// Rounds in which limits are raised: one that is met can uncover another.
+const MOST_RAISED: usize = 4;
+
+/// The network and its target with fields changed, each `PATH=VALUE`; `None` where they are refused.
+pub type Changed<'a> = dyn Fn(&[String]) -> Option<(Front, Target)> + 'a;
 
 /// A change that makes the network fit.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Remedy {
-    /// A stable name for scripts: `strategy`, `copies`, `prune`, `weight_bits` or `target`.
+    /// A stable name for scripts: `strategy`, `prune`, `relays`, `copies`, `weight_bits`, `target`
+    /// or `limit`.
     pub kind: &'static str,
     /// What to change, in words, with what to type where there is something to type.
     pub change: String,
@@ -40,21 +49,37 @@ pub struct Remedy {
     pub copies: u32,
 }
 
+/// What does not fit.
+#[derive(Clone, Copy)]
+pub struct Refused<'a> {
+    /// The network.
+    pub one: &'a Quantised,
+    /// The target.
+    pub target: &'a Target,
+    /// How it was to be mapped.
+    pub options: &'a Options,
+    /// Why it does not fit.
+    pub reasons: &'a [Reason],
+    /// By projection of the model file, the population that it leads to, and its weight bits.
+    pub weight_bits: &'a [(String, i64)],
+}
+
 /// Remedies for a network that does not fit, the cheapest change first; `boards` are larger
 /// targets, ascending.
 #[must_use]
-pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[Target]) -> Vec<Remedy> {
+pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) -> Vec<Remedy> {
+    let Refused { one, target, options, reasons, .. } = refused;
     if one.synapses().saturating_mul(u64::from(options.copies)) > MOST_SYNAPSES {
         return Vec::new();
     }
     let quick = Options { effort: Effort::Work(0), objective: Objective::Cores, place: false, ..*options };
     let rates = Rates::assumed(DEFAULT_RATE);
     // What has cores fits: routes and tables follow from them.
-    let fits = |network: &Quantised, target: &Target, copies: u32| -> Option<Fitting> {
-        let front = Front::from(network.clone());
-        let made = front.partition(target, &Options { copies, ..quick }, &rates).ok()?;
-        Some(Fitting { cores: made.partition.cores() as u32, copies })
+    let tried = |front: Front, target: &Target, copies: u32| -> Result<Fitting, CompileError> {
+        let made = front.partition(target, &Options { copies, ..quick }, &rates)?;
+        Ok(Fitting { cores: made.partition.cores() as u32, copies })
     };
+    let fits = |front: Front, target: &Target, copies: u32| tried(front, target, copies).ok();
     let mut found = Vec::new();
     let mut keep = |kind, change: String, Fitting { cores, copies }: Fitting| {
         found.push(Remedy { kind, change, cores, copies });
@@ -72,32 +97,89 @@ pub fn remedies(one: &Quantised, target: &Target, options: &Options, boards: &[T
         }
     }
     if let Ok(pruned) = prune(one, &Plan::fixed())
-        && let Some(fitting) = fits(&pruned, target, options.copies)
+        && let Some(fitting) = fits(pruned.into(), target, options.copies)
     {
         keep("prune", "leave out what can change no output: --prune static".to_string(), fitting);
     }
+    if let Ok(front) = Front::from(one.clone()).relay(target) {
+        let change = match front.relays() {
+            None => "let sources share input axons: --relays".to_string(),
+            Some(AddedRelays { relays, later, .. }) => {
+                let steps =
+                    later.values().max().map_or(String::new(), |steps| format!(", some spikes {steps} steps later"));
+                format!("add {relays} relay compartments{steps}: --relays")
+            }
+        };
+        if let Some(fitting) = fits(front, target, options.copies) {
+            keep("relays", change, fitting);
+        }
+    }
     if options.copies > 1
-        && let Some(fitting) = most_copies(options.copies, |copies| fits(one, target, copies))
+        && let Some(fitting) = most_copies(options.copies, |copies| fits(one.clone().into(), target, copies))
     {
         let most = fitting.copies;
         keep("copies", format!("map {most} of the {} copies: --copies {most}", options.copies), fitting);
     }
     for bits in BITS {
-        let Some(fitting) = coarser(one, bits).and_then(|coarser| fits(&coarser, target, options.copies)) else {
+        let changes = refused.fewer_bits(bits);
+        let Some((front, target)) = Some(&changes).filter(|changes| !changes.is_empty()).and_then(|all| changed(all))
+        else {
             continue;
         };
-        let change =
-            format!("store weights in {bits} bits (weight_bits: {bits}); check the accuracy, weights get coarser");
-        keep("weight_bits", change, fitting);
+        let Some(fitting) = fits(front, &target, options.copies) else { continue };
+        let words =
+            format!("store weights in {bits} bits; check the accuracy, weights get coarser: {}", typed(&changes));
+        keep("weight_bits", words, fitting);
         break;
     }
     for board in boards {
-        if let Some(fitting) = fits(one, board, options.copies) {
+        if let Some(fitting) = fits(one.clone().into(), board, options.copies) {
             keep("target", format!("use a larger board: --target {}", board.name()), fitting);
             break;
         }
     }
+    let (mut limits, mut reasons) = (BTreeMap::new(), reasons.to_vec());
+    for _ in 0..MOST_RAISED {
+        // What a single compartment needs is the least of which a core has to have as much.
+        let alone = reasons.iter().filter(|reason| reason.population.is_some());
+        for reason in alone {
+            if let Capacity::Resource(resource) = &reason.resource {
+                let least: &mut u64 = limits.entry(*resource).or_default();
+                *least = reason.need.max(*least);
+            }
+        }
+        let limit = |(resource, least): (&Resource, &u64)| format!("target.limits.{}={least}", resource.name());
+        let changes: Vec<String> = limits.iter().map(limit).collect();
+        let Some((front, target)) = Some(&changes).filter(|changes| !changes.is_empty()).and_then(|all| changed(all))
+        else {
+            break;
+        };
+        match tried(front, &target, options.copies) {
+            Ok(fitting) => {
+                keep("limit", format!("change the chip, by these limits at least: {}", typed(&changes)), fitting);
+                break;
+            }
+            Err(CompileError::DoesNotFit(next)) if next != reasons => reasons = next,
+            Err(_) => break,
+        }
+    }
     found
+}
+
+/// Changes as they are typed.
+fn typed(changes: &[String]) -> String {
+    changes.iter().map(|change| format!("--set {change}")).collect::<Vec<_>>().join(" ")
+}
+
+impl Refused<'_> {
+    /// What stores fewer weight bits, where the reasons name populations in what leads to these.
+    fn fewer_bits(&self, bits: u32) -> Vec<String> {
+        let named = |name: &str| self.reasons.iter().any(|reason| reason.population.as_deref() == Some(name));
+        let all = self.reasons.iter().all(|reason| reason.population.is_none());
+        let projections = self.weight_bits.iter().enumerate();
+        let wider = projections.filter(|(_, (to, most))| *most > i64::from(bits) && (all || named(to)));
+        wider.map(|(place, _)| format!("projections.{place}.weight_bits={bits}")).collect()
+    }
 }
 
 /// Copies that fit, and the cores that they take.
@@ -121,85 +203,73 @@ fn most_copies(wanted: u32, fits: impl Fn(u32) -> Option<Fitting>) -> Option<Fit
     Some(best)
 }
 
-/// The network with weights of at most this many bits, rounded toward zero; `None` when no weight
-/// has more.
-#[must_use]
-pub fn coarser(one: &Quantised, bits: i64) -> Option<Quantised> {
-    let mut parts: Parts = one.parts().clone();
-    let fewer = WeightBits::new(bits).ok()?;
-    let mut changed = false;
-    for projection in parts.projections.iter_mut().filter(|p| p.format.bits > fewer) {
-        changed = true;
-        projection.format.bits = fewer;
-        let (low, high) = projection.format.sign.range(fewer);
-        let step = projection.format.sign.step(fewer);
-        let round = |w: i16| ((w / step) * step).clamp(low, high);
-        projection.connectivity = match &projection.connectivity {
-            Connectivity::Dense { targets, weights } => {
-                Connectivity::Dense { targets: *targets, weights: weights.iter().map(|&w| round(w)).collect() }
-            }
-            Connectivity::Sparse { first, targets, weights } => Connectivity::Sparse {
-                first: first.clone(),
-                targets: targets.clone(),
-                weights: weights.iter().map(|&w| round(w)).collect(),
-            },
-            Connectivity::Conv2d { window, kernel } => {
-                Connectivity::Conv2d { window: *window, kernel: kernel.iter().map(|&w| round(w)).collect() }
-            }
-            Connectivity::SumPool2d { window, weight } => {
-                Connectivity::SumPool2d { window: *window, weight: round(*weight) }
-            }
-            &Connectivity::Random { targets, fan_out, low, high, seed, first_source, .. } => {
-                Connectivity::Random { targets, fan_out, low: round(low), high: round(high), step, seed, first_source }
-            }
-        };
-    }
-    if changed { Quantised::new(parts).ok() } else { None }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CompileError, compile};
-    use nsim_ir::resource::{Limits, Resource};
+    use crate::compile;
+    use nsim_ir::resource::Limits;
     use nsim_testing::{Builder, limits, slip, target};
 
     fn tried(
         network: &Quantised,
         limits: Limits,
-        chips: u32,
         copies: u32,
         boards: &[Target],
+        changed: &Changed<'_>,
     ) -> Vec<(&'static str, u32)> {
         let options = Options { copies, ..Options::default() };
-        let target = target(chips, 1, limits);
-        assert!(matches!(compile(network.clone(), &target, &options), Err(CompileError::DoesNotFit(_))));
-        remedies(network, &target, &options, boards).into_iter().map(|r| (r.kind, r.copies)).collect()
+        let target = target(1, 1, limits);
+        let Err(CompileError::DoesNotFit(reasons)) = compile(network.clone(), &target, &options) else {
+            panic!("it fits");
+        };
+        let weight_bits = &[("out".to_string(), 8)];
+        let refused = Refused { one: network, target: &target, options: &options, reasons: &reasons, weight_bits };
+        remedies(refused, boards, changed).into_iter().map(|r| (r.kind, r.copies)).collect()
     }
 
     #[test]
     fn the_most_copies_that_fit_and_the_next_board_are_found() {
         let boards = [target(2, 1, limits()), target(4, 1, limits())];
         // 200 copies of 3,366 input axons need 200 cores of which a chip has 128.
-        assert_eq!(tried(&slip(3150), limits(), 1, 200, &boards), [("copies", 128), ("target", 200)]);
+        assert_eq!(tried(&slip(3150), limits(), 200, &boards, &|_| None), [("copies", 128), ("target", 200)]);
+    }
+
+    /// 30 sources and 4 compartments, of a weight for each pair.
+    fn dense(weight: impl Fn(u32, u32) -> i16) -> Quantised {
+        let mut builder = Builder::new();
+        let (input, output) = (builder.input("in", 30), builder.loihi("out", 4));
+        builder.dense(input, output, weight);
+        builder.build()
     }
 
     #[test]
-    fn dead_synapses_and_coarse_weights_can_make_a_network_fit() {
-        let mut builder = Builder::new();
-        let (input, output) = (builder.input("in", 30), builder.loihi("out", 4));
-        builder.dense(input, output, |s, _| if s < 20 { 2 } else { 0 });
-        let dead = builder.build();
+    fn dead_synapses_shared_axons_and_limits_can_make_a_network_fit() {
         let tight = limits().with(Resource::AxonsIn, 20);
-        assert_eq!(tried(&dead, tight, 1, 1, &[]), [("prune", 1)]);
-        let mut builder = Builder::new();
-        let (input, output) = (builder.input("in", 30), builder.loihi("out", 4));
-        builder.dense(input, output, |s, t| ((s * 4 + t) % 60) as i16 * 2 + 66);
-        let wide = builder.build();
-        let tight = limits().with(Resource::SynapseWords, 29).with(Resource::SynapseWordsPerAxon, 1);
-        assert!(tried(&wide, tight, 1, 1, &[]).is_empty(), "30 axons take at least 30 words");
-        let coarse = coarser(&wide, 4).unwrap();
-        assert!(coarse.projections().iter().all(|p| p.format.bits.get() == 4));
-        assert!(coarser(&coarse, 6).is_none());
+        let dead = dense(|s, _| if s < 20 { 2 } else { 0 });
+        assert_eq!(tried(&dead, tight.clone(), 1, &[], &|_| None), [("prune", 1), ("relays", 1)]);
+        let alive = dense(|s, t| 2 * (s + t) as i16 + 2);
+        // The least limit, found in one round, and one that uncovers another.
+        for (limits, rounds) in [(tight.clone(), 1), (tight.with(Resource::SynapseWords, 10), 2)] {
+            let asked = std::cell::RefCell::new(Vec::new());
+            let changed = |changes: &[String]| {
+                asked.borrow_mut().push(changes.join(" "));
+                let limit = |resource: Resource| {
+                    let (_, value) = changes.iter().find_map(|change| {
+                        change.split_once('=').filter(|(path, _)| path.ends_with(&format!(".{}", resource.name())))
+                    })?;
+                    value.parse().ok()
+                };
+                let limits = [Resource::AxonsIn, Resource::SynapseWords]
+                    .into_iter()
+                    .fold(limits.clone(), |all, one| limit(one).map_or(all.clone(), |most| all.with(one, most)));
+                changes[0].starts_with("target.").then(|| (alive.clone().into(), target(1, 1, limits)))
+            };
+            let found = tried(&alive, limits.clone(), 1, &[], &changed);
+            assert_eq!(found.last(), Some(&("limit", 1)));
+            let asked = asked.into_inner();
+            let of_limits: Vec<&String> = asked.iter().filter(|asked| asked.starts_with("target")).collect();
+            assert!(of_limits.len() <= rounds && of_limits[0].contains("target.limits.axons_in=30"), "{of_limits:?}");
+            assert_eq!(asked[0], "projections.0.weight_bits=6");
+        }
     }
 }

@@ -16,17 +16,3 @@ pub(super) fn brief(x: f64) -> String {
         _ => digits(x, 2),
     }
 }
-
-/// A figure of five significant digits or more, at most six decimals, no trailing zeros.
-pub(super) fn short(x: f64) -> String {
-    if x == 0.0 || !x.is_finite() {
-        return format!("{x}");
-    }
-    let magnitude = x.abs().log10().floor() as i32;
-    if magnitude < -6 {
-        return format!("{x:.4e}");
-    }
-    let decimals = (5 - magnitude).clamp(0, 10) as usize;
-    let text = format!("{x:.decimals$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_string() } else { text }
-}

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::Comparison;
-use super::format::{brief, short, unknown};
+use super::format::{brief, unknown};
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
@@ -143,6 +143,8 @@ pub struct EnergyReport {
     pub notes: Vec<String>,
     /// Of which hardware the constants are, where it is not the chip.
     pub inherited: Option<String>,
+    /// Which figures have no interval, and why.
+    pub without_interval: Option<String>,
 }
 
 /// What a row of the table is called.
@@ -255,7 +257,7 @@ impl EnergyReport {
             "early_exit": self.early_exit,
             "constants": self.constants,
             "expected": self.expected,
-            "notes": self.notes.iter().chain(&self.inherited).collect::<Vec<_>>(),
+            "notes": self.notes.iter().chain(&self.inherited).chain(&self.without_interval).collect::<Vec<_>>(),
         });
         let total = self.total();
         object["low"] = json!(total.and_then(|row| row.low).unwrap_or_default());
@@ -426,7 +428,7 @@ impl EnergyReport {
         out
     }
 
-    /// What is said below the table: at most four lines of eighty columns.
+    /// What is said below the table: at most five remarks.
     fn remarks(&self) -> Vec<String> {
         let Deployment { cores_used, copies, board_chips, chips_used, .. } = &self.deployment;
         if self.accounting == Accounting::Rails {
@@ -454,6 +456,9 @@ impl EnergyReport {
         if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
             let (own, theirs) = (each(*cores_used, *copies), each(job.deployment.value.cores_used, job.copies.value));
             said.push(format!("Cores of a copy: {own} here, {theirs} in the paper; static power goes with them."));
+            if self.total().is_some_and(|total| total.low.is_some()) {
+                said.push("The row as in the paper has its interval with --deployment paper.".to_string());
+            }
         }
         let mut marks = Vec::new();
         if let (Some(_), Some([energy, edp]), Convention::Physical) = (job, self.printed, self.convention()) {
@@ -465,10 +470,13 @@ impl EnergyReport {
         said.extend(Some(marks.join(" ")).filter(|marks| !marks.is_empty()));
         said.extend(self.dominant());
         let last = match job {
-            Some(_) => "Constants rest on findings of the paper too; nsim bench published omits them.",
+            Some(_) => {
+                "Constants rest on findings of the paper too; nsim bench published omits them, and allows for input \
+                 spikes that the paper does not print: wider intervals."
+            }
             None => "Fewer cores save profiler milliwatts, not board watts (--accounting rails).",
         };
-        said.extend((said.len() < 4).then(|| last.to_string()));
+        said.extend((said.len() < 5).then(|| last.to_string()));
         said
     }
 
@@ -502,7 +510,7 @@ impl EnergyReport {
     /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
     pub fn headline(&self) -> String {
         let mut out = self.table(false);
-        for remark in self.remarks().iter().chain(&self.inherited) {
+        for remark in self.remarks().iter().chain(&self.inherited).chain(&self.without_interval) {
             out += &wrapped(remark);
         }
         if let Some(saved) = self.early_exit {
@@ -532,7 +540,7 @@ impl EnergyReport {
     /// The whole report for people: what a reader asks first comes first.
     pub fn text(&self) -> String {
         let mut out = self.table(true);
-        for remark in self.remarks().iter().chain(&self.inherited) {
+        for remark in self.remarks().iter().chain(&self.inherited).chain(&self.without_interval) {
             out += &wrapped(remark);
         }
         out.push('\n');
@@ -545,8 +553,8 @@ impl EnergyReport {
             out += &wrapped(&format!(
                 "At these mean rates nsim map --profile expects {} uJ of all copies and {} us of a timestep: every \
                  compartment active, spikes spread evenly.",
-                short(energy_uj),
-                short(step_us)
+                three(energy_uj),
+                three(step_us)
             ));
             out.push('\n');
         }
@@ -560,8 +568,8 @@ impl EnergyReport {
                 self.samples,
                 saved.steps_saved,
                 self.timesteps,
-                short(saved.time_saved_us),
-                short(saved.energy_saved_uj),
+                three(saved.time_saved_us),
+                three(saved.energy_saved_uj),
                 saved.energy_saved_share.map_or(String::new(), |share| format!(" ({:.1} %)", 100.0 * share)),
             ));
             out.push('\n');
@@ -605,7 +613,7 @@ impl EnergyReport {
         rows.push(vec!["sum".to_string(), three(total), String::new()]);
         let _ = writeln!(out, "{}", table(&["Dynamic energy of the neuron cores", "pJ per timestep", "Share"], &rows));
         if let Some(times) = self.estimate.time_us {
-            let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", short(*us))).collect();
+            let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", three(*us))).collect();
             out += &wrapped(&format!("Work of a timestep, mean in us: {}.", listed.join(", ")));
         }
         for (what, spread) in [
@@ -613,7 +621,7 @@ impl EnergyReport {
             ("Dynamic energy of the neuron cores in a timestep (uJ)", self.estimate.per_timestep_dynamic_uj),
         ] {
             if let Some(s) = spread {
-                let [min, p50, p99, max] = [s.min, s.p50, s.p99, s.max].map(short);
+                let [min, p50, p99, max] = [s.min, s.p50, s.p99, s.max].map(three);
                 out += &wrapped(&format!("{what}: least {min}, median {p50}, 99th percentile {p99}, greatest {max}."));
             }
         }

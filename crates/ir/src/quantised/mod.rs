@@ -1,7 +1,7 @@
 //! The network in integers that fit their hardware fields: what the chip would be told, before any
 //! core.
 //!
-//! Made by `compile::frontend::quantise`. True of every [`Quantised`]: each weight is a multiple of
+//! Made by `nsim_quantise::quantise`. True of every [`Quantised`]: each weight is a multiple of
 //! its format's least step within the format's range, each parameter fits its field, compartments
 //! and channels are numbered without gaps in the order of the populations. Synapses stay described
 //! (a kernel, a seed) and are enumerated source by source.

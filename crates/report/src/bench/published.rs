@@ -88,6 +88,12 @@ pub fn text(rows: &[PublishedRow]) -> String {
         let gap = if out.is_empty() { "" } else { "\n" };
         out += &format!("{gap}on {chip}, by modelled constants; not in the averages\n\n{of_chip}");
     }
+    let without: Vec<&PublishedRow> = of_kind(rows, true).filter(|row| row.interval.is_none()).collect();
+    if without.iter().any(|row| row.quantity.class().is_some()) {
+        out += "\n-: no interval, because the error of a changed constant is unknown (--set)\n";
+    } else if !without.is_empty() {
+        out += "\n-: no interval, because too few works print such figures\n";
+    }
     for (time, name) in [(false, "power and energy"), (true, "time")] {
         let by_work = factors_by_work(rows, time);
         let (Some(mean), Some(worst)) =
@@ -115,6 +121,9 @@ pub fn text(rows: &[PublishedRow]) -> String {
         if std::mem::replace(&mut last, &row.workload) != row.workload {
             out += &wrapped(&format!("{} assumes: {}", row.workload, row.assumed.join("; ")));
         }
+    }
+    if rows.iter().any(|row| row.work != rows[0].work) {
+        out += "one work alone: --only WORK, such as --only vt-snn\n";
     }
     out
 }

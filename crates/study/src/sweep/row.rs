@@ -1,7 +1,8 @@
 //! Runs one variant: what `nsim run` and `nsim energy --baseline` print of it, in a row.
 //!
 //! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; a figure that is not known is empty.
-//! Energies, power and latency are the total of one copy. The tightest resource is the one of which
+//! Energies, power and latency are the total of one copy. The ends of accuracy are those of its
+//! Wilson interval of 95 %. The tightest resource is the one of which
 //! some core uses most of its limit, or of which a variant that does not fit needs too much. What
 //! variants have in common is made once: models and their arrays, targets and their constants,
 //! samples, and mappings.
@@ -23,10 +24,12 @@ use nsim_files::target::load_target;
 use nsim_import::model::{Unchanged, agreeing, load_model_with};
 use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::stats::wilson;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::Capacity;
 use nsim_ir::spikes::{Sample, Stimulus};
+use nsim_quantise::prune::check_stimulus;
 use nsim_session::error::Error;
 use nsim_session::front::has_srm;
 use nsim_session::inputs::{require_scene, stimulus};
@@ -34,7 +37,6 @@ use nsim_session::obtain::{Request, TargetChoice, begin};
 use nsim_session::priced::{Metered, steps_per_sample};
 use nsim_session::samples::{Run, Running};
 use nsim_session::{Keep, accuracy, digest};
-use nsim_train::convert::copies::USUAL;
 use nsim_train::convert::prepare::integers;
 use nsim_train::job as train;
 use nsim_train::job::{Part, training_text, with_fields};
@@ -69,7 +71,8 @@ impl Trained {
 /// What variants have in common that share a mapping.
 fn shared_by(job: &Job) -> String {
     let of_model = (&job.model, &job.training, &job.of_model, job.dt_ms);
-    format!("{:?}", (of_model, &job.target, &job.of_target, &job.options))
+    let of_mapping = (&job.options, job.relays, &job.prune, job.delayed_copies);
+    format!("{:?}", (of_model, &job.target, &job.of_target, of_mapping))
 }
 
 /// Runs variants.
@@ -109,11 +112,12 @@ pub fn place(figure: &str) -> usize {
     FIGURES.iter().position(|name| *name == figure).unwrap_or_default()
 }
 
-/// The cells of a resource and of what is needed of its limit, in per cent with one decimal.
+/// The cells of a resource with its use, such as `synapse words 81.3 %`, and of this use alone: what
+/// is needed of its limit, in per cent with one decimal.
 fn share(of: Option<(&Capacity, u64, u64)>) -> [String; 2] {
     of.map_or_else(Default::default, |(resource, need, limit)| {
         let percent = (1e3 * need as f64 / limit.max(1) as f64).round() / 10.0;
-        [resource.name().to_string(), percent.to_string()]
+        [format!("{} {percent} %", resource.name().replace('_', " ")), percent.to_string()]
     })
 }
 
@@ -208,15 +212,17 @@ impl Runner {
     fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Mapping>, Error> {
         let as_integers = |network: &Network| {
             if !has_srm(network) {
-                return integers(network, USUAL);
+                return integers(network, job.delayed_copies);
             }
-            let network_of = format!("{:?}", (&job.model, &job.training, job.dt_ms, &job.of_model));
-            Ok(Front::clone(&*self.converted.get(network_of, || integers(network, USUAL))?))
+            let network_of = format!("{:?}", (&job.model, &job.training, job.dt_ms, &job.of_model, job.delayed_copies));
+            Ok(Front::clone(&*self.converted.get(network_of, || integers(network, job.delayed_copies))?))
         };
         let request = Request {
             target: TargetChoice::Loaded(target),
             copies: Some(job.options.copies),
             options: job.options,
+            prune: &job.prune,
+            relays: job.relays,
             ..Request::new(&job.model, network, &as_integers)
         };
         self.mappings.get(shared_by(job), || {
@@ -263,10 +269,14 @@ impl Runner {
             return Err(Diagnostic::new("sweep.value", format!("input.samples: there are {all} samples")).into());
         }
         let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
+        check_stimulus(&compiled.one, &samples, range.start)?;
         let metered = Metered::new(&compiled);
         let (settings, deployment) = metered.offline_with(&target, host_work(job.host, &target)?)?;
         let keep = Keep::new(compiled.program.output());
         let Run { outcomes, activity, meter, .. } = metered.run(settings, &samples, Running::new(&keep))?;
+        let labels = || samples.iter().map(|sample| sample.label());
+        let accuracy = accuracy(&outcomes, labels());
+        let ends = accuracy.map(|share| wilson(share, labels().flatten().count()));
         let case = Case {
             mode: job.mode,
             convention: job.convention,
@@ -289,7 +299,7 @@ impl Runner {
             compiled.placement.chips_used().to_string(),
             samples.len().to_string(),
             outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum::<u64>().to_string(),
-            cell(accuracy(&outcomes, samples.iter().map(|sample| sample.label()))),
+            cell(accuracy),
             digest(&outcomes),
             (totals.spikes / copies_run).to_string(),
             (totals.synaptic_events / copies_run).to_string(),
@@ -303,6 +313,8 @@ impl Runner {
             resource,
             used,
             String::new(),
+            cell(ends.map(|(low, _)| low)),
+            cell(ends.map(|(_, high)| high)),
         ])
     }
 }

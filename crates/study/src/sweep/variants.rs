@@ -17,9 +17,10 @@ use nsim_files::changes::Change;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::spanned::parse;
+use nsim_train::convert::copies::USUAL;
 
 /// The columns behind those of what varies.
-pub const FIGURES: [&str; 20] = [
+pub const FIGURES: [&str; 22] = [
     "error",
     "fits",
     "cores",
@@ -40,6 +41,8 @@ pub const FIGURES: [&str; 20] = [
     "tightest",
     "used_percent",
     "reason",
+    "accuracy_low",
+    "accuracy_high",
 ];
 
 /// The column behind those, where a front is asked for.
@@ -50,8 +53,19 @@ const MOST_VARIANTS: u64 = 10_000_000;
 /// The most values of an axis that are said by a step.
 const MOST_STEPS: u64 = 1_000_000;
 /// Options that a path can name, behind `options.`.
-const OPTIONS: [&str; 9] =
-    ["copies", "strategy", "objective", "seed", "deployment", "host", "constants", "mode", "convention"];
+const OPTIONS: [&str; 11] = [
+    "copies",
+    "strategy",
+    "objective",
+    "seed",
+    "deployment",
+    "relays",
+    "prune",
+    "host",
+    "constants",
+    "mode",
+    "convention",
+];
 /// What of the input a path can name, behind `input.`.
 const INPUTS: [&str; 2] = ["samples", "seed"];
 
@@ -83,6 +97,12 @@ pub struct Job {
     pub seed: Option<u64>,
     /// How it is mapped.
     pub options: Options,
+    /// Whether relays are added.
+    pub relays: bool,
+    /// What is pruned, as `--prune` takes it.
+    pub prune: Vec<String>,
+    /// Delayed copies of what leads to a spike response population, at most.
+    pub delayed_copies: usize,
     /// A preset of constants; the target's first when `None`.
     pub constants: Option<String>,
     /// What feeds its spikes; an x86 core of each chip that has one when `None`.
@@ -126,6 +146,7 @@ impl Job {
             target: file.target.clone(),
             input: file.input.clone(),
             seed: file.seed,
+            delayed_copies: USUAL,
             options: Options { copies: file.copies, ..Options::default() },
             ..Job::default()
         }
@@ -173,6 +194,17 @@ impl Job {
             }
             ("options", "deployment") => {
                 named(&CopyPlacement::ALL, CopyPlacement::name, value).map(|copies| self.options.placement = copies)
+            }
+            ("options", "relays") => match value.parse() {
+                Ok(relays) => {
+                    self.relays = relays;
+                    Ok(())
+                }
+                Err(_) => Err("neither true nor false".to_string()),
+            },
+            ("options", "prune") => {
+                self.prune = vec![value.to_string()];
+                Ok(())
             }
             ("options", "host") => named(&Host::ALL, Host::name, value).map(|host| self.host = Some(host)),
             ("options", "constants") => text(self.constants.get_or_insert_default()),
@@ -312,6 +344,17 @@ impl Sweep {
         self
     }
 
+    /// The same with relays, pruning and delayed copies as `nsim map` takes them, for variants that
+    /// do not say otherwise.
+    pub fn mapped_with(mut self, relays: bool, prune: &[String], delayed_copies: usize) -> Self {
+        self.base.relays |= relays;
+        if !prune.is_empty() {
+            self.base.prune = prune.to_vec();
+        }
+        self.base.delayed_copies = delayed_copies;
+        self
+    }
+
     /// How many variants there are.
     pub fn len(&self) -> u64 {
         self.list.len() as u64 * self.axes.iter().map(|axis| axis.values.len() as u64).product::<u64>()
@@ -362,13 +405,14 @@ impl Sweep {
         Ok(job)
     }
 
-    /// Models, targets, inputs and constants that variants name.
+    /// Models, targets, inputs, spikes to prune by and constants that variants name.
     pub fn names(&self) -> Vec<String> {
-        let Job { model, training, target, input, constants, .. } = &self.base;
+        let Job { model, training, target, input, prune, constants, .. } = &self.base;
         let training = training.as_ref().map(|training| &training.config);
-        let named = [model, target].into_iter().chain(training).chain(input).chain(constants);
+        let named = [model, target].into_iter().chain(training).chain(input).chain(prune).chain(constants);
         let mut names: Vec<String> = named.cloned().collect();
-        let is_name = |path: &String| ["model", "target", "input", "options.constants"].contains(&path.as_str());
+        let is_name =
+            |path: &String| ["model", "target", "input", "options.prune", "options.constants"].contains(&path.as_str());
         let listed = self.list.iter().flat_map(|entry| self.listed.iter().zip(entry));
         names.extend(listed.filter(|(path, _)| is_name(path)).filter_map(|(_, value)| value.clone()));
         let axes = self.axes.iter().filter(|axis| axis.paths.iter().any(is_name));

@@ -93,7 +93,7 @@ impl Integers {
     /// From the trained network to these integers.
     ///
     /// # Errors
-    /// As `compile::frontend::quantise`.
+    /// As `nsim_quantise::quantise`.
     pub fn ladder(&self, graph: &Graph) -> Result<Ladder> {
         Ok(match &self.found {
             Some(found) => found.conversion.ladder(graph)?,

@@ -357,7 +357,7 @@ impl Task {
     /// The integers of these weights.
     ///
     /// # Errors
-    /// As `compile::frontend::quantise`.
+    /// As `nsim_quantise::quantise`.
     pub fn integers(&self, weights: &Weights) -> Result<Ladder> {
         Ladder::with_exponents(&self.with_weights(weights), &self.fits, self.detail)
     }

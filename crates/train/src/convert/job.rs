@@ -122,7 +122,7 @@ impl Job {
     /// Searches for integers; `searching` is told each population in turn.
     ///
     /// # Errors
-    /// As `compile::frontend::quantise`.
+    /// As `nsim_quantise::quantise`.
     pub fn convert(&self, samples: &Split<'_>, most_copies: usize, searching: impl FnMut(&str)) -> Result<Done> {
         let choices = staged::Choices { most_copies, soft_reset: self.soft_reset };
         let start = Instant::now();

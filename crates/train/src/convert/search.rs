@@ -2,7 +2,7 @@
 //! over calibration samples.
 //!
 //! Input: the graph and calibration samples. Output: a [`Fit`] for each population, and how near
-//! each stage comes. From the analytic start (`compile::frontend::analytic`) each stage goes
+//! each stage comes. From the analytic start (`nsim_quantise::analytic`) each stage goes
 //! through the populations from the input on. A population gets the spikes that its converted
 //! sources send, and is to send those that the trained population sends, step by step:
 //!
@@ -12,7 +12,7 @@
 //!    loses nothing at a reset, and the copies make the current's single exponential an alpha
 //!    kernel again.
 //! 2. [`Stage::Rounding`]: what rounding a copy leaves goes to the next one
-//!    (`compile::frontend::carry`).
+//!    (`nsim_quantise::carry`).
 //!
 //! What is minimised is 1 minus the coincidence factor, and a share of the difference of spike
 //! counts (a greater one for the output, whose counts are classes). The start and every stage are
@@ -123,7 +123,7 @@ impl Conversion {
     /// The steps from the network to these integers.
     ///
     /// # Errors
-    /// As `compile::frontend::quantise`.
+    /// As `nsim_quantise::quantise`.
     pub fn ladder(&self, graph: &Graph) -> Result<Ladder> {
         Ladder::with_exponents(graph, &self.fits, self.detail)
     }
@@ -131,7 +131,7 @@ impl Conversion {
     /// The integers.
     ///
     /// # Errors
-    /// As `compile::frontend::quantise`.
+    /// As `nsim_quantise::quantise`.
     pub fn integers(&self, graph: &Graph) -> Result<Quantised> {
         quantise_with(&analytic::with_fits(graph, &self.fits), self.detail)
     }
@@ -327,7 +327,7 @@ impl Shape {
 /// Searches.
 ///
 /// # Errors
-/// As `compile::frontend::quantise`.
+/// As `nsim_quantise::quantise`.
 ///
 /// `most` is the greatest number of delayed copies of a population's input.
 pub fn search(graph: &Graph, samples: &[&Sample], most: usize, mut progress: impl FnMut(&str)) -> Result<SearchResult> {

@@ -2,7 +2,7 @@
 //!
 //! Input: a network with real numbers and calibration samples. Output: the network in integers, how
 //! near it is after each stage, and for each layer what it lost. Spike response networks go through
-//! [`super::search`], all others through the choice of exponents (`compile::frontend::exponents`).
+//! [`super::search`], all others through the choice of exponents (`nsim_quantise::exponents`).
 //! Where the target cannot reset by subtraction, that becomes a reset to zero first, a stage of its
 //! own. What the rest costs is found by putting the real number in the place of each kind of
 //! integer, all others staying (`agree::ladder`).
@@ -149,7 +149,7 @@ pub struct Choices {
 /// Converts.
 ///
 /// # Errors
-/// As `compile::frontend::quantise`.
+/// As `nsim_quantise::quantise`.
 pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: impl FnMut(&str)) -> Result<Converted> {
     let replaced = (resets::has_soft_reset(given) && !choices.soft_reset).then(|| resets::to_zero(given));
     let graph = replaced.as_ref().unwrap_or(given);
