@@ -536,6 +536,59 @@ fn a_bias_reaches_a_current_from_the_first_step_on_and_layers_wait_for_it() {
 }
 
 #[test]
+fn a_bias_that_two_ways_pass_counts_once() {
+    let (w, b) = (weights(&[2, 3], 55), [0.25, 0.5]);
+    let affine = || typed("Affine").with("weight", w.clone()).with("bias", reals(&b));
+    for neurons in [lif, cuba] {
+        let nodes = [
+            ("i", source(&[3])),
+            ("w", linear(3, 3, 54)),
+            ("n", neurons(&[3])),
+            ("x", affine()),
+            ("m", neurons(&[2])),
+            ("o", output()),
+        ];
+        // The input reaches the weights of the second layer, too: by the same node, by one without
+        // a bias, by another with it.
+        let shared = import(&file_with(&nodes, &[], &[("i", "x")]));
+        let second = |node: Group| import(&file_with(&nodes, &[("y", node)], &[("i", "y"), ("y", "m")]));
+        let right = spikes(&second(typed("Linear").with("weight", w.clone())), "m", 3);
+        assert!(total(&right) > 10);
+        assert_eq!(spikes(&shared, "m", 3), right);
+        assert_ne!(spikes(&second(affine()), "m", 3), right);
+    }
+}
+
+#[test]
+fn a_graphs_input_gives_units_the_axes_of_its_shape() {
+    let conv = || typed("Conv2d").with("weight", weights(&[3, 2, 2, 2], 56)).with("bias", reals(&[0.25, 0.0, 0.125]));
+    let ending = |arrives: &[i64]| {
+        let passed = typed("Pass").with("shape", ints(&[2, 4, 4]));
+        file(&[("i", source(arrives)), ("p", passed), ("c", conv()), ("n", lif(&[3, 3, 3])), ("o", output())])
+    };
+    let nodes = [("i", source(&[2, 4, 4])), ("c", conv()), ("n", lif(&[3, 3, 3])), ("o", output())];
+    let right = spikes(&import(&file(&nodes)), "n", 32);
+    assert!(total(&right) > 50);
+    for arrives in [&[32][..], &[4, 4, 2], &[2, 4, 4], &[8, 4]] {
+        assert_eq!(spikes(&import(&ending(arrives)), "n", 32), right, "{arrives:?}");
+    }
+}
+
+#[test]
+fn a_sum_of_layers_at_the_output_is_shown_whole() {
+    let nodes = [("i", source(&[3])), ("w", linear(2, 3, 57)), ("n", lif(&[2])), ("o", output())];
+    let others = [("x", linear(2, 3, 58)), ("m", lif(&[2]))];
+    let model = import(&file_with(&nodes, &others, &[("i", "x"), ("x", "m"), ("m", "o")]));
+    let from: Vec<&str> = model
+        .projections
+        .iter()
+        .filter(|p| p.to == model.output)
+        .flat_map(|p| p.from.iter().map(String::as_str))
+        .collect();
+    assert_eq!(from, ["m", "n"]);
+}
+
+#[test]
 fn delays_that_are_no_whole_steps_are_rounded_with_a_note() {
     let notes = |delays: &[f64]| {
         let delay = typed("Delay").with("delay", reals(delays));

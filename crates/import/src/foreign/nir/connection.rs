@@ -37,7 +37,15 @@ impl Reader<'_> {
         let units =
             product(&connection.shape).ok_or_else(|| wrong(format!("'{name}' receives from too many units")))?;
         match node.kind.as_str() {
-            "Pass" | "Output" => self.check_shape(name, units)?,
+            "Pass" | "Output" => {
+                self.check_shape(name, units)?;
+                // Units in the axes that windows slide over.
+                let axes =
+                    group.numbers("shape").map(|axes| axes.reals().map(|axis| axis as usize).collect::<Vec<_>>());
+                if let Some(volume) = axes.map(|axes| Self::volume(&axes)).filter(|volume| volume.len() == 3) {
+                    connection.shape = volume;
+                }
+            }
             // Every population is flattened in C order; the batch axis is not in a file.
             "Flatten" => {
                 let dim = |key: &str, default: f64| group.number(key).unwrap_or(default);

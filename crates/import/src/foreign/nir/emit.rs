@@ -3,7 +3,7 @@
 //! Input: paths that end at a population. Output: its projections, biases, and the population that
 //! decides.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::linear::{Connection, Linear, at, scaled};
 use super::neuron::{Discrete, all};
@@ -56,6 +56,7 @@ impl Reader<'_> {
         let mut current = vec![0.0; 0];
         let memory = !all(&neuron.du, |du| du == 4096.0);
         let mut projections = Vec::new();
+        let mut brought = BTreeSet::new();
         for path in self.paths(name)? {
             let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
             if product(&arrived.shape) != Some(units) {
@@ -64,7 +65,10 @@ impl Reader<'_> {
                     arrived.shape
                 )));
             }
-            if let Some(added) = &arrived.bias {
+            // Ways that share a node with a bias bring it once.
+            let behind = path.iter().rposition(|node| self.flat.nodes[node].group.get("bias").is_some());
+            let new = brought.insert(path[behind.unwrap_or(0)..].to_vec());
+            if let Some(added) = arrived.bias.as_ref().filter(|_| new) {
                 if memory {
                     current.resize(units, 0.0);
                     current.iter_mut().zip(added).for_each(|(sum, b)| *sum += b);
@@ -174,7 +178,6 @@ impl Reader<'_> {
         let units = product(&target).unwrap_or(0);
         let linear = scaled(connection.linear, gain.values(), &connection.shape).ok_or_else(|| self.too_many(to))?;
         let (from_name, to_name) = (self.names[from].clone(), self.names[to].clone());
-        let source_volume = self.shapes[from].len() == 3;
         let (before, behind) = (connection.source_delay, connection.delay);
         let equal = |list: &[u32]| list.windows(2).all(|pair| pair[0] == pair[1]);
         let own_delays = !equal(&before) || !equal(&behind);
@@ -190,7 +193,7 @@ impl Reader<'_> {
                 }
                 ProjectionKind::Dense(tensor(vec![units, source_units], weights))
             }
-            Linear::Window(window) if target == window.sliding.target && source_volume => {
+            Linear::Window(window) if target == window.sliding.target && self.shapes[from] == window.sliding.source => {
                 let pair = |(y, x): (usize, usize)| (y as u64, x as u64);
                 let per_group = window.sliding.per_group();
                 let padding_after = window.sliding.padding_after();
@@ -274,13 +277,14 @@ impl Reader<'_> {
             self.notes.push(format!("no way leads to an output; '{}' is taken for it", self.model.output));
             return Ok(());
         };
-        if leading.len() > 1 {
-            self.notes.push(format!("{} ways lead to outputs; '{}' is taken", leading.len(), path[0]));
+        if outputs.len() > 1 {
+            self.notes.push(format!("there are {} outputs; '{output}' is taken", outputs.len()));
         }
         let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
         self.check_shape(output, product(&arrived.shape).unwrap_or(0))?;
         let plain = path[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
-        if plain && neurons(&path[0]) {
+        let alone = leading.iter().filter(|(_, end)| end == output).count() == 1;
+        if plain && alone && neurons(&path[0]) {
             self.model.output = self.names[&path[0]].clone();
             self.drain(&path[0].clone());
             return Ok(());
