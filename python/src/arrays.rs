@@ -11,6 +11,7 @@
 
 use nsim::import::spikes::options::WHOLE;
 use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::graph::Shape;
 use numpy::{Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
@@ -48,7 +49,8 @@ impl<'py> Array<'py> {
                 true => refused(
                     py,
                     format!("{name} is no array of numbers: {}", error.value(py)),
-                    "rows of one length make an array; of a tensor, tensor.detach().cpu().numpy() is one",
+                    "rows of one length make an array: pad samples with zeros, or give one at a time; of a tensor, \
+                     tensor.detach().cpu().numpy() is one",
                 ),
                 false => error,
             })?;
@@ -86,6 +88,21 @@ impl<'py> Array<'py> {
     /// The axes.
     pub fn shape(&self) -> &[usize] {
         self.array.shape()
+    }
+
+    /// Whether its numbers are truth values.
+    pub fn holds_truth_values(&self) -> bool {
+        self.is_truth
+    }
+
+    /// Whether its numbers are integers.
+    pub fn holds_integers(&self) -> bool {
+        !self.is_truth && self.array.dtype().kind() != b'f'
+    }
+
+    /// Whether its numbers are integers of a byte.
+    pub fn is_of_bytes(&self) -> bool {
+        self.holds_integers() && self.array.dtype().itemsize() == 1
     }
 
     /// Bytes from its first number to its last: an array that repeats its numbers claims more.
@@ -147,18 +164,45 @@ impl<'py> Array<'py> {
     }
 
     /// Calls `add` with the index in C order of every number that is not zero; refuses one that is
-    /// not whole, as the reader of files does.
+    /// negative or not whole. Gives the first that is greater than 1, in words.
     ///
     /// Most numbers of recordings are zero, this many are compared at a time.
-    pub fn each_non_zero(&self, mut add: impl FnMut(usize) -> Result<(), nsim::Error>) -> PyResult<()> {
+    pub fn each_spike(&self, mut add: impl FnMut(usize) -> Result<(), nsim::Error>) -> PyResult<Option<String>> {
+        let mut greater = None;
+        let mut spike = |index: usize, number: f64| {
+            if !number.is_finite() {
+                return Err(self.not_finite(index, number).into());
+            }
+            if number.fract() != 0.0 {
+                let wrong = self.wrong(index, number, WHOLE);
+                let help = "encode real numbers as spikes, or take those from 0.5 on: array >= 0.5";
+                return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
+            }
+            if number < 0.0 {
+                let wrong = self.wrong(index, number, "and a spike has no sign");
+                let help = "array != 0 makes each a spike; array > 0 and array < 0 are the channels of two polarities";
+                return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
+            }
+            if number > 1.0 && greater.is_none() {
+                greater = Some(self.wrong(index, number, "which counts as one spike").message);
+            }
+            add(index)
+        };
         let mut index = 0;
         if self.array.dtype().itemsize() == 1 {
             let bytes = self.array.call_method1("view", ("u1",))?.cast_into::<PyUntypedArray>()?;
+            let value = |byte: u8| match (self.is_truth, self.array.dtype().kind()) {
+                (true, _) => 1.0,
+                (_, b'i') => f64::from(byte as i8),
+                _ => f64::from(byte),
+            };
             let mut read = |part: &[u8]| {
                 for numbers in part.chunks(TOGETHER) {
                     if numbers.iter().fold(0, |any, &number| any | number) != 0 {
                         let spikes = numbers.iter().enumerate().filter(|(_, number)| **number != 0);
-                        spikes.map(|(place, _)| index + place).try_for_each(&mut add)?;
+                        spikes
+                            .map(|(place, &byte)| (index + place, byte))
+                            .try_for_each(|(i, byte)| spike(i, value(byte)))?;
                     }
                     index += numbers.len();
                 }
@@ -170,28 +214,32 @@ impl<'py> Array<'py> {
                     .map_err(|problem| raised(bytes.py(), problem))?,
                 false => parts(&bytes, "u1", read)?,
             }
-            return Ok(());
+            return Ok(greater);
         }
         parts(&self.array, "f8", |part: &[f64]| {
             for numbers in part.chunks(TOGETHER) {
                 if numbers.iter().fold(false, |any, &number| any | (number != 0.0)) {
-                    for (place, &number) in numbers.iter().enumerate().filter(|(_, number)| **number != 0.0) {
-                        if !number.is_finite() {
-                            return Err(self.not_finite(index + place, number).into());
-                        }
-                        if number.fract() != 0.0 {
-                            let wrong = self.wrong(index + place, number, WHOLE);
-                            let help = "encode real numbers as spikes, or take those from 0.5 on: array >= 0.5";
-                            return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
-                        }
-                        add(index + place)?;
-                    }
+                    let spikes = numbers.iter().enumerate().filter(|(_, number)| **number != 0.0);
+                    spikes.map(|(place, &number)| (index + place, number)).try_for_each(|(i, x)| spike(i, x))?;
                 }
                 index += numbers.len();
             }
             Ok(())
-        })
+        })?;
+        Ok(greater)
     }
+}
+
+/// Whether axes are those of a population's shape, or one axis of all its units; an axis of length
+/// 1 says nothing.
+pub fn is_of(shape: Shape, axes: &[usize]) -> bool {
+    let plain = |axes: &[usize]| axes.iter().copied().filter(|&axis| axis != 1).collect::<Vec<_>>();
+    let own = match shape {
+        Shape::Line(n) => vec![n as usize],
+        Shape::Volume(channels, height, width) => [channels, height, width].map(|axis| axis as usize).to_vec(),
+    };
+    let axes = plain(axes);
+    axes == plain(&own) || axes == plain(&[shape.len() as usize])
 }
 
 /// Calls `read` with contiguous parts of an array, in C order, as numbers of the type that `dtype`

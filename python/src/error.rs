@@ -57,7 +57,11 @@ pub fn worded(text: &str) -> String {
         let number = value.trim_end_matches('.');
         let (said, taken) = match value {
             _ if name == "force" => ("force=True".to_string(), 0),
-            _ if VALUES.contains(&value) => (format!("{name}='{value}'"), 1 + value.len()),
+            _ if VALUES.contains(&value)
+                || (name == "target" && value.starts_with(|c: char| c.is_ascii_lowercase())) =>
+            {
+                (format!("{name}='{value}'"), 1 + value.len())
+            }
             _ if number.parse::<f64>().is_ok() => (format!("{name}={number}"), 1 + number.len()),
             _ => (format!("{name}="), 0),
         };

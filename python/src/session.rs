@@ -4,17 +4,18 @@ use std::sync::Arc;
 
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim::ir::graph::Shape;
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
 use nsim::session::samples::{Division, laid_out};
 use nsim::session::session::Session as Stepped;
-use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods};
+use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
-use crate::arrays::Array;
+use crate::arrays::{Array, is_of};
 use crate::energy::{self, Energy};
 use crate::error::raised;
 use crate::keywords::{Keywords, usage};
@@ -74,52 +75,76 @@ fn closed() -> PyErr {
     usage("the session is closed".into(), "open another: with mapping.session() as session")
 }
 
-/// What the channels of a population send in a step, from a number each.
-fn values(given: &Bound<'_, PyAny>, first: ChannelId, (name, units): (&str, u32)) -> PyResult<Vec<(ChannelId, i32)>> {
-    let help = "give an integer of 32 bits for each channel, 0 for none";
-    let numbers = Array::new(given, name)?.numbers(units as usize, help)?;
-    if numbers.len() != units as usize {
-        return Err(usage(format!("'{name}' has {units} channels, and {} numbers", numbers.len()), help));
+/// Refuses an array of a number for each channel that has neither one axis nor those of the
+/// population.
+fn check_each(array: &Array<'_>, name: &str, shape: Shape, what: &str) -> PyResult<()> {
+    if is_of(shape, array.shape()) {
+        return Ok(());
     }
+    let message = format!("'{name}' has {} channels, and {what} of shape {:?}", shape.len(), array.shape());
+    Err(usage(message, &format!("give one for each channel, along one axis or as {shape}")))
+}
+
+/// What the channels of a population send in a step, from a number each.
+fn values(given: &Bound<'_, PyAny>, first: ChannelId, (name, shape): (&str, Shape)) -> PyResult<Vec<(ChannelId, i32)>> {
+    let help = "give an integer of 32 bits for each channel, 0 for none";
+    let array = Array::new(given, name)?;
+    check_each(&array, name, shape, "numbers")?;
     let channels = (first.0..).map(ChannelId);
     let value = |(channel, number): (ChannelId, f64)| match number as i32 {
         value if f64::from(value) == number => Ok((channel, value)),
         _ => Err(usage(format!("channel {} of '{name}' is to send {number}", channel.0 - first.0), help)),
     };
-    channels.zip(numbers).map(value).collect()
+    channels.zip(array.numbers(shape.len() as usize, help)?).map(value).collect()
 }
 
 /// Channels of a population that spike in a step, from their numbers or from a truth value each.
-fn channels(given: &Bound<'_, PyAny>, first: ChannelId, (name, units): (&str, u32)) -> PyResult<Vec<ChannelId>> {
+fn channels(given: &Bound<'_, PyAny>, first: ChannelId, (name, shape): (&str, Shape)) -> PyResult<Vec<ChannelId>> {
     fn listed<T: Element + Copy + TryInto<u32>>(array: &Bound<'_, PyArray1<T>>) -> Option<Vec<u32>> {
         array.readonly().as_array().iter().map(|&number| number.try_into().ok()).collect()
     }
+    let units = shape.len();
+    let help = "give the numbers of the channels that spike, counted from 0, or a truth value for each: array > 0";
     let numbers = if let Ok(array) = given.cast::<PyArray1<i64>>() {
         listed(array)
     } else if let Ok(array) = given.cast::<PyArray1<i32>>() {
         listed(array)
     } else if let Ok(array) = given.cast::<PyArray1<u32>>() {
         listed(array)
-    } else if let Ok(array) = given.cast::<PyArrayDyn<bool>>() {
-        let array = array.readonly();
-        if array.as_array().len() != units as usize {
-            let message = format!("'{name}' has {units} channels, and {} truth values", array.as_array().len());
-            return Err(usage(message, "give a truth value for each channel, or the numbers of those that spike"));
-        }
-        Some((0..).zip(array.as_array()).filter(|(_, spikes)| **spikes).map(|(number, _)| number).collect())
     } else if given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>() || given.hasattr("__array__")? {
-        given.call_method0("tolist").unwrap_or_else(|_| given.clone()).extract().ok()
+        let array = Array::new(given, format!("'{name}'"))?;
+        if array.holds_truth_values() {
+            check_each(&array, name, shape, "truth values")?;
+            let each = array.numbers(units as usize, help)?;
+            let spiking = (first.0..).zip(each).filter(|&(_, spikes)| spikes != 0.0);
+            return Ok(spiking.map(|(number, _)| ChannelId(number)).collect());
+        }
+        // A byte for each channel is what `run` takes as spikes.
+        if array.is_of_bytes() && is_of(shape, array.shape()) {
+            let message = format!("'{name}' has {units} channels, and a byte for each is no list of their numbers");
+            return Err(usage(message, help));
+        }
+        match array.shape() {
+            [0] => Some(Vec::new()),
+            [_] if array.holds_integers() => {
+                let each = array.numbers(units as usize, help)?.into_iter();
+                each.map(|x| (x >= 0.0 && x <= f64::from(u32::MAX)).then_some(x as u32)).collect()
+            }
+            _ => None,
+        }
     } else {
         let message = format!("the channels of '{name}' are {}", given.get_type().name()?);
         return Err(PyTypeError::new_err(format!("{message}, not a list or an array")));
     };
-    let help = "give the numbers of the channels that spike, counted from 0; what their spikes carry is the \
-                population's `payload`";
-    let Some(numbers) = numbers else {
-        return Err(usage(format!("the channels of '{name}' are not all whole numbers from 0"), help));
+    let Some(mut numbers) = numbers else {
+        return Err(usage(format!("the channels of '{name}' are not a list of whole numbers from 0"), help));
     };
-    if let Some(number) = numbers.iter().find(|number| **number >= units) {
+    numbers.sort_unstable();
+    if let Some(number) = numbers.last().filter(|number| **number >= units) {
         return Err(usage(format!("'{name}' has {units} channels, and {number} is to spike"), help));
+    }
+    if let Some(twice) = numbers.windows(2).find(|pair| pair[0] == pair[1]) {
+        return Err(usage(format!("channel {} of '{name}' is given twice", twice[0]), help));
     }
     Ok(numbers.into_iter().map(|number| ChannelId(first.0 + number)).collect())
 }
@@ -131,7 +156,7 @@ impl Session {
     /// `inputs` is a dictionary from input populations to the numbers of the channels that spike,
     /// or to an array with a truth value for each channel; of a network with one input population
     /// it may be the channels alone. An input population that sends integers takes an array with
-    /// one for each channel. Populations that are left out are silent.
+    /// one for each channel. Populations that are left out are silent, and all are in `step()`.
     #[pyo3(signature = (inputs=None))]
     fn step(&mut self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mut spiking = Vec::new();
@@ -139,15 +164,15 @@ impl Session {
             let network = self.network();
             let mut add = |name: &str, given: &Bound<'_, PyAny>| {
                 let found = network.inputs().find(|(_, population)| population.name == name);
-                let known = found.and_then(|(_, p)| Some((p.first_channel()?, p.shape.len(), p.message)));
-                let Some((first, units, message)) = known else {
+                let known = found.and_then(|(_, p)| Some((p.first_channel()?, p.shape, p.message)));
+                let Some((first, shape, message)) = known else {
                     let known: Vec<&str> = network.inputs().map(|(_, population)| population.name.as_str()).collect();
                     let message = format!("'{name}' is no input population");
                     return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
                 };
                 match message {
-                    Message::Value(_) => spiking.extend(values(given, first, (name, units))?),
-                    _ => spiking.extend(channels(given, first, (name, units))?.into_iter().map(|channel| (channel, 1))),
+                    Message::Value(_) => spiking.extend(values(given, first, (name, shape))?),
+                    _ => spiking.extend(channels(given, first, (name, shape))?.into_iter().map(|channel| (channel, 1))),
                 }
                 Ok(())
             };

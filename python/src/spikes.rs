@@ -2,9 +2,9 @@
 //! scene.
 //!
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a
-//! dictionary from populations to arrays, text, or nothing. A whole number other than zero is a
-//! spike. Output: samples and the order in which they run. Contiguous arrays of `uint8` and `bool`
-//! are read in place. Invariant: what samples take is bounded before they are made. Errors:
+//! dictionary from populations to arrays, text, or nothing. 1 is a spike, as is a greater whole
+//! number, of which a warning tells. Output: samples and the order in which they run. Contiguous
+//! arrays of `uint8` and `bool` are read in place. Invariant: what samples take is bounded before they are made. Errors:
 //! `input.*`, `usage`.
 
 use nsim::files::budget::{Budget, MOST_STEPS};
@@ -16,8 +16,8 @@ use nsim::session::inputs::{MOST_REPEATS, drained, joined, repeated, stimulus};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 
-use crate::arrays::{Array, Counted};
-use crate::error::raised;
+use crate::arrays::{Array, Counted, is_of};
+use crate::error::{raised, warn_of};
 use crate::events::{Events, Records};
 use crate::keywords::{Keywords, usage};
 use crate::work::detached;
@@ -36,8 +36,21 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// From `spikes` and the keywords `labels`, `samples`, `repeat`, `seed` and `time_first`.
+    /// From `spikes` and the keywords `labels`, `samples`, `repeat`, `seed` and `time_first`;
+    /// labels are outputs of the network.
     pub fn new(
+        network: &Quantised,
+        scene: Option<&str>,
+        spikes: Option<&Bound<'_, PyAny>>,
+        keywords: &Keywords<'_>,
+    ) -> PyResult<Self> {
+        let outputs = network.units_shown(network.parts().output);
+        Shown::of_classes(outputs.into(), network, scene, spikes, keywords)
+    }
+
+    /// The same with this many classes.
+    pub fn of_classes(
+        classes: u64,
         network: &Quantised,
         scene: Option<&str>,
         spikes: Option<&Bound<'_, PyAny>>,
@@ -66,15 +79,20 @@ impl Shown {
             if labels.shape() != [shown.samples.len()] {
                 let message =
                     format!("labels have shape {:?}, and there are {} samples", labels.shape(), shown.samples.len());
-                return Err(usage(
-                    message,
-                    "give a class for each sample; of one-hot rows, labels.argmax(axis=1) has them",
-                ));
+                let drain = network.parts().drain;
+                let steps = shown.samples.first().map_or(0, |sample| (sample.steps() - drain) as usize);
+                let help = match labels.shape() == [steps] && time_first {
+                    true => {
+                        "where spikes are [T, samples, channels..] give numpy.moveaxis(numpy.asarray(array), 0, -1)"
+                    }
+                    false => "give a class for each sample; of one-hot rows, labels.argmax(axis=1) has them",
+                };
+                return Err(usage(message, help));
             }
             let class = Counted {
                 what: "class",
-                limit: 1 << 32,
-                help: "labels are classes, counted from 0",
+                limit: classes,
+                help: "labels are outputs of the network, counted from 0",
                 code: "input.labels",
             };
             labels.each(|index, value| {
@@ -196,8 +214,7 @@ fn read(
 ) -> PyResult<Vec<PopulationSpikes>> {
     let units = population.shape.len() as usize;
     let (shape, name) = (array.shape(), array.name());
-    let holds =
-        |axes: &[usize]| axes.iter().try_fold(1usize, |product, &axis| product.checked_mul(axis)) == Some(units);
+    let holds = |axes: &[usize]| is_of(population.shape, axes);
     let fits = |time_first| match (time_first, shape) {
         (false, [channels @ .., steps]) if holds(channels) => Some((1, *steps)),
         (false, [samples, channels @ .., steps]) if holds(channels) => Some((*samples, *steps)),
@@ -206,16 +223,29 @@ fn read(
         _ => None,
     };
     let Some((samples, steps)) = fits(time_first).filter(|&(samples, steps)| samples > 0 && steps > 0) else {
-        let message = format!(
-            "{name} has shape {shape:?}, which does not fit population '{}' of {units} channels",
-            population.name
-        );
-        let other = fits(!time_first).is_some();
-        let help = match (time_first, other) {
-            (false, true) => "time comes before the channels: give time_first=True",
+        let (axes, name_of) = (population.shape, &population.name);
+        let message =
+            format!("{name} has shape {shape:?}, which does not fit population '{name_of}' of {axes} channels");
+        let whole = matches!(shape, [_, _, channels @ ..] if holds(channels));
+        let help = match (time_first, fits(!time_first).is_some()) {
+            // What the two axes before the channels are is not known.
+            (false, true) if whole => {
+                "where it is [samples, T, channels..] give time_first=True, where it is [T, samples, channels..] give \
+                 numpy.moveaxis(numpy.asarray(array), 0, -1)"
+            }
+            (false, true) => {
+                "where it is [T, channels..] give time_first=True, where it is [samples, channels..] of one timestep \
+                 give array[..., None]"
+            }
             (true, true) => "time comes after the channels: leave time_first= out",
-            (false, false) => "an array is [samples, channels.., T], samples may be left out",
-            (true, false) => "an array is [samples, T, channels..], samples may be left out",
+            (false, false) => {
+                "an array is [samples, channels.., T], samples may be left out; channels are one axis or the axes of \
+                 the population, in their order: numpy.moveaxis(array, FROM, TO)"
+            }
+            (true, false) => {
+                "an array is [samples, T, channels..], samples may be left out; channels are one axis or the axes of \
+                 the population, in their order: numpy.moveaxis(array, FROM, TO)"
+            }
         };
         return Err(raised(py, Diagnostic::new("input.shape", message).help(help)));
     };
@@ -273,8 +303,8 @@ fn read(
             }
             add(index, Some(value))
         })?;
-    } else {
-        array.each_non_zero(|index| add(index, None))?;
+    } else if let Some(greater) = array.each_spike(|index| add(index, None))? {
+        warn_of(py, &format!("{greater}; give array != 0 if that is meant"))?;
     }
     Ok(recordings)
 }

@@ -54,7 +54,9 @@ fn given(py: Python<'_>, job: &Job, keywords: &Keywords<'_>, key: &str, time_fir
     options.set_item("labels", pair.get_item(1)?)?;
     options.set_item("time_first", time_first)?;
     let network = detached(py, || job.inputs()).map_err(|problem| raised(py, problem))?;
-    let shown = Shown::new(&network, None, Some(&pair.get_item(0)?), &Keywords::new(Some(&options))?)?;
+    // Which classes there are is for the job to say.
+    let options = Keywords::new(Some(&options))?;
+    let shown = Shown::of_classes(1 << 32, &network, None, Some(&pair.get_item(0)?), &options)?;
     let what = if key == "test" { "test" } else { "training" };
     let examples = detached(py, || job.examples(&network, &shown.stimulus.samples, what));
     examples.map(Given::Arrays).map_err(|problem| raised(py, problem))

@@ -121,14 +121,70 @@ class Spikes(Case):
         repeated = np.broadcast_to(spikes[0], (7, CHANNELS, STEPS))
         self.assertEqual(self.mapping.run(repeated).digest, self.mapping.run(repeated.copy()).digest)
 
-    def test_extremes_are_spikes_and_minus_zero_is_none(self):
-        for array in [np.array([np.iinfo(kind).min, np.iinfo(kind).max, 0, 1], kind) for kind in ["i1", "i8", "u8"]]:
-            spikes = np.zeros((CHANNELS, 4), array.dtype)
-            spikes[1] = array
-            self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], np.count_nonzero(spikes))
+    def test_a_number_beyond_1_is_a_spike_and_a_warning_and_minus_zero_is_none(self):
+        def said(spikes):
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                mapping = network().map("loihi1-chip")
+                self.assertEqual(mapping.run(spikes).activity["spikes_in"], np.count_nonzero(spikes))
+                # The printed remedy.
+                self.assertEqual(mapping.run(spikes != 0).digest, mapping.run(spikes).digest)
+            return [str(one.message) for one in caught if "one spike" in str(one.message)]
+
+        for kind in ["i1", "u1", "i8", "u8", "f4"]:
+            spikes = np.zeros((CHANNELS, 40), kind)
+            spikes[2, 33] = 1
+            self.assertEqual(said(spikes), [])
+            spikes[2, 35] = spikes[3, 1] = 127 if "1" in kind else np.iinfo(kind).max if "8" in kind else 3e38
+            first, _ = said(spikes)
+            self.assertRegex(first, r"spikes\[2, 35\] is .* array != 0")
         spikes = np.zeros((CHANNELS, 4))
-        spikes[2] = [-0.0, 0, 1.7e308, -1]
-        self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], 2)
+        spikes[2] = [-0.0, 0, 0, 1]
+        self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], 1)
+
+    def test_a_negative_number_is_no_spike(self):
+        for kind in ["i1", "i2", "i8", "f2", "f8"]:
+            spikes = np.zeros((2, CHANNELS, 40), kind)
+            spikes[1, 2, 35], spikes[0, 1, 3] = -1, 1
+            for array in layouts(spikes):
+                error = self.refused(lambda: self.mapping.run(array), "spikes[1, 2, 35] is -1", code="input.value")
+            self.assertEqual(self.mapping.run(spikes != 0).activity["spikes_in"], 2)
+        self.assertIn("array != 0", error.help)
+
+    def test_time_before_samples_is_not_guessed(self):
+        spikes = np.random.default_rng(4).random((3, CHANNELS, 7)) < 0.4
+        want = self.mapping.run(spikes).digest
+        for array, words in [(np.moveaxis(spikes, -1, 0), "[T, samples, channels..]"), (np.moveaxis(spikes, -1, 1), "[samples, T, channels..]")]:
+            help = self.refused(lambda: self.mapping.run(array), code="input.shape").help
+            for word in ("[T, samples, channels..]", "[samples, T, channels..]", "time_first=True", words):
+                self.assertIn(word, help)
+            remedy = re.search(r"numpy\.moveaxis\(.*\)", help).group()
+            moved = eval(remedy, {"numpy": np, "array": array})
+            self.assertEqual([want], [self.mapping.run(moved).digest] if words.startswith("[T") else [self.mapping.run(array, time_first=True).digest])
+        # The remedy of one reading for the other.
+        early = np.moveaxis(spikes, -1, 0)
+        help = self.refused(lambda: self.mapping.run(early, time_first=True, labels=[0] * 3), "7 samples", code="usage").help
+        self.assertIn("numpy.moveaxis(numpy.asarray(array), 0, -1)", help)
+        # Without time.
+        step = spikes[..., 0]
+        help = self.refused(lambda: self.mapping.run(step)).help
+        self.assertIn("array[..., None]", help)
+        self.assertEqual(self.mapping.run(step[..., None]).steps, [1] * 3)
+
+    def test_channels_are_one_axis_or_those_of_the_population(self):
+        mapping, draw = camera(), np.random.default_rng(5)
+        spikes = draw.random((4, 2, 3, 5, 6)) < 0.3
+        want = mapping.run(spikes).digest
+        for same in [spikes.reshape(4, 30, 6), spikes.reshape(4, 2, 1, 3, 5, 6), spikes.reshape(4, 1, 30, 6)]:
+            self.assertEqual(mapping.run(same).digest, want)
+        for other in [spikes.transpose(0, 2, 3, 1, 4), spikes.reshape(4, 6, 5, 6), spikes.reshape(4, 5, 3, 2, 6), spikes[0].transpose(1, 2, 0, 3)]:
+            error = self.refused(lambda: mapping.run(other), "[2, 3, 5] channels", code="input.shape")
+            self.assertIn("numpy.moveaxis(array, FROM, TO)", error.help)
+        last = spikes.transpose(0, 2, 3, 1, 4)
+        self.assertEqual(mapping.run(np.moveaxis(last, 3, 1)).digest, want)
+        first = np.moveaxis(spikes, -1, 1)
+        self.assertEqual(mapping.run(first, time_first=True).digest, want)
+        self.refused(lambda: mapping.run(first.transpose(0, 1, 3, 4, 2), time_first=True), code="input.shape")
 
     def test_what_is_no_number_is_refused(self):
         good = np.zeros((CHANNELS, STEPS))
@@ -202,6 +258,7 @@ class Spikes(Case):
         ]:
             self.refused(lambda: self.mapping.run(spikes, labels=labels), "labels")
         self.refused(lambda: self.mapping.run(spikes, labels=[0, 1.5, 1]), "labels[1] is 1.5", code="input.labels")
+        self.refused(lambda: self.mapping.run(spikes, labels=[0, 1, 2]), "labels[2] is 2", "from 0 to 1", code="input.labels")
 
 
 class EventRows(Case):

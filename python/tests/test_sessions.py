@@ -82,6 +82,9 @@ class Sessions(unittest.TestCase):
                 self.assertEqual(values.tolist(), [row[t] for row in sent])
                 self.assertEqual(session["x"].values.tolist(), [x for x in shown[:, t] if x])
                 self.assertEqual(session["d"].state("act").tolist(), shown[:, t].tolist())
+            session.step(shown[:, 0].reshape(3, 1, 1))
+            with self.assertRaisesRegex(nsim.Error, "shape \\[3, 2\\]"):
+                session.step(np.zeros((3, 2), int))
             with self.assertRaisesRegex(nsim.Error, "no v"):
                 session["d"].v
             with self.assertRaisesRegex(nsim.Error, "3 channels"):
@@ -106,12 +109,40 @@ class Sessions(unittest.TestCase):
     def test_input_populations_and_values(self):
         mapping = nsim.load("container-tactile").map()
         with mapping.session() as session:
-            session.step([3, 1, 3])
+            session.step([3, 1])
             self.assertEqual((session["tactile"].spikes.tolist(), session["tactile"].values.tolist()), ([1, 3], [1, 1]))
             self.assertEqual(session["tactile"].spikes.dtype, np.int32)
             session.step()
             self.assertEqual(len(session["tactile"].spikes), 0)
             self.assertEqual((len(session["out"]), session["out"].v.dtype), (20, np.int32))
+
+    def test_truth_values_are_no_numbers_of_channels(self):
+        mapping = nsim.load("container-tactile").map()
+        units = dict((name, shape) for name, _, shape in mapping.populations)["tactile"]
+        spikes = np.random.default_rng(3).random(units) < 0.2
+        with mapping.session() as session:
+            for same in [spikes, spikes.tolist(), tuple(spikes.tolist()), list(spikes), np.flatnonzero(spikes), np.flatnonzero(spikes).tolist()]:
+                for given in (same, {"tactile": same}):
+                    session.step(given)
+                    self.assertEqual(session["tactile"].spikes.tolist(), np.flatnonzero(spikes).tolist())
+            for nothing in ([], (), np.array([], int), None, {}):
+                session.step(nothing)
+                self.assertEqual(len(session["tactile"].spikes), 0)
+            for wrong, says in [
+                (spikes.astype(np.uint8), "a byte for each"),
+                (np.arange(spikes.size).astype(np.int8), "a byte for each"),
+                (spikes.astype(int), "channel 0 of 'tactile' is given twice"),
+                (spikes.astype(int).tolist(), "channel 0 of 'tactile' is given twice"),
+                ([3, 1, 3], "channel 3 of 'tactile' is given twice"),
+                (spikes.astype(float), "whole numbers"),
+                (spikes[:, None] & np.array([True, False]), "truth values of shape"),
+            ]:
+                with self.assertRaisesRegex(nsim.Error, says) as caught:
+                    session.step(wrong)
+                self.assertTrue("array > 0" in caught.exception.help or "one for each channel" in caught.exception.help)
+            # The printed remedy.
+            session.step(spikes.astype(np.uint8) > 0)
+            self.assertEqual(session["tactile"].spikes.tolist(), np.flatnonzero(spikes).tolist())
 
     def test_what_is_refused_changes_nothing(self):
         mapping = nsim.load("vtsnn-slip").map()
@@ -122,7 +153,7 @@ class Sessions(unittest.TestCase):
                 ({"tactile": [-1]}, "whole numbers"),
                 ({"tactile": [0.5]}, "whole numbers"),
                 ({"tactile": np.array([0.0])}, "whole numbers"),
-                ({"tactile": np.zeros(3, bool)}, "3 truth values"),
+                ({"tactile": np.zeros(3, bool)}, "truth values of shape \\[3\\]"),
                 ({"touch": [1]}, "the input populations are: tactile, vision"),
                 ([1], "several input populations"),
             ]:
