@@ -26,25 +26,26 @@ def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, thres
 def from_torch(module, sample, *, export=None, **options):
     """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`.
 
-    A network of snnTorch is read from its modules and compared with them on random samples: what would differ is refused. Modules of
-    Norse are exported to NIR by Norse, others by `nirtorch`, which no comparison follows; `export` is another function from (module,
+    A network of snnTorch is read from its modules and compared with them on random samples: what would differ is refused. `check` are
+    spikes `[samples, channels.., T]` to compare on too, `output` names the layer that decides, by default the first that forward()
+    returns. Modules of Norse are exported to NIR by Norse, which no comparison follows; `export` is another function from (module,
     sample) to a graph. `options` are those of `from_nir`. Of snnTorch, the timestep is 0.1 ms as in its own exporter, and the reset is
     the modules', unless options say otherwise.
     """
     from . import _torch
 
+    module = _torch.read(module, sample)
     kinds = {type(part).__module__.split(".")[0] for part in module.modules()}
     if export is None and "snntorch" in kinds:
         return _torch.network_of(module, sample, **options)
     for name, part in module.named_modules():
         _torch.check(part, name)
+    if export is None and "norse" not in kinds:
+        message = f"the module ({_torch.kind_of(module)}) has no neurons of snnTorch or Norse"
+        raise _torch.refusal(message, "put neurons behind its layers, such as snntorch.Leaky; for another tool, give its exporter: export=")
     try:
-        if export is None and "norse" in kinds:
+        if export is None:
             from norse.torch import to_nir as export
-        elif export is None:
-            import nirtorch
-
-            export = lambda module, _: nirtorch.torch_to_nir(module, {})
         graph = export(module, sample)
     except _nsim.Error:
         raise

@@ -33,7 +33,13 @@ AXES = {"Linear": 2, "Conv1d": 3, "Conv2d": 4, "AvgPool2d": 4, "BatchNorm1d": No
 """Layers between neurons, with the axes of their input, the batch included."""
 
 ONE_STEP = "write forward() for one timestep: neurons with init_hidden=True, no init_leaky(), no loop over time, a sample [batch, channels..]; " \
-    "outside of modules, a sum of layers and a change of shape are read"
+    "outside of modules, a sum of layers and a change of shape are read (docs/tutorials/from-pytorch.md#one-timestep)"
+
+VIEWS = {"flatten", "unflatten", "view", "reshape", "squeeze", "unsqueeze", "detach", "clone", "contiguous", "float", "double", "to"}
+"""Functions that change the shape or the type of a tensor and no number, where the batch stays its first axis."""
+
+WRAPPERS = {"OptimizedModule": "_orig_mod", "DataParallel": "module", "DistributedDataParallel": "module"}
+"""Classes that run another module, with its name in them."""
 
 NEURONS = {"Leaky", "Synaptic", "RLeaky", "RSynaptic"}
 
@@ -54,7 +60,8 @@ INSTEAD = {
     "ReLU": "put a spiking neuron in its place, such as snntorch.Leaky: a core sends spikes",
     "LayerNorm": "use torch.nn.BatchNorm1d or BatchNorm2d, whose numbers are constants once trained",
     "Alpha": "train with snntorch.Synaptic, whose current decays too",
-    "Lapicque": "train with snntorch.Leaky(beta=..), the same neuron by the share that stays",
+    "Lapicque": "train with snntorch.Leaky(beta=1 - 1 / C), C that of the neuron; with the weights and biases before it divided by C it, " \
+        "where spikes are few, spikes about as often, in other steps",
     "BatchNormTT": "use torch.nn.BatchNorm1d or BatchNorm2d: weights are the same in every timestep",
 }
 """What to use instead of a class, by the beginning of its name."""
@@ -143,6 +150,28 @@ def cleared(module):
                 setattr(part, state, torch.zeros(0))
 
 
+def read(module, sample):
+    """The module that is to be read, out of what wraps it; refuses what is none, and a sample that is no tensor."""
+    if not hasattr(module, "named_modules"):
+        message = f"module is a {type(module).__name__}, and a torch.nn.Module is read"
+        help = "give the network itself; weights alone are read from a file: torch.save(net.state_dict(), 'net.pt'), nsim.load('net.pt')"
+        raise refusal(message, help)
+    if not hasattr(sample, "detach"):
+        message = f"sample is a {type(sample).__name__}, and a tensor shows one timestep of the input"
+        raise refusal(message, "give torch.zeros(1, channels..); a network of several inputs is built with nir for nsim.from_nir")
+    while type(module).__name__ in WRAPPERS:
+        module = module._modules[WRAPPERS[type(module).__name__]]
+    return module
+
+
+def casting(module, dtype):
+    """Makes each part of a module take its input in the type of its parameters: spikes of snnTorch have single precision always."""
+    import torch
+
+    cast = lambda one: one.to(dtype) if isinstance(one, torch.Tensor) and one.is_floating_point() else one
+    return [part.register_forward_pre_hook(lambda _, args: tuple(map(cast, args))) for part in module.modules()]
+
+
 def called(module, given):
     """What a module makes of its input."""
     try:
@@ -171,11 +200,12 @@ def copied(module):
 class Trace:
     """The graph of one call: each module that runs is a node, edges are the tensors that pass from one to the next."""
 
-    def __init__(self, module, sample, dt):
+    def __init__(self, module, sample, dt, output=None):
         import torch
 
         self.names = leaves(module)
         self.nodes = {"input": {"type": "Input", "shape": np.array(sample.shape[1:])}}
+        self.shapes = {"input": sample.shape[1:]}
         self.edges, self.neurons, self.dt, self.inside = [], {}, dt, 0
         # Of each tensor the nodes whose sum it is, or in words what it is; tensors are kept, as numbers of freed ones are used again.
         self.known, self.kept = {}, []
@@ -189,7 +219,7 @@ class Trace:
             for hook in hooks:
                 hook.remove()
         self.nodes["output"] = {"type": "Output"}
-        self.connect(out[0] if isinstance(out, (tuple, list)) and len(out) > 0 else out, "output", "the network's output")
+        self.decide(out if isinstance(out, (tuple, list)) and len(out) > 0 else [out], output)
 
     def watching(self):
         """Sees what is computed outside of modules: a sum adds edges, another shape changes nothing, else the result is no node's."""
@@ -215,7 +245,7 @@ class Trace:
                         # A sum of a tensor with itself counts twice, which one edge does not.
                         doubled = sum(map(len, sources)) > len(set().union(*sources))
                         trace.learn(one, "a sum that counts a layer twice" if doubled else set().union(*sources))
-                    elif name in ("flatten", "view", "reshape", "detach", "clone", "contiguous", "float", "double", "to") and same:
+                    elif name in VIEWS and same:
                         trace.learn(one, sources[0])
                     elif id(one) not in trace.known:
                         trace.learn(one, f"a result of '{name.strip('_')}' outside of a module")
@@ -235,6 +265,26 @@ class Trace:
             raise refusal(message, ONE_STEP)
         self.edges += [(source, to) for source in sorted(sources)]
 
+    def decide(self, outs, wanted):
+        """The edge to the output: from the layer that is wanted, else from the first of what forward() returns."""
+        layers = {self.names[module]: node for module, node in self.neurons.items()}
+        if wanted is not None:
+            if wanted not in layers:
+                raise refusal(f"output is {wanted!r}, and no layer of neurons has that name", f"output= is one of {', '.join(layers)}")
+            self.edges.append((layers[wanted], "output"))
+            return
+        self.connect(outs[0], "output", "the network's output")
+        before = {"output"}
+        while more := {source for source, to in self.edges if to in before} - before:
+            before |= more
+        for one in outs[1:]:
+            sources = self.known.get(id(one), "")
+            for node in [] if isinstance(sources, str) else sources - before:
+                first = ", ".join(f"'{name}'" for name, known in layers.items() if known in self.known[id(outs[0])])
+                name = next((name for name, known in layers.items() if known == node), node)
+                message = f"forward() returns first what {first or 'no neuron'} gives, then what '{name}' gives, and the first is the output"
+                raise refusal(message, f"return the layer that decides first, or name it: output='{name}'")
+
     def enter(self, module, args, kwargs):
         name, kind = self.names[module], kind_of(module)
         self.inside += 1
@@ -251,7 +301,15 @@ class Trace:
         if given.dim() != axes:
             wanted = ", ".join(["batch", "channels", "height", "width"][: 4 if axes == 4 else 2] + ["length"] * (axes == 3))
             message = f"'{name}' ({kind}) receives {list(given.shape)}, and [{wanted}] is expected"
-            raise refusal(message, "give one timestep with its batch axis, such as sample.unsqueeze(0); forward() has no loop over time")
+            if isinstance(self.known.get(id(given)), str):
+                help = ONE_STEP
+            elif self.known.get(id(given)) != {"input"}:
+                help = "change the shape in forward() so that the batch stays its first axis, such as torch.nn.Flatten()"
+            elif given.dim() < axes:
+                help = "give one timestep with its batch axis, such as sample.unsqueeze(0)"
+            else:
+                help = "give one timestep, such as sample[..., 0] where time comes last; forward() has no loop over time"
+            raise refusal(message, help)
 
     def leave(self, module, args, kwargs, out):
         self.inside -= 1
@@ -265,11 +323,14 @@ class Trace:
         if kind.startswith("BatchNorm"):
             self.fold(module, name, given, spikes)
             return
+        if kind in ("Conv1d", "Conv2d", "AvgPool2d"):
+            given = self.reshaped(given, f"{name}.input")
         node = self.add(name)
+        self.shapes[node] = spikes.shape[1:]
         if kind in NEURONS:
             if module in self.neurons:
                 message = f"'{name}' ({kind}) runs more than once in a call, and a neuron of the chip once in a timestep"
-                raise refusal(message, f"give each layer neurons of its own; {ONE_STEP}")
+                raise refusal(message, f"{ONE_STEP}; of layers that share their neurons, give each its own")
             self.neurons[module] = node
             self.nodes[node] = neuron(module, tuple(given.shape[1:]), self.dt)
             if kind.startswith("R"):
@@ -284,6 +345,19 @@ class Trace:
             self.nodes[node] = weights(module)
         self.connect(given, node, f"the input of '{name}' ({kind})")
         self.learn(spikes, {node})
+
+    def reshaped(self, given, name):
+        """A tensor that is known in the axes that it has, behind a node that gives them to what arrives in others."""
+        sources = self.known.get(id(given), "")
+        if isinstance(sources, str) or all(self.shapes[source] == given.shape[1:] for source in sources):
+            return given
+        node = self.add(name)
+        self.nodes[node] = {"type": "Pass", "shape": np.array(given.shape[1:])}
+        self.shapes[node] = given.shape[1:]
+        self.connect(given, node, f"'{name}'")
+        view = given[:]
+        self.learn(view, {node})
+        return view
 
     def add(self, name):
         """The name of a new node, which is that of its population."""
@@ -333,24 +407,53 @@ def resets(neurons, names):
     return ("zero" if how else None), held
 
 
-def network_of(module, sample, name="network", dt_ms=None, reset=None, **options):
-    """A module of snnTorch as a network, which does what the module does."""
+def network_of(module, sample, name="network", dt_ms=None, reset=None, output=None, check=None, **options):
+    """A module of snnTorch as a network, which does what the module does.
+
+    `output` names the layer that decides, by default the first that forward() returns. `check` are spikes `[samples, channels.., T]` on
+    which the network is compared with the module, beyond the random ones.
+    """
+    import torch
+
     dt_ms = TIMESTEP_MS if dt_ms is None else dt_ms
     traced = copied(module)
-    trace = Trace(traced, sample.detach().cpu(), dt_ms / 1e3)
+    dtype = torch.float64 if any(one.dtype == torch.float64 for one in traced.parameters()) else torch.float32
+    traced, shape = traced.to(dtype), tuple(sample.shape[1:])
+    shown = [drawn(shape)] if check is None else [drawn(shape), checked(check, shape)]
+    hooks = casting(traced, dtype)
+    trace = Trace(traced, sample.detach().cpu().to(dtype), dt_ms / 1e3, output)
+    for hook in hooks:
+        hook.remove()
     own, held = resets(trace.neurons, trace.names)
-    network = _nsim.from_nodes(name, trace.nodes, trace.edges, held, dt_ms=dt_ms, reset=reset or own, **options)
-    compare(network, traced, trace, tuple(sample.shape[1:]))
+    said = "; ".join(f"{what} of {given.shape[-1]} steps" for what, given in zip((f"{SAMPLES} random samples", f"{len(shown[-1])} of check="), shown))
+    note = f"spikes in real numbers as the module does on {said}" + ("" if check is not None else "; check=array compares on others")
+    network = _nsim.from_nodes(name, trace.nodes, trace.edges, held, [note], dt_ms=dt_ms, reset=reset or own, **options)
+    for given in shown:
+        compare(network, traced, trace, given)
     return network
 
 
-def compare(network, module, trace, shape):
-    """Refuses a network whose spikes in real numbers differ from the module's."""
+def drawn(shape):
+    """Random spikes, `[samples, channels.., T]`."""
+    rates = np.linspace(0.1, 0.7, SAMPLES).reshape(-1, *[1] * (len(shape) + 1))
+    return (np.random.default_rng(SEED).random((SAMPLES, *shape, STEPS)) < rates).astype(np.uint8)
+
+
+def checked(check, shape):
+    """Spikes of a caller, `[samples, channels.., T]`."""
+    array = np.asarray(check)
+    if array.ndim != len(shape) + 2 or array.shape[1:-1] != shape or not array.size:
+        raise refusal(f"check has shape {list(array.shape)}", f"give spikes [samples, {', '.join(map(str, shape))}, T]", "input.shape")
+    if not np.isin(array, (0, 1)).all():
+        raise refusal("check holds numbers other than 0 and 1", "give check=array > 0", "input.value")
+    return array.astype(np.uint8)
+
+
+def compare(network, module, trace, given):
+    """Refuses a network whose spikes in real numbers differ from the module's on spikes `[samples, channels.., T]`."""
     import torch
 
-    rng = np.random.default_rng(SEED)
-    rates = np.linspace(0.1, 0.7, SAMPLES).reshape(-1, *[1] * (len(shape) + 1))
-    given = (rng.random((SAMPLES, *shape, STEPS)) < rates).astype(np.uint8)
+    samples, steps = len(given), given.shape[-1]
     module = module.double()
     with torch.no_grad():
         for tensor in (*module.parameters(), *module.buffers()):
@@ -358,23 +461,24 @@ def compare(network, module, trace, shape):
                 tensor.copy_(torch.from_numpy(np.asarray(reals(tensor.float()))))
     cleared(module)
     spikes = {node: [] for node in trace.neurons.values()}
-    wide = lambda _, args: tuple(one.double() if isinstance(one, torch.Tensor) and one.is_floating_point() else one for one in args)
-    keep = lambda one, _, out: spikes[trace.neurons[one]].append((out[0] if isinstance(out, tuple) else out).reshape(SAMPLES, -1) != 0)
-    hooks = [part.register_forward_pre_hook(wide) for part in module.modules()]
+    keep = lambda one, _, out: spikes[trace.neurons[one]].append((out[0] if isinstance(out, tuple) else out).reshape(samples, -1) != 0)
+    hooks = casting(module, torch.float64)
     hooks += [part.register_forward_hook(keep) for part in trace.neurons]
     with torch.no_grad():
-        for step in range(STEPS):
+        for step in range(steps):
             called(module, torch.from_numpy(given[..., step]).double())
     for hook in hooks:
         hook.remove()
-    ours = dict(_nsim.real_spikes(network, given))
+    # Layers behind the output answer later than it does.
+    silence = np.zeros((*given.shape[:-1], len(trace.neurons)), np.uint8)
+    ours = dict(_nsim.real_spikes(network, np.concatenate([given, silence], axis=-1)))
     for module, node in trace.neurons.items():
         theirs = np.stack([one.numpy() for one in spikes[node]], axis=2)
         mine = np.zeros_like(theirs)
-        rows = ours[node][ours[node][:, 1] < STEPS]
+        rows = ours[node][ours[node][:, 1] < steps]
         mine[rows[:, 0], rows[:, 2], rows[:, 1]] = True
         differing, all_of = int((theirs != mine).sum()), int(theirs.sum() + mine.sum())
         if differing > ROUNDED * all_of:
             message = f"'{trace.names[module]}' ({kind_of(module)}) spikes {int(theirs.sum())} times in PyTorch and {int(mine.sum())} " \
-                f"times as nsim reads it, {differing} of them apart, in {SAMPLES} random samples of {STEPS} steps: the network was not understood"
-            raise refusal(message, f"its forward() may reset neurons in each call, or depend on the batch: {ONE_STEP}")
+                f"times as nsim reads it, {differing} of them apart, in {samples} samples of {steps} steps: the network was not understood"
+            raise refusal(message, f"its forward() may reset neurons in each call, or depend on the batch, on numbers or on time: {ONE_STEP}")

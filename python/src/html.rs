@@ -4,7 +4,7 @@
 //! Text is escaped: names come from users' files.
 
 use pyo3::prelude::*;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::keywords::usage;
 use crate::value::to_python;
@@ -62,6 +62,16 @@ pub fn table(caption: &str, columns: &[&str], rows: &[Value]) -> String {
     };
     let body: String = rows.iter().map(row).collect();
     format!("<table><caption>{}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>", escaped(caption))
+}
+
+/// A table of populations: name, kind and shape.
+pub fn populations<S: Copy + Into<u64>>(caption: &str, populations: &[(String, &'static str, Vec<S>)]) -> String {
+    let row = |(name, kind, shape): &(String, &'static str, Vec<S>)| {
+        let axes: Vec<u64> = shape.iter().map(|&axis| axis.into()).collect();
+        json!({ "name": name, "kind": kind, "shape": axes })
+    };
+    let rows: Vec<Value> = populations.iter().map(row).collect();
+    table(&caption.replace(['<', '>'], ""), &["name", "kind", "shape"], &rows)
 }
 
 /// Rows as a data frame of pandas, or of polars where only that is installed.

@@ -19,7 +19,8 @@ use pyo3::types::PyDict;
 use crate::bench::bench;
 use crate::energy::{self, Energy};
 use crate::error::raised;
-use crate::keywords::Keywords;
+use crate::html::populations;
+use crate::keywords::{Keywords, usage};
 use crate::projections;
 use crate::run::Run;
 use crate::session::Session;
@@ -234,6 +235,10 @@ impl Mapping {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Energy> {
         let keywords = Keywords::new(options)?;
+        if keywords.take::<Bound<'_, PyAny>>("copies")?.is_some() {
+            let message = format!("copies= is for a network, and this mapping has {}", self.copies());
+            return Err(usage(message, "map as many, network.map(copies=N), or call network.energy(spikes, copies=N)"));
+        }
         let plan = energy::plan(py, &self.0.model, &keywords, None)?;
         plan.of_mapping().map_err(|error| raised(py, error))?;
         Energy::new(py, &self.0, &plan, spikes, &keywords)
@@ -293,5 +298,10 @@ impl Mapping {
             plural(cores),
             plural(chips)
         )
+    }
+
+    /// The populations as a table for notebooks.
+    fn _repr_html_(&self) -> String {
+        populations(&self.__repr__(), &self.populations())
     }
 }

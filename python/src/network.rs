@@ -16,6 +16,7 @@ use crate::agree::Agreement;
 use crate::convert::Conversion;
 use crate::energy::{self, Energy};
 use crate::error::{raised, worded};
+use crate::html::populations;
 use crate::keywords::{Keywords, whole};
 use crate::mapping::{Mapping, MappingRequest, TARGET};
 use crate::memory;
@@ -51,19 +52,21 @@ pub fn from_bytes(
     Network::checked(py, network, notes)
 }
 
-/// A network from NIR nodes in memory; neurons of the nodes `held` stay at zero for a step after a spike.
+/// A network from NIR nodes in memory; neurons of the nodes `held` stay at zero for a step after a
+/// spike. `notes` are said of it.
 #[pyfunction]
-#[pyo3(signature = (name, nodes, edges, held, **options))]
+#[pyo3(signature = (name, nodes, edges, held, notes=Vec::new(), **options))]
 pub fn from_nodes(
     py: Python<'_>,
     name: &str,
     nodes: &Bound<'_, PyDict>,
     edges: Vec<(String, String)>,
     held: Vec<String>,
+    notes: Vec<String>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Network> {
-    let (network, notes) = memory::of_nodes(py, name, (nodes, edges), &held, &Keywords::new(options)?)?;
-    Network::checked(py, network, notes)
+    let (network, conventions) = memory::of_nodes(py, name, (nodes, edges), &held, &Keywords::new(options)?)?;
+    Network::checked(py, network, [conventions, notes].concat())
 }
 
 /// The spikes of each population of a network in real numbers, rows (sample, step, neuron); its first step is the one in
@@ -297,9 +300,9 @@ impl Network {
 
     /// The network in integers, searched for on samples: `nsim convert`.
     ///
-    /// The search takes `calibration_samples` (60) of the sources `calibrate`: by default the scene
-    /// with another seed, or the first half of `spikes`. `fine_tune` then trains for this many
-    /// epochs as the training file `training` says (by default the one that ships under the model's
+    /// The search takes `calibration_samples` (60) of `calibrate`, spikes as `spikes` are: by
+    /// default the scene with another seed, or the first half of `spikes`. `fine_tune` then trains
+    /// for this many epochs as the training file `training` says (by default the one that ships under the model's
     /// name), on the sources `train`. `spikes`, on which the result is judged, and its keywords are
     /// those of `Mapping.run`.
     #[pyo3(
@@ -335,5 +338,10 @@ impl Network {
         let populations: Vec<String> =
             self.populations().iter().map(|(name, _, shape)| format!("{name}{shape:?}")).collect();
         format!("<nsim.Network {}: {}>", self.name(), populations.join(", "))
+    }
+
+    /// The populations as a table for notebooks.
+    fn _repr_html_(&self) -> String {
+        populations(&self.__repr__(), &self.populations())
     }
 }

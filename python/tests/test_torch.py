@@ -22,6 +22,7 @@ except ImportError:
     print("absent: torch with snntorch, its modules were not tested", file=sys.stderr)
 
 README = Path(__file__).parents[2] / "README.md"
+PAGE = README.parent / "docs/tutorials/from-pytorch.md"
 
 
 def stub(kind, package="torch.nn", **values):
@@ -57,6 +58,29 @@ class Tables(unittest.TestCase):
             _torch.check(stub(kind, **values), "a")
         # Another's class of the same name is not known.
         self.assertEqual(_torch.kind_of(stub("Linear", package="mine")), "mine.Linear")
+
+    def test_what_is_no_module_and_no_tensor_is_named(self):
+        module = stub("Net", named_modules=lambda: [])
+        tensor = stub("Tensor", detach=None)
+        for given, words in [
+            (({"0.weight": 1}, tensor), ("dict", "torch.save(net.state_dict(), 'net.pt')")),
+            ((module, np.zeros((1, 3))), ("ndarray", "torch.zeros")),
+            ((module, (tensor, tensor)), ("tuple", "several inputs", "nsim.from_nir")),
+            ((module, None), ("NoneType", "torch.zeros")),
+        ]:
+            with self.assertRaises(nsim.Error) as raised:
+                nsim.from_torch(*given)
+            for word in words:
+                self.assertIn(word, str(raised.exception))
+        wrapped = stub("DataParallel", named_modules=None, _modules={"module": stub("OptimizedModule", _modules={"_orig_mod": module})})
+        self.assertIs(_torch.read(wrapped, tensor), module)
+
+    def test_spikes_to_check_on_have_a_shape_and_are_0_or_1(self):
+        self.assertEqual(_torch.checked(np.ones((4, 2, 3, 7), bool), (2, 3)).dtype, np.uint8)
+        for array, code in [(np.ones((2, 3, 7)), "input.shape"), (np.ones((4, 3, 2, 7)), "input.shape"), (np.full((4, 2, 3, 7), 2), "input.value")]:
+            with self.assertRaises(nsim.Error) as raised:
+                _torch.checked(array, (2, 3))
+            self.assertEqual(raised.exception.code, code)
 
     def test_nodes_become_a_network(self):
         full = lambda value: np.full(2, value)
@@ -120,7 +144,8 @@ class Modules(unittest.TestCase):
         with torch.no_grad():
             theirs = sum(module(torch.tensor(spikes[..., step], dtype=torch.float32))[0] for step in range(40))
         counted = np.zeros((6, int(np.prod(theirs.shape[1:]))))
-        last = [name for name, *_ in network.populations if name != "always"][-1]
+        names = [name for name, *_ in network.populations if name != "always"]
+        last = "lo" if "lo" in names else names[-1]
         rows = dict(nsim._nsim.real_spikes(network, spikes))[last]
         np.add.at(counted, (rows[:, 0], rows[:, 2]), 1)
         self.assertGreater(theirs.sum(), 20)
@@ -190,6 +215,120 @@ class Modules(unittest.TestCase):
         self.read(Residual(), 32)
         self.read(Twice(), 32)
 
+    def test_a_bias_behind_a_sum_counts_once(self):
+        lif = self.lif
+
+        class Sum(nn.Module):
+            def __init__(self, how):
+                super().__init__()
+                self.a, self.b, self.o, self.how = nn.Linear(16, 16), nn.Linear(16, 16), nn.Linear(16, 8), how
+                self.l1, self.l2, self.lo = lif(), lif(), lif(threshold=0.5, output=True)
+                for part in (self.a, self.b, self.o):
+                    part.weight.data *= 2
+                    part.bias.data += 0.1
+
+            def forward(self, x):
+                x1 = self.l1(self.a(x))
+                return self.lo(self.how(self, x, x1))
+
+        self.read(Sum(lambda net, x, x1: net.o(x1 + net.l2(net.b(x1)))), 16)
+        self.read(Sum(lambda net, x, x1: net.o(x1 + net.l2(net.b(x)))), 16)
+        self.read(Sum(lambda net, x, x1: net.o(x + net.l2(net.b(x1)))), 16)
+
+    def test_a_shape_is_carried_to_what_slides_over_it(self):
+        last = [nn.Flatten(), nn.Linear(108, 4), self.lif(threshold=0.2, output=True)]
+        layers = lambda first: nn.Sequential(first, nn.Conv2d(2, 3, 3), self.lif(threshold=0.3), *last)
+        self.read(layers(nn.Unflatten(1, (2, 8, 8))), 128)
+
+        class View(nn.Module):
+            def __init__(self, view):
+                super().__init__()
+                self.rest, self.view = layers(nn.Identity()), view
+
+            def forward(self, x):
+                return self.rest(self.view(x))
+
+        self.read(View(lambda x: x.view(-1, 2, 8, 8)), 128)
+        self.read(View(lambda x: x.reshape(x.shape[0], 2, 8, 8)), 8, 4, 4)
+        first = [nn.Linear(20, 32), self.lif(threshold=0.3), nn.Unflatten(1, (2, 4, 4))]
+        self.read(nn.Sequential(*first, nn.AvgPool2d(2), nn.Conv2d(2, 4, 2), self.lif(threshold=0.1, output=True)), 20)
+
+    def test_the_layer_that_decides_is_the_first_or_named(self):
+        lif = self.lif
+
+        class Heads(nn.Module):
+            def __init__(self, given):
+                super().__init__()
+                self.a, self.b, self.c, self.given = nn.Linear(16, 12), nn.Linear(12, 4), nn.Linear(12, 6), given
+                self.h, self.lo, self.lo2 = lif(threshold=0.3), lif(threshold=0.2), lif(threshold=0.2)
+
+            def forward(self, x):
+                h = self.h(self.a(x))
+                return self.given(h, self.lo(self.b(h)), self.lo2(self.c(h)))
+
+        sample = torch.zeros(1, 16)
+        self.assertEqual(nsim.from_torch(Heads(lambda h, z, _: (z, h)), sample).map().output, "lo")
+        self.refused(Heads(lambda h, z, _: (h, z)), (1, 16), "'h'", "'lo'", "output='lo'")
+        self.refused(Heads(lambda _, z, y: (z, y)), (1, 16), "'lo'", "'lo2'", "output='lo2'")
+        # The printed remedy.
+        for name in ("lo", "lo2", "h"):
+            for given in (lambda h, z, _: (h, z), lambda _, z, y: (z, y)):
+                self.assertEqual(nsim.from_torch(Heads(given), sample, output=name).map().output, name)
+        with self.assertRaisesRegex(nsim.Error, "one of h, lo, lo2"):
+            nsim.from_torch(Heads(lambda h, z, _: (z, h)), sample, output="out")
+
+    def test_a_forward_that_depends_on_its_input_is_found_by_spikes_to_check(self):
+        lif = self.lif
+
+        class Turned(nn.Module):
+            def __init__(self):
+                super().__init__()
+                self.a, self.l = nn.Linear(16, 8), lif(threshold=0.2, output=True)
+
+            def forward(self, x):
+                return self.l(self.a(1 - x if x.mean() > 0.9 else x))
+
+        network = nsim.from_torch(Turned(), torch.zeros(1, 16))
+        self.assertTrue(any("4 random samples of 30 steps" in note and "check=" in note for note in network.notes), network.notes)
+        spikes = np.random.default_rng(3).random((5, 16, 20)) < 0.97
+        with self.assertRaisesRegex(nsim.Error, "5 samples of 20 steps"):
+            nsim.from_torch(Turned(), torch.zeros(1, 16), check=spikes)
+        network = nsim.from_torch(Turned(), torch.zeros(1, 16), check=torch.from_numpy(~spikes))
+        self.assertTrue(any("5 of check= of 20 steps" in note for note in network.notes), network.notes)
+
+    def test_types_of_numbers_are_those_of_the_module(self):
+        build = lambda: nn.Sequential(nn.Linear(16, 12), self.lif(), nn.Linear(12, 4), self.lif(threshold=0.2, output=True))
+        module = build()
+        want = nsim.from_torch(module, torch.zeros(1, 16)).map().to_ron()
+        for kind in (torch.long, torch.double, torch.half, torch.bool):
+            self.assertEqual(nsim.from_torch(module, torch.zeros(1, 16, dtype=kind)).map().to_ron(), want)
+        for changed in (build().double(), build().half(), build().bfloat16()):
+            nsim.from_torch(changed, torch.zeros(1, 16))
+            nsim.from_torch(changed, torch.zeros(1, 16, dtype=changed[0].weight.dtype))
+
+    def test_wrappers_are_taken_off(self):
+        module = nn.Sequential(nn.Linear(16, 8), self.lif(threshold=0.2, output=True))
+        names = nsim.from_torch(module, torch.zeros(1, 16)).populations
+        for wrapped in (nn.DataParallel(module), torch.compile(module), torch.compile(nn.DataParallel(module))):
+            self.assertEqual(nsim.from_torch(wrapped, torch.zeros(1, 16)).populations, names)
+
+    def test_leaky_in_place_of_lapicque_spikes_about_as_often(self):
+        module = nn.Sequential(nn.Linear(20, 10), self.lif(snn.Lapicque, output=True))
+        with self.assertRaises(nsim.Error) as raised:
+            nsim.from_torch(module, torch.zeros(1, 20))
+        self.assertIn("snntorch.Leaky(beta=1 - 1 / C)", raised.exception.help)
+        module[0].weight.data *= 5
+        capacity = float(module[1].C)
+        other = nn.Sequential(nn.Linear(20, 10), self.lif(beta=1 - 1 / capacity, output=True))
+        for mine, theirs in zip(other[0].parameters(), module[0].parameters()):
+            mine.data = theirs.data / capacity
+        spikes = torch.from_numpy(np.random.default_rng(1).random((100, 8, 20)) < 0.3).float()
+        with torch.no_grad():
+            counts = [sum(net(step)[0].sum() for step in spikes) for net in (module, other)]
+        self.assertGreater(counts[0], 100)
+        self.assertLess(abs(counts[0] - counts[1]), 0.1 * counts[0])
+        nsim.from_torch(other, torch.zeros(1, 20))
+
     def test_after_training_the_state_is_forgotten(self):
         module = nn.Sequential(nn.Linear(32, 8), self.lif(output=True))
         module(torch.rand(4, 32))[1].sum()
@@ -209,6 +348,10 @@ class Modules(unittest.TestCase):
             ([linear, lif, nn.Linear(8, 4), self.lif()], flat, ("'2'", "tuple", "output=True")),
             ([linear, lif], (32,), ("'0'", "[batch, channels]", "unsqueeze")),
             ([linear, lif], (1, 30), ("[1, 30]", "RuntimeError")),
+            ([linear, lif], (1, 32, 50), ("'0'", "sample[..., 0]")),
+            ([nn.Conv2d(2, 4, 3), self.lif(), nn.Flatten(2), nn.Linear(36, 4), lif], plane, ("'3'", "torch.nn.Flatten()")),
+            ([nn.Linear(32, 4)], flat, ("Sequential", "no neurons", "snntorch.Leaky")),
+            ([], flat, ("no neurons",)),
         ]:
             self.refused(nn.Sequential(*layers), shape, *words)
 
@@ -228,7 +371,7 @@ class Modules(unittest.TestCase):
             def forward(self, x):
                 return self.lif(3 * self.fc(x) if self.between(0) else self.fc(x), self.lif.init_leaky())[0]
 
-        self.refused(Loop(), (1, 32), "'lif'", "more than once", "one timestep")
+        self.refused(Loop(), (1, 32), "'lif'", "more than once", "one timestep", "from-pytorch.md#one-timestep")
         self.refused(Loop(torch.relu), (1, 32), "'lif'", "'relu'")
         self.refused(Cleared(lambda _: True), (1, 32), "'lif'", "'mul'")
         # Neurons that forget in each call spike less than those of a chip.
@@ -248,6 +391,24 @@ class Modules(unittest.TestCase):
             nsim.from_torch(nn.Linear(2, 2), torch.zeros(1, 2), export=lambda *_: 1 / 0)
         self.assertIn("ZeroDivisionError", str(raised.exception))
         self.assertIn("torch 2", raised.exception.help)
+
+    def test_the_page_makes_one_timestep_of_a_loop(self):
+        block = re.search(r"## One timestep.*?```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[1]
+        loop, step = block.split("\n\n")
+        build = "class {}({}):\n    def __init__(self, **options):\n        super().__init__()\n" \
+            "        self.fc1, self.lif1 = nn.Linear(20, 30), snn.Leaky(beta=0.9, **options)\n" \
+            "        self.fc2, self.lif2 = nn.Linear(30, 4), snn.Leaky(beta=0.9, threshold=0.2, **options)\n\n{}\n"
+        names = {"torch": torch, "nn": nn, "snn": snn}
+        exec(build.format("Net", "nn.Module", loop) + build.format("OneStep", "Net", step), names)
+        trained, read = names["Net"](), names["OneStep"](init_hidden=True)
+        self.refused(trained, (1, 20), "'fc1'", "from-pytorch.md#one-timestep")
+        read.load_state_dict(trained.state_dict())
+        spikes = torch.from_numpy(np.random.default_rng(1).random((40, 5, 20)) < 0.5)
+        with torch.no_grad():
+            theirs = trained(spikes.float()).sum(0).numpy()
+        counts = nsim.from_torch(read, torch.zeros(1, 20)).map("oheo-gulch").run(torch.movedim(spikes, 0, -1)).counts
+        self.assertGreater(theirs.sum(), 20)
+        self.assertLessEqual(np.abs(counts - theirs).sum(), 0.05 * theirs.sum())
 
     def test_the_block_of_the_readme_prints_spikes(self):
         block = re.search(r"## Your PyTorch network.*?```python\n(.*?)```", README.read_text(), re.DOTALL)[1]
