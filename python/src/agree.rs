@@ -9,12 +9,13 @@ use std::sync::Arc;
 
 use nsim::agree::attribution::attribute;
 use nsim::agree::compare::{Counterpart, Deployed, LayerRow, compare, compare_models, output_layer};
-use nsim::compile::{Form, Options, compile};
+use nsim::compile::{CompileError, Form, Options, compile};
 use nsim::files::network::Network;
 use nsim::files::shipped;
 use nsim::files::target::target_with_neurons;
 use nsim::files::write;
 use nsim::files::write::check_free;
+use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Quantised;
 use nsim::report::agree::{AgreeReport, converted_from, named_fits, potentials};
 use nsim::session::front::real_and_integers;
@@ -60,7 +61,9 @@ impl Agreement {
     ) -> PyResult<Self> {
         let (graph, written) = detached(py, || real_and_integers(network)).map_err(|problem| raised(py, problem))?;
         Form::require_written("agree", &written, 1).map_err(|problem| raised(py, problem))?;
-        let target = target_with_neurons(network.file(), target).map_err(|problem| raised(py, problem))?;
+        let (on, instead) = target_with_neurons(network.file(), target).map_err(|problem| raised(py, problem))?;
+        let typed = target.map(str::to_string).or_else(|| instead.as_ref().map(|_| on.name().to_string()));
+        let target = on;
         let against: Option<Bound<'_, PyAny>> = keywords.take("against")?;
         let other = against.as_ref().map(|given| model(py, given, in_memory)).transpose()?.flatten();
         let word = match &other {
@@ -121,7 +124,7 @@ impl Agreement {
                     true => None,
                     false => Some(mapped(&written)?.program),
                 };
-                let second = mapped(other)?;
+                let second = mapped(other).map_err(|problem| unfit(&problem, target.name()))?;
                 let both = ((&graph, &written, own.as_ref()), (other, &second.program));
                 let agreement = compare_models(both.0, both.1, &samples, steps, progress)?;
                 return done(AgreeReport::of_two((name, "another model"), seen, &agreement), &agreement.layers);
@@ -136,7 +139,7 @@ impl Agreement {
             let some = &samples[..samples.len().min(most)];
             let attribution =
                 (against.is_real() && most > 0).then(|| attribute(&ladder, &output_layer(ladder.deployed()), some));
-            let next = attribution.as_ref().and_then(|attribution| in_python(&graph, attribution));
+            let next = attribution.as_ref().and_then(|attribution| in_python(attribution, typed.as_deref()));
             let report = AgreeReport {
                 found: integers.found.as_ref(),
                 fits: &named_fits(&graph, fits),
@@ -150,9 +153,16 @@ impl Agreement {
             };
             done(report, &agreement.layers)
         })?;
-        falls.iter().try_for_each(|falls| warn_of(py, falls))?;
+        instead.iter().chain(&falls).try_for_each(|said| warn_of(py, said))?;
         Ok(Agreement { json, text })
     }
+}
+
+/// The problem of another network that does not fit on the target of this one.
+fn unfit(problem: &CompileError, target: &str) -> nsim::Error {
+    let message = format!("the network of against= does not run on {target}: {problem}");
+    let help = "give target=, or compare the other way: other.agree(spikes, against=network)";
+    Diagnostic::new("usage", message).help(help).into()
 }
 
 /// The network that an `nsim.Network` holds; none of another object.

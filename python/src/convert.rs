@@ -9,6 +9,7 @@ use nsim::report::convert::ConvertReport;
 use nsim::train::convert::calibration;
 use nsim::train::convert::calibration::RunInput;
 use nsim::train::convert::copies::{MOST, USUAL};
+use nsim::train::convert::fine_tune::trainable;
 use nsim::train::convert::job::{FineTuning, Job, Split};
 use pyo3::prelude::*;
 use serde_json::Value;
@@ -47,10 +48,16 @@ impl Conversion {
     ) -> PyResult<Self> {
         let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
         let job = detached(py, || Job::new(network, &target)).map_err(|problem| raised(py, problem))?;
-        let calibrate = sources(keywords.take("calibrate")?.as_ref())?;
+        let calibrate: Option<Bound<'_, PyAny>> = keywords.take("calibrate")?;
+        let layout = keywords.only("time_first")?;
+        let searched = |given| Ok::<_, PyErr>(Shown::new(&job.integers, None, Some(given), &layout)?.stimulus);
+        let searched = calibrate.as_ref().map(searched).transpose()?;
         let wanted = counted(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
         let copies = counted(keywords, "delayed_copies", USUAL, MOST)?;
         let epochs = keywords.whole("fine_tune", 0..=MOST_EPOCHS.into())?.unwrap_or(0) as u32;
+        if epochs > 0 {
+            trainable(&job.graph).map_err(|problem| raised(py, problem))?;
+        }
         let training = keywords.path("training")?;
         let train = sources(keywords.take("train")?.as_ref())?;
         if epochs == 0 && (training.is_some() || !train.is_empty()) {
@@ -64,7 +71,10 @@ impl Conversion {
             let samples = shown.samples();
             let origin = &shown.stimulus.origin;
             let run = RunInput { sources: origin, seed: shown.stimulus.seed, scene };
-            let apart = calibration::stimulus(&job.integers, &calibrate, run, wanted)?;
+            let apart = match searched {
+                Some(samples) => Some(samples),
+                None => calibration::stimulus(&job.integers, &[], run, wanted)?,
+            };
             let split = Split::new((origin, &samples), apart.as_ref(), wanted);
             let done = job.convert(&split, copies, |_| progress())?;
             let tuned = match epochs {

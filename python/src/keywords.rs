@@ -32,6 +32,16 @@ impl<'py> Keywords<'py> {
         value.extract().map(Some).map_err(|error: T::Error| wrong(name, &value, error.into()))
     }
 
+    /// One argument alone, which stays to be taken here too.
+    pub fn only(&self, name: &str) -> PyResult<Self> {
+        let value = self.0.as_ref().map(|given| given.get_item(name)).transpose()?.flatten();
+        let alone = value.map(|value| {
+            let alone = PyDict::new(value.py());
+            alone.set_item(name, value).map(|()| alone)
+        });
+        Ok(Keywords(alone.transpose()?))
+    }
+
     /// A whole number within bounds.
     pub fn whole(&self, name: &str, bounds: RangeInclusive<u64>) -> PyResult<Option<u64>> {
         self.take::<Bound<'_, PyAny>>(name)?.map(|value| whole(name, &value, bounds)).transpose()

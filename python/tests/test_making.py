@@ -137,7 +137,15 @@ class Agreed(unittest.TestCase):
         ]
         network = nsim.Network("soft", populations, [{"from": "in", "to": "out", "weights": np.full((2, 4), 40)}], output="out")
         spikes = np.ones((2, 4, 12), np.uint8)
-        self.assertEqual(network.agree(spikes).json()["target"], "oheo-gulch")
+        with self.assertWarnsRegex(nsim.Warning, "nahuku-32, .* of oheo-gulch"):
+            self.assertEqual(network.agree(spikes).json()["target"], "oheo-gulch")
+        # A network that does not fit where the other runs is compared the other way, as the help says.
+        reset = small(4, 40, np.full((2, 4), 40))
+        with self.assertRaises(nsim.Error) as raised:
+            reset.agree(spikes, against=network)
+        self.assertIn("other.agree(spikes, against=network)", raised.exception.help)
+        with self.assertWarns(nsim.Warning):
+            network.agree(spikes, against=reset)
         with self.assertRaises(nsim.Error) as raised:
             network.map()
         for word in ("target='oheo-gulch'", "network.convert(spikes)", "reset_mechanism='zero'"):
@@ -145,6 +153,53 @@ class Agreed(unittest.TestCase):
         with self.assertRaises(nsim.Error) as raised:
             network.map("loihi2")
         self.assertIn("'oheo-gulch'", raised.exception.help)
+
+
+class NotHelped(unittest.TestCase):
+    """Networks in real numbers whose weights round, which no conversion brings nearer."""
+
+    def setUp(self):
+        rng = np.random.default_rng(2)
+        lif = {key: np.full(6, value) for key, value in (("tau", 1e-3), ("r", 10.0), ("v_leak", 0.0), ("v_threshold", 1.0))}
+        nodes = {
+            "input": {"type": "Input", "shape": np.array([12])},
+            "fc": {"type": "Linear", "weight": np.where(np.arange(12) == 0, 30.0, rng.normal(0.05, 0.3, (6, 12)))},
+            "lif": {"type": "LIF", **lif},
+            "output": {"type": "Output"},
+        }
+        way = list(nodes)
+        self.nodes, self.edges = nodes, list(zip(way, way[1:]))
+        self.spikes = rng.random((8, 12, 60)) < 0.3
+
+    def network(self, reset):
+        return nsim._nsim.from_nodes("x", self.nodes, self.edges, [], dt_ms=0.1, reset=reset)
+
+    def test_agree_names_its_target_and_nothing_that_gains_nothing(self):
+        network = self.network("subtract")
+        for options, named in (({}, "oheo-gulch"), ({"target": "kapoho-point"}, "kapoho-point")):
+            agreement = network.agree(self.spikes, **options)
+            following = agreement.json()["next"]["command"]
+            self.assertEqual(following, f"network.agree(spikes, target='{named}', plot='first.svg')")
+            with tempfile.TemporaryDirectory() as folder:
+                path = os.path.join(folder, "first.svg")
+                again = eval(following.replace("first.svg", path), {"network": network, "spikes": self.spikes})
+                self.assertIn("<svg", Path(path).read_text())
+            self.assertEqual(again.json()["layers"], agreement.json()["layers"])
+            said = " ".join(str(agreement).split())
+            self.assertIn("What helps: weights of a layer that are similar in size", said)
+            self.assertNotIn("conversion", said)
+
+    def test_a_conversion_searches_on_arrays_and_is_not_fine_tuned(self):
+        network = self.network("zero")
+        halves = network.convert(self.spikes)
+        named = network.convert(self.spikes[4:], calibrate=self.spikes[:4])
+        self.assertEqual((named.stages, named.class_agreement), (halves.stages, halves.class_agreement))
+        turned = network.convert(np.moveaxis(self.spikes[4:], -1, 1), calibrate=np.moveaxis(self.spikes[:4], -1, 1), time_first=True)
+        self.assertEqual(turned.stages, halves.stages)
+        with self.assertRaises(nsim.Error) as raised:
+            network.convert(self.spikes, fine_tune=2)
+        self.assertEqual(raised.exception.code, "convert.fine-tune")
+        self.assertIn("spike response neurons", raised.exception.help)
 
 
 class Tables(unittest.TestCase):

@@ -124,6 +124,8 @@ impl LayerLoss {
 pub struct Attribution {
     /// 1 minus the coincidence of the machine with the trained network.
     pub disagreement: f64,
+    /// Samples that it is of.
+    pub samples: usize,
     /// How far the machine is from the trained network.
     pub machine: Distance,
     /// A row for each cause, in the order of the forward ladder.
@@ -302,6 +304,7 @@ pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &
         without: found[2 * count + place].distance,
     };
     Attribution {
+        samples: samples.len(),
         disagreement: last.map_or(0.0, lost).max(0.0),
         machine: last.map_or(Distance::EQUAL, |last| found[last].distance),
         shares: causes.iter().enumerate().map(share).collect(),

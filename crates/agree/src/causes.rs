@@ -59,8 +59,7 @@ impl Cause {
         match self {
             Cause::Weights => Some(
                 "weights of a layer that are similar in size (decay or clip large ones in training), since 8 bits \
-                 divide the range of the largest; a conversion that searches exponents; training through the \
-                 rounding, which fine-tunes a conversion",
+                 divide the range of the largest",
             ),
             _ => None,
         }

@@ -36,18 +36,21 @@ pub fn load_target(argument: &str) -> Result<Target> {
 }
 
 /// The target that is named, else that of the model or the usual one; where this lacks a kind of
-/// the model's neurons, the first shipped one that has them all.
+/// the model's neurons, the first shipped one that has them all, with a sentence on that.
 ///
 /// # Errors
 /// As [`load_target`].
-pub fn target_with_neurons(file: &NetworkFile, named: Option<&str>) -> Result<Target> {
+pub fn target_with_neurons(file: &NetworkFile, named: Option<&str>) -> Result<(Target, Option<String>)> {
     let target = load_target(file.target_or_usual(named))?;
     let neurons = file.populations.iter().filter(|population| population.loihi.is_some());
     let kinds: BTreeSet<NeuronKind> = neurons.map(|population| population.kind).collect();
     if named.is_some() || has_kinds(&target, &kinds) {
-        return Ok(target);
+        return Ok((target, None));
     }
-    Ok(shipped_with(&kinds).into_iter().next().unwrap_or(target))
+    let Some(other) = shipped_with(&kinds).into_iter().next() else { return Ok((target, None)) };
+    let lacks =
+        format!("{}, on which map puts the network, lacks its neurons: this is of {}", target.name(), other.name());
+    Ok((other, Some(lacks)))
 }
 
 fn has_kinds(target: &Target, kinds: &BTreeSet<NeuronKind>) -> bool {

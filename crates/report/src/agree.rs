@@ -419,7 +419,8 @@ pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
     let mut out: String = attribution.layers.iter().map(|layer| wrapped(&sentence(layer))).collect();
     if let (Some((cause, back)), Some(now)) = (attribution.worst_of_classes(), attribution.machine.class_agreement) {
         let words = cause.words();
-        out += &wrapped(&format!("Classes agree in {now:.3}, in {:.3} without {words}.", now + back));
+        let samples = count(attribution.samples as u64, "sample");
+        out += &wrapped(&format!("Classes agree in {now:.3} of {samples}, in {:.3} without {words}.", now + back));
     }
     let lossy = attribution.layers.iter().any(LayerLoss::is_lossy);
     if let Some(remedy) = attribution.worst().filter(|_| lossy).and_then(Cause::remedy) {

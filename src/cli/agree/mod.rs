@@ -46,7 +46,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Form::require_written("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
-    let target = target_with_neurons(network.file(), args.target.as_deref())?;
+    let (target, instead) = target_with_neurons(network.file(), args.target.as_deref())?;
+    instead.iter().for_each(|instead| tracing::warn!("{instead}"));
     let (trained, on) = ((&graph, &analytic), (&target, context));
     match models::named(&args.against)?.as_slice() {
         [] => {}

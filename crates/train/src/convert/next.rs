@@ -6,7 +6,6 @@
 
 use crate::convert::copies;
 use crate::convert::deployed::Conversion;
-use crate::convert::staged::is_real;
 use nsim_agree::attribution::{Attribution, Distance, LayerLoss, as_trained, measured};
 use nsim_agree::causes::{Cause, Rung};
 use nsim_agree::compare::output_layer;
@@ -178,20 +177,16 @@ pub fn next(
 }
 
 /// What to call next in Python, where a change of the model's file is no answer; `None` where next
-/// to nothing is lost.
+/// to nothing is lost. `target` is the one to name.
 #[must_use]
-pub fn in_python(graph: &Graph, attribution: &Attribution) -> Option<Next> {
-    let cause = attribution.worst().filter(|_| attribution.layers.iter().any(LayerLoss::is_lossy))?;
-    let rounds = matches!(cause, Cause::Weights | Cause::Decays | Cause::State) && is_real(graph);
-    let (what, command) = match rounds {
-        true => ("searches scales and exponents on samples, and says what that gains", "network.convert(spikes)"),
-        false => (
-            "draws both potentials around the first spike in which they part",
-            "network.agree(spikes, plot='first.svg')",
-        ),
-    };
-    let cause = rounds.then_some(cause);
-    Some(Next { cause, what: what.to_string(), command: command.to_string() })
+pub fn in_python(attribution: &Attribution, target: Option<&str>) -> Option<Next> {
+    attribution.worst().filter(|_| attribution.layers.iter().any(LayerLoss::is_lossy))?;
+    let target = target.map_or(String::new(), |target| format!(", target='{target}'"));
+    Some(Next {
+        cause: None,
+        what: "draws both potentials around the first spike in which they part".to_string(),
+        command: format!("network.agree(spikes{target}, plot='first.svg')"),
+    })
 }
 
 fn remedy(
