@@ -6,11 +6,13 @@ use crate::common::compare::{Shown, Trace, assert_on_machine, roomy, trace};
 use crate::common::random::{self, Draw};
 use crate::common::{Builder, format, neuron};
 use nsim::compile::{Options, compile};
+use nsim::dynamics;
 use nsim::dynamics::synapses::Enumerate;
 use nsim::golden::Golden;
-use nsim::ir::base::fixed::{Payload, SignMode};
+use nsim::ir::base::fixed::{MessageBits, Payload, SignMode};
 use nsim::ir::base::id::ChannelId;
-use nsim::ir::graph::Shape;
+use nsim::ir::graph::{Shape, Window};
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Parts, Quantised};
 use nsim::ir::spikes::{Message, Sample};
@@ -155,5 +157,42 @@ fn every_form_of_synapses_carries_payloads() {
         let sample = Sample::new(8, &events, None).unwrap();
         let expected = compared(&network, &sample, &format!("{targets} targets, {fan_out} synapses"));
         assert!(expected.totals.spikes > 0);
+    }
+}
+
+/// Values grow until sums no longer fit 32 bits, while others are on their way; sources of a
+/// convolution have more rows of weights than are queued unchecked.
+#[test]
+fn values_may_outgrow_the_sums_that_they_began_with() {
+    let (from, to, once) = ((2, 24, 24), (4, 14, 14), (1, 1));
+    for delay in [0, 3] {
+        let mut net = Builder::new();
+        let input = net.input_shape("in", Shape::Volume(from.0, from.1, from.2));
+        let sums = vec![dynamics::neuron(NeuronKind::Sigma, &[]).unwrap(); (to.0 * to.1 * to.2) as usize];
+        let out = net.each("out", Shape::Volume(to.0, to.1, to.2), &sums, 0);
+        let window = Window {
+            source: from,
+            target: to,
+            kernel: (11, 11),
+            stride: once,
+            padding: (0, 0),
+            dilation: once,
+            groups: 1,
+        };
+        let kernel = (0..2 * 4 * 121).map(|k| k % 101 * 2 - 100).collect();
+        net.connect((input, out), format(SignMode::Mixed, 0), delay, Connectivity::Conv2d { window, kernel });
+        for population in net.parts.populations.iter_mut() {
+            population.message = Message::Value(MessageBits::MAX);
+        }
+        let network = net.build();
+        for greatest in [1 << 10, 1 << 30] {
+            let value = |t: u32, c: u32| ((c * 7919 + t) as i32 % (greatest >> (14 - 2 * t)).max(2)) - 1;
+            let events: Vec<_> =
+                (0..7).flat_map(|t| (0..1_152).step_by(3).map(move |c| (t, ChannelId(c), value(t, c)))).collect();
+            let sample = Sample::with_values(12, &events, None).unwrap();
+            let seen = compared(&network, &sample, &format!("delay {delay}, values below {greatest}"));
+            assert!(seen.totals.synaptic_events > 100_000);
+            assert_eq!(seen.overflow.any(), greatest > 1 << 20);
+        }
     }
 }

@@ -79,6 +79,7 @@ pub struct Machine {
     carried_payloads: Vec<i32>,
     /// Scratch memory for sorting.
     marks: Vec<u64>,
+    by_id: Vec<i32>,
     /// Synaptic events that the last step counted; the next will have about as many.
     last_events: u64,
     /// Of the sample, without events of undelivered spikes and without the residual.
@@ -108,6 +109,7 @@ impl Machine {
             carried: Vec::new(),
             carried_payloads: Vec::new(),
             marks: Vec::new(),
+            by_id: Vec::new(),
             last_events: 0,
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
@@ -265,7 +267,10 @@ impl Machine {
         }
         match (image.sorts_spikes, image.payloads.is_empty()) {
             (true, true) => exchange::sort(&mut self.spikes, &mut self.marks, image.lanes.len()),
-            (true, false) => exchange::sort_graded(&mut self.spikes, &mut self.payloads),
+            (true, false) => {
+                let spikes = (&mut self.spikes, self.payloads.as_mut_slice());
+                exchange::sort_graded(spikes, &mut self.marks, &mut self.by_id, image.lanes.len());
+            }
             (false, _) => {}
         }
         if let Some(others) = &mut self.others {

@@ -37,16 +37,31 @@ pub struct Effects {
     pub busy: u64,
 }
 
+/// Bits of the lanes of a block, by chunk.
+pub type Flags = [[u8; CHUNK]; MOST_LANES / CHUNK];
+
 impl Effects {
-    /// Adds those of a chunk: of each lane a bit for every field, in their order.
+    /// Those of the first lanes of a block, this many: of each lane a bit for every field, in their
+    /// order.
     #[inline(always)]
-    pub(super) fn add(&mut self, chunk: usize, flags: &[u32; CHUNK]) {
-        let Effects { emitted, active, wrapped, clipped, busy } = self;
-        for (flag, set) in [emitted, active, wrapped, clipped, busy].into_iter().enumerate() {
-            let bit = |(lane, flags): (usize, &u32)| u64::from(flags >> flag & 1) << lane;
-            *set |= flags.iter().enumerate().map(bit).sum::<u64>() << (chunk * CHUNK);
-        }
+    pub(super) fn new(lanes: usize, flags: &Flags) -> Self {
+        let [emitted, active, wrapped, clipped, busy] =
+            [0, 1, 2, 3, 4].map(|bit| lanes_with(bit, flags) & u64::MAX >> (MOST_LANES - lanes));
+        Effects { emitted, active, wrapped, clipped, busy }
     }
+}
+
+/// The lanes with this bit.
+#[inline(always)]
+#[must_use]
+pub fn lanes_with(bit: u32, flags: &Flags) -> u64 {
+    let mut set = 0;
+    for (lane, bytes) in (0..).step_by(8).zip(flags.as_flattened().as_chunks().0) {
+        let ones = u64::from_le_bytes(*bytes) >> bit & 0x0101_0101_0101_0101;
+        // The highest byte of the product has the lowest bit of each byte, in order.
+        set |= (ones.wrapping_mul(0x0102_0408_1020_4080) >> 56) << lane;
+    }
+    set
 }
 
 /// The update of a block.
@@ -63,4 +78,22 @@ pub trait Updater: Debug + Send + Sync {
     fn words(&self) -> usize;
     /// Whether its messages carry what it computes.
     fn computes(&self) -> bool;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_lane_has_a_bit() {
+        for set in (0..64).map(|lane| 1u64 << lane).chain([0, u64::MAX, 0x0123_4567_89ab_cdef]) {
+            for bit in 0..8 {
+                let others = 0xff ^ 1u8 << bit;
+                let flags: Flags = std::array::from_fn(|chunk| {
+                    std::array::from_fn(|lane| others | ((set >> (chunk * CHUNK + lane) & 1) as u8) << bit)
+                });
+                assert_eq!(lanes_with(bit, &flags), set, "{bit}");
+            }
+        }
+    }
 }

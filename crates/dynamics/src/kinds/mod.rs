@@ -17,7 +17,7 @@ mod neuron;
 mod resonator;
 mod sigma_delta;
 
-pub use block::{Block, Effects, MOST_LANES, Updater};
+pub use block::{Block, Effects, Flags, MOST_LANES, Updater, lanes_with};
 pub use neuron::{Arrived, CHUNK, Columns, Emission, Left, Neuron};
 
 use std::marker::PhantomData;
@@ -47,7 +47,7 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
     fn call(self) -> Effects {
         let Run(Chunked { lanes, parameters, .. }, block) = self;
         let (words, of_parameters) = (N::State::COUNT, N::Parameters::COUNT);
-        let mut effects = Effects::default();
+        let mut flags = Flags::default();
         for (chunk, sent) in block.sent.iter_mut().enumerate() {
             let parameters = &parameters[chunk * of_parameters..(chunk + 1) * of_parameters];
             let columns = &mut block.columns[chunk * words..(chunk + 1) * words];
@@ -55,7 +55,7 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
             // On the stack, so that nothing can lie behind two names.
             let mut state = [[0; CHUNK]; MOST_COLUMNS];
             state[..words].copy_from_slice(columns);
-            let (mut values, mut flags) = (*sent, [0u32; CHUNK]);
+            let (mut values, mut of_chunk) = (*sent, [0; CHUNK]);
             for lane in 0..CHUNK {
                 let p = N::Parameters::load(parameters, lane);
                 let (mut s, mut left) = (N::State::load(&state, lane), Left::default());
@@ -68,7 +68,7 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
                 if N::VALUES {
                     values[lane] = choice(sends, value, values[lane]);
                 }
-                flags[lane] = (sends & 1) as u32
+                of_chunk[lane] = (sends & 1) as u32
                     | u32::from(active) << 1
                     | u32::from(left.any_wrapped()) << 2
                     | u32::from(left.any_clipped()) << 3
@@ -76,12 +76,11 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
             }
             columns.copy_from_slice(&state[..words]);
             *sent = values;
-            effects.add(chunk, &flags);
+            for (byte, flags) in flags[chunk].iter_mut().zip(of_chunk) {
+                *byte = flags as u8;
+            }
         }
-        let own = u64::MAX >> (MOST_LANES - lanes);
-        let Effects { emitted, active, wrapped, clipped, busy } = effects;
-        let [emitted, active, wrapped, clipped, busy] = [emitted, active, wrapped, clipped, busy].map(|set| set & own);
-        Effects { emitted, active, wrapped, clipped, busy }
+        Effects::new(*lanes, &flags)
     }
 }
 

@@ -1,8 +1,8 @@
 //! What a spike adds to a sum of arrivals: the weight, or weight times payload.
 //!
-//! Binary spikes are summed in 16 or 32 bits, graded ones in 64: a product of a weight and a
-//! payload has up to 39 bits. The payload is a type, so that delivery of binary spikes has no
-//! multiplication and no look-up.
+//! Binary spikes are summed in 16 or 32 bits, graded ones in 32 while payloads are small enough and
+//! in 64 from then on: a product of a weight and a payload has up to 47 bits. The payload is a type,
+//! so that delivery of binary spikes has no multiplication and no look-up.
 
 use crate::update::kernel::Sum;
 
@@ -20,6 +20,14 @@ impl<S: Sum> Accumulate<()> for S {
     }
 }
 
+/// For payloads with which no sum of a compartment leaves 32 bits.
+impl Accumulate<i32> for i32 {
+    #[inline(always)]
+    fn accumulate(self, weight: i16, payload: i32) -> Self {
+        self + i32::from(weight) * payload
+    }
+}
+
 impl Accumulate<i32> for i64 {
     #[inline(always)]
     fn accumulate(self, weight: i16, payload: i32) -> Self {
@@ -30,7 +38,7 @@ impl Accumulate<i32> for i64 {
 /// Bits of a sum in units of 64 that the update can see: registers have at most 32.
 const SEEN_BITS: u32 = 26;
 
-/// For graded spikes.
+/// For graded spikes whose payloads are large.
 impl Sum for i64 {
     const WIDE: bool = true;
 
@@ -49,8 +57,9 @@ impl Sum for i64 {
     }
 
     #[inline(always)]
-    fn whole(self) -> i64 {
-        self
+    fn shifted(self, bits: u8) -> (i32, bool) {
+        let whole = self >> bits;
+        (whole as i32, i64::from(whole as i32) != whole)
     }
 }
 

@@ -36,12 +36,7 @@ pub(crate) struct DelayRing<S> {
 
 impl<S: Sum> Clone for DelayRing<S> {
     fn clone(&self) -> Self {
-        // Untouched pages stay untouched.
-        let mut sums = Aligned::new(self.sums.len());
-        let end = self.lanes * self.slots();
-        sums[..end].copy_from_slice(&self.sums[..end]);
-        let (marks, marked) = (self.marks.clone(), self.marked.clone());
-        DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), row_queue: Vec::new() }
+        self.in_type()
     }
 }
 
@@ -70,6 +65,16 @@ impl Arrivals<'_> {
 }
 
 impl<S: Sum> DelayRing<S> {
+    /// The same with sums of this type.
+    pub fn in_type<T: Sum + From<S>>(&self) -> DelayRing<T> {
+        // Untouched pages stay untouched.
+        let mut sums = Aligned::new(self.sums.len());
+        let all = self.lanes * self.slots();
+        sums[..all].iter_mut().zip(&self.sums[..all]).for_each(|(to, &sum)| *to = sum.into());
+        let (marks, marked) = (self.marks.clone(), self.marked.clone());
+        DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), row_queue: Vec::new() }
+    }
+
     /// An empty ring of this many lanes and slots; `compact` if a list of the shard is.
     pub fn new(lanes: usize, compact: bool, slots: usize) -> Self {
         // What lies beyond the slots is untouched pages, which the OS never commits.
@@ -243,8 +248,13 @@ impl<S: Sum> DelayRing<S> {
             block.ranges.iter().for_each(|range| self.mark(slot, range.lanes()));
         }
         let (fours, rest) = spikes.as_chunks::<4>();
-        fours.iter().for_each(|four| self.add_together(block, weights, four, slot));
-        rest.iter().for_each(|one| self.add_together(block, weights, std::array::from_ref(one), slot));
+        // Closures would not be compiled for the processor's vectors.
+        for four in fours {
+            self.add_together(block, weights, four, slot);
+        }
+        for one in rest {
+            self.add_together(block, weights, std::array::from_ref(one), slot);
+        }
         block.synapses(spikes)
     }
 
@@ -269,8 +279,10 @@ impl<S: Sum> DelayRing<S> {
             for (chunk, sums) in sums.iter_mut().enumerate() {
                 let mut kept = *sums;
                 for (source, spike) in sources.iter().zip(spikes) {
-                    let weights = source[chunk].map(Into::into);
-                    add_weights(std::array::from_mut(&mut kept), &[weights], spike.payload());
+                    let (weights, payload) = (&source[chunk], spike.payload());
+                    for lane in 0..LANES {
+                        kept[lane] = kept[lane].accumulate(weights[lane].into(), payload);
+                    }
                 }
                 *sums = kept;
             }
@@ -314,15 +326,15 @@ impl<S: Sum> DelayRing<S> {
     where
         S: Accumulate<P::Payload>,
     {
-        let mut queue = std::mem::take(&mut self.row_queue);
+        let (mut queue, mut payloads) = (std::mem::take(&mut self.row_queue), Vec::new());
         let mut events = 0;
         // A loop over the few rows of each spike would end in a mispredicted branch, so rows of
-        // many spikes are queued; graded spikes come one by one, as queued rows do not know theirs.
-        for spikes in spikes.chunks(if P::BINARY { QUEUED_SPIKES } else { 1 }) {
-            let (rows, synapses) = enqueue_rows(table, spikes, &mut queue);
+        // many spikes are queued.
+        for spikes in spikes.chunks(QUEUED_SPIKES) {
+            let (rows, synapses) = enqueue_rows(table, spikes, (&mut queue, &mut payloads));
             events += synapses;
-            for place in &queue[..rows] {
-                self.add_row::<MARK, P>(table, *place, spikes[0].payload(), slot);
+            for (place, payload) in queue[..rows].iter().zip(&payloads) {
+                self.add_row::<MARK, P>(table, *place, *payload, slot);
             }
         }
         self.row_queue = queue;
@@ -394,10 +406,16 @@ const QUEUED_SPIKES: usize = 512;
 /// their use: each tells where the next is.
 const PREFETCH_SPIKES: [usize; 3] = [24, 16, 8];
 
-/// Queues the rows of these spikes; returns their number and that of the synapses in them.
+/// Queues the rows of these spikes and what each carries; returns their number and that of the
+/// synapses in them.
 #[inline(always)]
-fn enqueue_rows(table: &RowTable, spikes: &[impl Spike], queue: &mut Vec<RowPlace>) -> (usize, u64) {
+fn enqueue_rows<P: Spike>(
+    table: &RowTable,
+    spikes: &[P],
+    (queue, payloads): (&mut Vec<RowPlace>, &mut Vec<P::Payload>),
+) -> (usize, u64) {
     let (mut end, mut events) = (0, 0);
+    payloads.resize(queue.len(), spikes[0].payload());
     for (index, spike) in spikes.iter().enumerate() {
         let far = PREFETCH_SPIKES.map(|ahead| spikes.get(index + ahead));
         if let Some(spike) = far[0] {
@@ -414,15 +432,20 @@ fn enqueue_rows(table: &RowTable, spikes: &[impl Spike], queue: &mut Vec<RowPlac
         events += u64::from(stencil.synapses);
         if queue.len() < end + places.len() {
             queue.resize(2 * (end + places.len()), places[0]);
+            payloads.resize(queue.len(), spike.payload());
         }
         if let (Some(queued), Some(unchecked)) =
             (queue[end..].first_chunk_mut::<UNCHECKED>(), places.first_chunk::<UNCHECKED>())
         {
             *queued = unchecked.map(|place| place.after(origin.lane));
         }
+        if let Some(payloads) = payloads[end..].first_chunk_mut::<UNCHECKED>() {
+            *payloads = [spike.payload(); UNCHECKED];
+        }
         if rows > UNCHECKED {
             let others = queue[end + UNCHECKED..end + rows].iter_mut().zip(&places[UNCHECKED..]);
             others.for_each(|(queued, place)| *queued = place.after(origin.lane));
+            payloads[end + UNCHECKED..end + rows].fill(spike.payload());
         }
         end += rows;
     }

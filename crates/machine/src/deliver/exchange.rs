@@ -26,11 +26,19 @@ pub(crate) fn sort(ids: &mut Vec<CompartmentId>, marks: &mut Vec<u64>, count: us
     ids.truncate(total);
 }
 
-/// Sorts distinct ids and what the spike of each carries.
-pub(crate) fn sort_graded(ids: &mut [CompartmentId], payloads: &mut [i32]) {
-    let mut pairs: Vec<(CompartmentId, i32)> = ids.iter().copied().zip(payloads.iter().copied()).collect();
-    pairs.sort_unstable_by_key(|pair| pair.0);
-    for ((id, payload), pair) in ids.iter_mut().zip(payloads).zip(pairs) {
-        (*id, *payload) = pair;
+/// Sorts distinct ids below `count` and what the spike of each carries; `by_id` is scratch memory.
+pub(crate) fn sort_graded(
+    (ids, payloads): (&mut Vec<CompartmentId>, &mut [i32]),
+    marks: &mut Vec<u64>,
+    by_id: &mut Vec<i32>,
+    count: usize,
+) {
+    by_id.resize(count, 0);
+    for (id, &payload) in ids.iter().zip(&*payloads) {
+        by_id[id.index()] = payload;
+    }
+    sort(ids, marks, count);
+    for (id, payload) in ids.iter().zip(payloads) {
+        *payload = by_id[id.index()];
     }
 }

@@ -48,17 +48,6 @@ pub enum ImageError {
     TooMany(usize),
 }
 
-/// The type that the arrivals of a step are summed in. Sums are in units of 64.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum SumWidth {
-    /// No sum of binary spikes can leave 16 bits.
-    Bits16,
-    /// Binary spikes.
-    Bits32,
-    /// Graded spikes.
-    Bits64,
-}
-
 /// A program laid out.
 #[derive(Debug)]
 pub struct Image {
@@ -87,10 +76,15 @@ pub struct Image {
     /// First lane of each shard, over all.
     pub(crate) bases: Vec<u32>,
     pub(crate) shards: Vec<Shard>,
-    pub(crate) sum_width: SumWidth,
+    /// Whether spikes are binary and no sum of arrivals can leave 16 bits.
+    pub(crate) narrow_sums: bool,
+    /// The greatest magnitude of payloads with which no sum of arrivals can leave 32 bits.
+    pub(crate) exact_up_to: u32,
     /// What a message of each source carries, channels first, 1 for binary spikes, and `None` where
     /// that differs from message to message; empty if sums of 32 bits do.
     pub(crate) payloads: Vec<Option<i32>>,
+    /// Whether each compartment reaches any; empty as `payloads`.
+    pub(crate) has_synapses: Vec<bool>,
     /// Whether a message carries anything.
     pub(crate) graded: bool,
     pub(crate) channels: u32,
@@ -129,8 +123,10 @@ impl Image {
             has_blocks: false,
             bases: Vec::new(),
             shards: Vec::new(),
-            sum_width: SumWidth::Bits16,
+            narrow_sums: true,
+            exact_up_to: 1,
             payloads: payloads(program),
+            has_synapses: Vec::new(),
             graded: !parts.graded.is_empty(),
             channels: program.channels(),
             delivery_counts_channels: false,
@@ -141,6 +137,8 @@ impl Image {
         let blocks = image.lay_out();
         image.held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE).count();
         image.check_fan_in()?;
+        let events = |source| image.tally().events_within(std::iter::once(source), u32::MAX);
+        image.has_synapses = (image.channels..image.payloads.len() as u32).map(|source| events(source) > 0).collect();
         image.split_into_shards(blocks, shards);
         image.name();
         image.connect()?;
@@ -334,8 +332,8 @@ impl Image {
         }
     }
 
-    /// Chooses the type of sums: each synapse adds at most once a step, so no sum exceeds that of
-    /// all absolute weights, times the largest payload.
+    /// Bounds sums: each synapse adds at most once a step, so none exceeds that of all absolute
+    /// weights, times the largest payload.
     fn check_fan_in(&mut self) -> Result<(), ImageError> {
         // A value that is wider than its population says is sent whole.
         let greatest = |payload: &Option<i32>| payload.map_or(1 << 31, |payload| u64::from(payload.unsigned_abs()));
@@ -346,18 +344,15 @@ impl Image {
             let mut weight = vec![0u64; class.compartments.len()];
             for synapse in class.inputs.synapses() {
                 let units = arithmetic::units(&synapse, &class.formats).unsigned_abs();
-                weight[usize::from(synapse.slot)] += u64::from(units) * factor;
+                weight[usize::from(synapse.slot)] += u64::from(units);
             }
-            if let Some(slot) = weight.iter().position(|&weight| weight >= 1 << bits) {
+            if let Some(slot) = weight.iter().position(|&weight| weight.saturating_mul(factor) >= 1 << bits) {
                 return Err(ImageError::FanIn(self.program.cores()[*first].ids[slot], bits));
             }
             most = weight.into_iter().fold(most, u64::max);
         }
-        self.sum_width = match self.payloads.is_empty() {
-            true if most <= i16::MAX as u64 => SumWidth::Bits16,
-            true => SumWidth::Bits32,
-            false => SumWidth::Bits64,
-        };
+        self.narrow_sums = self.payloads.is_empty() && most <= i16::MAX as u64;
+        self.exact_up_to = (i32::MAX as u64 / most.max(1)) as u32;
         Ok(())
     }
 

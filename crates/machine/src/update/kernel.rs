@@ -114,10 +114,11 @@ pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'sta
     fn plus(self, weight: i16) -> Self;
     /// The sum, as the update of registers sees it.
     fn value(self) -> i32;
-    /// The sum itself.
+    /// The sum shifted to the right by at most 31 bits, as the update of words sees it, and whether
+    /// that leaves 32 bits.
     #[inline(always)]
-    fn whole(self) -> i64 {
-        self.value().into()
+    fn shifted(self, bits: u8) -> (i32, bool) {
+        (self.value() >> bits, false)
     }
 }
 

@@ -10,14 +10,14 @@ use std::ops::Range;
 use crate::bits::{UNCHECKED, ones, write_ones};
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::{Arrivals, DelayRing};
-use crate::layout::image::{Image, SumWidth};
+use crate::layout::image::Image;
 use crate::layout::lane_order::SECOND_PORT;
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::layout::store::Aligned;
 use crate::update::kernel;
 use crate::update::kernel::{LANES, Portable, Sum, Vectors};
 use nsim_dynamics::arithmetic::falls_on;
-use nsim_dynamics::kinds::{Block, CHUNK};
+use nsim_dynamics::kinds::{Block, CHUNK, Flags, lanes_with};
 use nsim_dynamics::{Effect, Registers, update};
 use nsim_ir::activity::Overflow;
 use nsim_ir::arithmetic::Semantics;
@@ -99,26 +99,45 @@ impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
     #[inline(always)]
     fn call(self) {
         let With(Step { state: ShardState { state, rings }, image, shard, input, channel_counts }, vectors) = self;
-        let spikes = (input.channels, channel_counts, input.carried);
-        match rings {
-            Rings::Bits16(ring) => state.step(ring, image, shard, *input, spikes, vectors),
-            Rings::Bits32(ring) => state.step(ring, image, shard, *input, spikes, vectors),
-            Rings::Bits64(ring) => {
-                let mut given = input.channel_values.iter().copied();
-                let graded = |&id: &ChannelId| {
-                    let given = given.next().unwrap_or(1);
-                    GradedSpike { id, payload: image.payloads[id.index()].unwrap_or(given) }
-                };
-                let channels: Vec<_> = input.channels.iter().map(graded).collect();
-                let carried = input.carried.iter().zip(input.carried_payloads);
-                let carried: Vec<_> = carried.map(|(&id, &payload)| GradedSpike { id, payload }).collect();
-                state.step(ring, image, shard, *input, (&channels, spikes.1, &carried), vectors);
-                let emitted = state.spiked[..state.spiking].iter().map(|&lane| state.sent[lane as usize]);
-                state.payloads.clear();
-                state.payloads.extend(emitted);
+        let graded = (!image.payloads.is_empty()).then(|| graded(image, input));
+        if let (Rings::Bits32(ring), Some((channels, carried))) = (&*rings, &graded) {
+            // What reaches nothing, such as a sum that is read out, may be large.
+            let carried = carried.iter().filter(|spike| image.has_synapses[spike.id.index()]);
+            let payloads = channels.iter().map(|spike| spike.payload).chain(carried.map(|spike| spike.payload));
+            if payloads.fold(0, |most, payload| most.max(payload.unsigned_abs())) > image.exact_up_to {
+                *rings = Rings::Bits64(ring.in_type());
             }
         }
+        let binary = (input.channels, &mut *channel_counts, input.carried);
+        match (rings, &graded) {
+            (Rings::Bits16(ring), _) => state.step(ring, image, shard, *input, binary, vectors),
+            (Rings::Bits32(ring), None) => state.step(ring, image, shard, *input, binary, vectors),
+            (Rings::Bits32(ring), Some((channels, carried))) => {
+                state.step(ring, image, shard, *input, (channels, channel_counts, carried), vectors);
+            }
+            (Rings::Bits64(ring), graded) => {
+                let (channels, carried) = graded.as_ref().map_or((&[][..], &[][..]), |(a, b)| (a, b));
+                state.step(ring, image, shard, *input, (channels, channel_counts, carried), vectors);
+            }
+        }
+        if graded.is_some() {
+            let emitted = state.spiked[..state.spiking].iter().map(|&lane| state.sent[lane as usize]);
+            state.payloads.clear();
+            state.payloads.extend(emitted);
+        }
     }
+}
+
+/// The messages of a step and what each carries.
+fn graded(image: &Image, input: &StepInput) -> (Vec<GradedSpike<ChannelId>>, Vec<GradedSpike<CompartmentId>>) {
+    let mut given = input.channel_values.iter().copied();
+    let graded = |&id: &ChannelId| {
+        let given = given.next().unwrap_or(1);
+        GradedSpike { id, payload: image.payloads[id.index()].unwrap_or(given) }
+    };
+    let channels = input.channels.iter().map(graded).collect();
+    let carried = input.carried.iter().zip(input.carried_payloads);
+    (channels, carried.map(|(&id, &payload)| GradedSpike { id, payload }).collect())
 }
 
 /// The state of a shard.
@@ -133,6 +152,7 @@ pub(crate) struct ShardState {
 enum Rings {
     Bits16(DelayRing<i16>),
     Bits32(DelayRing<i32>),
+    /// Once a graded spike carried more than [`Image::exact_up_to`].
     Bits64(DelayRing<i64>),
 }
 
@@ -220,10 +240,9 @@ impl ShardState {
             visited: 0,
         };
         let compact = shard.has_compact_lists();
-        let rings = match image.sum_width {
-            SumWidth::Bits16 => Rings::Bits16(DelayRing::new(shard.lanes, compact, slots)),
-            SumWidth::Bits32 => Rings::Bits32(DelayRing::new(shard.lanes, compact, slots)),
-            SumWidth::Bits64 => Rings::Bits64(DelayRing::new(shard.lanes, compact, slots)),
+        let rings = match image.narrow_sums {
+            true => Rings::Bits16(DelayRing::new(shard.lanes, compact, slots)),
+            false => Rings::Bits32(DelayRing::new(shard.lanes, compact, slots)),
         };
         ShardState { state, rings }
     }
@@ -474,11 +493,12 @@ impl CompartmentState {
             sums.fill(S::default());
             return words.updater.wakes();
         }
-        let effects = self.update_words(sums, image, shard, words, input);
+        let effects = input.arch.dispatch(UpdateWords { state: self, sums, image, shard, words, input });
         self.count(shard, index, effects, *input)
     }
 
     /// Updates compartments whose state is words.
+    #[inline(always)]
     fn update_words<S: Sum>(
         &mut self,
         sums: &mut [S],
@@ -494,30 +514,34 @@ impl CompartmentState {
         if image.reset.is_some_and(|reset| falls_on(reset, input.step, *resets_from)) {
             updater.clear(columns);
         }
-        let (mut arrived, mut reached, mut narrowed) = ([[0; SKIP_BLOCK]; 2], 0u64, 0u64);
+        let (mut arrived, mut flags) = ([[[0; CHUNK]; SKIP_BLOCK / CHUNK]; 2], Flags::default());
         for (port, arrived) in arrived.iter_mut().enumerate().take(1 + usize::from(*two_ports)) {
-            let sums = sums.iter_mut().skip(port * SECOND_PORT as usize).take(lanes);
-            for (lane, (sum, arrived)) in sums.zip(arrived).enumerate() {
-                let whole = std::mem::take(sum).whole();
-                reached |= u64::from(whole != 0) << lane;
-                let whole = whole >> shift;
-                *arrived = whole as i32;
-                narrowed |= u64::from(i64::from(*arrived) != whole) << lane;
+            let sums = sums[port * SECOND_PORT as usize..].as_chunks_mut::<CHUNK>().0;
+            for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags).take(chunks) {
+                for lane in 0..CHUNK {
+                    let (sum, leaves) = sums[lane].shifted(*shift);
+                    arrived[lane] = sum;
+                    flags[lane] |= u8::from(sums[lane] != S::default()) | u8::from(leaves) << 1;
+                }
+                *sums = [S::default(); CHUNK];
             }
         }
+        let (reached, narrowed) = (lanes_with(0, &flags), lanes_with(1, &flags));
         let sent = &mut self.sent[start..start + chunks * CHUNK].as_chunks_mut().0[..chunks];
-        let arrived = [arrived[0].as_chunks().0, arrived[1].as_chunks().0];
+        let arrived = [&arrived[0][..], &arrived[1][..]];
         let effects = updater.update(&mut Block { columns, arrived, sent, step: input.step, vectors: input.arch });
         let mut too_wide = 0;
         if *bits == 0 && updater.computes() {
             // Each message counts as 1.
             self.sent[start..start + lanes].fill(1);
         } else if *bits > 0 && *bits < 32 {
-            for (lane, &value) in self.sent[start..start + lanes].iter().enumerate() {
-                let leaves = value << (32 - bits) >> (32 - bits) != value;
-                too_wide |= u64::from(leaves) << lane;
+            let sent = self.sent[start..start + chunks * CHUNK].as_chunks::<CHUNK>().0;
+            for (values, flags) in sent.iter().zip(&mut flags) {
+                for (leaves, &value) in flags.iter_mut().zip(values) {
+                    *leaves = u8::from(value << (32 - bits) >> (32 - bits) != value);
+                }
             }
-            too_wide &= effects.emitted;
+            too_wide = lanes_with(0, &flags) & effects.emitted;
         }
         let (clips, wraps) = (effects.clipped, effects.wrapped | too_wide);
         let mut reported = narrowed | wraps | clips;
@@ -645,6 +669,27 @@ impl CompartmentState {
             }
         }
         effects
+    }
+}
+
+/// [`CompartmentState::update_words`], in the form in which `pulp` runs it with the processor's
+/// vectors.
+struct UpdateWords<'a, S> {
+    state: &'a mut CompartmentState,
+    sums: &'a mut [S],
+    image: &'a Image,
+    shard: &'a Shard,
+    words: &'a WordBlock,
+    input: &'a StepInput<'a>,
+}
+
+impl<S: Sum> pulp::NullaryFnOnce for UpdateWords<'_, S> {
+    type Output = RunEffects;
+
+    #[inline(always)]
+    fn call(self) -> RunEffects {
+        let UpdateWords { state, sums, image, shard, words, input } = self;
+        state.update_words(sums, image, shard, words, input)
     }
 }
 

@@ -19,7 +19,7 @@ use nsim_ir::neurons::{Emits, MicrocodeKind, NeuronKind, Row};
 
 use self::compile::Code;
 use self::run::{CHUNKS, Registers};
-use super::block::{Block, Effects, MOST_LANES, Updater};
+use super::block::{Block, Effects, Updater};
 use super::neuron::CHUNK;
 
 /// The update of neurons of one kind.
@@ -100,15 +100,10 @@ impl Programmed {
         sent: &mut [[i32; CHUNK]],
         vectors: pulp::Arch,
     ) -> Effects {
-        let Programmed { code, lanes, fixed, .. } = self;
+        let &Programmed { ref code, lanes, ref fixed, .. } = self;
         REGISTERS.with_borrow_mut(|registers| {
             registers.make_room(&code.step);
-            let effects = vectors.dispatch(run::Step { code, fixed, registers, columns, arrived, sent });
-            let own = u64::MAX >> (MOST_LANES - lanes);
-            let Effects { emitted, active, wrapped, clipped, busy } = effects;
-            let [emitted, active, wrapped, clipped, busy] =
-                [emitted, active, wrapped, clipped, busy].map(|set| set & own);
-            Effects { emitted, active, wrapped, clipped, busy }
+            vectors.dispatch(run::Step { code, lanes, fixed, registers, columns, arrived, sent })
         })
     }
 }

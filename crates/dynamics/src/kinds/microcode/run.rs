@@ -6,7 +6,7 @@
 
 use nsim_ir::microcode::{Operation, Overflow};
 
-use super::super::block::{Effects, MOST_LANES};
+use super::super::block::{Effects, Flags, MOST_LANES};
 use super::super::neuron::{CHUNK, mask};
 use super::compile::{Action, Code, FIXED, Instruction, NONE, Place, Section, WORDS};
 
@@ -298,6 +298,7 @@ pub(super) fn fix(code: &Code, registers: &mut Registers) {
 /// A step of a block, in the form in which `pulp` runs it with the processor's vectors.
 pub(super) struct Step<'s> {
     pub code: &'s Code,
+    pub lanes: usize,
     pub fixed: &'s Registers,
     pub registers: &'s mut Registers,
     pub columns: &'s mut [[i32; CHUNK]],
@@ -310,7 +311,7 @@ impl pulp::NullaryFnOnce for Step<'_> {
 
     #[inline(always)]
     fn call(self) -> Effects {
-        let Step { code, fixed, registers, columns, arrived, sent } = self;
+        let Step { code, lanes, fixed, registers, columns, arrived, sent } = self;
         let (chunks, words) = (sent.len(), code.words);
         for (register, arrived) in registers.narrow.iter_mut().zip(arrived).take(code.ports) {
             register[..chunks].copy_from_slice(&arrived[..chunks]);
@@ -323,7 +324,7 @@ impl pulp::NullaryFnOnce for Step<'_> {
         let mut left: [Register<i32>; 2] = Default::default();
         execute(&code.step.instructions, fixed, registers, &mut left, chunks);
         let register = |place: Place| at(&fixed.narrow, &registers.narrow, place);
-        let mut effects = Effects::default();
+        let mut flags = Flags::default();
         for (chunk, values) in sent.iter_mut().enumerate() {
             let sends = register(code.sent)[chunk];
             let [wrapped, clipped] = [left[0][chunk], left[1][chunk]];
@@ -342,15 +343,18 @@ impl pulp::NullaryFnOnce for Step<'_> {
                     values[lane] = if sends[lane] != 0 { message[lane] } else { values[lane] };
                 }
             }
-            let mut flags = [0u32; CHUNK];
+            let mut of_chunk = [0; CHUNK];
             for lane in 0..CHUNK {
                 let (wraps, clips) = (wrapped[lane] < 0, clipped[lane] < 0);
                 let active = (moved[lane] != 0) | wraps | clips;
-                flags[lane] =
+                of_chunk[lane] =
                     sends[lane] as u32 | u32::from(active) << 1 | u32::from(wraps) << 2 | u32::from(clips) << 3;
             }
-            effects.add(chunk, &flags);
+            for (byte, flags) in flags[chunk].iter_mut().zip(of_chunk) {
+                *byte = flags as u8;
+            }
         }
+        let effects = Effects::new(lanes, &flags);
         // What moved may move again; the next update shows.
         Effects { busy: effects.active, ..effects }
     }
