@@ -406,7 +406,7 @@ fn axons_out(
     let lists = |firsts: &[CoreId]| {
         let mut messages: Vec<Vec<(u16, Reached)>> = vec![Vec::new(); firsts.len()];
         let mut reached = vec![0u32; firsts.len()];
-        for (senders, received) in received.iter() {
+        for (senders, received) in received {
             let begin = senders.partition_point(|sender| *sender < firsts[0]);
             let those = (begin..).zip(&senders[begin..]).take_while(|(_, sender)| Some(*sender) <= firsts.last());
             for (number, sender) in those {

@@ -123,7 +123,8 @@ impl<'a> Flattener<'a> {
         let place = |shard: usize, delay: u8| (shard * self.delays.len() + place_of[usize::from(delay)]) as u32;
         for batch in self.tables.batches(sources.clone()) {
             // Found core by core, then put in the order of messages.
-            let (mut synapses, mut rows): (Vec<(u32, LaneWeight)>, Vec<(u32, u32, RowPlace)>) = Default::default();
+            let mut synapses: Vec<(u32, LaneWeight)> = Vec::new();
+            let mut rows: Vec<(u32, u32, RowPlace)> = Vec::new();
             let mut messages: Vec<(Range<u32>, Range<u32>)> = vec![(0..0, 0..0); batch.sources.len()];
             for (number, selected) in batch.by_core() {
                 let first_slot = self.slots[selected.core.index()] as usize;
