@@ -130,7 +130,7 @@ fn figures_without_an_interval_are_named_with_the_reason() {
         let (_, text, _) = said(&line);
         let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let found = object(&line, 0);
-        let said: Vec<String> = found["notes"].as_array().unwrap().iter().map(|note| note.to_string()).collect();
+        let said: Vec<String> = found["notes"].as_array().unwrap().iter().map(ToString::to_string).collect();
         let reason = said.into_iter().find(|note| note.contains("No interval"));
         let reason = reason.map(|note| note.trim_matches('"').to_string());
         assert_eq!(reason.is_some(), found["high"].as_object().unwrap().values().any(Value::is_null), "{found}");
