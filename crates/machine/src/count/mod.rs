@@ -1,4 +1,9 @@
 //! Counts of the mapped program, from who spiked.
+//!
+//! - `tally`: messages, hops and synaptic events of spikes.
+//! - `spike_counts`: how often each source spiked, and what that caused.
+//! - `routing_tables`: the list of synapses that a message selects.
+//! - `residual`: synaptic events that steps leave to the end of a run.
 
 pub(crate) mod residual;
 pub(crate) mod routing_tables;

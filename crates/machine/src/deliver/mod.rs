@@ -1,4 +1,9 @@
 //! Delivery of spikes: sums of weights by lane and step of arrival.
+//!
+//! - `delay_ring`: the loops over dense blocks, rows and lists, and the sums that they add to.
+//! - `accumulate`: what one spike adds, the weight or weight times payload.
+//! - `exchange`: the spikes of all shards in one list, before they are delivered.
+//! - `prefetch`: cache lines of lists to come.
 
 pub(crate) mod accumulate;
 pub(crate) mod delay_ring;

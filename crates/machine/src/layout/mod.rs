@@ -1,4 +1,10 @@
 //! A program laid out for the processor: the image that a run only reads.
+//!
+//! - `image`, `shard`, `lane_order`: compartments in lanes.
+//! - `flatten`: synapses from the tables of cores, by source.
+//! - `planner`, `delivery_cost`: the form of each source's synapses.
+//! - `weight_rows`, `dense_blocks`, `lists`, `padded_runs`: the four forms.
+//! - `fan_out`, `store`: all forms of a source together, and their memory.
 
 pub mod delivery_cost;
 pub(crate) mod dense_blocks;

@@ -1,4 +1,13 @@
 //! What a core has, and what compartments use of it.
+//!
+//! | question | file |
+//! |---|---|
+//! | what a core uses, given its totals | `counter`, `packing`, `formats` |
+//! | the totals of a finished partition | `exact`, from the order of `by_core` |
+//! | the totals while a core is filled | `incremental` |
+//! | the totals of a box of a layer | `closed_form`, `receptive_field`, `even_draws` |
+//! | sources and targets of a compartment | `fan_in`, `fan_out` |
+//! | lists that several input axons select | `axon_sharing` |
 
 pub mod axon_sharing;
 pub mod by_core;

@@ -4,9 +4,9 @@
 
 use std::collections::BTreeMap;
 
+use super::context::{MOST_UNITS, Reader, product, unsupported, wrong};
 use super::linear::{Connection, Linear, Window, at, scaled, spread, sum_of_delays};
 use super::neuron::reals;
-use super::reader::{MOST_UNITS, Reader, product, unsupported, wrong};
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding};

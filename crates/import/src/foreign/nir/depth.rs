@@ -12,7 +12,7 @@
 
 use std::collections::BTreeMap;
 
-use super::reader::Reader;
+use super::context::Reader;
 use nsim_ir::base::depths::depths;
 use nsim_ir::base::diagnostic::Result;
 

@@ -5,6 +5,10 @@
 //! `AvgPool2d`, `Flatten`, `Delay`) become one projection; graphs within graphs are unfolded; edges
 //! may form cycles.
 //!
+//! - `graph`: graphs within graphs unfolded, and the paths between populations; `depth`: layers.
+//! - `neuron`: a node with a state; `connection` and `linear`: the nodes of a path, one by one.
+//! - `emit`: the projections of a path; `context`: what all these share, limits and errors.
+//!
 //! The equations are of continuous time (NIR 7232ada, `docs/source/primitives.md`); they are
 //! discretised as their exporters do, by Euler's rule with the new current: `I <- (1 - dt /
 //! tau_syn) I + (dt / tau_syn) w_in x`, `v <- (1 - dt / tau_mem) v + (dt / tau_mem) (R I +
@@ -26,23 +30,23 @@
 //! Left out on purpose: resets to other values than zero, for which a core has no circuit.
 
 mod connection;
+mod context;
 mod depth;
 mod emit;
 mod graph;
 mod linear;
 mod neuron;
-mod reader;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::Group;
 use super::imported::{Imported, NEVER, Options, ResetMode};
 use super::nir_export;
+use context::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
 use graph::unfold;
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::neurons::NeuronKind;
-use reader::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
 
 /// Reads the tree of a file.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {

@@ -5,7 +5,7 @@
 
 use std::cmp::Ordering;
 
-use super::reader::{Reader, product, resets, unsupported, wrong};
+use super::context::{Reader, product, resets, unsupported, wrong};
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::{DecayRule, decimal};
 use nsim_files::network::Parameter;
