@@ -4,8 +4,8 @@
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a
 //! dictionary from populations to arrays, text, or nothing. 1 is a spike, as is a greater whole
 //! number, of which a warning tells. Output: samples and the order in which they run. Contiguous
-//! arrays of `uint8` and `bool` are read in place. Invariant: what samples take is bounded before they are made. Errors:
-//! `input.*`, `usage`.
+//! arrays of `uint8` and `bool` are read in place. Invariant: what samples take is bounded before
+//! they are made. Errors: `input.*`, `usage`.
 
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::PopulationSpikes;

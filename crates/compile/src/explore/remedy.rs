@@ -1,8 +1,8 @@
 //! Changes that make a network fit, found by trying them.
 //!
-//! Input: a network that does not fit its target, the reasons, and what reads model and target again
-//! with fields changed. Output: [`Remedy`]s that were tried and made it fit, the cheapest change
-//! first. What is tried:
+//! Input: a network that does not fit its target, the reasons, and what reads model and target
+//! again with fields changed. Output: [`Remedy`]s that were tried and made it fit, the cheapest
+//! change first. What is tried:
 //!
 //! - the default strategy, where another was asked for;
 //! - leaving out what can change no output (`--prune static`);
@@ -32,7 +32,8 @@ const BITS: [u32; 3] = [6, 5, 4];
 /// Rounds in which limits are raised: one that is met can uncover another.
 const MOST_RAISED: usize = 4;
 
-/// The network and its target with fields changed, each `PATH=VALUE`; `None` where they are refused.
+/// The network and its target with fields changed, each `PATH=VALUE`; `None` where they are
+/// refused.
 pub type Changed<'a> = dyn Fn(&[String]) -> Option<(Front, Target)> + 'a;
 
 /// A change that makes the network fit.

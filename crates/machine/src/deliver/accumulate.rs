@@ -1,8 +1,8 @@
 //! What a spike adds to a sum of arrivals: the weight, or weight times payload.
 //!
 //! Binary spikes are summed in 16 or 32 bits, graded ones in 32 while payloads are small enough and
-//! in 64 from then on: a product of a weight and a payload has up to 47 bits. The payload is a type,
-//! so that delivery of binary spikes has no multiplication and no look-up.
+//! in 64 from then on: a product of a weight and a payload has up to 47 bits. The payload is a
+//! type, so that delivery of binary spikes has no multiplication and no look-up.
 
 use crate::update::kernel::Sum;
 

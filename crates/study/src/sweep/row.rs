@@ -112,8 +112,8 @@ pub fn place(figure: &str) -> usize {
     FIGURES.iter().position(|name| *name == figure).unwrap_or_default()
 }
 
-/// The cells of a resource with its use, such as `synapse words 81.3 %`, and of this use alone: what
-/// is needed of its limit, in per cent with one decimal.
+/// The cells of a resource with its use, such as `synapse words 81.3 %`, and of this use alone:
+/// what is needed of its limit, in per cent with one decimal.
 fn share(of: Option<(&Capacity, u64, u64)>) -> [String; 2] {
     of.map_or_else(Default::default, |(resource, need, limit)| {
         let percent = (1e3 * need as f64 / limit.max(1) as f64).round() / 10.0;
