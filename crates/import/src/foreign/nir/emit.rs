@@ -66,8 +66,16 @@ impl Reader<'_> {
                 )));
             }
             // Ways that share a node with a bias bring it once.
-            let behind = path.iter().rposition(|node| self.flat.nodes[node].group.get("bias").is_some());
-            let new = brought.insert(path[behind.unwrap_or(0)..].to_vec());
+            let biased = |&at: &usize| self.flat.nodes[&path[at]].group.get("bias").is_some();
+            let mut places = (0..path.len()).rev().filter(biased);
+            let new = brought.insert(path[places.next().unwrap_or(0)..].to_vec());
+            let earlier = places.filter(|&at| brought.insert(path[at..].to_vec())).count();
+            if !new && earlier > 0 {
+                return Err(unsupported(
+                    format!("'{name}' receives a sum of layers with biases through another layer with a bias"),
+                    "fold the biases of what is summed into that of the layer behind the sum",
+                ));
+            }
             if let Some(added) = arrived.bias.as_ref().filter(|_| new) {
                 if memory {
                     current.resize(units, 0.0);
