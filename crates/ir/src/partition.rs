@@ -166,6 +166,12 @@ impl Partition {
         &self.members
     }
 
+    /// The compartments of each core in slot order, and what each core uses.
+    #[must_use]
+    pub fn into_members(self) -> (IdVec<CoreId, Vec<CompartmentId>>, IdVec<CoreId, CoreUsage>) {
+        (self.members, self.usage)
+    }
+
     /// Where each compartment sits.
     #[must_use]
     pub fn seats(&self) -> &IdVec<CompartmentId, Seat> {

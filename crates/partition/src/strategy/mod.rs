@@ -234,6 +234,7 @@ fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partiti
     let Found { members, fan_out, usage: filled } = found;
     let seats = seats(network.compartments(), &members)?;
     let usage = match (fan_out, filled) {
+        (None, Some(exact)) => exact,
         (Some(fan_out), Some(filled)) if fan_out.together.is_empty() => {
             with_fan_out(filled.iter().copied(), &members, &fan_out)
         }
@@ -300,23 +301,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         keep(filler.fewest_cores(&order, chips));
     }
     if search.work > 0 && !tiled.is_empty() && network.synapses() <= FEW_SYNAPSES {
-        // Room that tiles leave may save a core of those that come behind.
-        let mut filling = Filling::new(network, &filler.fan_in, target.limits());
-        for population in network.populations().ids().filter(|&id| spatial[id]) {
-            let (limits, most) = (target.limits(), target.limits()[Resource::Compartments]);
-            let fewer = tiles::tiles(network, population, &mut filling, limits, (most, Rank::Words));
-            let Some(fewer) = fewer else { continue };
-            let mut fewer = Some(fewer);
-            let mut order: Vec<Segment> = Vec::new();
-            for segment in &tiled {
-                match segment.population == population {
-                    true => order.extend(fewer.take().into_iter().flatten()),
-                    false => order.push(segment.clone()),
-                }
-            }
-            order.extend(file_order(network).into_iter().filter(|segment| !spatial[segment.population]));
-            keep(filler.fewest_cores(&order, chips));
-        }
+        fewer_words(filler, &spatial, &tiled, chips).into_iter().for_each(&mut keep);
     }
     if let Some(graph) = &graph {
         let grown = || {
@@ -332,25 +317,8 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         if let Some((levels, members)) = in_levels {
             keep(members);
             // The levels have taken their part of the effort.
-            let mut work = search.work.saturating_sub(free.saturating_mul(WORK_PER_PIN));
-            if let Some(best) = fewest(filler, &found, search.rates) {
-                for percent in WORD_MARGINS {
-                    let refined = uncounted(refined(graph, &levels, best, target, percent, (&mut work, search.end)));
-                    if counted(network, refined.clone(), target).is_ok() {
-                        found.push(refined);
-                        break;
-                    }
-                }
-            }
-            for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
-                let Some(best) = fewest(filler, &found, search.rates) else { break };
-                let shaken = shaken(best, &fixed, attempt);
-                let (percent, end) = (WORD_MARGINS[0], search.end);
-                let refined = uncounted(refined(graph, &levels, &shaken, target, percent, (&mut work, end)));
-                if counted(network, refined.clone(), target).is_ok() {
-                    found.push(refined);
-                }
-            }
+            let work = search.work.saturating_sub(free.saturating_mul(WORK_PER_PIN));
+            refine_groups(filler, (graph, &levels, &fixed), &mut found, Search { work, ..search }, free);
         }
     }
     if begun && search.strategy == Strategy::Multilevel {
@@ -361,18 +329,69 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     let best = fewest(filler, &found, search.rates);
     match (best, failure) {
         (Some(best), _) => {
-            let sorted = uncounted(sorted(best, &fixed));
-            let same = *best == sorted.members;
-            if !same && counted(network, sorted.clone(), target).is_ok() {
-                return Ok(sorted);
-            }
-            let best = found.iter().position(|one| one.members == *best).unwrap_or_default();
-            let Found { members, fan_out, usage } = found.swap_remove(best);
+            let best = found.swap_remove(best);
+            let sorted = sorted(&best.members, &fixed);
+            let sorted = if sorted == best.members { None } else { within_limits(network, sorted, target) };
+            let best = sorted.unwrap_or(best);
             // Chips that are assumed to be apart are not those that will be.
-            Ok(Found { members, fan_out: fan_out.filter(|_| chips == Chips::Row), usage })
+            Ok(if chips == Chips::Row { best } else { uncounted(best.members) })
         }
         (None, Some(failure)) => Err(failure),
         (None, None) => Err(CompileError::fault("no strategy had an answer")),
+    }
+}
+
+/// Cores of tiles with fewer words, population by population: the room that tiles leave may save a
+/// core of those that come behind.
+fn fewer_words(
+    filler: &Filler<'_>,
+    spatial: &IdVec<PopulationId, bool>,
+    tiled: &[Segment],
+    chips: Chips,
+) -> Vec<Result<Found>> {
+    let (network, limits) = (filler.network, filler.target.limits());
+    let mut filling = Filling::new(network, &filler.fan_in, limits);
+    let most = limits[Resource::Compartments];
+    let mut cores_of = |population: PopulationId| {
+        let fewer = tiles::tiles(network, population, &mut filling, limits, (most, Rank::Words))?;
+        let mut fewer = Some(fewer);
+        let mut order: Vec<Segment> = Vec::new();
+        for segment in tiled {
+            match segment.population == population {
+                true => order.extend(fewer.take().into_iter().flatten()),
+                false => order.push(segment.clone()),
+            }
+        }
+        order.extend(file_order(network).into_iter().filter(|segment| !spatial[segment.population]));
+        Some(filler.fewest_cores(&order, chips))
+    };
+    network.populations().ids().filter(|&id| spatial[id]).filter_map(&mut cores_of).collect()
+}
+
+/// Adds members that differ from the best by groups that were moved between cores, also from
+/// shaken starts; `free` is the number of synapses that grouping sees.
+fn refine_groups(
+    filler: &Filler<'_>,
+    (graph, levels, fixed): (&Hypergraph, &Levels, &[bool]),
+    found: &mut Vec<Found>,
+    search: Search<'_>,
+    free: u64,
+) {
+    let (network, target, mut work) = (filler.network, filler.target, search.work);
+    if let Some(best) = fewest(filler, found, search.rates) {
+        for percent in WORD_MARGINS {
+            let refined = refined(graph, levels, &found[best].members, target, percent, (&mut work, search.end));
+            if let Some(refined) = within_limits(network, refined, target) {
+                found.push(refined);
+                break;
+            }
+        }
+    }
+    for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
+        let Some(best) = fewest(filler, found, search.rates) else { break };
+        let shaken = shaken(&found[best].members, fixed, attempt);
+        let refined = refined(graph, levels, &shaken, target, WORD_MARGINS[0], (&mut work, search.end));
+        found.extend(within_limits(network, refined, target));
     }
 }
 
@@ -418,20 +437,25 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     }
 }
 
-/// The members with the fewest cores, then the fewest messages; the first of equals.
-fn fewest<'m>(filler: &Filler<'_>, found: &'m [Found], rates: &Rates) -> Option<&'m Members> {
-    if let [only] = found {
-        return Some(&only.members);
+/// Which has the fewest cores, then the fewest messages; the first of equals.
+fn fewest(filler: &Filler<'_>, found: &[Found], rates: &Rates) -> Option<usize> {
+    let compartments = filler.network.compartments();
+    let cores = found.iter().map(|one| one.members.len()).min()?;
+    let mut of_these = (0..found.len()).filter(|&one| found[one].members.len() == cores);
+    if found.len() == 1 {
+        return of_these.next();
     }
-    let all = || found.iter().map(|one| &one.members);
-    let cores = all().map(IdVec::len).min()?;
-    let of_these = all().filter(|members| members.len() == cores);
-    of_these.min_by_key(|members| {
-        messages(filler.network, &cores_of(filler.network.compartments(), members), members.len(), rates)
-    })
+    of_these.min_by_key(|&one| messages(filler.network, &cores_of(compartments, &found[one].members), cores, rates))
 }
 
-/// Members whose output axons have not been counted.
+/// Members with what each core uses, counted exactly with cores placed chip by chip; none where a
+/// core exceeds a limit.
+fn within_limits(network: &Quantised, members: Members, target: &Target) -> Option<Found> {
+    let (members, usage) = counted(network, uncounted(members), target).ok()?.into_members();
+    Some(Found { members, fan_out: None, usage: Some(usage) })
+}
+
+/// Members of which nothing has been counted.
 fn uncounted(members: Members) -> Found {
     Found { members, fan_out: None, usage: None }
 }

@@ -166,7 +166,8 @@ pub struct Found {
     pub members: Members,
     /// Their fan-out on the chips that were assumed, where it has been counted.
     pub fan_out: Option<FanOut>,
-    /// What each core uses but for output axons, where filling has counted it exactly.
+    /// What each core uses, where it has been counted exactly; but for output axons where
+    /// `fan_out` has them.
     pub usage: Option<IdVec<CoreId, CoreUsage>>,
 }
 
