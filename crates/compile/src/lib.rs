@@ -2,8 +2,8 @@
 //!
 //! Input: a network in integers, a [`Target`], [`Options`]. Output: a [`Mapping`], or every reason
 //! why the network does not fit. Its limits have been verified and its synapses compared with the
-//! network's by code that shares nothing with the stages that made it. [`map()`] makes one mapping;
-//! [`explore::map`] compares several for an objective.
+//! network's by `nsim_check`, which the stages that made it do not use. [`map()`] makes one
+//! mapping; [`explore::map`] compares several for an objective.
 
 pub mod emit;
 pub mod explore;

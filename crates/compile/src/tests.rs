@@ -12,20 +12,20 @@ use nsim_check::equivalence::{check, check_copies};
 use nsim_check::verify;
 use nsim_check::verify::{Violation, verify};
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
+use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId, ProjectionId};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::graph::{Shape, Window};
 use nsim_ir::partition::{CoreUsage, Partition, seats};
 use nsim_ir::program::Program;
-use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Parts, Projection, Quantised};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Pool, Resource};
 use nsim_partition::resources::exact::usage;
 use nsim_partition::resources::fan_in::FanIn;
 use nsim_partition::resources::incremental::{Filling, Newcomer};
 use nsim_partition::strategy::tiles;
-use nsim_testing::{Builder, limits, neurons, plain_format, random_network, slip, target, without_classes};
+use nsim_testing::{Builder, limits, neurons, plain_format, random_network, slip, sparse, target, without_classes};
 
 fn compiled(network: Quantised, limits: Limits) -> Compiled {
     compile(network, &target(2, 2, limits), &Options::default()).unwrap()
@@ -213,6 +213,33 @@ fn layers() -> Quantised {
     let pool = Connectivity::SumPool2d { window: window((8, 8, 7), (2, 2), (2, 2), (0, 0)), weight: 60 };
     net.connect((wide, pooled), plain_format(), 1, pool);
     net.build()
+}
+
+/// A layer over space whose compartments also reach themselves, as those do that subtract their
+/// threshold: synapses with the same weight are stored once wherever they come from, which decides
+/// how many output axons a message takes.
+#[test]
+fn compartments_over_space_that_reach_themselves_fit_or_do_not() {
+    let network = layers();
+    let (wide, parts) = (PopulationId(1), network.parts().clone());
+    let itself = Projection {
+        source: wide,
+        target: wide,
+        connectivity: sparse((0..8 * 16 * 14).map(|k| vec![(k, -256)])),
+        ..parts.projections[ProjectionId(0)].clone()
+    };
+    let projections = parts.projections.iter().cloned().chain([itself]).collect();
+    let network = Quantised::new(Parts { projections, ..parts }).unwrap();
+    let mut outcomes = [0, 0];
+    for axons in (220..400).step_by(40) {
+        let limits = limits().with(Resource::AxonsOut, axons).with(Resource::Compartments, 300);
+        match compile(network.clone(), &target(2, 2, limits), &Options::default()) {
+            Ok(_) => outcomes[0] += 1,
+            Err(CompileError::DoesNotFit(_)) => outcomes[1] += 1,
+            Err(error) => panic!("{axons} output axons: {error}"),
+        }
+    }
+    assert!(outcomes[0] > 0, "{outcomes:?}");
 }
 
 #[test]

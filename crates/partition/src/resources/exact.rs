@@ -96,7 +96,11 @@ pub fn with_fan_out(
 
 /// What each core uses but for its output axons, and which places are members of population axons
 /// on it.
-fn uses(
+///
+/// # Panics
+/// As [`usage`].
+#[must_use]
+pub fn uses(
     network: &Quantised,
     members: &IdVec<CoreId, Vec<CompartmentId>>,
     seats: &IdVec<CompartmentId, Seat>,

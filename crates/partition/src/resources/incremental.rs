@@ -126,9 +126,6 @@ impl Entry {
 /// A make-up of a group at some widths, and how it is stored without and with runs.
 type Packed = ((Widths, Group), [(Compression, u32); LISTS]);
 
-/// Places of a class, ascending, with their bases.
-type PlacesOfClass = Vec<(u32, u16)>;
-
 /// Input axons by source: a table of open addresses, small enough to stay in a cache where one of
 /// all sources would not.
 #[derive(Debug)]
@@ -477,9 +474,8 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// Classes of places whose lists are the same, without and with runs; and the places of each,
-    /// with their bases.
-    fn classes(&self) -> ([Vec<Class>; LISTS], Vec<PlacesOfClass>) {
+    /// Classes of places whose lists are the same, without and with runs.
+    fn classes(&self) -> [Vec<Class>; LISTS] {
         let mut in_table = vec![[0u32; 2]; self.axons.len()];
         for entry in &self.entries {
             let group = entry.group(self.formats.get(entry.format).bits);
@@ -492,16 +488,11 @@ impl<'a> Filling<'a> {
         let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
         placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
         let mut classes: [Vec<Class>; LISTS] = Default::default();
-        let mut of_classes: Vec<PlacesOfClass> = Vec::new();
         let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
         for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
             let digests = of_place.iter().map(|(placed, _)| (placed.atom, placed.digest)).collect();
             let next = classes[0].len();
             let class = *known.entry(digests).or_insert(next);
-            if class == next {
-                of_classes.push(Vec::new());
-            }
-            of_classes[class].push((of_place[0].0.place, of_place[0].0.base));
             for (way, classes) in classes.iter_mut().enumerate() {
                 if class == next {
                     let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
@@ -516,31 +507,7 @@ impl<'a> Filling<'a> {
                 classes[class].places += 1;
             }
         }
-        (classes, of_classes)
-    }
-
-    /// The places that are members of population axons on a core of these compartments, ascending,
-    /// and whether it is a pop32 axon.
-    pub fn members_of_axons(&mut self, newcomers: impl Iterator<Item = Newcomer>) -> Vec<(u32, bool)> {
-        self.next_core();
-        for newcomer in newcomers {
-            if self.put(&newcomer).is_err() {
-                break;
-            }
-        }
-        let (mut totals, (classes, places)) = (self.totals(), self.classes());
-        let sharing: Vec<Vec<u32>> =
-            totals.lists.iter_mut().zip(&classes).map(|(lists, classes)| lists.share(classes, self.limits)).collect();
-        let way = usize::from(totals.stores_runs(self.limits));
-        let of_class = |((class, places), &sharing): ((&Class, &PlacesOfClass), &u32)| {
-            let long = |&(place, base): &(u32, u16)| (place, axon_sharing::is_long(class.atoms, base, self.limits));
-            places[..sharing as usize].iter().map(long).collect::<Vec<_>>()
-        };
-        let mut members: Vec<(u32, bool)> =
-            classes[way].iter().zip(&places).zip(&sharing[way]).flat_map(of_class).collect();
-        members.sort_unstable();
-        self.next_core();
-        members
+        classes
     }
 
     fn totals(&self) -> CoreTotals {
@@ -562,7 +529,7 @@ impl<'a> Filling<'a> {
     #[must_use]
     pub fn usage_shared(&self) -> CoreUsage {
         let mut totals = self.totals();
-        for (lists, classes) in totals.lists.iter_mut().zip(self.classes().0) {
+        for (lists, classes) in totals.lists.iter_mut().zip(self.classes()) {
             lists.share(&classes, self.limits);
         }
         totals.usage(self.limits)

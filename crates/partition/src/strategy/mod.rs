@@ -235,9 +235,7 @@ fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partiti
     let seats = seats(network.compartments(), &members)?;
     let usage = match (fan_out, filled) {
         (None, Some(exact)) => exact,
-        (Some(fan_out), Some(filled)) if fan_out.together.is_empty() => {
-            with_fan_out(filled.iter().copied(), &members, &fan_out)
-        }
+        (Some(fan_out), Some(filled)) => with_fan_out(filled.iter().copied(), &members, &fan_out),
         (Some(fan_out), None) if fan_out.together.is_empty() => {
             usage_with_fan_out(network, &members, &seats, &fan_out, target.limits())
         }
@@ -515,7 +513,7 @@ fn tiled(
         let rest = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
         let order: Vec<Segment> = segments.iter().cloned().chain(rest).collect();
         let Ok(members) = filler.once(&order, true) else { break };
-        let fan_out = filler.fan_out(&members, chips);
+        let (fan_out, _) = filler.fan_out(&members, chips);
         let mut again = false;
         for held in &members {
             let slots = slots_of_core(held, &fan_out);

@@ -22,16 +22,15 @@ use crate::error::CompileError;
 use crate::reason::Reason;
 use crate::resources::axon_sharing::Places;
 use crate::resources::even_draws;
+use crate::resources::exact::uses;
 use crate::resources::fan_in::FanIn;
-use crate::resources::fan_out::{
-    ALONE, FanOut, MembersOfCores, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core,
-};
+use crate::resources::fan_out::{ALONE, FanOut, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core};
 use crate::resources::incremental::{Filling, Newcomer};
 use crate::strategy::members::{Members, row_of_chips};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
-use nsim_ir::partition::CoreUsage;
+use nsim_ir::partition::{CoreUsage, seats};
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Capacity, OutputAxons, Resource};
 
@@ -290,25 +289,20 @@ impl<'a> Filler<'a> {
         Ok(self.fill(order, &Estimate::nothing(self.network), keep_whole)?.members.into())
     }
 
-    /// The fan-out of these members on such chips.
+    /// The fan-out of these members on such chips; and what each core uses but for output axons,
+    /// where that had to be counted exactly to know which of them are shared.
     #[must_use]
-    pub fn fan_out(&self, members: &Members, chips: Chips) -> FanOut {
-        let core_of = cores_of(self.network.compartments(), members);
-        let (chips, limits) = (chips.of_cores(members.len(), self.target), self.target.limits());
-        let places = Places::for_network(self.network, self.target.limits());
-        let shared = by_position(&places, limits).then(|| self.members_of_axons(members));
+    pub fn fan_out(&self, members: &Members, chips: Chips) -> (FanOut, Option<IdVec<CoreId, CoreUsage>>) {
+        let (network, limits) = (self.network, self.target.limits());
+        let core_of = cores_of(network.compartments(), members);
+        let chips = chips.of_cores(members.len(), self.target);
+        let places = Places::for_network(network, limits);
+        let seats = || seats(network.compartments(), members).ok();
+        let counted = if by_position(&places, limits) { seats() } else { None };
+        let counted = counted.map(|seats| uses(network, members, &seats, limits, &places));
+        let (usage, shared) = counted.unzip();
         let shared = shared.as_ref().map(|members| SharedPlaces { places: &places, members });
-        network_fan_out(self.network, &core_of, &chips, limits, shared.as_ref())
-    }
-
-    /// The places that are members of population axons on each core.
-    fn members_of_axons(&self, members: &Members) -> MembersOfCores {
-        let newcomer = |&id: &CompartmentId| Newcomer::new(self.network, id);
-        let filling = || Filling::new(self.network, &self.fan_in, self.target.limits());
-        let of_core = |filling: &mut Filling<'_>, held: &Vec<CompartmentId>| {
-            filling.members_of_axons(held.iter().filter_map(newcomer))
-        };
-        members.as_slice().par_iter().map_init(filling, of_core).collect::<Vec<_>>().into()
+        (network_fan_out(network, &core_of, &chips, limits, shared.as_ref()), usage.map(IdVec::from))
     }
 
     /// Fills again until output axons fit too.
@@ -323,7 +317,7 @@ impl<'a> Filler<'a> {
         for round in 0.. {
             let Filled { members, usage } = filled;
             let members: Members = members.into();
-            let fan_out = self.fan_out(&members, chips);
+            let (fan_out, counted) = self.fan_out(&members, chips);
             let mut misfits = Misfits::default();
             for (id, population) in self.network.populations().enumerate() {
                 let Some(first) = population.first_compartment() else { continue };
@@ -346,7 +340,7 @@ impl<'a> Filler<'a> {
                 return Err(misfits.reasons(self.network));
             }
             if !again {
-                return Ok(Found { members, fan_out: Some(fan_out), usage: usage.map(IdVec::from) });
+                return Ok(Found { members, fan_out: Some(fan_out), usage: counted.or(usage.map(IdVec::from)) });
             }
             self.raise(&mut estimate.slots, &fan_out, round);
             estimate.together = fan_out.together;

@@ -86,7 +86,7 @@ pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_unifor
     let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
     let mut estimate = match &sequential.fan_out {
         Some(fan_out) => fan_out.slots.clone(),
-        None => filler.fan_out(&sequential.members, chips).slots,
+        None => filler.fan_out(&sequential.members, chips).0.slots,
     };
     let mut best: Option<Found> = None;
     for round in 0..ROUNDS {
@@ -122,7 +122,7 @@ fn units(network: &Quantised) -> Vec<Unit> {
 fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips: Chips) -> Option<Found> {
     let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
     for _ in 0..TRIMS {
-        let fan_out = filler.fan_out(&members, chips);
+        let (fan_out, _) = filler.fan_out(&members, chips);
         let mut spare: Vec<u32> = Vec::new();
         for held in members.iter_mut() {
             let mut slots = slots_of_core(held, &fan_out);
