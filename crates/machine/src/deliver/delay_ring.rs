@@ -181,7 +181,10 @@ impl<S: Sum> DelayRing<S> {
             events += if arrives { synapses } else { 0 };
         }
         if let Some(lists) = fan_outs.lists.as_ref().filter(|lists| u32::from(lists.shortest) < left) {
-            events += self.deliver_lists::<MARK, P>(lists, spikes, cursor, left);
+            events += match size_of::<P::Payload>() {
+                0 => self.deliver_lists::<MARK, P>(lists, spikes, cursor, left),
+                _ => self.deliver_graded_lists::<MARK, P>(lists, spikes, cursor, left),
+            };
         }
         events
     }
@@ -361,6 +364,22 @@ impl<S: Sum> DelayRing<S> {
             // Zeros beyond the last lane may lie in a skip block that does not exist.
             self.mark(slot, lane..end.min(self.lanes));
         }
+    }
+
+    /// As [`DelayRing::deliver_lists`], not compiled again for each processor's vectors: it is a
+    /// third of the code of a step.
+    #[inline(never)]
+    fn deliver_graded_lists<const MARK: bool, P: Spike>(
+        &mut self,
+        table: &ListTable,
+        spikes: &[P],
+        cursor: usize,
+        left: u32,
+    ) -> u64
+    where
+        S: Accumulate<P::Payload>,
+    {
+        self.deliver_lists::<MARK, P>(table, spikes, cursor, left)
     }
 
     #[inline(always)]

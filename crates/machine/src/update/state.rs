@@ -24,6 +24,7 @@ use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use nsim_ir::source_counts::LeftField;
 use nsim_ir::spikes::{GradedSpike, Spike};
+use pulp::NullaryFnOnce;
 
 /// What of a step is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,9 +64,7 @@ pub(crate) struct StepInput<'a> {
     pub list_active: bool,
 }
 
-/// A step of a shard, in the form in which `pulp` runs it with the processor's widest vectors:
-/// everything below is inlined into one function that is compiled for them. (A closure would not
-/// be.)
+/// A step of a shard.
 pub(crate) struct Step<'a> {
     /// The shard's state.
     pub state: &'a mut ShardState,
@@ -80,26 +79,10 @@ pub(crate) struct Step<'a> {
 }
 
 impl Step<'_> {
-    /// Runs it with the widest vectors of the processor.
+    /// Runs it in the form of its sums and of what its spikes carry.
     pub fn run(self, arch: pulp::Arch) {
-        match arch {
-            #[cfg(target_arch = "x86_64")]
-            pulp::Arch::V4(vectors) => vectors.vectorize(With(self, vectors)),
-            _ => arch.dispatch(With(self, Portable)),
-        }
-    }
-}
-
-/// A step and its vectors.
-struct With<'a, V>(Step<'a>, V);
-
-impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let With(Step { state: ShardState { state, rings }, image, shard, input, channel_counts }, vectors) = self;
-        let graded = (!image.payloads.is_empty()).then(|| graded(image, input));
+        let Step { state: ShardState { state, rings }, image, shard, input, channel_counts } = self;
+        let graded = (!image.payloads.is_empty()).then(|| messages(image, input));
         if let (Rings::Bits32(ring), Some((channels, carried))) = (&*rings, &graded) {
             // What reaches nothing, such as a sum that is read out, may be large.
             let carried = carried.iter().filter(|spike| image.has_synapses[spike.id.index()]);
@@ -109,15 +92,18 @@ impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
             }
         }
         let binary = (input.channels, &mut *channel_counts, input.carried);
+        let within = (image, shard, *input);
         match (rings, &graded) {
-            (Rings::Bits16(ring), _) => state.step(ring, image, shard, *input, binary, vectors),
-            (Rings::Bits32(ring), None) => state.step(ring, image, shard, *input, binary, vectors),
+            (Rings::Bits16(ring), _) => narrow::run(Form { ring, state: &mut *state, within, spikes: binary }, arch),
+            (Rings::Bits32(ring), None) => wide::run(Form { ring, state: &mut *state, within, spikes: binary }, arch),
             (Rings::Bits32(ring), Some((channels, carried))) => {
-                state.step(ring, image, shard, *input, (channels, channel_counts, carried), vectors);
+                let spikes = (channels.as_slice(), channel_counts, carried.as_slice());
+                graded::run(Form { ring, state: &mut *state, within, spikes }, arch);
             }
             (Rings::Bits64(ring), graded) => {
                 let (channels, carried) = graded.as_ref().map_or((&[][..], &[][..]), |(a, b)| (a, b));
-                state.step(ring, image, shard, *input, (channels, channel_counts, carried), vectors);
+                let form = Form { ring, state: &mut *state, within, spikes: (channels, channel_counts, carried) };
+                large::run(form);
             }
         }
         if graded.is_some() {
@@ -128,8 +114,84 @@ impl<V: Vectors> pulp::NullaryFnOnce for With<'_, V> {
     }
 }
 
+/// A step with sums of one type and spikes that carry one type.
+struct Form<'a, S, C, N> {
+    ring: &'a mut DelayRing<S>,
+    /// Those of channels, how often each channel spiked, those of compartments.
+    spikes: (&'a [C], &'a mut [u32], &'a [N]),
+    state: &'a mut CompartmentState,
+    within: (&'a Image, &'a Shard, StepInput<'a>),
+}
+
+/// A step and its vectors, as `pulp` runs it: everything below is inlined into one function that is
+/// compiled for them. (A closure would not be.)
+struct With<F, V>(F, V);
+
+impl<S, C: Spike, N: Spike> Form<'_, S, C, N>
+where
+    S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
+{
+    /// Runs it with the widest vectors of the processor. Vectors of others are not compiled: each is
+    /// a third of the time that this crate takes to compile.
+    #[inline(always)]
+    fn run(self, arch: pulp::Arch) {
+        match arch {
+            #[cfg(target_arch = "x86_64")]
+            pulp::Arch::V4(vectors) => vectors.vectorize(With(self, vectors)),
+            #[cfg(target_arch = "x86_64")]
+            pulp::Arch::V3(vectors) => vectors.vectorize(With(self, Portable)),
+            #[cfg(target_arch = "x86_64")]
+            _ => With(self, Portable).call(),
+            #[cfg(not(target_arch = "x86_64"))]
+            _ => arch.dispatch(With(self, Portable)),
+        }
+    }
+}
+
+impl<S, C: Spike, N: Spike, V: Vectors> NullaryFnOnce for With<Form<'_, S, C, N>, V>
+where
+    S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
+{
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let With(Form { ring, spikes, state, within: (image, shard, input) }, vectors) = self;
+        state.step(ring, image, shard, input, spikes, vectors);
+    }
+}
+
+/// Declares a module for a form. The compiler makes one piece of machine code of a module, and the
+/// pieces at the same time.
+macro_rules! form {
+    ($name:ident, $sum:ty, $channel:ty, $compartment:ty) => {
+        mod $name {
+            use super::*;
+
+            #[inline(never)]
+            pub fn run(form: Form<'_, $sum, $channel, $compartment>, arch: pulp::Arch) {
+                form.run(arch);
+            }
+        }
+    };
+}
+
+form!(narrow, i16, ChannelId, CompartmentId);
+form!(wide, i32, ChannelId, CompartmentId);
+form!(graded, i32, GradedSpike<ChannelId>, GradedSpike<CompartmentId>);
+
+mod large {
+    use super::*;
+
+    /// No vectors of AVX2 multiply numbers of 64 bits.
+    #[inline(never)]
+    pub fn run(form: Form<'_, i64, GradedSpike<ChannelId>, GradedSpike<CompartmentId>>) {
+        With(form, Portable).call();
+    }
+}
+
 /// The messages of a step and what each carries.
-fn graded(image: &Image, input: &StepInput) -> (Vec<GradedSpike<ChannelId>>, Vec<GradedSpike<CompartmentId>>) {
+fn messages(image: &Image, input: &StepInput) -> (Vec<GradedSpike<ChannelId>>, Vec<GradedSpike<CompartmentId>>) {
     let mut given = input.channel_values.iter().copied();
     let graded = |&id: &ChannelId| {
         let given = given.next().unwrap_or(1);
@@ -376,11 +438,12 @@ impl CompartmentState {
         if input.phase != Phase::Update {
             self.events_now = 0;
         }
-        if input.visit_all {
+        if input.visit_all && input.phase != Phase::Update {
             // This step's spikes may arrive in any slot that a delay leads to.
-            if input.phase != Phase::Update {
-                ring.mark_all();
-            }
+            ring.mark_all();
+        }
+        // Marks that are not looked at take graded spikes little time, and would double their code.
+        if input.visit_all && size_of::<C::Payload>() == 0 {
             self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, cursor, input.left);
             self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, cursor, input.left);
         } else {
@@ -683,7 +746,7 @@ struct UpdateWords<'a, S> {
     input: &'a StepInput<'a>,
 }
 
-impl<S: Sum> pulp::NullaryFnOnce for UpdateWords<'_, S> {
+impl<S: Sum> NullaryFnOnce for UpdateWords<'_, S> {
     type Output = RunEffects;
 
     #[inline(always)]
