@@ -8,8 +8,9 @@ use crate::{MODEL, SRM, nsim, write};
 /// Longest `-h`, in lines.
 const HELP_LINES: usize = 30;
 
-/// Commands on files that the test writes. Of those marked `timed`, figures differ between runs.
-const SCREENS: [(&str, bool); 27] = [
+/// Commands on files that the tests write, about cores and energy. Of those marked `timed`, figures
+/// differ between runs.
+const NETWORK: [(&str, bool); 9] = [
     ("map vtsnn-slip", true),
     ("map m.ron --target tiny --copies 3 --prune static", true),
     ("run vtsnn-slip --samples 0..2", true),
@@ -18,25 +19,37 @@ const SCREENS: [(&str, bool); 27] = [
     ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline rtx-2080-ti --full", false),
     ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline --accounting rails --full", false),
     ("compare m.ron --targets tiny,oheo-gulch --input scene:noise?samples=2&steps=20&rate=0.3", false),
+    ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline --set constants.turn_time=0.4us", false),
+];
+
+/// About the trained network, and other tools.
+const AGREEMENT: [(&str, bool); 5] = [
     ("agree srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 --calibration-samples 2", false),
     ("agree srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 --against c.ron --against c.ron", false),
     ("convert srm.ron --input scene:noise?samples=4&steps=20&rate=0.3", true),
     ("import net.nir", false),
     ("export m.ron -o net.nir --force", false),
-    ("inspect nahuku-32", false),
-    ("inspect loihi1-evidence", false),
-    ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline --set constants.turn_time=0.4us", false),
-    ("inspect vtsnn-slip", false),
-    ("inspect rtx-2080-ti", false),
-    ("scene slip --samples 2", false),
-    ("scene container --samples 2", false),
-    ("stress --case weight-exponent-least thresholds-at-both-ends denormals-f64", false),
+];
+
+/// Tables of many runs.
+const STUDY: [(&str, bool); 6] = [
     ("bench step --network vtsnn-1pct --steps 2", true),
     ("bench pareto m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --seconds 0.01", true),
     ("bench published", false),
     ("bench paper", false),
     ("bench paper --full --stored", false),
     ("sweep sweep.ron -o table.csv --force", true),
+];
+
+/// What nsim knows of models, chips, scenes and itself.
+const INSPECTION: [(&str, bool); 7] = [
+    ("inspect nahuku-32", false),
+    ("inspect loihi1-evidence", false),
+    ("inspect vtsnn-slip", false),
+    ("inspect rtx-2080-ti", false),
+    ("scene slip --samples 2", false),
+    ("scene container --samples 2", false),
+    ("stress --case weight-exponent-least thresholds-at-both-ends denormals-f64", false),
 ];
 
 /// What a command prints where a terminal has this many columns.
@@ -46,8 +59,8 @@ fn printed(folder: &std::path::Path, words: &[&str], columns: usize) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-#[test]
-fn every_command_fits_its_columns_and_breaks_no_word() {
+/// Whether each of these commands fits its columns and breaks no word.
+fn check_screens(screens: &[(&str, bool)]) {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), "m.ron", MODEL);
     write(folder.path(), "srm.ron", SRM);
@@ -56,7 +69,7 @@ fn every_command_fits_its_columns_and_breaks_no_word() {
     for line in ready {
         printed(folder.path(), &line.split(' ').collect::<Vec<_>>(), 80);
     }
-    for (line, timed) in SCREENS {
+    for &(line, timed) in screens {
         let words: Vec<&str> = line.split(' ').collect();
         let parts = |text: &str| -> BTreeSet<String> {
             let all = text.split_whitespace().filter(|word| !timed || word.contains(char::is_alphabetic));
@@ -70,7 +83,27 @@ fn every_command_fits_its_columns_and_breaks_no_word() {
             assert_eq!(parts(&screen), whole, "nsim {line} at {columns} columns: {screen}");
         }
     }
-    let lines = |name| printed(folder.path(), &["inspect", name], 80).lines().count();
+}
+
+#[test]
+fn cores_and_energy_fit_their_columns_and_break_no_word() {
+    check_screens(&NETWORK);
+}
+
+#[test]
+fn agreement_and_other_tools_fit_their_columns_and_break_no_word() {
+    check_screens(&AGREEMENT);
+}
+
+#[test]
+fn studies_fit_their_columns_and_break_no_word() {
+    check_screens(&STUDY);
+}
+
+#[test]
+fn inspection_fits_its_columns_and_lines_and_breaks_no_word() {
+    check_screens(&INSPECTION);
+    let lines = |name| printed(std::path::Path::new("."), &["inspect", name], 80).lines().count();
     assert!(lines("nahuku-32") <= 40 && lines("vtsnn-slip") <= 40);
 }
 
