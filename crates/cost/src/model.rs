@@ -1,4 +1,5 @@
-//! Energy and time of counts: equations (1) to (11) of `docs/energy.md`.
+//! Energy and time of counts: equations (1) to (7) and (9) of `docs/energy.md`, and (21), which is
+//! Loihi 2's; [`crate::transport`] has (10) and (11).
 //!
 //! Energy is linear in the counts, so the energy of a run is the exact sum over its steps. Time is
 //! not linear (a step lasts as long as its slowest core) and needs the counts of each step.

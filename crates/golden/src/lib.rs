@@ -3,8 +3,8 @@
 //!
 //! Input: a network in integers and the input spikes of each step. Output, through [`Engine`]: the
 //! spikes, the registers and the counts of each step, for all three named semantics. It is written
-//! from `docs/semantics.md` alone. It imports the plain data of a network, and `base::rng`, which
-//! defines random synapses; it imports no rule, and `tests/tidy` lists what it may use. It
+//! from `docs/semantics.md` and `docs/loihi2.md` alone. It imports the plain data of a network, and
+//! `base::rng`, which defines random synapses; it uses no crate but `ir`. It
 //! enumerates synapses from their targets, keeps the spikes of the past and looks back at them
 //! instead of filling a delay ring, finds refractory steps by the time since the last spike instead
 //! of a counter, and divides and takes remainders where the machine shifts and masks.

@@ -24,7 +24,7 @@ use nsim_report::inspect::{Findings, FindingsTable, number};
 const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];
 /// Characters of a text that are shown.
 const MOST_TEXT: usize = 60;
-/// FindingsTable of a table; files may hold a group for each of very many nodes.
+/// Rows of a table; files may hold a group for each of very many nodes.
 const MOST_ROWS: usize = 1 << 12;
 /// Numbers of a checkpoint that are looked at for their range: many tensors may share one storage.
 const MOST_NUMBERS: usize = 1 << 28;
