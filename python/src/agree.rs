@@ -127,7 +127,8 @@ impl Agreement {
                 let second = mapped(other).map_err(|problem| unfit(&problem, target.name()))?;
                 let both = ((&graph, &written, own.as_ref()), (other, &second.program));
                 let agreement = compare_models(both.0, both.1, &samples, steps, progress)?;
-                return done(AgreeReport::of_two((name, "another model"), seen, &agreement), &agreement.layers);
+                let two = (name, other.parts().name.as_str());
+                return done(AgreeReport::of_two(two, seen, &agreement), &agreement.layers);
             }
             let run = RunInput { sources: &shown.stimulus.origin, seed: shown.stimulus.seed, scene };
             let choice = Choice { conversion, calibrate: &calibrate, run, wanted, most_copies: copies };
@@ -141,6 +142,7 @@ impl Agreement {
                 (against.is_real() && most > 0).then(|| attribute(&ladder, &output_layer(ladder.deployed()), some));
             let next = attribution.as_ref().and_then(|attribution| in_python(attribution, typed.as_deref()));
             let report = AgreeReport {
+                other: None,
                 found: integers.found.as_ref(),
                 fits: &named_fits(&graph, fits),
                 attribution: attribution.as_ref(),

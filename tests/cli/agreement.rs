@@ -89,6 +89,7 @@ fn a_conversion_is_not_taken_for_the_trained_network() {
     let line = [&["agree", &trained, "--against", &converted, "--plot", &first][..], &scene].concat();
     let (_, text, _) = said(&line);
     assert!(std::path::Path::new(&first).exists() == text.contains("written: "), "{text}");
+    assert!(text.contains(" (a) and ") && text.contains(" as deployed on simulated cores of nahuku-32 (b)"), "{text}");
 }
 
 #[test]

@@ -24,6 +24,8 @@ use nsim_train::convert::search::{ConversionScore, SearchResult};
 pub struct AgreeReport<'a> {
     /// The network's name.
     pub model: &'a str,
+    /// The other network, which was deployed, where two are compared.
+    pub other: Option<&'a str>,
     /// What the deployed network was held against.
     pub against: &'static str,
     /// Where the samples came from.
@@ -76,13 +78,14 @@ fn in_words(against: &str) -> &str {
 impl<'a> AgreeReport<'a> {
     /// Of two networks and nothing more: no search, no causes.
     pub fn of_two(
-        (model, against): (&'a str, &'static str),
+        (model, other): (&'a str, &'a str),
         (input, seed, samples): (&'a [String], Option<u64>, usize),
         agreement: &'a Agreement,
     ) -> Self {
         AgreeReport {
             model,
-            against,
+            other: Some(other),
+            against: "another model",
             input,
             seed,
             samples,
@@ -336,7 +339,8 @@ impl AgreeReport<'_> {
     /// A section of a document, with a chart under `picture`.
     pub fn markdown(&self, picture: &str) -> String {
         let (samples, input) = (count(self.samples as u64, "sample"), origin(self.input, self.seed));
-        let mut out = format!("{}, {samples} of {input}; a: {}, b: on simulated cores.\n\n", self.model, self.against);
+        let (a, b) = self.other.map_or((self.against, self.model), |other| (self.model, other));
+        let mut out = format!("{}, {samples} of {input}; a: {a}, b: {b} on simulated cores.\n\n", self.model);
         if let Some(classes) = &self.classes {
             let said = classes_text(classes);
             out += &format!("{}{}", said[..1].to_uppercase(), &said[1..]);
@@ -365,7 +369,10 @@ impl AgreeReport<'_> {
     pub fn text(&self) -> String {
         let on = self.target.map_or(String::new(), |target| format!(" of {target}"));
         let a = if self.source.is_some() { "the conversion, real numbers" } else { in_words(self.against) };
-        let mut out = wrapped(&format!("{} (a: {a}) and as deployed on simulated cores{on} (b)", self.model));
+        let mut out = wrapped(&match self.other {
+            Some(other) => format!("{} (a) and {other} as deployed on simulated cores{on} (b)", self.model),
+            None => format!("{} (a: {a}) and as deployed on simulated cores{on} (b)", self.model),
+        });
         out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));
         let accuracy = self.accuracy.map(|(a, b)| format!("; accuracy {} (a), {} (b)", three(a), three(b)));
         let classes = self.classes.as_ref().map(|classes| format!("; {}", classes_text(classes)));

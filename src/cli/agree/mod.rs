@@ -112,6 +112,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     files.extend(args.plot_causes.iter().map(|path| path.display().to_string()));
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
     let report = AgreeReport {
+        other: None,
         found: integers.found.as_ref(),
         fits: &named_fits(&graph, &integers.fits),
         attribution: attribution.as_ref(),

@@ -125,10 +125,10 @@ pub(super) fn with_one(
         Ok(all) => all,
         Err(obstacle) => return obstacle.say(context),
     };
-    let Some((agreement, _)) = all.pop() else { return Ok(Answer::No) };
+    let Some((agreement, second)) = all.pop() else { return Ok(Answer::No) };
     let files = draw(args, &graph.facts().name, &agreement.layers, context)?;
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
-    let two = AgreeReport::of_two((&graph.facts().name, "another model"), shown, &agreement);
+    let two = AgreeReport::of_two((&graph.facts().name, &second.name), shown, &agreement);
     let report = AgreeReport { files: &files, target: Some(target.name()), ..two };
     report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
     if args.plot.as_deref().is_none_or(|path| !io::text::is_standard_stream(path)) {
