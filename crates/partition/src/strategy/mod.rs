@@ -16,8 +16,7 @@
 //!   ([`refine`]).
 //!
 //! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages.
-//! `Multilevel` leaves out mappings whose busiest core works too long for the cores that they save;
-//! otherwise none is ever worse than the one above. Copies of a network are one copy's partition
+//! `Multilevel` leaves out mappings whose steps are too long for the cores that they save; otherwise none is ever worse than the one above. Copies of a network are one copy's partition
 //! repeated, so that no copy shares a core with another, unless filling all of them together takes
 //! fewer cores.
 
@@ -104,8 +103,7 @@ const WORK_PER_SECOND: u64 = 200_000_000;
 const WORK_PER_PIN: u64 = 60;
 /// Synapses from which on a network is not grouped by levels where its synapses are drawn evenly.
 const EVEN_SYNAPSES: u64 = 1 << 18;
-/// How many times as long as in the order of the file the busiest core may work, times the cores
-/// saved.
+/// How many times as long as in the order of the file a step may be, times the cores saved.
 const MOST_LONGER: f64 = 1.1;
 /// Synapses of a network whose tiles are also tried with fewer words.
 const FEW_SYNAPSES: u64 = 1 << 23;
@@ -393,8 +391,10 @@ fn refine_groups(
     }
 }
 
-/// Leaves out members whose busiest core works so much longer than that of the first, the order of
-/// the file, that the cores they save are not worth it; where the first fits at all.
+/// Leaves out members whose steps are so much longer than those of the first, the order of the
+/// file, that the cores they save are not worth it; where the first fits at all. A step is that of
+/// the busiest core, and the injection of inputs, the turn and the barrier, which take as long
+/// whatever the members.
 fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, over_space: bool) {
     let first = found[0].members.len() as u64;
     let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);
@@ -405,21 +405,24 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
         return;
     };
     let events = filler.fan_in.events_into(filler.network, search.rates);
-    let busiest = |members: &Members, times: u64| {
+    let inputs: u64 = (0..filler.network.channels()).map(|channel| search.rates.rate_of(channel)).sum();
+    let steps = UNIT as u64;
+    let others = (table.turn_time.0 + table.barrier(1).0) * steps;
+    let length = |members: &Members, times: u64| {
         let of_core = |held: &Vec<CompartmentId>| {
             let events_sparse = held.iter().map(|id| events[id.index()]).sum::<u64>() * times;
-            let steps = held.len() as u64 * UNIT as u64;
-            let (visited, active) = (steps, steps);
-            core_time(&CoreCounts { events_sparse, visited, active, ..CoreCounts::default() }, &table)
+            let visited = held.len() as u64 * steps;
+            core_time(&CoreCounts { events_sparse, visited, active: visited, ..CoreCounts::default() }, &table)
         };
-        members.iter().map(of_core).max().map_or(0.0, Picoseconds::microseconds)
+        let busiest = members.iter().map(of_core).max().unwrap_or_default();
+        Picoseconds(busiest.0 + table.injection_time.0 * inputs * times + others).microseconds()
     };
     // Tiles gather the compartments with the most synapses, which shows in steps of many spikes.
     let ways = if over_space { &[1, BURST][..] } else { &[1] };
-    let least: Vec<f64> = ways.iter().map(|&times| busiest(&found[0].members, times)).collect();
+    let least: Vec<f64> = ways.iter().map(|&times| length(&found[0].members, times)).collect();
     let mut longest: f64 = 1.0;
     found.retain(|one| {
-        let longer = |(&times, least): (&u64, &f64)| busiest(&one.members, times) / least.max(f64::MIN_POSITIVE);
+        let longer = |(&times, least): (&u64, &f64)| length(&one.members, times) / least.max(f64::MIN_POSITIVE);
         let longer = ways.iter().zip(&least).map(longer).fold(0.0, f64::max);
         let saved = first as f64 / one.members.len().max(1) as f64;
         let kept = longer <= MOST_LONGER * saved.max(1.0);
@@ -428,8 +431,8 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     });
     if search.explains && longest > MOST_LONGER {
         tracing::warn!(
-            "cores are saved against the order of the file, and the busiest is expected to work up to {longest:.2} \
-             times as long: \
+            "cores are saved against the order of the file, and a step is expected to take up to {longest:.2} times as \
+             long: \
              nsim map --strategy sequential -o FILE makes a mapping with shorter steps, --mapping FILE takes it"
         );
     }
