@@ -21,6 +21,7 @@ use nsim_ir::program::Program;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Parts, Projection, Quantised};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Pool, Resource};
+use nsim_partition::options::Strategy;
 use nsim_partition::resources::exact::usage;
 use nsim_partition::resources::fan_in::FanIn;
 use nsim_partition::resources::incremental::{Filling, Newcomer};
@@ -263,6 +264,27 @@ fn a_kernel_is_stored_once() {
         }
         proved(&compiled, &limits, &format!("{packing:?}"));
     }
+}
+
+/// In the order of the file a 5 x 5 convolution takes 32 cores, since none holds the kernels of many
+/// channels. Tiles take 9, whose busiest works five times as long; injecting 6,400 channels takes
+/// most of a step in any case.
+#[test]
+fn cores_are_saved_where_most_of_a_step_is_not_theirs() {
+    let mut net = Builder::new();
+    let size = (16, 20, 20);
+    let (image, layer) = (Shape::Volume(16, 20, 20), Shape::Volume(16, 20, 20));
+    let (image, layer) = (net.input_shape("image", image), net.loihi_with("layer", layer, neurons()));
+    let (kernel, once, padding) = ((5, 5), (1, 1), (2, 2));
+    let window = Window { source: size, target: size, kernel, stride: once, padding, dilation: once, groups: 1 };
+    let kernel = (0..16 * 16 * 25).map(|k: i32| (k * 37 % 127 - 63) as i16 * 2).collect();
+    net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+    let network = net.build();
+    let cores = |strategy| {
+        let options = Options { strategy, ..Options::default() };
+        compile(network.clone(), &target(2, 2, limits()), &options).unwrap().partition.cores()
+    };
+    assert_eq!((cores(Strategy::Sequential), cores(Strategy::Multilevel)), (32, 9));
 }
 
 #[test]
