@@ -12,7 +12,7 @@ use nsim::ir::graph::{PerCompartment, Shape, Window};
 use nsim::ir::mapping::{MappedCore, MappingFile, Run};
 use nsim::ir::neurons::{Emits, NeuronKind, ParameterField, Port, Storage};
 use nsim::ir::placement::Mesh;
-use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim::ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::spikes::{Message, Sample};
 use nsim_testing::sparse;
@@ -274,7 +274,12 @@ pub fn mixed(seed: u64) -> Quantised {
     }
     for projection in parts.projections.iter_mut() {
         let table = kinds[projection.target].table();
-        if !table.registers && projection.format.exponent < WeightExponent::ZERO {
+        if !table.registers && draw.chance(35) {
+            projection.format.apart = Some(Apart { number: draw.from(0, 3) as u8, wraps: draw.chance(50) });
+            if draw.chance(50) {
+                projection.format.exponent = WeightExponent::new(draw.from(-8, -1)).unwrap();
+            }
+        } else if !table.registers && projection.format.exponent < WeightExponent::ZERO {
             // Sums in finer units, which are shifted once.
             let lost = projection.format.exponent.get().unsigned_abs();
             projection.format.exponent = WeightExponent::ZERO;

@@ -341,16 +341,9 @@ fn quantised(text: String) -> Result<Quantised, String> {
     front(&network).map(nsim::compile::Front::into_quantised).map_err(|problem| problem.to_string())
 }
 
-/// Holds the sums that every engine takes to the recorded ones, which have this many bits; unit n
-/// of a recording is unit `place(n)` of the network. The number of sums that need more bits.
-fn sums_match(
-    what: &str,
-    text: String,
-    input: &Array,
-    sums: &Array,
-    places: [&dyn Fn(usize) -> usize; 2],
-    bits: u32,
-) -> u32 {
+/// Holds the sums that every engine takes to the recorded ones; unit n of a recording is unit
+/// `place(n)` of the network. Whether sums wrapped.
+fn sums_match(what: &str, text: String, input: &Array, sums: &Array, places: [&dyn Fn(usize) -> usize; 2]) -> bool {
     let network = quantised(text).unwrap();
     let steps = *sums.shape.last().unwrap();
     let units = input.values.len() / steps;
@@ -359,7 +352,7 @@ fn sums_match(
         events.push(((at % steps) as u32, ChannelId(places[0](at / steps) as u32), value as i32));
     }
     let sample = Sample::with_values(steps as u32, &events, None).unwrap();
-    let (mut not_zero, mut wider) = (0, 0);
+    let (mut not_zero, mut wrapped) = (0, Vec::new());
     for (name, mut engine) in engines(&network) {
         engine.begin(steps as u32);
         for step in 0..steps {
@@ -372,15 +365,15 @@ fn sums_match(
                 .collect();
             for n in 0..sums.values.len() / steps {
                 let sum = sent.get(&(units + places[1](n))).copied().unwrap_or(0);
-                let wrapped = sum << (64 - bits) >> (64 - bits);
-                assert_eq!(wrapped, sums.values[n * steps + step], "{what}, {name}, {n}, step {step}");
+                assert_eq!(sum, sums.values[n * steps + step], "{what}, {name}, {n}, step {step}");
                 not_zero += u32::from(sum != 0);
-                wider += u32::from(wrapped != sum);
             }
         }
+        wrapped.push(engine.overflow().q_wrapped);
     }
     assert!(not_zero > 100, "{what}: {not_zero}");
-    wider
+    assert!(wrapped.iter().all(|count| *count == wrapped[0]), "{what}: {wrapped:?}");
+    wrapped[0] > 0
 }
 
 /// lava's Dense and Sparse with delays or without, its convolutions in space and in time.
@@ -425,10 +418,8 @@ fn recorded_connections_of_lava_match_bit_for_bit() {
                 let projections: Vec<_> = [own(i[0] * i[1] * i[2])].into_iter().chain(PARTS.map(window)).collect();
                 let text = connection(&shapes[0], &shapes[1], bits, &projections);
                 let place = |shape: &[usize], n: usize| n % shape[2] * shape[0] * shape[1] + n / shape[2];
-                // Sums have 32 bits here, and 24 in lava's convolution.
-                let places: [&dyn Fn(usize) -> usize; 2] = [&|n| place(i, n), &|n| place(o, n)];
-                let wrapped = sums_match(&what, text, &input, &sums, places, 24);
-                assert_eq!(wrapped > 0, regime == "wraps_24_bits", "{what}: {wrapped}");
+                let wrapped = sums_match(&what, text, &input, &sums, [&|n| place(i, n), &|n| place(o, n)]);
+                assert_eq!(wrapped, regime == "wraps_24_bits", "{what}");
                 continue;
             }
             let weights = read(if name == "ConvInTime" { "weights" } else { "effective_weights" });
@@ -463,15 +454,105 @@ fn recorded_connections_of_lava_match_bit_for_bit() {
                 }
             }
             let text = connection(&format!("[{sources}]"), &format!("[{targets}]"), bits, &projections);
-            // lava rounds the sum of each delay, for which there is one sum here.
-            if exponent < 0 && slots.len() > 1 {
-                assert!(quantised(text).unwrap_err().contains("one at most may have a negative weight_exp"));
-                continue;
-            }
-            sums_match(&what, text, &input, &sums, [id, id], 32);
+            assert!(!sums_match(&what, text, &input, &sums, [id, id]), "{what}");
         }
     }
     assert!(regimes > 8, "{regimes}");
+}
+
+/// What a target sends in each step, by unit, for messages `(step, channel, value)` on each engine.
+fn answers(network: &Quantised, steps: u32, messages: &[(u32, u32, i32)]) -> Vec<(Vec<BTreeMap<u32, i32>>, Overflow)> {
+    let events: Vec<_> = messages.iter().map(|&(step, channel, value)| (step, ChannelId(channel), value)).collect();
+    let sample = Sample::with_values(steps, &events, None).unwrap();
+    let of_engine = |(_, mut engine): (_, Box<dyn Engine>)| {
+        engine.begin(steps);
+        let of_step = |step| {
+            engine.step(sample.input(step));
+            engine.spikes().iter().map(|id| id.0).zip(engine.payloads().iter().copied()).collect()
+        };
+        ((0..steps).map(of_step).collect(), engine.overflow())
+    };
+    engines(network).into_iter().map(of_engine).collect()
+}
+
+#[test]
+fn a_convolution_wraps_where_its_sum_can_reach_24_bits() {
+    for (payload, wraps) in [((1 << 22) - 1, false), (1 << 22, true), (-(1 << 22), true)] {
+        let text = format!(
+            "Network(name: \"c\", timestep_ms: 1.0, output: \"target\", target: \"oheo-gulch\", populations: [
+                Input(name: \"in\", shape: [1, 2, 2], payload: {payload}),
+                GradedVec(name: \"target\", shape: [1, 2, 2], threshold: 0)],
+            projections: [Conv2d(from: [\"in\"], to: \"target\", weights: [[[[1]]]], sign: Excitatory),
+                Conv2d(from: [\"in\"], to: \"target\", weights: [[[[-1]]]], sign: Inhibitory),
+                Conv2d(from: [\"in\"], to: \"target\", weights: [[[[2]]]], sign: Excitatory, delay: 1)])"
+        );
+        let network = quantised(text).unwrap();
+        // The first two are one convolution, of which only the bound counts.
+        let apart: Vec<_> = network.projections().iter().map(|p| p.format.apart.map(|apart| apart.wraps)).collect();
+        assert_eq!(apart, vec![wraps.then_some(true); 3], "{payload}");
+        for (sent, overflow) in answers(&network, 3, &[(0, 2, 1)]) {
+            let whole = 2 * i64::from(payload);
+            let kept = (whole + (1 << 23)).rem_euclid(1 << 24) - (1 << 23);
+            assert_eq!(sent, [vec![], vec![(2, kept as i32)], vec![]].map(BTreeMap::from_iter));
+            assert_eq!(overflow.q_wrapped, u64::from(kept != whole), "{payload}");
+        }
+    }
+}
+
+#[test]
+fn sums_of_each_declaration_and_delay_are_shifted_apart() {
+    let head = "Network(name: \"s\", timestep_ms: 1.0, output: \"target\", target: \"oheo-gulch\", populations: [
+        Input(name: \"a\", shape: [2], message_bits: 32), Input(name: \"b\", shape: [1], message_bits: 32),
+        GradedVec(name: \"target\", shape: [2], threshold: 0)], projections: [";
+    // Weights by target and channel, exponent and delay.
+    let declared: [(&str, [[i64; 3]; 2], i32, u32); 4] = [
+        ("\"a\", \"b\"", [[3, -6, 5], [-1, 7, 2]], -3, 0),
+        ("\"a\"", [[5, 2, 0], [-7, 1, 0]], -3, 0),
+        ("\"a\", \"b\"", [[-3, 2, 1], [4, -5, 6]], -2, 2),
+        ("\"b\"", [[0, 0, 2], [0, 0, -4]], 1, 0),
+    ];
+    let matrix = |&(from, weights, exponent, delay): &(&str, [[i64; 3]; 2], i32, u32)| {
+        let used = match from {
+            "\"a\"" => 0..2,
+            "\"b\"" => 2..3,
+            _ => 0..3,
+        };
+        // Twice the weights, which mixed signs need, at half of the scale.
+        let rows: Vec<Vec<i64>> = weights.iter().map(|row| row[used.clone()].iter().map(|w| 2 * w).collect()).collect();
+        let exponent = exponent - 1;
+        format!("Dense(from: [{from}], to: \"target\", weights: {rows:?}, weight_exp: {exponent}, delay: {delay})")
+    };
+    let network = quantised(format!("{head}{}])", declared.each_ref().map(matrix).join(", "))).unwrap();
+    let draw = &mut Draw::new(11);
+    let steps = 40;
+    let values: Vec<[i64; 3]> = (0..steps).map(|_| [0; 3].map(|_: i64| draw.from(-60, 60))).collect();
+    let messages: Vec<_> = (0..steps)
+        .flat_map(|t| (0..3).map(move |channel| (t, channel)))
+        .map(|(t, channel)| (t, channel, values[t as usize][channel as usize] as i32))
+        .collect();
+    let expected = |t: u32, unit: usize| -> i64 {
+        let of = |&(_, weights, exponent, delay): &(&str, [[i64; 3]; 2], i32, u32)| {
+            let Some(sent) = t.checked_sub(delay).map(|t| values[t as usize]) else { return 0 };
+            let sum: i64 = weights[unit].iter().zip(sent).map(|(w, m)| w * m).sum();
+            if exponent < 0 { sum.div_euclid(1 << -exponent) } else { sum << exponent }
+        };
+        declared.iter().map(of).sum()
+    };
+    for (sent, _) in answers(&network, steps, &messages) {
+        for t in 0..steps {
+            for unit in 0..2 {
+                let found = sent[t as usize].get(&(unit as u32)).copied().unwrap_or(0);
+                assert_eq!(i64::from(found), expected(t, unit), "step {t}, unit {unit}");
+            }
+        }
+    }
+    let delays = |count: usize| (0..count).map(|delay| matrix(&("\"a\"", declared[1].1, -3, delay as u32)));
+    let many = |others: usize| {
+        let all: Vec<String> = delays(63).chain(declared[..others].iter().map(matrix)).collect();
+        quantised(format!("{head}{}])", all.join(", ")))
+    };
+    many(1).unwrap();
+    assert!(many(3).unwrap_err().contains("its arrivals make 66 sums that lava narrows apart, at most 64"));
 }
 
 /// A trained sigma-delta network from its own file: outputs of every input, and the messages of

@@ -82,8 +82,8 @@ pub enum Difference {
     },
 }
 
-/// One synapse as both sides encode it, in one number, so that sorting is quick: port (1 bit),
-/// target (27), exponent (5), sign mode (2), bits (4), delay (6), weight (10).
+/// One synapse as both sides encode it, in one number, so that sorting is quick: sum apart (9
+/// bits), port (1), target (27), exponent (5), sign mode (2), bits (4), delay (6), weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct SynapseCode(u64);
 
@@ -96,7 +96,9 @@ impl SynapseCode {
             SignMode::Inhibitory => 2,
         };
         let code = u64::from((format.exponent.get() + 16) as u8) << 2 | sign;
-        let port = format.port.index() as u64;
+        // A number is below 64.
+        let apart = format.apart.map_or(0, |apart| 1 + 2 * u64::from(apart.number) + u64::from(apart.wraps));
+        let port = apart << 1 | format.port.index() as u64;
         SynapseCode(port << 54 | (code << 4 | u64::from(format.bits.get())) << 16)
     }
 

@@ -56,11 +56,20 @@ pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {
     }
 }
 
-/// Equation (1): what a spike over a weight of this format adds to the accumulator.
+/// Equation (1): what a spike over a weight of this format adds to the accumulator. A negative
+/// exponent of a sum apart shifts the sum ([`sum_shift`]).
 #[inline]
 #[must_use]
 pub fn scaled(format: SynapseFormat, weight: i16) -> i32 {
-    scaled_weight(weight, format.exponent)
+    let exponent = if format.apart.is_some() { format.exponent.max(WeightExponent::ZERO) } else { format.exponent };
+    scaled_weight(weight, exponent)
+}
+
+/// Rule (39) of `docs/loihi2.md`: bits by which the sum of a format's synapses is shifted.
+#[inline]
+#[must_use]
+pub fn sum_shift(format: SynapseFormat) -> u8 {
+    format.apart.map_or(0, |_| format.exponent.min(WeightExponent::ZERO).get().unsigned_abs())
 }
 
 /// What a binary spike adds over a synapse, in units of 64, on a core with these formats. It fits

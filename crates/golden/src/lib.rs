@@ -29,7 +29,7 @@ use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
 use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port};
-use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Projection, Quantised, Reset, SpikeSource, Units};
 use nsim_ir::source_counts::LeftField;
 use nsim_ir::spikes::{Engine, Message, Spikes};
@@ -49,6 +49,48 @@ struct Synapse {
     adds: i64,
     /// The sum that it adds to.
     port: Port,
+    /// A sum of its own, which is added to that one.
+    apart: Option<Sum>,
+}
+
+/// A sum that is narrowed by itself: rules (39) and (40).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Sum {
+    apart: Apart,
+    delay: u32,
+    /// Bits by which it is shifted.
+    shift: u32,
+}
+
+/// What arrives at a compartment in a step.
+#[derive(Debug, Clone, Default)]
+struct Arrivals {
+    /// The sums of its ports.
+    plain: [i64; 2],
+    /// The sums apart and their ports.
+    apart: Vec<(Port, Sum, i64)>,
+    /// Synapses that it arrives over.
+    events: u64,
+}
+
+impl Arrivals {
+    fn are_zero(&self) -> bool {
+        self.plain == [0; 2] && self.apart.iter().all(|sum| sum.2 == 0)
+    }
+
+    /// Rules (19), (39) and (40): sums count weights times messages. Each is shifted toward minus
+    /// infinity, and wrapped if it says so, before they are added; whether one wrapped.
+    fn by_port(&self, neuron: &Neuron) -> ([i64; 2], bool) {
+        let mut ports = self.plain.map(|sum| (sum / 64).div_euclid(1 << neuron.shift));
+        let mut wrapped = false;
+        for (port, Sum { apart, shift, .. }, sum) in &self.apart {
+            let shifted = (sum / 64).div_euclid(1 << shift);
+            let kept = if apart.wraps { wrap(shifted, 23) } else { shifted };
+            ports[port.index()] += kept;
+            wrapped |= kept != shifted;
+        }
+        (ports, wrapped)
+    }
 }
 
 /// What a compartment carries from one step to the next.
@@ -185,25 +227,30 @@ impl Golden {
         events
     }
 
-    /// The sums of all that arrives at a compartment in this step, by port, and the number of
-    /// synapses that it arrives over.
-    fn arrivals(&self, compartment: CompartmentId) -> ([i64; 2], u64) {
-        let (mut sums, mut events) = ([0; 2], 0);
+    /// All that arrives at a compartment in this step.
+    fn arrivals(&self, compartment: CompartmentId) -> Arrivals {
+        let mut arrivals = Arrivals::default();
         for synapse in &self.compartments[compartment].incoming {
-            if let Some(payload) = self.carried(synapse.source, synapse.way) {
-                sums[synapse.port.index()] += synapse.adds * payload;
-                events += 1;
+            let Some(payload) = self.carried(synapse.source, synapse.way) else { continue };
+            let adds = synapse.adds * payload;
+            arrivals.events += 1;
+            match synapse.apart {
+                None => arrivals.plain[synapse.port.index()] += adds,
+                Some(own) => match arrivals.apart.iter_mut().find(|sum| (sum.0, sum.1) == (synapse.port, own)) {
+                    Some((_, _, sum)) => *sum += adds,
+                    None => arrivals.apart.push((synapse.port, own, adds)),
+                },
             }
         }
-        (sums, events)
+        arrivals
     }
 
     /// One step of one compartment, counted; whether it spikes.
     fn update(&mut self, id: CompartmentId, step: u32) -> bool {
-        let (sums, events) = self.arrivals(id);
-        let sum = sums[0];
+        let arrivals = self.arrivals(id);
+        let sum = arrivals.plain[0];
         // Rule (12): what would arrive after the sample's end is never looked for.
-        self.totals.synaptic_events += events;
+        self.totals.synaptic_events += arrivals.events;
         self.totals.compartment_updates += 1;
 
         let (semantics, threshold) = (self.semantics, self.threshold);
@@ -227,7 +274,7 @@ impl Golden {
                     && bias(semantics, neuron) == 0
                     && sum == 0
             }
-            false => sums == [0; 2] && is_idle(neuron, state),
+            false => arrivals.are_zero() && is_idle(neuron, state),
         };
         self.totals.active_updates += u64::from(!at_rest);
 
@@ -241,7 +288,7 @@ impl Golden {
             (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Lava) => lava(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Slayer) => slayer(neuron, threshold, state, sum, step),
-            _ => in_words(neuron, state, sums),
+            _ => in_words(neuron, state, arrivals.by_port(neuron)),
         };
         // A message that its population does not have room for is sent, and reported.
         if let (Some(value), Message::Value(bits)) = (outcome.value, *message) {
@@ -545,11 +592,9 @@ fn slayer(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64
 }
 
 /// A step of a kind without u and v.
-fn in_words(neuron: &Neuron, State { words, stated, .. }: &mut State, sums: [i64; 2]) -> Outcome {
-    // Rules (19) and (39): sums count weights times messages, shifted toward minus infinity, in 32
-    // bits.
-    let shifted = sums.map(|sum| (sum / 64).div_euclid(1 << neuron.shift));
-    let arrived = shifted.map(|sum| wrap(sum, 31));
+fn in_words(neuron: &Neuron, State { words, stated, .. }: &mut State, (sums, wrapped): ([i64; 2], bool)) -> Outcome {
+    // Rule (19): sums have 32 bits.
+    let arrived = sums.map(|sum| wrap(sum, 31));
     let outcome = match neuron.kind {
         NeuronKind::SigmaDelta => sigma_delta::sigma_delta(&neuron.row, words, arrived[0]),
         NeuronKind::Delta => sigma_delta::delta(&neuron.row, words, arrived[0]),
@@ -573,7 +618,7 @@ fn in_words(neuron: &Neuron, State { words, stated, .. }: &mut State, sums: [i64
         NeuronKind::Microcode(kind) => microcode::step(kind.code(), &neuron.row, stated, arrived),
         NeuronKind::Loihi | NeuronKind::If | NeuronKind::SoftReset => unreachable!("they have u and v"),
     };
-    Outcome { q_wrapped: arrived != shifted, ..outcome }
+    Outcome { q_wrapped: wrapped || arrived != sums, ..outcome }
 }
 
 /// The state of a compartment before its first step.
@@ -590,7 +635,7 @@ fn first(neuron: &Neuron) -> State {
 /// and report nothing, also if it began with the neuron's own reset.
 fn is_idle(neuron: &Neuron, state: &State) -> bool {
     let idle_after = |mut after: State| {
-        let Outcome { spiked, u_wrapped, v_clipped, .. } = in_words(neuron, &mut after, [0; 2]);
+        let Outcome { spiked, u_wrapped, v_clipped, .. } = in_words(neuron, &mut after, ([0; 2], false));
         !spiked && (after.words, after.stated) == (state.words, state.stated) && !u_wrapped && !v_clipped
     };
     idle_after(*state) && (neuron.kind != NeuronKind::LifReset || idle_after(State { words: [0; 4], ..*state }))
@@ -611,9 +656,12 @@ fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
                     (SpikeSource::Compartment(CompartmentId(first.0 + from)), 1 + delay)
                 }
             };
-            let adds = scaled(weight, projection.format.exponent.get());
-            let port = projection.format.port;
-            all.push((CompartmentId(first_target + to), Synapse { source, way, adds, port }));
+            let SynapseFormat { port, apart, exponent, .. } = projection.format;
+            // Rule (39): of a sum apart a negative exponent is the sum's.
+            let of_sum = if apart.is_some() { exponent.get().min(0) } else { 0 };
+            let adds = scaled(weight, exponent.get() - of_sum);
+            let apart = apart.map(|apart| Sum { apart, delay, shift: of_sum.unsigned_abs().into() });
+            all.push((CompartmentId(first_target + to), Synapse { source, way, adds, port, apart }));
         }
     }
     all
@@ -711,7 +759,6 @@ mod tests {
     use nsim_dynamics::synapses::Enumerate;
     use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
     use nsim_ir::base::id::PopulationId;
-    use nsim_ir::quantised::connectivity::SynapseFormat;
 
     fn projection(connectivity: Connectivity) -> Projection {
         let format = SynapseFormat {
@@ -719,6 +766,7 @@ mod tests {
             sign: SignMode::Mixed,
             bits: WeightBits::new(8).unwrap(),
             port: Port::First,
+            apart: None,
         };
         Projection {
             name: String::new(),

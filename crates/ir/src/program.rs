@@ -27,7 +27,7 @@ use crate::dealt::Dealt;
 pub use crate::messages::{AxonTarget, AxonsOut, Messages};
 use crate::partition::Seat;
 use crate::placement::{Mesh, Site};
-use crate::quantised::connectivity::SynapseFormat;
+use crate::quantised::connectivity::{Apart, SynapseFormat};
 use crate::quantised::{Neuron, Output, Population, Reset};
 use crate::spikes::Message;
 
@@ -300,16 +300,18 @@ pub struct CoreImage {
 
 impl CoreClass {
     /// Of one whose synapses lead to compartments.
-    fn ports_not_closed(&self) -> Option<&'static str> {
-        if self.formats.iter().all(|format| format.synapse.port.is_first()) {
+    fn sums_not_closed(&self) -> Option<&'static str> {
+        if self.formats.iter().all(|format| format.synapse.port.is_first() && format.synapse.apart.is_none()) {
             return None;
         }
-        let has_port = |synapse: Synapse| {
-            let kind = self.compartments[usize::from(synapse.slot)].neuron.kind;
-            self.formats[usize::from(synapse.format)].synapse.port.index() < usize::from(kind.table().ports)
+        let has_sum = |synapse: Synapse| {
+            let table = self.compartments[usize::from(synapse.slot)].neuron.kind.table();
+            let SynapseFormat { port, apart, .. } = self.formats[usize::from(synapse.format)].synapse;
+            port.index() < usize::from(table.ports)
+                && apart.is_none_or(|apart| !table.registers && usize::from(apart.number) < Apart::MOST)
         };
-        let closed = (0..self.inputs.len()).all(|axon| self.inputs.get(axon).synapses().all(has_port));
-        (!closed).then_some("a synapse leads to a port that its compartment does not have")
+        let closed = (0..self.inputs.len()).all(|axon| self.inputs.get(axon).synapses().all(has_sum));
+        (!closed).then_some("a synapse leads to a sum that its compartment does not have")
     }
 }
 
@@ -453,7 +455,7 @@ impl Parts {
         if first && !class.inputs.is_closed(slots) {
             return Some("a synapse leads to no compartment, or an input axon and a list do not find each other");
         }
-        if let Some(what) = first.then(|| class.ports_not_closed()).flatten() {
+        if let Some(what) = first.then(|| class.sums_not_closed()).flatten() {
             return Some(what);
         }
         let reach = image.axons_out.items().all(|target| marks.reach(target));

@@ -1,6 +1,7 @@
 //! From a model file to a network in range-checked integers.
 
 pub mod analytic;
+mod apart;
 pub mod carry;
 pub mod copies;
 pub mod exponents;

@@ -19,6 +19,7 @@ use std::sync::Arc;
 
 use petgraph::graph::NodeIndex;
 
+use crate::apart::{self, TooMany};
 use crate::carry;
 use crate::exponents::{Detail, assigned};
 use nsim_dynamics as neuron;
@@ -28,11 +29,11 @@ use nsim_ir::base::fixed::{
     BiasExponent, BiasMantissa, DECAY_ONE, Field, SignMode, THRESHOLD_SHIFT, ThresholdMantissa, WEIGHT_SHIFT,
     WeightBits, WeightExponent,
 };
-use nsim_ir::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph;
 use nsim_ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
-use nsim_ir::neurons::{Conversion, ParameterField, Port};
-use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim_ir::neurons::{Conversion, ParameterField};
+use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, Units};
 use nsim_ir::tensor::Tensor;
 
@@ -85,7 +86,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]));
     let mut projections: IdVec<ProjectionId, Projection> =
         gathered(problems.into_iter().chain(projections))?.into_iter().collect();
-    stage.shift_sums(&mut populations, &mut projections)?;
+    stage.narrow_sums(&mut populations, &mut projections)?;
     if detail >= Detail::Carried {
         carry::carry(graph, &populations, &scales, &mut projections);
     }
@@ -171,61 +172,61 @@ impl Stage<'_> {
                 .error("model.synapse-format", message, bits.span)
                 .help("1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
         }
-        Ok(SynapseFormat { exponent, sign: projection.sign, bits: width, port: projection.port })
+        Ok(SynapseFormat { exponent, sign: projection.sign, bits: width, port: projection.port, apart: None })
     }
 
     /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
     /// weight. Where a weight would lose bits under its semantics, or on its way to a kind of
     /// Loihi 2, what arrives at its targets is summed in finer units, and shifted once (rules 11
-    /// and 39).
-    fn shift_sums(
+    /// and 39). Where one shift does not do, and where a convolution may wrap, kinds of Loihi 2
+    /// have sums apart (rules 39 and 40).
+    fn narrow_sums(
         &mut self,
         populations: &mut IdVec<PopulationId, Population>,
         projections: &mut IdVec<ProjectionId, Projection>,
     ) -> Result<()> {
         let lava = self.graph.facts().semantics == Semantics::Lava;
-        let sums_whole = |population: &Population| match &population.units {
-            Units::Compartments { neurons, .. } => neurons.any(|neuron| !neuron.kind.table().registers),
-            Units::Input(_) => false,
-        };
-        let lossy: Vec<(PopulationId, SynapseFormat)> = (projections.iter())
-            .filter(|p| p.format.exponent < WeightExponent::ZERO && (lava || sums_whole(&populations[p.target])))
-            .filter(|p| !p.connectivity.all_multiples_of(p.format.exponent.lost()))
-            .map(|p| (p.target, p.format))
-            .collect();
-        for (place, &(target, SynapseFormat { exponent, .. })) in lossy.iter().enumerate() {
-            let into_target = || lossy.iter().filter(|other| other.0 == target).map(|other| other.1);
-            if lossy[..place].iter().any(|other| other.0 == target) {
-                continue;
+        for target in populations.ids() {
+            let population = &populations[target];
+            let Units::Compartments { neurons, .. } = &population.units else { continue };
+            let (name, whole) = (population.name.clone(), neurons.any(|neuron| !neuron.kind.table().registers));
+            let refused = |message: String, help: &str| {
+                let span = self.graph.populations().nth(target.index()).map_or(Span::default(), |(_, p)| p.span);
+                Err(self.error("model.semantics", format!("population '{name}': {message}"), span).help(help))
+            };
+            if whole {
+                match apart::assign(self.graph, populations, projections, target) {
+                    Ok(None) => {}
+                    Ok(Some(0)) => continue,
+                    Ok(Some(shifted)) => {
+                        let message = format!("what arrives over {shifted} projections is shifted apart, as in lava");
+                        self.note(&name, message);
+                        continue;
+                    }
+                    Err(TooMany(sums)) => {
+                        let message =
+                            format!("its arrivals make {sums} sums that lava narrows apart, at most {}", Apart::MOST);
+                        return refused(message, "fewer delays, or weights that are multiples of 2^-weight_exp");
+                    }
+                }
             }
-            let population = &mut populations[target];
-            // Each sum of a compartment is shifted once.
-            let several = [Port::First, Port::Second].map(|port| into_target().filter(|p| p.port == port).count() > 1);
-            let exponent = into_target().map(|format| format.exponent.get()).min().unwrap_or(exponent.get());
-            let into = || projections.iter().filter(|p| p.target == target);
-            let most = into().map(|p| p.format.exponent.get()).max().unwrap_or(exponent) - exponent;
-            if several.contains(&true) || i64::from(most) > i64::from(WeightExponent::MAX.get()) {
+            let is_lossy = |p: &&Projection| p.target == target && apart::loses_bits(p);
+            let exponents = projections.iter().filter(is_lossy).map(|p| p.format.exponent.get());
+            let Some(exponent) = exponents.min().filter(|_| lava || whole) else { continue };
+            if !apart::one_shift_does(projections, target) {
                 let message = format!(
-                    "population '{}': as lava shifts sums, of the projections into it one at most may have a negative \
-                     weight_exp by which weights lose bits (one for each port), and the others at most {} more",
-                    population.name,
+                    "as lava shifts sums, of the projections into it one at most may have a negative weight_exp by which \
+                     weights lose bits, and the others at most {} more",
                     WeightExponent::MAX
                 );
-                let span = self.graph.populations().nth(target.0 as usize).map_or(Span::default(), |(_, p)| p.span);
-                let help = match lava {
-                    true => {
-                        "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use semantics \
-                         Hardware"
-                    }
-                    false => "give all its synapses one delay, or weights that are multiples of 2^-weight_exp",
-                };
-                return Err(self.error("model.semantics", message, span).help(help));
+                let help = "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use \
+                            semantics Hardware";
+                return refused(message, help);
             }
-            if let Units::Compartments { neurons, .. } = &mut population.units {
+            if let Units::Compartments { neurons, .. } = &mut populations[target].units {
                 let shifted = |_, neuron| Ok::<_, Diagnostic>(Neuron { shift: exponent.unsigned_abs(), ..neuron });
                 *neurons = neurons.try_map(shifted)?;
             }
-            let name = population.name.clone();
             self.note(&name, format!("what arrives is shifted by {} bits in all, as lava does", -exponent));
             for projection in projections.iter_mut().filter(|projection| projection.target == target) {
                 let raised = i64::from(projection.format.exponent.get() - exponent);

@@ -330,7 +330,7 @@ fn relay_population(name: &str, first: u32, size: u32, start_step: u32) -> Resul
 fn relay_format() -> Result<SynapseFormat, Diagnostic> {
     let format = || {
         let (exponent, bits) = (WeightExponent::new(0)?, WeightBits::new(8)?);
-        Ok(SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First })
+        Ok(SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First, apart: None })
     };
     format().map_err(|error: OutOfRange| refused(error.to_string()))
 }

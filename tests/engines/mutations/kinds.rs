@@ -11,6 +11,7 @@ use nsim::ir::base::fixed::{
 use nsim::ir::base::id::{ClassId, CompartmentId, CoreId, Id, PopulationId};
 use nsim::ir::neurons::{NeuronKind, Port};
 use nsim::ir::program::{AxonTarget, AxonsOut, CoreClass, CoreFormat, InputAxon, Parts, PopulationAxon, Synapse};
+use nsim::ir::quantised::connectivity::Apart;
 use nsim::ir::quantised::{Neuron, Reset};
 use nsim::ir::spikes::Message;
 
@@ -61,7 +62,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("kind of a neuron", |p, d| {
         let (core, slot) = compartment(p, d);
         p.class_mut(core).compartments[slot].neuron.kind = d.one_of(&NeuronKind::ALL);
-        // A synapse may then lead to a port that is not there.
+        // A synapse may then lead to a sum that is not there.
         Some(Anything)
     }),
     ("what messages carry", |p, d| {
@@ -88,7 +89,7 @@ pub const KINDS: &[(&str, Kind)] = &[
         sources.end = d.from(sources.start.into(), i64::from(sources.end) + 2) as u32;
         Some(Anything)
     }),
-    // Formats may then be the same twice, or lead to a port that is not there.
+    // Formats may then be the same twice, or lead to a sum that is not there.
     ("port of a format", |p, d| {
         format_field(p, d, Anything, |format, _| {
             format.synapse.port = if format.synapse.port.is_first() { Port::Second } else { Port::First };
@@ -319,6 +320,12 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("sign mode of a format", |p, d| {
         format_field(p, d, Closed, |f, d| f.synapse.sign = d.one_of(&[SignMode::Mixed, Excitatory, Inhibitory]))
+    }),
+    ("sum of a format", |p, d| {
+        format_field(p, d, Anything, |f, d| {
+            let apart = Apart { number: d.from(0, 70) as u8, wraps: d.chance(50) };
+            f.synapse.apart = Some(apart).filter(|_| d.chance(80));
+        })
     }),
     ("bits of a format", |p, d| {
         format_field(p, d, Closed, |f, d| {

@@ -167,8 +167,8 @@ fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) 
         let judge = match Program::new(parts) {
             Err(reason) => {
                 // What moves a synapse or a neuron may part a resonator from its second sum.
-                let by_port = reason.0.contains("a port that its compartment does not have");
-                if !by_port && !matches!(expected, Expected::NotClosed | Expected::Anything) {
+                let by_sum = reason.0.contains("a sum that its compartment does not have");
+                if !by_sum && !matches!(expected, Expected::NotClosed | Expected::Anything) {
                     wrong(format!("rejected as not closed: {reason}"));
                 }
                 "Program::new"

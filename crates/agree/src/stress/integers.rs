@@ -97,6 +97,7 @@ impl Plan {
                     sign: SignMode::Mixed,
                     bits: WeightBits::new(8)?,
                     port: Port::First,
+                    apart: None,
                 },
                 delay: Delay::new(link.delay.into())?,
                 connectivity: Connectivity::Dense { targets: count, weights: link.weights.concat().into() },

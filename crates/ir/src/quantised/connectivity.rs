@@ -25,6 +25,26 @@ pub struct SynapseFormat {
     /// The sum of its target that it adds to, below the ports of the target's kind.
     #[serde(default)]
     pub port: Port,
+    /// The sum of its own that it adds to first; none for what is added to the port as it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub apart: Option<Apart>,
+}
+
+/// A sum that is narrowed before it is added to its port: of what arrives at a compartment in a
+/// step over synapses of one number, port and delay. It is shifted by a negative exponent, and
+/// wrapped if it says so: (39) and (40) of `docs/loihi2.md`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Apart {
+    /// Which of its target's, below [`Apart::MOST`].
+    pub number: u8,
+    /// Whether it wraps to 24 bits.
+    pub wraps: bool,
+}
+
+impl Apart {
+    /// The most sums of a compartment, those of its ports included.
+    pub const MOST: usize = 64;
 }
 
 /// How the sources of a projection reach its targets, with integer weights.

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use self::connectivity::{Connectivity, SynapseFormat};
+use self::connectivity::{Apart, Connectivity, SynapseFormat};
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, Refractory, ThresholdMantissa, VmaxExponent, VminExponent, WeightExponent,
@@ -624,8 +624,14 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
     if neurons.any(|neuron| projection.format.port.index() >= usize::from(neuron.kind.table().ports)) {
         return Err(wrong("its targets have no such port"));
     }
-    let exponent = projection.format.exponent;
+    let (exponent, apart) = (projection.format.exponent, projection.format.apart);
+    if apart.is_some_and(|apart| usize::from(apart.number) >= Apart::MOST)
+        || apart.is_some() && neurons.any(|neuron| neuron.kind.table().registers)
+    {
+        return Err(wrong("its targets have no such sum"));
+    }
     if exponent < WeightExponent::ZERO
+        && apart.is_none()
         && neurons.any(|neuron| !neuron.kind.table().registers)
         && !projection.connectivity.all_multiples_of(exponent.lost())
     {

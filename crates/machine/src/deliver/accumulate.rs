@@ -61,6 +61,11 @@ impl Sum for i64 {
         let whole = self >> bits;
         (whole as i32, i64::from(whole as i32) != whole)
     }
+
+    #[inline(always)]
+    fn whole(self) -> i64 {
+        self
+    }
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::count::routing_tables::RoutingTables;
-use crate::layout::lane_order::SECOND_PORT;
+use crate::deliver::sums::Sums;
 use crate::layout::lists::{LaneWeight, ListBuilder};
 use crate::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
 use nsim_dynamics::arithmetic::units;
@@ -56,6 +56,7 @@ impl Flattened {
 /// Flattens the tables of a program.
 #[derive(Debug)]
 pub(crate) struct Flattener<'a> {
+    program: &'a Program,
     tables: RoutingTables<'a>,
     /// Index in `lanes` of each core's first slot.
     slots: Vec<u32>,
@@ -67,17 +68,18 @@ pub(crate) struct Flattener<'a> {
     bases: &'a [u32],
     /// Delay fields, ascending.
     delays: &'a [u8],
+    sums: &'a Sums,
     rows: &'a ProgramRows,
 }
 
 impl<'a> Flattener<'a> {
     /// For the lane of each compartment over all shards, the first lane of each shard, all delay
-    /// fields, ascending, and the rows that lists consist of.
+    /// fields, ascending, the sums of each compartment, and the rows that lists consist of.
     pub fn new(
         program: &'a Program,
         lane_of: &[u32],
         (bases, delays): (&'a [u32], &'a [u8]),
-        rows: &'a ProgramRows,
+        (sums, rows): (&'a Sums, &'a ProgramRows),
     ) -> Self {
         let (mut slots, mut lanes) = (Vec::new(), Vec::with_capacity(lane_of.len()));
         for image in program.cores() {
@@ -88,7 +90,7 @@ impl<'a> Flattener<'a> {
         for (first, end) in slots.iter().zip(slots.iter().skip(1).chain([&(lanes.len() as u32)])) {
             ascending[*first as usize..*end as usize].sort_unstable();
         }
-        Flattener { tables: RoutingTables::new(program), slots, lanes, ascending, bases, delays, rows }
+        Flattener { program, tables: RoutingTables::new(program), slots, lanes, ascending, bases, delays, sums, rows }
     }
 
     /// The synapses of these sources, by shard, then by delay; the shards have this many lanes.
@@ -138,19 +140,21 @@ impl<'a> Flattener<'a> {
                     let (first, last) = lanes(row);
                     last - first + 1 == u32::from(row.span) && self.shard(first) == self.shard(last)
                 };
+                let ids = &self.program.cores()[selected.core].ids;
                 let one_port = selected.formats.iter().all(|format| format.synapse.port.is_first());
                 let firsts = (synapses.len() as u32, rows.len() as u32);
-                if !axon_rows.is_empty() && one_port && axon_rows.iter().all(adjacent) {
+                if !axon_rows.is_empty() && one_port && axon_rows.iter().all(adjacent) && self.sums.are_single(ids) {
                     rows.extend(axon_rows.iter().map(|row| {
                         let (lane, _) = lanes(row);
                         let shard = self.shard(lane);
                         (place(shard, row.delay), row.synapses, RowPlace::new(lane - self.bases[shard], row.row))
                     }));
                 } else {
-                    let slots = first_slot + usize::from(selected.base);
                     synapses.extend(selected.stored.iter().map(|synapse| {
-                        let port = selected.formats[usize::from(synapse.format)].synapse.port;
-                        let lane = self.lanes[slots + usize::from(synapse.slot)] + port.index() as u32 * SECOND_PORT;
+                        let format = selected.formats[usize::from(synapse.format)].synapse;
+                        let slot = usize::from(selected.base) + usize::from(synapse.slot);
+                        let sum = self.sums.offset(ids[slot], format, synapse.delay.get());
+                        let lane = self.lanes[first_slot + slot] + sum;
                         let shard = self.shard(lane);
                         let weight = units(synapse, selected.formats) as i16;
                         (place(shard, synapse.delay.get()), (lane - self.bases[shard], weight))
@@ -188,6 +192,7 @@ impl<'a> Flattener<'a> {
 mod tests {
     use super::*;
     use crate::layout::image::Image;
+    use crate::layout::lane_order::LaneOrder;
     use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
     use nsim_ir::base::csr::Csr;
     use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
@@ -209,8 +214,8 @@ mod tests {
 
     fn format(exponent: i64, index_bits: Option<u8>) -> CoreFormat {
         let exponent = WeightExponent::new(exponent).unwrap();
-        let synapse =
-            SynapseFormat { exponent, sign: SignMode::Mixed, bits: WeightBits::new(8).unwrap(), port: Port::First };
+        let (bits, port) = (WeightBits::new(8).unwrap(), Port::First);
+        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port, apart: None };
         CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
     }
 
@@ -329,7 +334,8 @@ mod tests {
             let lanes: Vec<usize> = image.shards.iter().map(|shard| shard.lanes).collect();
             let delays = [0, 3, 17];
             let rows = ProgramRows::new(&program);
-            let flattener = Flattener::new(&program, &image.lanes, (&image.bases, &delays), &rows);
+            let sums = Sums::new(&program, &LaneOrder::new(&program)).unwrap();
+            let flattener = Flattener::new(&program, &image.lanes, (&image.bases, &delays), (&sums, &rows));
             let split = program.channels();
             for sources in [0..split, split..split + program.compartments()] {
                 let builders = flattener.flatten(sources.clone(), &lanes);

@@ -12,10 +12,11 @@ use rayon::prelude::*;
 
 use crate::count::residual::Residual;
 use crate::count::tally::{ProgramTally, Tally};
+use crate::deliver::sums::{Sums, stride};
 use crate::layout::delivery_cost::DeliveryParts;
 use crate::layout::fan_out::FanOuts;
 use crate::layout::flatten::Flattener;
-use crate::layout::lane_order::{LaneOrder, SECOND_PORT};
+use crate::layout::lane_order::LaneOrder;
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::layout::weight_rows::{ProgramRows, WeightRows};
 use crate::update::kernel::{LANES, Shared};
@@ -26,6 +27,7 @@ use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
 use nsim_ir::neurons::Row;
 use nsim_ir::program::{CoreClass, Program};
+use nsim_ir::quantised::connectivity::Apart;
 use nsim_ir::quantised::{Neuron, Reset};
 use nsim_ir::spikes::Message;
 
@@ -43,6 +45,9 @@ pub enum ImageError {
         "compartment {0} has synapses that together exceed 2^{1} weight units: their sum cannot be counted exactly"
     )]
     FanIn(CompartmentId, u32),
+    /// Too many sums that are narrowed apart.
+    #[error("the arrivals of compartment {0} make more than {most} sums that are narrowed apart", most = Apart::MOST)]
+    Sums(CompartmentId),
     /// Too many synapses.
     #[error("{0} synapses on one shard of the cores, at most 2^32 - 1 can be indexed; use more threads")]
     TooMany(usize),
@@ -134,14 +139,15 @@ impl Image {
             skip_blocks: 0,
             rows: Arc::default(),
         };
-        let blocks = image.lay_out();
+        let sums = Sums::new(program, &LaneOrder::new(program)).map_err(ImageError::Sums)?;
+        let blocks = image.lay_out(&sums);
         image.held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE).count();
         image.check_fan_in()?;
         let events = |source| image.tally().events_within(std::iter::once(source), u32::MAX);
         image.has_synapses = (image.channels..image.payloads.len() as u32).map(|source| events(source) > 0).collect();
-        image.split_into_shards(blocks, shards);
+        image.split_into_shards(blocks, &sums, shards);
         image.name();
-        image.connect()?;
+        image.connect(&sums)?;
         let mut from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments.by_delay);
         image.has_blocks = from_compartments.any(|fan_out| !fan_out.dense.blocks.is_empty());
         let held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE);
@@ -230,7 +236,7 @@ impl Image {
     }
 
     /// Lays compartments out in lanes over all shards and returns their blocks.
-    fn lay_out(&mut self) -> Vec<CoreBlock> {
+    fn lay_out(&mut self, sums: &Sums) -> Vec<CoreBlock> {
         let parts = self.program.parts();
         let mut known = std::collections::HashMap::new();
         let (mut blocks, mut lane) = (Vec::new(), 0u32);
@@ -266,9 +272,11 @@ impl Image {
                 let of = |slot: usize| &self.fields[field_of[slot] as usize];
                 let has_words = |slot: usize| !of(slot).neuron.kind.table().registers;
                 if has_words(slot) {
-                    let (kind, ports) = (of(slot).neuron.kind, of(slot).neuron.kind.table().ports);
-                    lane = lane.next_multiple_of(if ports > 1 { SKIP_BLOCK } else { LANES } as u32);
-                    let room = if ports > 1 { SKIP_BLOCK / 2 } else { SKIP_BLOCK - lane as usize % SKIP_BLOCK };
+                    let kind = of(slot).neuron.kind;
+                    let list = sums.list(ids[slot], kind.table().ports);
+                    let count = sums.get(list).len();
+                    lane = lane.next_multiple_of(if count > 1 { SKIP_BLOCK } else { LANES } as u32);
+                    let room = if count > 1 { stride(count) } else { SKIP_BLOCK - lane as usize % SKIP_BLOCK };
                     let same = |&at: &usize| {
                         let [own, other] = [at, slot].map(|at| (of(at).neuron.shift, of(at).start_step, kind_of[at].1));
                         (of(at).neuron.kind, own) == (kind, other)
@@ -277,11 +285,11 @@ impl Image {
                     let starts = of(slot).start_step;
                     let fields = BlockFields::Each(self.field_of.len() as u32);
                     self.field_of.extend(&field_of[slot..slot + length]);
-                    blocks.push(CoreBlock { start: lane, length: length as u32, core, fields, starts });
+                    blocks.push(CoreBlock { start: lane, length: length as u32, core, fields, starts, sums: list });
                     for (lane, id) in (lane..).zip(&ids[slot..slot + length]) {
                         self.lanes[id.index()] = lane;
                     }
-                    lane += if ports > 1 { SKIP_BLOCK as u32 } else { length as u32 };
+                    lane += if count > 1 { SKIP_BLOCK as u32 } else { length as u32 };
                     (last, slot) = (None, slot + length);
                     continue;
                 }
@@ -310,7 +318,7 @@ impl Image {
                 };
                 let starts = field_of[slot..slot + length].iter().map(|&f| self.fields[f as usize].start_step).min();
                 let length = length as u32;
-                blocks.push(CoreBlock { start: lane, length, core, fields, starts: starts.unwrap_or(0) });
+                blocks.push(CoreBlock { start: lane, length, core, fields, starts: starts.unwrap_or(0), sums: 0 });
                 for (offset, &compartment) in ids[slot..slot + length as usize].iter().enumerate() {
                     self.lanes[compartment.index()] = lane + offset as u32;
                 }
@@ -357,7 +365,7 @@ impl Image {
     }
 
     /// Cuts the lanes into shards of about as many whole skip blocks each.
-    fn split_into_shards(&mut self, blocks: Vec<CoreBlock>, shards: usize) {
+    fn split_into_shards(&mut self, blocks: Vec<CoreBlock>, sums: &Sums, shards: usize) {
         let skip_blocks = blocks.last().map_or(0, |block| block.start as usize / SKIP_BLOCK + 1);
         let size = skip_blocks.div_ceil(shards.max(1)).max(1);
         let mut current: Option<(usize, Shard)> = None;
@@ -374,9 +382,9 @@ impl Image {
             let vector = self.vector(block.fields);
             let mask = u64::MAX >> (SKIP_BLOCK as u32 - block.length);
             let mut end = (block.start + block.length).next_multiple_of(LANES as u32);
-            let words = self.words(&block, &shard.words);
-            if words.as_ref().is_some_and(|words| words.two_ports) {
-                end += SECOND_PORT;
+            let words = self.words(&block, sums, &shard.words);
+            if words.as_ref().is_some_and(|words| words.sums.len() > 1) {
+                end = block.start + SKIP_BLOCK as u32;
             }
             let words = words.map(|words| {
                 shard.words.push(words);
@@ -442,7 +450,7 @@ impl Image {
     }
 
     /// A block whose state is words, behind those before it in its shard.
-    fn words(&self, block: &CoreBlock, before: &[WordBlock]) -> Option<WordBlock> {
+    fn words(&self, block: &CoreBlock, sums: &Sums, before: &[WordBlock]) -> Option<WordBlock> {
         let BlockFields::Each(first) = block.fields else { return None };
         let fields = &self.field_of[first as usize..(first + block.length) as usize];
         let field = |index: u32| &self.fields[index as usize];
@@ -450,9 +458,9 @@ impl Image {
         let rows: Vec<Row> = fields.iter().map(|&index| field(index).neuron.row).collect();
         let updater = kinds::updater(kind, &rows)?;
         let first = before.last().map_or(0, |last| last.first + last.chunks() * last.updater.words());
-        let (resets_from, two_ports) = (field(fields[0]).resets_from, kind.table().ports > 1);
+        let (resets_from, sums) = (field(fields[0]).resets_from, sums.get(block.sums).to_vec());
         let shift = field(fields[0]).neuron.shift;
-        Some(WordBlock { start: block.start, first, updater, bits: 0, shift, resets_from, two_ports })
+        Some(WordBlock { start: block.start, first, updater, bits: 0, shift, resets_from, sums })
     }
 
     /// Notes which compartment each lane holds.
@@ -477,7 +485,7 @@ impl Image {
     }
 
     /// Lays out the synapses of all sources.
-    fn connect(&mut self) -> Result<(), ImageError> {
+    fn connect(&mut self, sums: &Sums) -> Result<(), ImageError> {
         let mut delays: Vec<u8> = Vec::new();
         for class in self.program.classes() {
             for synapse in class.inputs.lists.items() {
@@ -491,7 +499,7 @@ impl Image {
         let lanes: Vec<usize> = self.shards.iter().map(|shard| shard.lanes).collect();
         let rows = ProgramRows::new(&self.program);
         self.rows = Arc::clone(&rows.rows);
-        let flattener = Flattener::new(&self.program, &self.lanes, (&self.bases, &delays), &rows);
+        let flattener = Flattener::new(&self.program, &self.lanes, (&self.bases, &delays), (sums, &rows));
         for (kind, sources) in [0..self.channels, self.channels..self.sources() as u32].into_iter().enumerate() {
             let mut builders = flattener.flatten(sources, &lanes).into_iter();
             let of_shards: Vec<Vec<_>> =

@@ -8,9 +8,6 @@
 use nsim_ir::base::id::{CompartmentId, CoreId};
 use nsim_ir::program::{Compartments, Program};
 
-/// From the lane of a compartment to that of its second sum, where it has two.
-pub(crate) const SECOND_PORT: u32 = 32;
-
 /// The populations of a program, by their first compartment.
 #[derive(Debug)]
 pub(crate) struct LaneOrder<'p> {

@@ -7,14 +7,13 @@
 //! dense blocks are padded with zeros to whole chunks, so what they add to padding or to a
 //! neighbour changes nothing.
 
+use crate::deliver::sums::Sum;
 use crate::layout::fan_out::FanOuts;
-use crate::layout::lane_order::SECOND_PORT;
 use nsim_dynamics::kinds::{CHUNK, Updater};
 use nsim_ir::base::id::{CompartmentId, CoreId};
 
 /// Lanes of a skip block.
 pub const SKIP_BLOCK: usize = 64;
-const _: () = assert!(2 * SECOND_PORT as usize == SKIP_BLOCK, "two sums fill a skip block");
 
 /// Compartments of a kind whose state is words.
 #[derive(Debug)]
@@ -31,8 +30,8 @@ pub(crate) struct WordBlock {
     pub shift: u8,
     /// The step that periodic resets are counted from.
     pub resets_from: u32,
-    /// Whether each compartment has two sums.
-    pub two_ports: bool,
+    /// The sums of each compartment.
+    pub sums: Vec<Sum>,
 }
 
 impl WordBlock {
@@ -69,6 +68,8 @@ pub(crate) struct CoreBlock {
     pub fields: BlockFields,
     /// The earliest step from which one of its compartments is not held at zero.
     pub starts: u32,
+    /// The list of sums of compartments whose state is words.
+    pub sums: u32,
 }
 
 /// Adjacent core blocks of a skip block that are updated together.

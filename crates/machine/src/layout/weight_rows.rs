@@ -519,6 +519,7 @@ mod tests {
             sign: SignMode::Mixed,
             bits: WeightBits::new(8).unwrap(),
             port: Default::default(),
+            apart: None,
         };
         CoreFormat { synapse, delay_bits: 6, index_bits: Some(4), skip_bits: None }
     }

@@ -120,6 +120,11 @@ pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'sta
     fn shifted(self, bits: u8) -> (i32, bool) {
         (self.value() >> bits, false)
     }
+    /// The sum.
+    #[inline(always)]
+    fn whole(self) -> i64 {
+        self.value().into()
+    }
 }
 
 impl Sum for i32 {

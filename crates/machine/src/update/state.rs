@@ -10,17 +10,18 @@ use std::ops::Range;
 use crate::bits::{UNCHECKED, ones, write_ones};
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::{Arrivals, DelayRing};
+use crate::deliver::sums::{self, stride};
 use crate::layout::image::Image;
-use crate::layout::lane_order::SECOND_PORT;
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::layout::store::Aligned;
 use crate::update::kernel;
 use crate::update::kernel::{LANES, Portable, Sum, Vectors};
-use nsim_dynamics::arithmetic::falls_on;
+use nsim_dynamics::arithmetic::{falls_on, wrap};
 use nsim_dynamics::kinds::{Block, CHUNK, Flags, lanes_with};
 use nsim_dynamics::{Effect, Registers, update};
 use nsim_ir::activity::Overflow;
 use nsim_ir::arithmetic::Semantics;
+use nsim_ir::base::fixed::UV_BITS;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use nsim_ir::source_counts::LeftField;
 use nsim_ir::spikes::{GradedSpike, Spike};
@@ -570,7 +571,7 @@ impl CompartmentState {
         words: &WordBlock,
         input: &StepInput,
     ) -> RunEffects {
-        let WordBlock { start, updater, bits, shift, resets_from, two_ports, .. } = words;
+        let WordBlock { start, updater, bits, shift, resets_from, sums: of, .. } = words;
         let (start, lanes) = (*start as usize, updater.lanes());
         let chunks = lanes.div_ceil(CHUNK);
         let columns = &mut self.words[words.columns()];
@@ -578,16 +579,28 @@ impl CompartmentState {
             updater.clear(columns);
         }
         let (mut arrived, mut flags) = ([[[0; CHUNK]; SKIP_BLOCK / CHUNK]; 2], Flags::default());
-        for (port, arrived) in arrived.iter_mut().enumerate().take(1 + usize::from(*two_ports)) {
-            let sums = sums[port * SECOND_PORT as usize..].as_chunks_mut::<CHUNK>().0;
-            for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags).take(chunks) {
-                for lane in 0..CHUNK {
-                    let (sum, leaves) = sums[lane].shifted(*shift);
-                    arrived[lane] = sum;
-                    flags[lane] |= u8::from(sums[lane] != S::default()) | u8::from(leaves) << 1;
+        if of.is_sorted_by(|a, b| a.port != b.port) {
+            for (place, &sums::Sum { port, apart, shift: own, .. }) in of.iter().enumerate() {
+                let sums = sums[place * stride(of.len())..].as_chunks_mut::<CHUNK>().0;
+                let (arrived, shift) = (&mut arrived[port.index()], if apart.is_some() { own } else { *shift });
+                for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags).take(chunks) {
+                    for lane in 0..CHUNK {
+                        let (sum, leaves) = sums[lane].shifted(shift);
+                        arrived[lane] = sum;
+                        flags[lane] |= u8::from(sums[lane] != S::default()) | u8::from(leaves) << 1;
+                    }
+                    if apart.is_some_and(|apart| apart.wraps) {
+                        for lane in 0..CHUNK {
+                            let kept = arrived[lane] << (31 - UV_BITS) >> (31 - UV_BITS);
+                            flags[lane] |= u8::from(kept != arrived[lane]) << 1;
+                            arrived[lane] = kept;
+                        }
+                    }
+                    *sums = [S::default(); CHUNK];
                 }
-                *sums = [S::default(); CHUNK];
             }
+        } else {
+            add_apart(sums, (of, *shift), lanes, &mut arrived, &mut flags);
         }
         let (reached, narrowed) = (lanes_with(0, &flags), lanes_with(1, &flags));
         let sent = &mut self.sent[start..start + chunks * CHUNK].as_chunks_mut().0[..chunks];
@@ -732,6 +745,34 @@ impl CompartmentState {
             }
         }
         effects
+    }
+}
+
+/// Adds several sums of a port, each narrowed by itself: rules (39) and (40).
+#[cold]
+fn add_apart<S: Sum>(
+    sums: &mut [S],
+    (of, shift): (&[sums::Sum], u8),
+    lanes: usize,
+    arrived: &mut [[[i32; CHUNK]; SKIP_BLOCK / CHUNK]; 2],
+    flags: &mut Flags,
+) {
+    let (mut whole, flags) = ([[0; SKIP_BLOCK]; 2], flags.as_flattened_mut());
+    for (place, &sums::Sum { port, apart, shift: own, .. }) in of.iter().enumerate() {
+        let shift = if apart.is_some() { own } else { shift };
+        let sums = &mut sums[place * stride(of.len())..][..lanes];
+        for (lane, sum) in sums.iter_mut().map(std::mem::take).enumerate() {
+            let shifted = sum.whole() >> shift;
+            let kept = if apart.is_some_and(|apart| apart.wraps) { wrap(shifted, UV_BITS) } else { shifted };
+            whole[port.index()][lane] += kept;
+            flags[lane] |= u8::from(sum != S::default()) | u8::from(kept != shifted) << 1;
+        }
+    }
+    for (arrived, whole) in arrived.iter_mut().zip(whole) {
+        for (lane, (arrived, whole)) in arrived.as_flattened_mut().iter_mut().zip(whole).enumerate() {
+            *arrived = whole as i32;
+            flags[lane] |= u8::from(i64::from(*arrived) != whole) << 1;
+        }
     }
 }
 

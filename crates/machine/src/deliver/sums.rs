@@ -1,0 +1,121 @@
+//! The sums of arrivals of compartments whose state is words.
+//!
+//! Input: a program. Output: for each compartment the list of its sums, and which of them a synapse
+//! adds to. Errors: a compartment with more sums than a skip block has lanes.
+//!
+//! A compartment has a sum for each of its ports, and those that synapses add to apart: one for
+//! each number, shift and delay. The sums of a list lie `stride` lanes from each other, within one
+//! skip block, so that delivery and skipping need no ports.
+
+use std::collections::BTreeMap;
+
+use crate::layout::lane_order::LaneOrder;
+use nsim_dynamics::arithmetic::sum_shift;
+use nsim_dynamics::kinds::MOST_LANES;
+use nsim_ir::base::id::{CompartmentId, CoreId, Id};
+use nsim_ir::neurons::Port;
+use nsim_ir::program::Program;
+use nsim_ir::quantised::connectivity::{Apart, SynapseFormat};
+
+/// A sum of a compartment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Sum {
+    /// The port that it is added to.
+    pub port: Port,
+    /// What sums apart have to themselves.
+    pub apart: Option<Apart>,
+    /// Bits by which it is shifted before that.
+    pub shift: u8,
+    /// The delay field of what arrives, 0 of a port's.
+    delay: u8,
+}
+
+impl Sum {
+    /// The sum of a port.
+    const fn of_port(port: Port) -> Sum {
+        Sum { port, apart: None, shift: 0, delay: 0 }
+    }
+
+    /// The one that synapses of this format and delay field add to.
+    fn reached_by(format: SynapseFormat, delay: u8) -> Sum {
+        let SynapseFormat { port, apart, .. } = format;
+        let delay = if apart.is_some() { delay } else { 0 };
+        Sum { port, apart, shift: sum_shift(format), delay }
+    }
+}
+
+/// Lanes between the sums of a list of this many.
+pub(crate) const fn stride(sums: usize) -> usize {
+    MOST_LANES / sums.next_power_of_two()
+}
+
+/// The sums of all compartments.
+#[derive(Debug)]
+pub(crate) struct Sums {
+    /// Lists of sums, ascending: of one port, of two ports, then those with sums apart.
+    lists: Vec<Vec<Sum>>,
+    /// The list of each compartment that has sums apart; empty if no compartment has any.
+    apart: Vec<Option<u32>>,
+}
+
+impl Sums {
+    /// Of a program; a compartment with too many.
+    pub fn new(program: &Program, order: &LaneOrder<'_>) -> Result<Sums, CompartmentId> {
+        let ports = [Port::First, Port::Second].map(Sum::of_port);
+        let mut sums = Sums { lists: vec![ports[..1].to_vec(), ports.to_vec()], apart: Vec::new() };
+        let is_apart = |core: CoreId| program.class_of(core).formats.iter().any(|f| f.synapse.apart.is_some());
+        for core in program.cores().ids().filter(|&core| is_apart(core)) {
+            let (class, ids) = (program.class_of(core), &program.cores()[core].ids);
+            // Compartments of a population have the same list.
+            let mut reached: BTreeMap<usize, Vec<Sum>> = BTreeMap::new();
+            for synapse in class.inputs.synapses() {
+                let sum = Sum::reached_by(class.formats[usize::from(synapse.format)].synapse, synapse.delay.get());
+                let own = reached.entry(order.population(ids[usize::from(synapse.slot)])).or_default();
+                if let Err(place) = own.binary_search(&sum) {
+                    own.insert(place, sum);
+                }
+            }
+            sums.apart.resize(program.compartments() as usize, None);
+            for &id in ids {
+                let own = reached.get(&order.population(id)).filter(|own| own.iter().any(|sum| sum.apart.is_some()));
+                let Some(own) = own else { continue };
+                if own.len() > Apart::MOST {
+                    return Err(id);
+                }
+                let place = sums.lists.iter().position(|list| list == own).unwrap_or_else(|| {
+                    sums.lists.push(own.clone());
+                    sums.lists.len() - 1
+                });
+                sums.apart[id.index()] = Some(place as u32);
+            }
+        }
+        Ok(sums)
+    }
+
+    /// The list of a compartment with this many ports.
+    pub fn list(&self, id: CompartmentId, ports: u8) -> u32 {
+        self.own(id).unwrap_or_else(|| u32::from(ports) - 1)
+    }
+
+    /// A list.
+    pub fn get(&self, list: u32) -> &[Sum] {
+        &self.lists[list as usize]
+    }
+
+    /// Whether none of these compartments has several sums because of those apart.
+    pub fn are_single(&self, ids: &[CompartmentId]) -> bool {
+        ids.iter().all(|&id| self.own(id).is_none_or(|list| self.get(list).len() == 1))
+    }
+
+    /// From the lane of a compartment to that of the sum which a synapse adds to.
+    #[inline]
+    pub fn offset(&self, id: CompartmentId, format: SynapseFormat, delay: u8) -> u32 {
+        let Some(list) = self.own(id) else { return (format.port.index() * stride(2)) as u32 };
+        let (list, sum) = (self.get(list), Sum::reached_by(format, delay));
+        (list.iter().position(|other| *other == sum).unwrap_or(0) * stride(list.len())) as u32
+    }
+
+    fn own(&self, id: CompartmentId) -> Option<u32> {
+        self.apart.get(id.index()).copied().flatten()
+    }
+}

@@ -1,0 +1,136 @@
+//! Sums that lava narrows before it adds them to others.
+//!
+//! Input: a network in integers. Output: the same, where each projection whose sum must be narrowed
+//! by itself says so ([`Apart`]). Errors: a population with more sums than a compartment has.
+//!
+//! - lava's convolutions wrap their sums to 24 bits, its dense and sparse connections do not
+//!   (lava-nc b6822fb, `proc/conv/models.py`). A kernel whose weights are in several formats is
+//!   several projections here; those with the same source, window, delay and port are one sum. A
+//!   sum that cannot reach 2^23, whatever its messages carry, is left as it is.
+//! - A negative exponent shifts the sum of each delay by itself (`proc/dense/models.py`), that of
+//!   all sources of a declaration together.
+
+use std::collections::BTreeSet;
+
+use nsim_ir::base::fixed::{UV_BITS, WeightExponent};
+use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
+use nsim_ir::graph::Graph;
+use nsim_ir::quantised::connectivity::{Apart, Connectivity};
+use nsim_ir::quantised::{Population, Projection};
+use nsim_ir::spikes::Message;
+
+/// Projections into one population, by the sum that they share.
+type Groups = Vec<Vec<ProjectionId>>;
+
+/// What a population has more than [`Apart::MOST`] of.
+pub(crate) struct TooMany(pub usize);
+
+/// Whether a negative exponent takes bits of a weight of this projection.
+pub(crate) fn loses_bits(projection: &Projection) -> bool {
+    let exponent = projection.format.exponent;
+    exponent < WeightExponent::ZERO && !projection.connectivity.all_multiples_of(exponent.lost())
+}
+
+/// Gives sums of their own to the projections into a population that need them; if any does, how
+/// many sums are shifted.
+///
+/// # Errors
+/// When a compartment would have more than [`Apart::MOST`] sums.
+pub(crate) fn assign(
+    graph: &Graph,
+    populations: &IdVec<PopulationId, Population>,
+    projections: &mut IdVec<ProjectionId, Projection>,
+    target: PopulationId,
+) -> Result<Option<usize>, TooMany> {
+    let convolutions = wrapping(populations, projections, target);
+    let mut shifted = declared(graph, projections, target);
+    shifted.iter_mut().for_each(|group| group.retain(|id| !convolutions.iter().flatten().any(|other| other == id)));
+    shifted.retain(|group| !group.is_empty());
+    if convolutions.is_empty() && one_shift_does(projections, target) {
+        return Ok(None);
+    }
+    let wraps = convolutions.len();
+    let groups: Groups = convolutions.into_iter().chain(shifted).collect();
+    let of_group = |(number, group): (usize, &Vec<ProjectionId>)| group.iter().map(move |&id| (id, number)).collect();
+    let numbers: Vec<(ProjectionId, usize)> = groups.iter().enumerate().flat_map::<Vec<_>, _>(of_group).collect();
+    let own = |id: ProjectionId| numbers.iter().find(|of| of.0 == id).map(|of| of.1);
+    let into = projections.enumerate().filter(|(_, projection)| projection.target == target);
+    let sums = into.map(|(id, projection)| {
+        let number = own(id);
+        (projection.format.port, number, number.map(|_| projection.delay))
+    });
+    let sums = sums.collect::<BTreeSet<_>>().len();
+    if sums > Apart::MOST {
+        return Err(TooMany(sums));
+    }
+    for (id, number) in numbers {
+        projections[id].format.apart = Some(Apart { number: number as u8, wraps: number < wraps });
+    }
+    Ok(Some(groups.len() - wraps))
+}
+
+/// Convolutions into a population whose sums may leave 24 bits.
+fn wrapping(
+    populations: &IdVec<PopulationId, Population>,
+    projections: &IdVec<ProjectionId, Projection>,
+    target: PopulationId,
+) -> Groups {
+    let mut groups: Vec<(_, Vec<ProjectionId>, Vec<u64>)> = Vec::new();
+    for (id, projection) in projections.enumerate().filter(|(_, projection)| projection.target == target) {
+        let Connectivity::Conv2d { window, kernel } = &projection.connectivity else { continue };
+        let (format, most) = (projection.format, greatest(populations[projection.source].message));
+        let exponent = format.exponent.get();
+        let key = (projection.source, window, projection.delay, format.port, exponent.min(0));
+        let found = groups.iter().position(|group| group.0 == key).unwrap_or_else(|| {
+            groups.push((key, Vec::new(), vec![0; window.target.0 as usize]));
+            groups.len() - 1
+        });
+        let (_, members, sums) = &mut groups[found];
+        members.push(id);
+        let per_channel = (kernel.len() / sums.len().max(1)).max(1);
+        for (sum, weights) in sums.iter_mut().zip(kernel.chunks(per_channel)) {
+            let all: u64 = weights.iter().map(|weight| u64::from(weight.unsigned_abs())).sum();
+            *sum = sum.saturating_add((all << exponent.max(0)).saturating_mul(most));
+        }
+    }
+    let may_wrap = |sums: &[u64]| sums.iter().any(|&sum| sum >= 1 << UV_BITS);
+    groups.into_iter().filter(|(_, _, sums)| may_wrap(sums)).map(|(_, members, _)| members).collect()
+}
+
+/// The greatest magnitude that a message carries; one that is wider than it says is sent whole.
+fn greatest(message: Message) -> u64 {
+    message.factor().map_or(1 << 31, |factor| factor.unsigned_abs().into())
+}
+
+/// Projections into a population whose weights lose bits, those of one declaration and delay
+/// together.
+fn declared(graph: &Graph, projections: &IdVec<ProjectionId, Projection>, target: PopulationId) -> Groups {
+    let mut groups = Groups::new();
+    let mut last = None;
+    for ((id, projection), (.., declared)) in projections.enumerate().zip(graph.projections()) {
+        // Its sources follow each other, the first at 0.
+        if declared.first_source == 0 {
+            last = None;
+        }
+        if projection.target == target && loses_bits(projection) {
+            let place = *last.get_or_insert_with(|| {
+                groups.push(Vec::new());
+                groups.len() - 1
+            });
+            groups[place].push(id);
+        }
+    }
+    groups
+}
+
+/// Whether one shift of each sum of a population does for all of its projections: one at most loses
+/// bits at each port, and the exponents of all can be raised by as much.
+pub(crate) fn one_shift_does(projections: &IdVec<ProjectionId, Projection>, target: PopulationId) -> bool {
+    let into = || projections.iter().filter(move |projection| projection.target == target);
+    let exponents = || into().map(|projection| projection.format.exponent.get());
+    let lossy: Vec<_> = into().filter(|projection| loses_bits(projection)).map(|p| p.format).collect();
+    let least = lossy.iter().map(|format| format.exponent.get()).min().unwrap_or(0);
+    let several = lossy.iter().any(|format| lossy.iter().filter(|other| other.port == format.port).count() > 1);
+    let raised = i64::from(exponents().max().unwrap_or(least)) - i64::from(least);
+    !several && raised <= WeightExponent::MAX.get().into()
+}
