@@ -25,7 +25,7 @@ use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
-use nsim_testing::kinds::stated;
+use nsim_testing::kinds::{own, stated};
 use nsim_testing::sparse;
 use rayon::prelude::*;
 use serde_json::Value;
@@ -207,6 +207,24 @@ fn recorded_neurons_of_lava_match_bit_for_bit() {
         }
     }
     assert!(compared > 600_000, "{compared} numbers");
+}
+
+/// lava's encoder of the host, as a model file states it.
+#[test]
+fn a_recorded_delta_encoder_matches_bit_for_bit() {
+    let Some(folder) = data("loihi2/neuron/DeltaEncoder") else { return };
+    let mut compared = 0;
+    for (regime, given) in parameters(&folder) {
+        let of = |key: &str| given[key].as_i64().unwrap();
+        let limits = match given["num_bits"].is_null() {
+            true => [i32::MIN, i32::MAX].map(i64::from),
+            false => [of("a_min"), of("a_max")],
+        };
+        let row = [vec![of("vth"), of("spike_exp")], limits.to_vec()].concat();
+        let files = files(ONE, &["act", "residue"]);
+        compared += matches_recording(&folder.join(regime), own("DeltaEncoder").unwrap(), &vec![row; 8], files, AFTER);
+    }
+    assert!(compared > 10_000, "{compared} numbers");
 }
 
 /// lava-dl's neurons, in integers.

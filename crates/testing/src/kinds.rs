@@ -1,5 +1,5 @@
-//! Kinds of neurons of Loihi 2 as model files state them, each with the parameters of the kind that
-//! nsim has, in their order.
+//! Kinds of neurons of Loihi 2 as model files state them, with the parameters of the kind that nsim
+//! has, in their order.
 
 use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::neurons::{MicrocodeKind, NeuronKind};
@@ -109,6 +109,56 @@ const KINDS: &str = r#"[
         spikes: "im >= threshold",
         reset: ["re = 0", "im = threshold - 1"],
     ),
+    Kind(
+        name: "OwnAlifAbove",
+        state: [
+            (name: "u", bits: 32, overflow: Wrap),
+            (name: "v", bits: 32, overflow: Wrap),
+            (name: "above", bits: 32, overflow: Wrap),
+            (name: "r", bits: 32, overflow: Wrap),
+        ],
+        parameters: [
+            (name: "du", range: (0, 4096)),
+            (name: "dv", range: (0, 4096)),
+            (name: "dtheta", range: (0, 4096)),
+            (name: "dr", range: (0, 4096)),
+            (name: "threshold", range: (0, 1073741823)),
+            (name: "threshold_step", range: (-1073741824, 1073741823)),
+        ],
+        update: [
+            "u = tz(u * (4096 - du), 12) + (in << 6)",
+            "v = tz(v * (4096 - dv), 12) + u",
+            "above = tz(above * (4096 - dtheta), 12)",
+            "r = tz(r * (4096 - dr), 12)",
+        ],
+        spikes: "v - r >= above + threshold",
+        reset: ["r = r + 2 * (above + threshold)", "above = above + threshold_step"],
+    ),
+    Kind(
+        name: "OwnDeltaEncoder",
+        state: [
+            (name: "act", bits: 32, overflow: Wrap),
+            (name: "residue", bits: 32, overflow: Wrap),
+            (name: "next", bits: 32, overflow: Wrap),
+        ],
+        parameters: [
+            (name: "vth_mant", range: (0, 131071)),
+            (name: "spike_exp", range: (0, 7), default: 0),
+            (name: "low", range: (-2147483648, 0), default: -2147483648),
+            (name: "high", range: (0, 2147483647), default: 2147483647),
+        ],
+        temporaries: [(name: "x", bits: 32, overflow: Wrap), (name: "d", bits: 32, overflow: Wrap)],
+        update: [
+            "late = next",
+            "x = in << spike_exp",
+            "d = x - act + residue",
+            "s = select(d >= vth_mant << spike_exp or d <= -(vth_mant << spike_exp), d, 0)",
+            "next = max(min(s, high), low)",
+            "residue = d - next",
+            "act = x",
+        ],
+        message: "late",
+    ),
 ]"#;
 
 /// State and parameters of both resonators.
@@ -127,8 +177,17 @@ const RESONATOR: &str = r#"state: [(name: "re", bits: 24, overflow: Clip), (name
 /// When the text of a kind is wrong.
 #[must_use]
 pub fn stated(kind: NeuronKind) -> NeuronKind {
+    own(kind.name()).unwrap_or(kind)
+}
+
+/// The kind with this name behind `Own`: `AlifAbove` is `Alif` with theta counted from where it
+/// starts, `DeltaEncoder` that of lava's host with the limits of its messages.
+///
+/// # Panics
+/// As [`stated`].
+#[must_use]
+pub fn own(name: &str) -> Option<NeuronKind> {
     let source = SourceText::new("kinds.ron", KINDS.replace("RESONATOR", RESONATOR));
     let kinds: Vec<MicrocodeKind> = parse(&source, "kinds").expect("kinds that hold");
-    let own = kinds.into_iter().find(|own| own.name().strip_prefix("Own") == Some(kind.name()));
-    own.map_or(kind, NeuronKind::Microcode)
+    kinds.into_iter().find(|own| own.name().strip_prefix("Own") == Some(name)).map(NeuronKind::Microcode)
 }
