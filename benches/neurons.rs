@@ -20,7 +20,7 @@ use nsim::ir::neurons::{Emits, NeuronKind};
 use nsim::ir::quantised::{Parts, Population, Quantised, Units};
 use nsim::ir::spikes::{Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
-use nsim_testing::kinds::stated;
+use nsim_testing::kinds::{own, stated};
 
 const NEURONS: u32 = 16_384;
 
@@ -43,8 +43,10 @@ fn main() {
         (NeuronKind::Sigma, &[]),
         (NeuronKind::Rf, &[2103, 3273, 1600, 6, 12]),
         (NeuronKind::RfIz, &[3042, 2426, 70, 6, 12]),
+        (NeuronKind::Alif, &[1024, 410, 205, 819, 4096, 2048]),
     ] {
-        let [own, other] = [kind, stated(kind)].map(|kind| {
+        let like = if kind == NeuronKind::Alif { own("AlifAbove").unwrap() } else { stated(kind) };
+        let [built_in, other] = [kind, like].map(|kind| {
             let target = load_target("oheo-gulch").unwrap();
             let program = compile(network(kind, row), &target, &Options::default()).unwrap().program;
             let image = Image::new(&program, 1).unwrap();
@@ -53,6 +55,6 @@ fn main() {
             let timing = measure(&mut machine, &sample, Budget::Time(Duration::from_secs(2)));
             1e3 * timing.us_per_timestep / f64::from(NEURONS)
         });
-        println!("| {} | {own:.2} | {other:.2} | {:.2} |", kind.name(), other / own);
+        println!("| {} | {built_in:.2} | {other:.2} | {:.2} |", kind.name(), other / built_in);
     }
 }

@@ -45,23 +45,40 @@ impl Effects {
     /// order.
     #[inline(always)]
     pub(super) fn new(lanes: usize, flags: &Flags) -> Self {
-        let [emitted, active, wrapped, clipped, busy] =
-            [0, 1, 2, 3, 4].map(|bit| lanes_with(bit, flags) & u64::MAX >> (MOST_LANES - lanes));
+        let mut of_bits = lanes_with::<5>(flags);
+        for set in &mut of_bits {
+            *set &= u64::MAX >> (MOST_LANES - lanes);
+        }
+        let [emitted, active, wrapped, clipped, busy] = of_bits;
         Effects { emitted, active, wrapped, clipped, busy }
     }
 }
 
-/// The lanes with this bit.
+/// The lanes with each of the lowest N bits. Bits that no lane has, and what all lanes have, are
+/// common: they take no further work.
 #[inline(always)]
 #[must_use]
-pub fn lanes_with(bit: u32, flags: &Flags) -> u64 {
-    let mut set = 0;
-    for (lane, bytes) in (0..).step_by(8).zip(flags.as_flattened().as_chunks().0) {
-        let ones = u64::from_le_bytes(*bytes) >> bit & 0x0101_0101_0101_0101;
-        // The highest byte of the product has the lowest bit of each byte, in order.
-        set |= (ones.wrapping_mul(0x0102_0408_1020_4080) >> 56) << lane;
+pub fn lanes_with<const N: usize>(flags: &Flags) -> [u64; N] {
+    let (mut any, mut all) = (0, u8::MAX);
+    for byte in flags.as_flattened() {
+        (any, all) = (any | byte, all & byte);
     }
-    set
+    let mut of_bits = [0; N];
+    for (bit, set) in of_bits.iter_mut().enumerate() {
+        if any >> bit & 1 == 0 {
+            continue;
+        }
+        if all >> bit & 1 == 1 {
+            *set = u64::MAX;
+            continue;
+        }
+        for (lane, bytes) in (0..).step_by(8).zip(flags.as_flattened().as_chunks().0) {
+            let ones = u64::from_le_bytes(*bytes) >> bit & 0x0101_0101_0101_0101;
+            // The highest byte of the product has the lowest bit of each byte, in order.
+            *set |= (ones.wrapping_mul(0x0102_0408_1020_4080) >> 56) << lane;
+        }
+    }
+    of_bits
 }
 
 /// The update of a block.
@@ -92,7 +109,7 @@ mod tests {
                 let flags: Flags = std::array::from_fn(|chunk| {
                     std::array::from_fn(|lane| others | ((set >> (chunk * CHUNK + lane) & 1) as u8) << bit)
                 });
-                assert_eq!(lanes_with(bit, &flags), set, "{bit}");
+                assert_eq!(lanes_with::<8>(&flags)[bit], set, "{bit}");
             }
         }
     }

@@ -88,6 +88,7 @@ impl Neuron for LifReset {
     type State = State;
     type Parameters = Resetting;
     const VALUES: bool = false;
+    const RESTARTS: bool = true;
 
     fn prepare(&Row([du, dv, vth, mantissa, exponent, interval, offset, _]): &Row) -> Resetting {
         Resetting {

@@ -60,10 +60,13 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
                 let p = N::Parameters::load(parameters, lane);
                 let (mut s, mut left) = (N::State::load(&state, lane), Left::default());
                 let arrived = [arrived[0][lane], arrived[1][lane]];
-                let active = (arrived[0] | arrived[1] != 0) | !N::idle(&p, &s);
+                let (before, reached) = (s, arrived[0] | arrived[1] != 0);
+                let rests = N::RESTARTS && N::idle(&p, &s);
                 N::restart(&p, &mut s, block.step);
                 let Emission { sends, value } = N::update(&p, &mut s, arrived, &mut left);
-                let busy = !N::idle(&p, &s);
+                // Without arrivals the update itself shows whether the neuron was idle.
+                let moved = if N::RESTARTS { !rests } else { (sends != 0) | left.any() | (s != before) };
+                let (active, busy) = (reached | moved, !N::idle(&p, &s));
                 s.store(&mut state, lane);
                 if N::VALUES {
                     values[lane] = choice(sends, value, values[lane]);

@@ -175,6 +175,9 @@ pub trait Neuron: Debug + Send + Sync + 'static {
     /// Whether its messages carry what it computes, rather than what its population says.
     const VALUES: bool = true;
 
+    /// Whether [`Neuron::restart`] does anything.
+    const RESTARTS: bool = false;
+
     /// The parameters from a row of its table.
     fn prepare(row: &Row) -> Self::Parameters;
 

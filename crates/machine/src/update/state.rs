@@ -581,9 +581,13 @@ impl CompartmentState {
         let (mut arrived, mut flags) = ([[[0; CHUNK]; SKIP_BLOCK / CHUNK]; 2], Flags::default());
         if of.is_sorted_by(|a, b| a.port != b.port) {
             for (place, &sums::Sum { port, apart, shift: own, .. }) in of.iter().enumerate() {
-                let sums = sums[place * stride(of.len())..].as_chunks_mut::<CHUNK>().0;
+                let sums = &mut sums[place * stride(of.len())..].as_chunks_mut::<CHUNK>().0[..chunks];
+                // Most blocks of a busy network are not reached in a step.
+                if sums.as_flattened().iter().fold(true, |none, sum| none & (*sum == S::default())) {
+                    continue;
+                }
                 let (arrived, shift) = (&mut arrived[port.index()], if apart.is_some() { own } else { *shift });
-                for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags).take(chunks) {
+                for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags) {
                     for lane in 0..CHUNK {
                         let (sum, leaves) = sums[lane].shifted(shift);
                         arrived[lane] = sum;
@@ -602,7 +606,7 @@ impl CompartmentState {
         } else {
             add_apart(sums, (of, *shift), lanes, &mut arrived, &mut flags);
         }
-        let (reached, narrowed) = (lanes_with(0, &flags), lanes_with(1, &flags));
+        let [reached, narrowed] = lanes_with(&flags);
         let sent = &mut self.sent[start..start + chunks * CHUNK].as_chunks_mut().0[..chunks];
         let arrived = [&arrived[0][..], &arrived[1][..]];
         let effects = updater.update(&mut Block { columns, arrived, sent, step: input.step, vectors: input.arch });
@@ -617,7 +621,7 @@ impl CompartmentState {
                     *leaves = u8::from(value << (32 - bits) >> (32 - bits) != value);
                 }
             }
-            too_wide = lanes_with(0, &flags) & effects.emitted;
+            too_wide = lanes_with::<1>(&flags)[0] & effects.emitted;
         }
         let (clips, wraps) = (effects.clipped, effects.wrapped | too_wide);
         let mut reported = narrowed | wraps | clips;
