@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 use crate::agree::Agreement;
 use crate::convert::Conversion;
 use crate::energy::{self, Energy};
-use crate::error::{raised, worded};
+use crate::error::{raised, warn_of, worded};
 use crate::html::populations;
 use crate::keywords::{Keywords, whole};
 use crate::mapping::{Mapping, MappingRequest, TARGET};
@@ -36,7 +36,7 @@ pub fn load(py: Python<'_>, model: PathBuf) -> PyResult<Network> {
         Ok(network)
     });
     let network = loaded.map_err(|error: nsim::ir::base::diagnostic::Diagnostic| raised(py, error))?;
-    Ok(Network { model, network: Arc::new(network), notes: Vec::new() })
+    Network::loaded(py, model, network)
 }
 
 /// A network from the bytes of a file that another tool wrote.
@@ -112,6 +112,15 @@ impl Network {
         let place = PathBuf::from(memory::place(&model.name));
         let network = detached(py, || model.build(&place)).map_err(|problem| raised(py, problem))?;
         Network::checked(py, network, Vec::new())
+    }
+
+    /// A network of a file, with a warning of what its reader assumed.
+    fn loaded(py: Python<'_>, model: String, network: nsim::files::network::Network) -> PyResult<Self> {
+        let conventions = network.conventions().clone();
+        if let Some(assumed) = conventions.assumed {
+            warn_of(py, &format!("{model}: {}", worded(&assumed)))?;
+        }
+        Ok(Network { model, network: Arc::new(network), notes: conventions.notes })
     }
 
     /// The mapping that is priced, and its deployment: one copy unless more are asked for.

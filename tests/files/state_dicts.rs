@@ -370,3 +370,63 @@ fn what_the_network_may_depend_on_is_used_or_refused() {
     let names: BTreeMap<&str, usize> = layer(1, 1.0).iter().enumerate().map(|(i, entry)| (entry.0, i)).collect();
     assert_eq!(names.len(), 5);
 }
+
+#[test]
+fn a_note_says_in_what_order_layers_were_taken() {
+    let named = ["b.threshold", "b.graded_spikes_factor", "b.reset_mechanism_val", "b.beta"];
+    let mut entries: Vec<Entry> =
+        vec![("fc1.weight", vec![2, 3], vec![1.0; 6]), ("fc2.weight", vec![2, 2], vec![1.0; 4])];
+    entries.extend(leaky(LIF1, 0.5, 1.0, 1.0));
+    entries.extend(leaky(named, 0.75, 1.0, 1.0));
+    entries.push(("b.alpha", vec![], vec![0.5]));
+    let imported = import(&entries, &Options::default()).unwrap();
+    let assumed = imported.assumed.unwrap();
+    assert!(assumed.contains(": fc1 -> lif1 (Leaky) -> fc2 -> b (Synaptic);"), "{assumed}");
+    assert!(["forward()", "inhibition", "reset_delay", "nsim.from_torch"].iter().all(|word| assumed.contains(word)));
+    assert!(imported.notes.contains(&assumed));
+    // A network that is loaded keeps it.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net.pt");
+    std::fs::write(&path, checkpoint(&entries)).unwrap();
+    let network = nsim::load_model(path.to_str().unwrap()).unwrap();
+    assert_eq!(network.conventions().assumed.as_ref(), Some(&assumed));
+    assert_eq!(network.conventions().notes, imported.notes);
+    // Of integers, and of neurons that a user describes.
+    for text in ["type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024", "type: Leaky, beta: 0.75"] {
+        let dense = |name| (name, vec![2, 2], vec![20.0; 4]);
+        let imported = import(&[dense("a.weight"), dense("b.weight")], &neuron(&folder, text)).unwrap();
+        let assumed = imported.assumed.unwrap();
+        assert!(assumed.contains(": a -> b;") && imported.notes.contains(&assumed), "{assumed}");
+    }
+}
+
+#[test]
+fn neurons_that_a_state_dict_cannot_tell_or_that_are_not_read_are_refused() {
+    let refused = |more: &[Entry], words: &[&str]| {
+        let mut entries: Vec<Entry> = vec![("fc1.weight", vec![2, 2], vec![1.0; 4])];
+        entries.extend(leaky(LIF1, 0.75, 1.0, 1.0));
+        entries.extend_from_slice(more);
+        let error = import(&entries, &Options::default()).unwrap_err();
+        let said = format!("{} {}", error.message, error.help.unwrap_or_default());
+        assert!(words.iter().all(|word| said.contains(word)), "{said}");
+        assert!(said.contains("nsim.from_torch(net, sample)") && !said.contains("del state"), "{said}");
+    };
+    // Alpha requires alpha above beta, and has the names of Synaptic; a recurrent layer is none.
+    refused(&[("lif1.alpha", vec![], vec![0.875])], &["Synaptic", "Alpha"]);
+    refused(&[("lif1.alpha", vec![2], vec![0.875, 0.8125])], &["Synaptic", "Alpha"]);
+    let mut entries: Vec<Entry> = vec![("fc1.weight", vec![2, 2], vec![1.0; 4])];
+    entries.extend(leaky(LIF1, 0.75, 1.0, 1.0));
+    entries.push(("lif1.alpha", vec![2], vec![0.875, 0.75]));
+    import(&entries, &Options::default()).unwrap();
+    entries.pop();
+    entries.extend([("lif1.alpha", vec![], vec![0.875]), ("lif1.recurrent.weight", vec![2, 2], vec![0.5; 4])]);
+    import(&entries, &Options::default()).unwrap();
+    // Every tensor of Lapicque, alone too.
+    for name in ["lif1.time_step", "lif1.R", "lif1.C"] {
+        refused(&[(name, vec![], vec![1.0])], &[name, "Lapicque"]);
+    }
+    refused(&[("lif1.tau", vec![], vec![1.0])], &["lif1.tau", "StateLeaky"]);
+    refused(&[("lif1.other", vec![], vec![1.0])], &["lif1.other", "another kind"]);
+    // Two layers with the neurons of one.
+    refused(&[("fc2.weight", vec![2, 2], vec![1.0; 4])], &["fc1, fc2", "share neurons"]);
+}

@@ -4,8 +4,9 @@
 //! reported at the place in the model file that names it, together with what is wrong with the
 //! array's file. Whether the numbers make sense is for `nsim_files::lower`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::Mutex;
 
 use super::foreign;
 use nsim_files::network::{ArrayRef, Network, NetworkFile, place};
@@ -15,6 +16,9 @@ use nsim_files::text::beside;
 use nsim_files::{changes, npy, safetensors};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::tensor::Tensor;
+
+/// Models of whose assumptions this process has warned.
+static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
 
 /// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported as
 /// `nsim import` without options would.
@@ -26,14 +30,22 @@ pub fn load_model(argument: &str) -> Result<Network> {
     load_model_with(argument, None)
 }
 
-/// As [`load_model`], with the milliseconds of a timestep where the file does not say.
+/// As [`load_model`], with the milliseconds of a timestep where the file does not say. Warns of what was assumed of another
+/// tool's file.
 ///
 /// # Errors
 /// As [`load_model`]; `model.timestep` where the file says another one.
 pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
     let path = Path::new(argument);
     if shipped::is_path(argument) && foreign::is_foreign(path) {
-        return foreign::network(path, &foreign::Options { dt_ms, ..Default::default() });
+        let network = foreign::network(path, &foreign::Options { dt_ms, ..Default::default() })?;
+        // Some commands read their model more than once.
+        if let Some(assumed) = &network.conventions().assumed
+            && SAID.lock().is_ok_and(|mut said| said.insert(argument.to_string()))
+        {
+            tracing::warn!("{argument}: {assumed}");
+        }
+        return Ok(network);
     }
     let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown")?;
     agreeing(network(source, origin)?, dt_ms)

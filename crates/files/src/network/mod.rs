@@ -463,6 +463,16 @@ pub struct Network {
     file: NetworkFile,
     source: SourceText,
     arrays: Arc<BTreeMap<ArrayRef, Tensor>>,
+    conventions: Conventions,
+}
+
+/// How the file of another tool was read; nothing of a model file.
+#[derive(Debug, Clone, Default)]
+pub struct Conventions {
+    /// By which conventions, and what was changed.
+    pub notes: Vec<String>,
+    /// What its reader assumed and the file may contradict, as a state dict has no `forward()`.
+    pub assumed: Option<String>,
 }
 
 impl Network {
@@ -477,14 +487,27 @@ impl Network {
                 return Err(missing.at(&source, place(&source, &path)));
             }
         }
-        Ok(Network { file, source, arrays: arrays.into() })
+        Ok(Network { file, source, arrays: arrays.into(), conventions: Conventions::default() })
     }
 
     /// Another file with the same arrays; `None` when it refers to others.
     #[must_use]
     pub fn with_file(&self, file: NetworkFile, source: SourceText) -> Option<Self> {
         let known = file.arrays().iter().all(|(array, _)| self.arrays.contains_key(array));
-        known.then(|| Network { file, source, arrays: self.arrays.clone() })
+        let Network { arrays, conventions, .. } = self.clone();
+        known.then_some(Network { file, source, arrays, conventions })
+    }
+
+    /// The same, read by these conventions.
+    #[must_use]
+    pub fn read_by(self, conventions: Conventions) -> Self {
+        Network { conventions, ..self }
+    }
+
+    /// How it was read where another tool wrote it.
+    #[must_use]
+    pub fn conventions(&self) -> &Conventions {
+        &self.conventions
     }
 
     /// The content of the model file.

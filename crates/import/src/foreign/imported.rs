@@ -97,6 +97,8 @@ pub struct Imported {
     pub model: NetworkFile,
     /// By which conventions it was read, and what was changed.
     pub notes: Vec<String>,
+    /// Of these notes the one that the file may contradict.
+    pub assumed: Option<String>,
     /// What became of the weights of each layer, for files whose weights are rounded.
     pub layers: Vec<LayerWeights>,
 }

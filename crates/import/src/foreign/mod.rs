@@ -26,7 +26,7 @@ pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
 pub use self::netx::export as netx_export;
 use super::kind::FileKind;
 use nsim_files::changes;
-use nsim_files::network::Network;
+use nsim_files::network::{Conventions, Network};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// Whether a model argument is a file of another tool. What cannot be opened is for the reader of
@@ -75,7 +75,9 @@ pub fn from_nodes(
 ) -> Result<Imported> {
     options.refuse_unused("a NIR graph", &["--reset", "--decay"])?;
     let root = hdf5::Group::default().with("node", nir_export::nir_graph(nodes, edges));
-    Ok(nir::read(&root, name, options)?.held(held))
+    let mut imported = nir::read(&root, name, options)?.held(held);
+    imported.model.decision = options.decision.unwrap_or(imported.model.decision);
+    Ok(imported)
 }
 
 fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
@@ -159,5 +161,6 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
 /// # Errors
 /// As [`read`], `set.path`, and `model.*` when it is not a valid model.
 pub fn network(path: &Path, options: &Options) -> Result<Network> {
-    read(path, options)?.model.build_changed(path, changes::model)
+    let Imported { model, notes, assumed, .. } = read(path, options)?;
+    Ok(model.build_changed(path, changes::model)?.read_by(Conventions { notes, assumed }))
 }

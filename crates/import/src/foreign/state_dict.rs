@@ -75,6 +75,12 @@ const WITHOUT_MEANING: [&str; 8] =
 /// Parts of a checkpoint that belong to the training.
 const OF_TRAINING: [&str; 4] = ["optimizer", "optimizer_state_dict", "optim", "scheduler"];
 
+/// What reads a network of snnTorch whole.
+const FROM_TORCH: &str = "save a network of snnTorch with nsim.from_torch(net, sample).save(\"net.ron\") in Python";
+/// Tensors of other neurons of snnTorch 1.0.0 than those that are read.
+const OF_OTHER_NEURONS: [(&str, &str); 4] =
+    [("time_step", "Lapicque"), ("R", "Lapicque"), ("C", "Lapicque"), ("tau", "StateLeaky or LinearLeaky")];
+
 /// A tensor.
 struct Array {
     key: String,
@@ -103,6 +109,14 @@ impl Module {
 
 fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.state-dict", message)
+}
+
+/// The note on the order in which layers were taken, and on what a state dict lacks.
+fn in_order(layers: &[String], lacking: &str) -> String {
+    format!(
+        "layers in the order of definition: {}; a state dict lacks the sums and functions of forward(){lacking}",
+        layers.join(" -> ")
+    )
 }
 
 /// Reads a checkpoint.
@@ -204,6 +218,8 @@ fn multiplied(directions: &[f64], shape: &[usize], lengths: &[f64], axes: &[usiz
 fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
     let mut modules: Vec<Module> = Vec::new();
     let mut ignored = Vec::new();
+    let neurons: Vec<String> =
+        arrays.iter().filter_map(|array| Some(array.key.strip_suffix("beta")?.to_string())).collect();
     for array in arrays {
         let last = array.key.rsplit('.').next().unwrap_or_default();
         let of_training = array.key.split('.').any(|part| OF_TRAINING.contains(&part));
@@ -212,10 +228,9 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
             continue;
         }
         if last.starts_with("running_") {
-            return Err(wrong(format!("'{}' belongs to a batch normalisation", array.key)).help(
-                "fold its scale and shift into the weights and biases of the layer before it, and save the network \
-                 without it",
-            ));
+            return Err(wrong(format!("'{}' belongs to a batch normalisation", array.key)).help(format!(
+                "fold its scale and shift into the weights and biases of the layer before it, or {FROM_TORCH}"
+            )));
         }
         if last == "delay" {
             // A delay of nothing is what layers without delays may store.
@@ -230,6 +245,16 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
             let module = array.key.strip_suffix(end)?;
             (module.is_empty() || module.ends_with('.')).then(|| (module.trim_end_matches('.').to_string(), *role))
         });
+        let of_neuron = neurons.iter().any(|module| array.key.strip_prefix(module.as_str()) == Some(last));
+        if role.is_none() && of_neuron {
+            let kind = OF_OTHER_NEURONS.iter().find(|(name, _)| *name == last).map(|(_, kind)| format!(" ({kind})"));
+            return Err(wrong(format!(
+                "'{}' belongs to a neuron of another kind than Leaky, Synaptic, RLeaky and RSynaptic{}",
+                array.key,
+                kind.unwrap_or_default()
+            ))
+            .help(format!("without this tensor it would be read as a neuron that it is not: {FROM_TORCH}")));
+        }
         let Some((name, role)) = role else {
             return Err(wrong(format!("nothing is known of the tensor '{}' {:?}", array.key, array.shape)).help(
                 "known are the layers and neurons of lava-dl, SLAYER, snnTorch and Norse (docs/import.md); if the \
@@ -299,9 +324,8 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
             let message = format!("'{}' is {:?}, the kernel of a convolution", array.key, array.shape);
             let advice = "a state dict does not say how a convolution steps: ";
             return Err(Diagnostic::new("import.unsupported", message).help(format!(
-                "{advice}save the network of snnTorch with nsim.from_torch(net, sample).save(\"net.ron\") in Python, \
-                 or export it as .nir, or with lava-dl as .net; a dense layer on an image {kernel:?} is read with \
-                 --input-shape {}",
+                "{advice}{FROM_TORCH}, or export it as .nir, or with lava-dl as .net; a dense layer on an image \
+                 {kernel:?} is read with --input-shape {}",
                 listed(kernel)
             )));
         }
@@ -377,7 +401,10 @@ fn integers(
             notes.push("the decays are those of the weights' file, not those of --neuron".to_string());
         }
     }
-    slayer::build(kind, name, matrices, &neuron, notes, options)
+    let names: Vec<String> = matrices.iter().map(|matrix| matrix.name.clone()).collect();
+    let assumed = in_order(&names, "");
+    notes.push(assumed.clone());
+    Ok(Imported { assumed: Some(assumed), ..slayer::build(kind, name, matrices, &neuron, notes, options)? })
 }
 
 /// Parameters of a layer's neurons in steps, one for all or one each.
@@ -422,7 +449,7 @@ fn real(
             names(&weights),
             names(&neurons)
         ))
-        .help("export the network with snntorch.export_nir, which says what follows what"));
+        .help(format!("layers may share neurons, or have none: {FROM_TORCH}, which sees what follows what")));
     }
     let mut reset: Option<(bool, String)> = None;
     let mut own_reset = |subtracts: bool, whose: &str| match &reset {
@@ -444,6 +471,8 @@ fn real(
         last = graph.follow(&last, "flatten", node("Flatten"));
     }
     let mut lines = Vec::new();
+    // What follows what, for the note on it.
+    let mut chain = Vec::new();
     // Layers of snnTorch that stay at zero for a step.
     let mut held = Vec::new();
     for (place, (index, matrix)) in layers.iter().enumerate() {
@@ -505,6 +534,11 @@ fn real(
         }
         let norse = matches!(neuron.map(|neuron| &neuron.kind), Some(NeuronKind::Lif { .. }));
         let recurrent = owner.has(Role::Recurrent) || owner.has(Role::OneToOne);
+        chain.push(layer.name.clone());
+        if neuron.is_none() {
+            let (back, kind) = (["", "R"][usize::from(recurrent)], described.synapse.as_ref().map(|_| "Synaptic"));
+            chain.push(format!("{} ({back}{})", described.name, kind.unwrap_or("Leaky")));
+        }
         if !norse && (described.synapse.is_some() || recurrent) {
             held.push(population_name(&population));
         }
@@ -520,14 +554,16 @@ fn real(
     graph.follow(&last, "output", node("Output"));
     check_used(modules, &layers, &neurons)?;
     let reset = chosen_reset(reset, options)?;
-    notes.push(format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds"));
+    let lacking = if neuron.is_none() { ", and inhibition and reset_delay of neurons" } else { "" };
+    let assumed = format!("{}; nsim.from_torch(module, sample) in Python reads them", in_order(&chain, lacking));
+    notes.extend([assumed.clone(), format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds")]);
     let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };
     let root = Group::default().with("node", nir_graph(graph.nodes, graph.edges));
     held.retain(|_| reset == Some(ResetMode::Zero));
     let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?.held(&held);
     notes.extend(read.into_iter().filter(|note| !note.starts_with("timestep ")));
     model.provenance = Some(format!("imported from a {kind}; {}", notes.join("; ")));
-    Ok(Imported { kind, model, notes, layers: lines })
+    Ok(Imported { kind, model, notes, layers: lines, assumed: Some(assumed) })
 }
 
 /// The reset of the file, unless an option says another one.
@@ -607,6 +643,17 @@ fn snntorch(module: &Module) -> Result<(RealNeuron, Option<bool>)> {
                 .help("0 (subtract) and 1 (zero) are read; a neuron without a reset has no counterpart on a core"));
         }
     };
+    let alone = !module.has(Role::Recurrent) && !module.has(Role::OneToOne);
+    if let (Some(alpha), Some(beta), true) = (get(Role::Alpha), get(Role::Beta), alone)
+        && alpha.iter().cycle().zip(beta.iter().cycle()).take(alpha.len().max(beta.len())).all(|(a, b)| a > b)
+    {
+        let message = format!(
+            "'{}' is a Synaptic or an Alpha of snnTorch, whose tensors have the same names, and alpha is above beta as \
+             Alpha requires",
+            module.name
+        );
+        return Err(wrong(message).help(format!("{FROM_TORCH}, which sees the classes")));
+    }
     let (name, synapse) = (module.name.clone(), get(Role::Alpha).map(taken));
     Ok((RealNeuron { name, synapse, membrane, gain: None, leak: 0.0, threshold }, subtracts))
 }

@@ -40,7 +40,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
             options.refuse_unused("a model of nsim, which is restored as it was", &[])?;
             check_restored(&model, options)?;
             notes.push("written by nsim and unchanged since: restored as it was".to_string());
-            return Ok(Imported { kind: "lava-dl netx", model, notes, layers: Vec::new() });
+            return Ok(Imported { kind: "lava-dl netx", model, notes, layers: Vec::new(), assumed: None });
         }
         Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
         None => {}
@@ -314,7 +314,8 @@ impl Reader<'_> {
             self.model.target = Some("oheo-gulch".to_string());
         }
         let mut imported =
-            Imported { kind: "lava-dl netx", model: self.model, notes: self.notes, layers: self.layers }.read_out();
+            Imported { kind: "lava-dl netx", model: self.model, notes: self.notes, layers: self.layers, assumed: None }
+                .read_out();
         imported.model.provenance = Some(format!("imported from a lava-dl netx file; {}", imported.notes.join("; ")));
         Ok(imported)
     }

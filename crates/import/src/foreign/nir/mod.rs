@@ -56,7 +56,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         Some(Ok(model)) => {
             check_restored(&model, options)?;
             notes.push("written by nsim and unchanged since: restored as it was".to_string());
-            return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new() });
+            return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None });
         }
         Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
         None => {}
@@ -82,7 +82,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     };
     reader.network()?;
     let Reader { model, notes, .. } = reader;
-    let mut imported = Imported { kind: "NIR", model, notes, layers: Vec::new() }.read_out();
+    let mut imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None }.read_out();
     imported.model.provenance = Some(format!("imported from a NIR file; {}", imported.notes.join("; ")));
     Ok(imported)
 }
