@@ -12,12 +12,15 @@ use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// The bias of each channel where all of its units have the same: the mean over a window without
-/// padding is that too.
+/// The bias of each channel where all of its units have the same.
 fn shared(bias: &[f64], channels: usize) -> Option<Vec<f64>> {
     let planes = bias.chunks(bias.len() / channels);
     planes.map(|plane| plane.iter().all(|b| *b == plane[0]).then_some(plane[0])).collect()
 }
+
+/// How layers without neurons between them become one.
+const JOINED: &str = "put a neuron between them, or join them into one layer: a convolution of stride s and a pool \
+                      without padding behind it are read as one convolution, with kernels of k + (p - 1) s places";
 
 impl Reader<'_> {
     /// The linear map of these nodes behind a population of this shape.
@@ -87,9 +90,11 @@ impl Reader<'_> {
             }
             "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
                 let window = self.window(&connection.shape, name)?;
-                let shared = (node.kind == "AvgPool2d" && window.sliding.padding == (0, 0))
-                    .then(|| shared(connection.bias.as_deref()?, connection.shape[0]))
-                    .flatten();
+                // A pool without padding gives each unit of a channel as much of the channel's bias.
+                let pools = node.kind.ends_with("Pool2d") && window.sliding.padding == (0, 0);
+                let (size, mean) = (window.sliding.size, node.kind == "AvgPool2d");
+                let counted = if mean { 1.0 } else { (size.0 * size.1) as f64 };
+                let shared = pools.then(|| shared(connection.bias.as_deref()?, connection.shape[0])).flatten();
                 if shared.is_some() {
                     connection.bias = None;
                 }
@@ -99,7 +104,9 @@ impl Reader<'_> {
                 let plane = target[1] * target[2];
                 connection.shape = target;
                 connection.bias = match shared {
-                    Some(each) => Some(each.into_iter().flat_map(|bias| std::iter::repeat_n(bias, plane)).collect()),
+                    Some(each) => {
+                        Some(each.into_iter().flat_map(|bias| std::iter::repeat_n(bias * counted, plane)).collect())
+                    }
                     None => self.bias(group, name, &connection.shape)?,
                 };
             }
@@ -146,9 +153,14 @@ impl Reader<'_> {
     /// Makes the delays so far those of the sources, before weights that mix units.
     fn before_weights(&self, connection: &mut Connection, name: &str) -> Result<()> {
         if connection.bias.as_ref().is_some_and(|bias| bias.iter().any(|&b| b != 0.0)) {
+            let pool = self.flat.nodes[name].kind.ends_with("Pool2d");
             return Err(unsupported(
                 format!("before node '{name}' a bias was added, without a neuron in between"),
-                "multiply the bias with the weights and add the product to the bias behind them",
+                if pool {
+                    JOINED
+                } else {
+                    "multiply the bias with the weights and add the product to the bias behind them"
+                },
             ));
         }
         let delay = std::mem::take(&mut connection.delay);
@@ -286,7 +298,7 @@ impl Reader<'_> {
             format!(
                 "node '{name}' follows another without a neuron in between, and their product has too many synapses"
             ),
-            "put a neuron between them, or join them into one layer",
+            JOINED,
         )
     }
 

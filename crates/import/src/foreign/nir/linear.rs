@@ -54,9 +54,9 @@ impl Window {
     }
 
     /// This window and, behind it, another, as one: a pool without overlap or remainder before a
-    /// convolution.
+    /// convolution, or a convolution before a pool without padding.
     pub(super) fn then(&self, next: &Window) -> Option<Window> {
-        let weight = *self.kernel.as_ref().err()?;
+        let Err(weight) = self.kernel else { return self.pooled(next) };
         let (pool, after) = (&self.sliding, &next.sliding);
         let exact = pool.size == pool.stride && pool.padding == (0, 0) && pool.dilation == (1, 1);
         let whole = pool.source[1] == pool.target[1] * pool.size.0 && pool.source[2] == pool.target[2] * pool.size.1;
@@ -89,6 +89,47 @@ impl Window {
         };
         Some(Window { sliding, kernel: Ok(kernel) })
     }
+
+    /// This convolution and a pool behind it as one convolution: an output sums the kernel at each
+    /// place of the pool, `stride` apart.
+    fn pooled(&self, pool: &Window) -> Option<Window> {
+        let (kernel, weight) = (self.kernel.as_ref().ok()?, *pool.kernel.as_ref().err()?);
+        let (conv, behind) = (&self.sliding, &pool.sliding);
+        if behind.padding != (0, 0) || behind.dilation != (1, 1) || behind.source != conv.target {
+            return None;
+        }
+        // (places, dilation, distance of the kernel's places, distance of the pool's) of an axis.
+        let axis = |size: usize, dilation: usize, stride: usize, pool: usize| {
+            let step = if pool > 1 { gcd(dilation, stride) } else { dilation };
+            ((size - 1) * (dilation / step) + (pool - 1) * (stride / step) + 1, step, dilation / step, stride / step)
+        };
+        let (height, dy, ky, py) = axis(conv.size.0, conv.dilation.0, conv.stride.0, behind.size.0);
+        let (width, dx, kx, px) = axis(conv.size.1, conv.dilation.1, conv.stride.1, behind.size.1);
+        let kernels = conv.target[0] * conv.per_group();
+        let count = [kernels, height, width].iter().try_fold(1usize, |n, &axis| n.checked_mul(axis))?;
+        if count > MOST_LISTED {
+            return None;
+        }
+        let mut sums = vec![0.0; count];
+        for ((at, y, x), own) in each3([kernels, conv.size.0, conv.size.1]).zip(kernel) {
+            for (_, j, i) in each3([1, behind.size.0, behind.size.1]) {
+                sums[(at * height + y * ky + j * py) * width + x * kx + i * px] += own * weight;
+            }
+        }
+        let sliding = Sliding {
+            target: behind.target,
+            size: (height, width),
+            stride: (conv.stride.0 * behind.stride.0, conv.stride.1 * behind.stride.1),
+            dilation: (dy, dx),
+            ..*conv
+        };
+        Some(Window { sliding, kernel: Ok(sums) })
+    }
+}
+
+/// The greatest number that divides both.
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
 }
 
 /// The sum of two lists of delays, of which one number counts for all and an empty list for
@@ -154,4 +195,68 @@ pub(super) fn scaled(linear: Linear, scale: &[f64], shape: &[usize]) -> Option<L
             Linear::Window(Window { kernel, ..window })
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+
+    fn side(n: usize, reach: usize, stride: usize) -> usize {
+        (n - reach) / stride + 1
+    }
+
+    /// A convolution with a pool behind it, against the product of their synapses.
+    #[test]
+    fn a_convolution_and_its_pool_are_one_convolution() {
+        let mut joined = 0;
+        for (k, dilation, stride, padding) in [(3, 1, 1, 0), (2, 2, 1, 1), (3, 2, 2, 1), (2, 3, 2, 2), (1, 2, 3, 0)] {
+            for (p, step, groups) in [(2, 2, 1), (3, 2, 2), (1, 2, 1), (2, 1, 2), (2, 3, 1)] {
+                let reach = (dilation * (k - 1) + 1, dilation * k + 1);
+                let (h, w) = (side(11 + 2 * padding, reach.0, stride), side(12 + 2 * padding, reach.1, stride));
+                let conv = Sliding {
+                    source: [2, 11, 12],
+                    target: [4, h, w],
+                    size: (k, k + 1),
+                    stride: (stride, stride),
+                    padding: (padding, padding),
+                    dilation: (dilation, dilation),
+                    groups,
+                };
+                let kernel = (0..4 * (2 / groups) * k * (k + 1)).map(|i| (i * 7 % 23) as f64 - 11.0).collect();
+                let first = Window { sliding: conv, kernel: Ok(kernel) };
+                let pool = Sliding {
+                    source: conv.target,
+                    target: [4, side(h, p, step), side(w, p, step)],
+                    size: (p, p),
+                    stride: (step, step),
+                    padding: (0, 0),
+                    dilation: (1, 1),
+                    groups: 4,
+                };
+                let pool = Window { sliding: pool, kernel: Err(0.25) };
+                let mut right: BTreeMap<(u64, u64), f64> = BTreeMap::new();
+                let second = pool.list().unwrap();
+                for (from, via, weight) in first.list().unwrap() {
+                    for (_, to, next) in second.iter().filter(|synapse| synapse.0 == via) {
+                        *right.entry((from, *to)).or_default() += weight * next;
+                    }
+                }
+                let whole = first.then(&pool).unwrap();
+                let mut made: BTreeMap<(u64, u64), f64> = BTreeMap::new();
+                whole.list().unwrap().into_iter().for_each(|(from, to, weight)| {
+                    assert!(made.insert((from, to), weight).is_none());
+                });
+                right.retain(|_, weight| *weight != 0.0);
+                made.retain(|_, weight| *weight != 0.0);
+                assert_eq!(made, right, "{k} {dilation} {stride} {padding}, pool {p} {step}");
+                joined += made.len();
+                // A pool that pads counts zeros that the convolution does not see.
+                let padded = Sliding { padding: (1, 1), ..pool.sliding };
+                assert!(first.then(&Window { sliding: padded, ..pool }).is_none());
+            }
+        }
+        assert!(joined > 10_000, "{joined}");
+    }
 }
