@@ -197,6 +197,17 @@ class Errors(unittest.TestCase):
             error = self.raised(lambda: nsim.load(path))
             self.assertTrue(error.place.startswith(path + ":2:"), error.place)
 
+    def test_a_bias_beyond_its_field_is_refused_once_with_its_bounds(self):
+        def network(bias):
+            populations = [{"name": "in", "shape": 3, "kind": "Input"}, {"name": "out", "shape": 2, "du": 4096, "dv": 128, "vth": 1, "bias": bias}]
+            return nsim.Network("x", populations, [{"from": "in", "to": "out", "weights": np.full((2, 3), 0.4)}], output="out")
+
+        error = self.raised(lambda: network(np.array([0.1, 50])))
+        self.assertEqual((error.code, len(error.reasons), str(error).count("compartment 1")), ("model.range", 1, 1))
+        most = float(error.help.split("within ")[1].split(" ")[0])
+        network(np.array([0.1, 0.999 * most]))
+        self.assertEqual(self.raised(lambda: network(np.array([0.1, 1.001 * most]))).code, "model.range")
+
     def test_what_does_not_fit_is_refused(self):
         network = nsim.load("vtsnn-slip")
         self.assertEqual(self.raised(lambda: network.map("tiny", copies=4096)).code, "map.does-not-fit")

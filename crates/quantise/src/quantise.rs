@@ -345,7 +345,9 @@ impl Stage<'_> {
                 self.real_bias(name, values, scaled(1.0))?.try_map(|_, (mantissa, _)| Ok(mantissa))
             }
             Some((_, Conversion::BiasExponent, values)) => {
-                self.real_bias(name, values, scaled(1.0))?.try_map(|_, (_, exponent)| Ok(exponent))
+                // The mantissa says what is wrong.
+                let bias = self.real_bias(name, values, scaled(1.0)).unwrap_or(PerCompartment::Same((0, 0)));
+                bias.try_map(|_, (_, exponent)| Ok(exponent))
             }
         }
     }
@@ -395,7 +397,11 @@ impl Stage<'_> {
                 let of = index.map_or(String::new(), |i| format!(" of compartment {i}"));
                 let message =
                     format!("population '{name}': bias{of} {value} is {register} register units, beyond 4095 * 2^7");
-                self.error("model.range", message, values.span)
+                let most = value / register * f64::from(4095 << 7);
+                self.error("model.range", message, values.span).help(format!(
+                    "bring it within {most:.4} of 0, as far as these weights reach: a neuron whose bias is beyond its \
+                     threshold spikes in every step, or never"
+                ))
             })
         })
     }

@@ -248,7 +248,10 @@ fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
             let steps = (1.0 / nearest.share()).log2().ceil();
             format!("{seen}; raise the weight_exp of what leads to it by {steps}")
         }
-        lower => format!("{seen}; lower vth_mant from {vth} to {lower}, or vth by as much"),
+        lower => {
+            let by = (f64::from(vth) / f64::from(lower)).ceil();
+            format!("{seen}; lower vth_mant from {vth} to {lower}, or divide vth by {by}")
+        }
     }
 }
 
@@ -373,6 +376,13 @@ fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
     let notes: Vec<&Note> = network.parts().notes.iter().filter(whole).filter(leads_here).collect();
     let all = notes.iter().filter_map(|note| note.rounded);
     let worst = notes.iter().copied().zip(all.clone()).max_by(|a, b| a.1.worst_share.total_cmp(&b.1.worst_share))?;
+    if worst.1.real && worst.1.worst_share > 0.999 {
+        let entity = &worst.0.entity;
+        return Some(format!(
+            "the weights of {entity} became 0, since the threshold is out of their reach: lower vth to somewhat above \
+             what the potential reaches"
+        ));
+    }
     let change = match worst.1.real {
         true => {
             "`nsim agree` shows what that costs; a projection of its own for the largest weights makes the steps finer"
