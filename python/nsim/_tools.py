@@ -9,18 +9,19 @@ import io
 from . import _nsim
 
 
-def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, threshold=None):
+def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, threshold=None, decision=None):
     """A `nir.NIRGraph` as a network, as `nsim import` reads its file.
 
     `dt_ms` is the timestep in ms, `reset` 'zero', 'subtract' or 'subtract-later', `decay` 'euler' or 'exponential' (sinabs), `threshold`
-    'strict' or 'inclusive'. `Network.notes` says by which conventions it was read. snnTorch
+    'strict' or 'inclusive', `decision` 'Spikes', 'GreatestV', 'SumOfV' or 'LastV'. `Network.notes` says by which conventions it was read. snnTorch
     (`snntorch.export_nir.export_to_nir`) and Norse (`norse.torch.to_nir`) make such graphs of their networks.
     """
     import nir
 
     file = io.BytesIO()
     nir.write(file, graph)
-    return _nsim.from_bytes(name, file.getvalue(), dt_ms=dt_ms, reset=reset, decay=decay, threshold=threshold)
+    options = {"dt_ms": dt_ms, "reset": reset, "decay": decay, "threshold": threshold, "decision": decision}
+    return _nsim.from_bytes(name, file.getvalue(), **options)
 
 
 def from_torch(module, sample, *, export=None, **options):

@@ -7,6 +7,7 @@ A module, a value of a parameter or a computation that is not in the tables belo
 differ.
 """
 
+import contextlib
 import copy
 import re
 
@@ -32,8 +33,16 @@ PASSED = {"Identity", "Dropout", "Dropout1d", "Dropout2d", "Dropout3d", "AlphaDr
 AXES = {"Linear": 2, "Conv1d": 3, "Conv2d": 4, "AvgPool2d": 4, "BatchNorm1d": None, "BatchNorm2d": 4}
 """Layers between neurons, with the axes of their input, the batch included."""
 
-ONE_STEP = "write forward() for one timestep: neurons with init_hidden=True, no init_leaky(), no loop over time, a sample [batch, channels..]; " \
-    "outside of modules, a sum of layers and a change of shape are read (docs/tutorials/from-pytorch.md#one-timestep)"
+ONE_STEP = "write forward() for one timestep: neurons with init_hidden=True, no init_leaky(), no loop over time, a sample [batch, channels..] " \
+    "(docs/tutorials/from-pytorch.md#one-timestep)"
+
+OUTSIDE = "between modules, a sum of layers and a change of shape are read: what else forward() computes belongs into weights and biases"
+
+OF_TIME = {"getitem", "select", "unbind", "index_select", "narrow", "split", "chunk", "stack", "cat"}
+"""Functions that take timesteps out of a tensor or put them together."""
+
+STATE = "the state of "
+"""How what is known of a neuron's state begins."""
 
 VIEWS = {"flatten", "unflatten", "view", "reshape", "squeeze", "unsqueeze", "detach", "clone", "contiguous", "float", "double", "to"}
 """Functions that change the shape or the type of a tensor and no number, where the batch stays its first axis."""
@@ -41,17 +50,19 @@ VIEWS = {"flatten", "unflatten", "view", "reshape", "squeeze", "unsqueeze", "det
 WRAPPERS = {"OptimizedModule": "_orig_mod", "DataParallel": "module", "DistributedDataParallel": "module"}
 """Classes that run another module, with its name in them."""
 
-NEURONS = {"Leaky", "Synaptic", "RLeaky", "RSynaptic"}
+NEURONS = {"Lapicque", "Leaky", "Synaptic", "RLeaky", "RSynaptic"}
+
+SPIKING = " ".join(sorted(NEURONS))
 
 CARRIED = [
     ("Conv1d Conv2d", "padding_mode", ("zeros",), "pad with zeros: beyond the edge there are no neurons"),
     ("AvgPool2d", "ceil_mode", (False,), "choose a size that divides the plane, or padding="),
     ("AvgPool2d", "divisor_override", (None,), "scale the weights of the next layer instead"),
     ("BatchNorm1d BatchNorm2d", "track_running_stats", (True,), "without a mean and a variance of its own, it depends on the batch"),
-    ("Leaky Synaptic RLeaky RSynaptic", "inhibition", (False,), "train without inhibition: a core has no circuit that lets one neuron win"),
-    ("Leaky Synaptic RLeaky RSynaptic", "state_quant", (False,), "train without state_quant: nsim rounds states as the chip does"),
-    ("Leaky Synaptic RLeaky RSynaptic", "graded_spikes_factor", (1,), "train with 1: spikes of a Loihi 1 core carry no value"),
-    ("Leaky Synaptic RLeaky RSynaptic", "reset_mechanism", ("zero", "subtract"), "train with reset_mechanism='zero'"),
+    (SPIKING, "inhibition", (False,), "train without inhibition: a core has no circuit that lets one neuron win"),
+    (SPIKING, "state_quant", (False,), "train without state_quant: nsim rounds states as the chip does"),
+    (SPIKING, "graded_spikes_factor", (1,), "train with 1: spikes of a Loihi 1 core carry no value"),
+    (SPIKING, "reset_mechanism", ("zero", "subtract"), "train with reset_mechanism='zero'"),
 ]
 """Classes, a parameter of theirs, the values that are carried, and what to do about others."""
 
@@ -60,8 +71,6 @@ INSTEAD = {
     "ReLU": "put a spiking neuron in its place, such as snntorch.Leaky: a core sends spikes",
     "LayerNorm": "use torch.nn.BatchNorm1d or BatchNorm2d, whose numbers are constants once trained",
     "Alpha": "train with snntorch.Synaptic, whose current decays too",
-    "Lapicque": "train with snntorch.Leaky(beta=1 - 1 / C), C that of the neuron; with the weights and biases before it divided by C it, " \
-        "where spikes are few, spikes about as often, in other steps",
     "BatchNormTT": "use torch.nn.BatchNorm1d or BatchNorm2d: weights are the same in every timestep",
 }
 """What to use instead of a class, by the beginning of its name."""
@@ -130,11 +139,24 @@ def weights(module):
     return node if bias is None else {**node, "bias": bias.detach().cpu().numpy()}
 
 
-def neuron(module, shape, dt):
+def lapicque(module, shape, name):
+    """What a step takes of the voltage, and what an input counts: `U <- (1 - T / (R C)) U + T / C I`, T the `time_step`."""
+    step, resistance, capacity = (reals(getattr(module, key), shape) for key in ("time_step", "R", "C"))
+    taken = step / (resistance * capacity)
+    if np.any((taken < 0) | (taken > 1)):
+        message = f"'{name}' (Lapicque): a step takes time_step / (R C) = {taken.max():.4g} of the voltage, which is not within 0 to 1"
+        raise refusal(message, "give it R C of at least time_step: with beta alone that is a beta of at least 0.3679")
+    return taken, step / capacity
+
+
+def neuron(module, shape, dt, name):
     """The node of a layer of neurons, whose equations in NIR are those of snnTorch in steps of `dt` seconds."""
     taken = {key: 1 - np.clip(reals(getattr(module, key), shape), 0, 1) for key in ("alpha", "beta") if hasattr(module, key)}
+    counts = 1.0
+    if kind_of(module) == "Lapicque":
+        taken["beta"], counts = lapicque(module, shape, name)
     steps = {key: np.where(share > 0, 1 / np.maximum(share, 1 / ENDLESS), ENDLESS) for key, share in taken.items()}
-    node = {"r": steps["beta"], "v_leak": np.zeros(shape), "v_threshold": reals(module.threshold, shape)}
+    node = {"r": steps["beta"] * counts, "v_leak": np.zeros(shape), "v_threshold": reals(module.threshold, shape)}
     if "alpha" not in steps:
         return {"type": "LIF", "tau": steps["beta"] * dt, **node}
     return {"type": "CubaLIF", "tau_syn": steps["alpha"] * dt, "w_in": steps["alpha"], "tau_mem": steps["beta"] * dt, **node}
@@ -197,6 +219,30 @@ def copied(module):
     return module
 
 
+@contextlib.contextmanager
+def listed(module):
+    """For its time snnTorch's lists of neurons hold those of a module: `reset_hidden()` and `utils.reset` go over them."""
+    parts = list(module.modules())
+    owners = {owner for part in parts for owner in type(part).__mro__ if isinstance(vars(owner).get("instances"), list)}
+    kept = [(owner, owner.instances) for owner in owners]
+    try:
+        for owner in owners:
+            owner.instances = [part for part in parts if isinstance(part, owner)]
+        yield
+    finally:
+        for owner, instances in kept:
+            owner.instances = instances
+
+
+def remedy(what):
+    """What to change where a tensor is, in words, this."""
+    if what.startswith(STATE):
+        return "pass on the spikes, the first of what a neuron gives: its state stays on its core"
+    if any(f"'{name}'" in what for name in OF_TIME):
+        return ONE_STEP
+    return OUTSIDE
+
+
 class Trace:
     """The graph of one call: each module that runs is a node, edges are the tensors that pass from one to the next."""
 
@@ -207,6 +253,8 @@ class Trace:
         self.nodes = {"input": {"type": "Input", "shape": np.array(sample.shape[1:])}}
         self.shapes = {"input": sample.shape[1:]}
         self.edges, self.neurons, self.dt, self.inside = [], {}, dt, 0
+        # Of each node its module, and of neurons the modules before them.
+        self.modules, self.before = {}, {}
         # Of each tensor the nodes whose sum it is, or in words what it is; tensors are kept, as numbers of freed ones are used again.
         self.known, self.kept = {}, []
         self.learn(sample, {"input"})
@@ -262,7 +310,7 @@ class Trace:
         sources = self.known.get(id(tensor), "no output of a module of the network")
         if isinstance(sources, str):
             message = f"{what} is {sources}, which a network on a chip does not compute"
-            raise refusal(message, ONE_STEP)
+            raise refusal(message, remedy(sources))
         self.edges += [(source, to) for source in sorted(sources)]
 
     def decide(self, outs, wanted):
@@ -273,6 +321,11 @@ class Trace:
                 raise refusal(f"output is {wanted!r}, and no layer of neurons has that name", f"output= is one of {', '.join(layers)}")
             self.edges.append((layers[wanted], "output"))
             return
+        first = self.known.get(id(outs[0]), "")
+        if isinstance(first, str) and first.startswith(STATE):
+            message = f"forward() returns first {first}, and the spikes of a layer are the output"
+            help = "return spikes first; decision='GreatestV' (or 'SumOfV', 'LastV') lets the potential of that layer decide all the same"
+            raise refusal(message, help)
         self.connect(outs[0], "output", "the network's output")
         before = {"output"}
         while more := {source for source, to in self.edges if to in before} - before:
@@ -302,7 +355,7 @@ class Trace:
             wanted = ", ".join(["batch", "channels", "height", "width"][: 4 if axes == 4 else 2] + ["length"] * (axes == 3))
             message = f"'{name}' ({kind}) receives {list(given.shape)}, and [{wanted}] is expected"
             if isinstance(self.known.get(id(given)), str):
-                help = ONE_STEP
+                help = remedy(self.known[id(given)])
             elif self.known.get(id(given)) != {"input"}:
                 help = "change the shape in forward() so that the batch stays its first axis, such as torch.nn.Flatten()"
             elif given.dim() < axes:
@@ -316,7 +369,7 @@ class Trace:
         name, kind, given = self.names[module], kind_of(module), (*args, *kwargs.values())[0]
         spikes, *states = out if isinstance(out, tuple) else (out,)
         for state in states:
-            self.learn(state, f"the state of '{name}'")
+            self.learn(state, f"{STATE}'{name}'")
         if kind in PASSED:
             self.learn(spikes, self.known.get(id(given), "no output of a module of the network"))
             return
@@ -326,13 +379,16 @@ class Trace:
         if kind in ("Conv1d", "Conv2d", "AvgPool2d"):
             given = self.reshaped(given, f"{name}.input")
         node = self.add(name)
-        self.shapes[node] = spikes.shape[1:]
+        self.shapes[node], self.modules[node] = spikes.shape[1:], module
         if kind in NEURONS:
+            sources = self.known.get(id(given), "")
+            before = {self.modules.get(source) for source in sources} if not isinstance(sources, str) else sources
             if module in self.neurons:
                 message = f"'{name}' ({kind}) runs more than once in a call, and a neuron of the chip once in a timestep"
-                raise refusal(message, f"{ONE_STEP}; of layers that share their neurons, give each its own")
-            self.neurons[module] = node
-            self.nodes[node] = neuron(module, tuple(given.shape[1:]), self.dt)
+                shared = before != self.before[module] and not isinstance(before, str)
+                raise refusal(message, "give each layer neurons of its own" if shared else ONE_STEP)
+            self.neurons[module], self.before[module] = node, before
+            self.nodes[node] = neuron(module, tuple(given.shape[1:]), self.dt, name)
             if kind.startswith("R"):
                 back = self.add(f"{name}.recurrent")
                 self.nodes[back] = recurrent(module.recurrent, tuple(given.shape[1:]), f"{name}.recurrent")
@@ -421,16 +477,26 @@ def network_of(module, sample, name="network", dt_ms=None, reset=None, output=No
     traced, shape = traced.to(dtype), tuple(sample.shape[1:])
     shown = [drawn(shape)] if check is None else [drawn(shape), checked(check, shape)]
     hooks = casting(traced, dtype)
-    trace = Trace(traced, sample.detach().cpu().to(dtype), dt_ms / 1e3, output)
+    with listed(traced):
+        trace = Trace(traced, sample.detach().cpu().to(dtype), dt_ms / 1e3, output)
     for hook in hooks:
         hook.remove()
     own, held = resets(trace.neurons, trace.names)
     said = "; ".join(f"{what} of {given.shape[-1]} steps" for what, given in zip((f"{SAMPLES} random samples", f"{len(shown[-1])} of check="), shown))
     note = f"spikes in real numbers as the module does on {said}" + ("" if check is not None else "; check=array compares on others")
-    network = _nsim.from_nodes(name, trace.nodes, trace.edges, held, [note], dt_ms=dt_ms, reset=reset or own, **options)
-    for given in shown:
-        compare(network, traced, trace, given)
+    notes = [note, *training(module)]
+    network = _nsim.from_nodes(name, trace.nodes, trace.edges, held, notes, dt_ms=dt_ms, reset=reset or own, **options)
+    with listed(traced):
+        for given in shown:
+            compare(network, traced, trace, given)
     return network
+
+
+def training(module):
+    """A note on the modules that do something else while they are trained."""
+    differ = [(name, kind_of(part)) for name, part in module.named_modules() if part.training]
+    named = [f"'{name}' ({kind})" for name, kind in differ if "Dropout" in kind or kind.startswith("BatchNorm")]
+    return [f"read as after net.eval(), though these are being trained: {', '.join(named)}"] if named else []
 
 
 def drawn(shape):
@@ -441,9 +507,10 @@ def drawn(shape):
 
 def checked(check, shape):
     """Spikes of a caller, `[samples, channels.., T]`."""
-    array = np.asarray(check)
+    array = np.asarray(check.detach().cpu().to_dense().float() if hasattr(check, "detach") else check)
     if array.ndim != len(shape) + 2 or array.shape[1:-1] != shape or not array.size:
-        raise refusal(f"check has shape {list(array.shape)}", f"give spikes [samples, {', '.join(map(str, shape))}, T]", "input.shape")
+        empty = "" if array.size else " and is empty"
+        raise refusal(f"check has shape {list(array.shape)}{empty}", f"give spikes [samples, {', '.join(map(str, shape))}, T]", "input.shape")
     if not np.isin(array, (0, 1)).all():
         raise refusal("check holds numbers other than 0 and 1", "give check=array > 0", "input.value")
     return array.astype(np.uint8)
@@ -481,4 +548,8 @@ def compare(network, module, trace, given):
         if differing > ROUNDED * all_of:
             message = f"'{trace.names[module]}' ({kind_of(module)}) spikes {int(theirs.sum())} times in PyTorch and {int(mine.sum())} " \
                 f"times as nsim reads it, {differing} of them apart, in {samples} samples of {steps} steps: the network was not understood"
+            at_once = [f"'{trace.names[one]}'" for one in trace.neurons if not getattr(one, "reset_delay", True)]
+            if at_once:
+                raise refusal(message, f"train with reset_delay=True, which {', '.join(at_once)} lack{'s' * (len(at_once) == 1)}: without it " \
+                    "snnTorch subtracts before it compares where a neuron stays above its threshold")
             raise refusal(message, f"its forward() may reset neurons in each call, or depend on the batch, on numbers or on time: {ONE_STEP}")

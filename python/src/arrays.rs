@@ -46,12 +46,13 @@ impl<'py> Array<'py> {
         }
         let array =
             numpy.call_method1("asarray", (value,)).map_err(|error| match error.is_instance_of::<PyException>(py) {
-                true => refused(
-                    py,
-                    format!("{name} is no array of numbers: {}", error.value(py)),
-                    "rows of one length make an array: pad samples with zeros, or give one at a time; of a tensor, \
-                     tensor.detach().cpu().numpy() is one",
-                ),
+                true => {
+                    let help = match value.hasattr("detach").unwrap_or(false) {
+                        true => "a tensor becomes an array as tensor.detach().cpu().to_dense().float().numpy()",
+                        false => "rows of one length make an array: pad samples with zeros, or give one at a time",
+                    };
+                    refused(py, format!("{name} is no array of numbers: {}", error.value(py)), help)
+                }
                 false => error,
             })?;
         let array = array.cast_into::<PyUntypedArray>()?;

@@ -33,6 +33,7 @@ const VALUES: [&str; 8] =
 /// A message with the arguments of Python in the place of the command line's options: `dt_ms=` for
 /// `--dt`. What is part of a name, as in `a--b.ron`, stays.
 pub fn worded(text: &str) -> String {
+    let text = text.replace("--set decision=GreatestV", "decision='GreatestV' of from_torch and from_nir");
     let mut parts = text.split("--");
     let mut out = parts.next().unwrap_or_default().replace("nsim convert", "network.convert(spikes)");
     for part in parts {
@@ -57,6 +58,7 @@ pub fn worded(text: &str) -> String {
         let number = value.trim_end_matches('.');
         let (said, taken) = match value {
             _ if name == "force" => ("force=True".to_string(), 0),
+            _ if name == "set" => ("in the model's file".to_string(), 0),
             _ if VALUES.contains(&value)
                 || (name == "target" && value.starts_with(|c: char| c.is_ascii_lowercase())) =>
             {

@@ -13,7 +13,7 @@ use nsim::import::foreign;
 use nsim::import::foreign::hdf5::{Group, Numbers};
 use nsim::import::foreign::imported::DecayRule;
 use nsim::import::foreign::{Imported, Options, ResetMode};
-use nsim::ir::arithmetic::ThresholdTest;
+use nsim::ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::fixed::SignMode;
 use nsim::ir::graph::MOST_UNITS;
@@ -250,7 +250,15 @@ fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
         ThresholdTest::Strict => "strict",
         ThresholdTest::Inclusive => "inclusive",
     };
+    let decisions = |decision: ReadOut| match decision {
+        ReadOut::Spikes => "Spikes",
+        ReadOut::GreatestV => "GreatestV",
+        ReadOut::SumOfV => "SumOfV",
+        ReadOut::LastV => "LastV",
+    };
+    let read_outs = [ReadOut::Spikes, ReadOut::GreatestV, ReadOut::SumOfV, ReadOut::LastV];
     let options = Options {
+        decision: keywords.one_of("decision", &read_outs, decisions)?,
         dt_ms: keywords.take("dt_ms")?,
         reset: keywords.one_of("reset", &[ResetMode::Zero, ResetMode::Subtract, ResetMode::SubtractLater], resets)?,
         decay: keywords.one_of("decay", &[DecayRule::Euler, DecayRule::Exponential], decays)?,

@@ -214,6 +214,13 @@ fn read(
 ) -> PyResult<Vec<PopulationSpikes>> {
     let units = population.shape.len() as usize;
     let (shape, name) = (array.shape(), array.name());
+    if shape.contains(&0) {
+        let empty = Diagnostic::new("input.shape", format!("{name} has shape {shape:?} and is empty"));
+        return Err(raised(
+            py,
+            empty.help("give at least a sample, a channel and a timestep, or None for the model's own scene"),
+        ));
+    }
     let holds = |axes: &[usize]| is_of(population.shape, axes);
     let fits = |time_first| match (time_first, shape) {
         (false, [channels @ .., steps]) if holds(channels) => Some((1, *steps)),
@@ -222,7 +229,7 @@ fn read(
         (true, [samples, steps, channels @ ..]) if holds(channels) => Some((*samples, *steps)),
         _ => None,
     };
-    let Some((samples, steps)) = fits(time_first).filter(|&(samples, steps)| samples > 0 && steps > 0) else {
+    let Some((samples, steps)) = fits(time_first) else {
         let (axes, name_of) = (population.shape, &population.name);
         let message =
             format!("{name} has shape {shape:?}, which does not fit population '{name_of}' of {axes} channels");

@@ -222,10 +222,21 @@ class Spikes(Case):
     def test_shapes_that_hold_no_sample_are_refused(self):
         for array in [5, np.float32(1), np.array(True), np.zeros(0), np.zeros((CHANNELS, 0)), np.zeros((0, CHANNELS, STEPS)), b"abc"]:
             self.refused(lambda: self.mapping.run(array))
+        for array in [np.zeros(0), np.zeros((CHANNELS, 0)), np.zeros((0, CHANNELS, STEPS))]:
+            self.refused(lambda: self.mapping.run(array), "is empty", code="input.shape")
         self.refused(lambda: self.mapping.run([]), "empty", code="usage")
         error = self.refused(lambda: self.mapping.run(np.zeros((STEPS, CHANNELS))), code="input.shape")
         self.assertIn("time_first=True", error.help)
         self.mapping.run(np.zeros((STEPS, CHANNELS)), time_first=True)
+
+    def test_a_tensor_that_numpy_does_not_take_is_answered_with_what_makes_it_an_array(self):
+        class Tensor:
+            detach = None
+
+            def __array__(self, *_, **__):
+                raise TypeError("Got unsupported ScalarType BFloat16")
+
+        self.refused(lambda: self.mapping.run(Tensor()), "BFloat16", ".to_dense()", ".float().numpy()", code="input.array")
 
     def test_fractions_are_refused_in_the_words_of_files(self):
         spikes = np.zeros((CHANNELS, STEPS))

@@ -16,6 +16,7 @@ from nsim import _torch
 try:
     import snntorch as snn
     import torch
+    from snntorch import utils
     from torch import nn
 except ImportError:
     torch = None
@@ -312,22 +313,105 @@ class Modules(unittest.TestCase):
         for wrapped in (nn.DataParallel(module), torch.compile(module), torch.compile(nn.DataParallel(module))):
             self.assertEqual(nsim.from_torch(wrapped, torch.zeros(1, 16)).populations, names)
 
-    def test_leaky_in_place_of_lapicque_spikes_about_as_often(self):
-        module = nn.Sequential(nn.Linear(20, 10), self.lif(snn.Lapicque, output=True))
-        with self.assertRaises(nsim.Error) as raised:
-            nsim.from_torch(module, torch.zeros(1, 20))
-        self.assertIn("snntorch.Leaky(beta=1 - 1 / C)", raised.exception.help)
-        module[0].weight.data *= 5
-        capacity = float(module[1].C)
-        other = nn.Sequential(nn.Linear(20, 10), self.lif(beta=1 - 1 / capacity, output=True))
-        for mine, theirs in zip(other[0].parameters(), module[0].parameters()):
-            mine.data = theirs.data / capacity
-        spikes = torch.from_numpy(np.random.default_rng(1).random((100, 8, 20)) < 0.3).float()
+    def test_lapicque_is_read_by_its_resistance_capacity_and_timestep(self):
+        for values in ({}, {"beta": False, "R": 5.0, "C": 2.0}, {"beta": False, "R": 5.1, "C": 5e-3, "time_step": 1e-3}, {"C": 2.0}):
+            for how in ("zero", "subtract"):
+                lif = self.lif(snn.Lapicque, reset_mechanism=how, output=True, **values)
+                module = nn.Sequential(nn.Linear(20, 10), lif)
+                for tensor in module[0].parameters():
+                    tensor.data *= 3 * float(lif.C / lif.time_step)
+                self.read(module, 20)
+                with tempfile.TemporaryDirectory() as folder:
+                    path, state = os.path.join(folder, "net.pt"), module.state_dict()
+                    for name in ("1.R", "1.C", "1.time_step"):
+                        torch.save(state, path)
+                        with self.assertRaisesRegex(nsim.Error, "Lapicque"):
+                            nsim.load(path)
+                        del state[name]
+        self.refused(nn.Sequential(nn.Linear(20, 10), self.lif(snn.Lapicque, beta=0.2)), (1, 20), "'1'", "Lapicque", "time_step")
+
+    def test_a_state_dict_is_read_with_a_warning_of_its_order(self):
+        class Net(nn.Module):
+            def __init__(net):
+                super().__init__()
+                net.out, net.lo, net.hid, net.lh = nn.Linear(20, 20), self.lif(), nn.Linear(20, 20), self.lif()
+
+            def forward(net, x):
+                return net.lo(net.out(net.lh(net.hid(x))))
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "net.pt")
+            torch.save(Net().state_dict(), path)
+            with warnings.catch_warnings(record=True) as found:
+                warnings.simplefilter("always")
+                network = nsim.load(path)
+            said, = [str(one.message) for one in found if one.category is nsim.Warning]
+            for word in ("out -> lo (Leaky) -> hid -> lh (Leaky)", "forward()", "inhibition", "reset_delay", "nsim.from_torch(module, sample)"):
+                self.assertIn(word, said)
+            self.assertTrue(any(note in said for note in network.notes), network.notes)
+            # The classes are the same to a state dict.
+            alpha = nn.Sequential(nn.Linear(20, 20), snn.Alpha(alpha=0.9, beta=0.8))
+            torch.save(alpha.state_dict(), path)
+            with self.assertRaisesRegex(nsim.Error, "Synaptic or an Alpha"):
+                nsim.load(path)
+
+    def test_a_convolution_and_a_pool_behind_it_are_one(self):
+        plain = lambda *first: nn.Sequential(*first, self.lif(threshold=0.1), nn.Flatten(), nn.LazyLinear(4), self.lif(threshold=0.1, output=True))
+        for conv, pool in [
+            (nn.Conv2d(2, 4, 3), nn.AvgPool2d(2)),
+            (nn.Conv2d(2, 4, 3, padding=1, bias=False), nn.AvgPool2d(3, stride=2)),
+            (nn.Conv2d(2, 4, (2, 3), stride=2, dilation=2, groups=2, padding=(1, 0)), nn.AvgPool2d((2, 3), stride=1)),
+            (nn.Conv2d(2, 4, 2, stride=3, dilation=2, padding="valid"), nn.AvgPool2d(1)),
+        ]:
+            module = plain(conv, pool)
+            module(torch.zeros(1, 2, 13, 14))
+            conv.weight.data *= 2
+            self.assertNotIn("always", [name for name, *_ in self.read(module, 2, 13, 14).populations])
+        # The order of snnTorch's tutorials, larger than a list of synapses.
+        layers = [nn.Conv2d(1, 12, 5), nn.AvgPool2d(2), self.lif(), nn.Conv2d(12, 64, 5), nn.AvgPool2d(2), self.lif(threshold=0.2), nn.Flatten()]
+        network = nsim.from_torch(nn.Sequential(*layers, nn.Linear(1024, 10), self.lif(output=True)), torch.zeros(1, 1, 28, 28))
+        self.assertLess(network.map().cores, 20)
+        padded = [nn.Conv2d(1, 12, 5), nn.AvgPool2d(2, padding=1), self.lif(), nn.Conv2d(12, 64, 5), nn.AvgPool2d(2, padding=1), self.lif()]
+        self.refused(nn.Sequential(*padded), (1, 1, 28, 28), "without padding")
+
+    def test_the_potential_decides_where_decision_says_so(self):
+        class Net(nn.Module):
+            def __init__(net, given):
+                super().__init__()
+                net.a, net.l, net.b, net.lo, net.given = nn.Linear(20, 30), self.lif(), nn.Linear(30, 5), self.lif(threshold=40.0, output=True), given
+
+            def forward(net, x):
+                return net.given(*net.lo(net.b(net.l(net.a(x)))))
+
+        for given in (lambda spikes, mem: mem, lambda spikes, mem: (mem, spikes)):
+            self.refused(Net(given), (1, 20), "the state of 'lo'", "return spikes first", "decision='GreatestV'")
+        module = Net(lambda spikes, mem: (spikes, mem))
+        spikes = np.random.default_rng(3).random((20, 20, 40)) < 0.3
+        module.eval()
         with torch.no_grad():
-            counts = [sum(net(step)[0].sum() for step in spikes) for net in (module, other)]
-        self.assertGreater(counts[0], 100)
-        self.assertLess(abs(counts[0] - counts[1]), 0.1 * counts[0])
-        nsim.from_torch(other, torch.zeros(1, 20))
+            potentials = torch.stack([module(torch.tensor(spikes[..., step]).float())[1] for step in range(40)])
+        for decision, theirs in [("GreatestV", potentials.amax(0)), ("SumOfV", potentials.sum(0)), ("LastV", potentials[-1])]:
+            mapping = nsim.from_torch(module, torch.zeros(1, 20), decision=decision).map()
+            same = np.array(mapping.run(spikes).predicted) == theirs.argmax(1).numpy()
+            self.assertGreaterEqual(same.mean(), 0.9, decision)
+        with self.assertRaisesRegex(nsim.Error, "GreatestV"):
+            nsim.from_torch(module, torch.zeros(1, 20), decision="greatest")
+        module.lo.threshold.fill_(1e9)
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            nsim.from_torch(module, torch.zeros(1, 20)).map().run(spikes)
+        said = "\n".join(str(one.message) for one in found)
+        self.assertIn("decision='GreatestV'", said)
+        self.assertNotIn("set=", said)
+        self.assertIn("became 0", said)
+
+    def test_modules_that_are_being_trained_are_named_in_a_note(self):
+        module = nn.Sequential(nn.Linear(20, 8), nn.BatchNorm1d(8), self.lif(), nn.Dropout(0.2), nn.Linear(8, 4), self.lif(output=True))
+        note = lambda: [note for note in nsim.from_torch(module, torch.zeros(1, 20)).notes if "net.eval()" in note]
+        self.assertIn("'1' (BatchNorm1d), '3' (Dropout)", note()[0])
+        self.assertTrue(module.training)
+        module.eval()
+        self.assertEqual(note(), [])
 
     def test_after_training_the_state_is_forgotten(self):
         module = nn.Sequential(nn.Linear(32, 8), self.lif(output=True))
@@ -366,6 +450,46 @@ class Modules(unittest.TestCase):
                 for _ in range(2):
                     spikes, mem = self.lif(self.between(self.fc(x)), mem)
                 return spikes
+
+        class Shared(Loop):
+            def forward(self, x):
+                return self.lif(self.between(self.lif(self.fc(x))[0]))[0]
+
+        class Hidden(nn.Module):
+            def __init__(self, reset):
+                super().__init__()
+                self.fc, self.lif, self.reset = nn.Linear(32, 8), snn.Leaky(beta=0.9, reset_mechanism="zero", init_hidden=True), reset
+
+            def forward(self, x):
+                self.reset(self)
+                return self.lif(self.fc(x))
+
+        # snnTorch keeps all neurons in a list, which is left as it was, as are the states of other networks.
+        other = Hidden(lambda net: None)
+        other(torch.ones(1, 32))
+        state, listed = other.lif.mem.clone(), snn.SpikingNeuron.instances
+        before = list(listed)
+        for reset in (utils.reset, lambda net: snn.Leaky.reset_hidden(), lambda net: net.lif.reset_hidden(), lambda net: net.lif.reset_mem()):
+            module = Hidden(reset)
+            before.append(module.lif)
+            self.refused(module, (1, 32), "'lif'", "reset neurons in each call")
+            self.assertTrue(torch.equal(other.lif.mem, state))
+            self.assertTrue(snn.SpikingNeuron.instances is listed and all(a is b for a, b in zip(listed, before)) and len(listed) == len(before))
+        nsim.from_torch(Hidden(lambda net: snn.Leaky.detach_hidden()), torch.zeros(1, 32))
+        # Help names time where time is the cause.
+        for module, words, absent in [
+            (Shared(nn.Linear(8, 8)), ("more than once", "neurons of its own"), "one-timestep"),
+            (Loop(torch.relu), ("'relu'", "between modules"), "one-timestep"),
+            (Loop(lambda x: x[:, :4]), ("'getitem'", "one-timestep"), "between modules"),
+        ]:
+            self.refused(module, (1, 32), *words)
+            with self.assertRaises(nsim.Error) as raised:
+                nsim.from_torch(module, torch.zeros(1, 32))
+            self.assertNotIn(absent, raised.exception.help)
+        for kind, options in ((snn.Leaky, {}), (snn.Synaptic, {"alpha": 0.5})):
+            at_once = nn.Sequential(nn.Linear(32, 8), self.lif(kind, reset_mechanism="subtract", reset_delay=False, **options))
+            at_once[0].weight.data *= 10
+            self.refused(at_once, (1, 32), "'1'", "reset_delay=True")
 
         class Cleared(Loop):
             def forward(self, x):
