@@ -56,7 +56,7 @@ def from_torch(module, sample, *, export=None, **options):
     return from_nir(graph, **options)
 
 
-WITHOUT_EXPORTER = "save the weights, torch.save(net.state_dict(), 'net.pt'), for `nsim import net.pt --neuron FILE`, or build a " \
+WITHOUT_EXPORTER = "save the weights, torch.save(net.state_dict(), 'net.pt'), for nsim.load('net.pt', neuron=FILE), or build a " \
     "nir.NIRGraph for nsim.from_nir; docs/tutorials/from-pytorch.md says which versions go together"
 
 

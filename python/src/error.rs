@@ -26,6 +26,13 @@ pyo3::create_exception!(
     "What stands out in a run, such as a population that never spikes, and what would change it."
 );
 
+/// What is typed in a shell, and in Python.
+const IN_PYTHON: [(&str, &str); 3] = [
+    ("nsim convert", "network.convert(spikes)"),
+    ("nsim agree", "network.agree(spikes)"),
+    ("--set decision=GreatestV", "decision='GreatestV' of from_torch and from_nir"),
+];
+
 /// Values of options that messages name.
 const VALUES: [&str; 8] =
     ["rails", "zero", "subtract", "subtract-later", "exponential", "search", "oheo-gulch", "inclusive"];
@@ -33,9 +40,9 @@ const VALUES: [&str; 8] =
 /// A message with the arguments of Python in the place of the command line's options: `dt_ms=` for
 /// `--dt`. What is part of a name, as in `a--b.ron`, stays.
 pub fn worded(text: &str) -> String {
-    let text = text.replace("--set decision=GreatestV", "decision='GreatestV' of from_torch and from_nir");
+    let text = IN_PYTHON.iter().fold(text.to_string(), |text, (shell, python)| text.replace(shell, python));
     let mut parts = text.split("--");
-    let mut out = parts.next().unwrap_or_default().replace("nsim convert", "network.convert(spikes)");
+    let mut out = parts.next().unwrap_or_default().to_string();
     for part in parts {
         if !out.ends_with([' ', '(', '`', '\n']) && !out.is_empty() {
             out += &format!("--{part}");
@@ -67,7 +74,7 @@ pub fn worded(text: &str) -> String {
             _ if number.parse::<f64>().is_ok() => (format!("{name}={number}"), 1 + number.len()),
             _ => (format!("{name}="), 0),
         };
-        out += &(said + &rest[taken..].replace("nsim convert", "network.convert(spikes)"));
+        out += &(said + &rest[taken..]);
     }
     out
 }

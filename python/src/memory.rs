@@ -236,7 +236,7 @@ pub fn built(
 }
 
 /// The options of an import that Python has.
-fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
+pub fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
     let resets = |reset: ResetMode| match reset {
         ResetMode::Zero => "zero",
         ResetMode::Subtract => "subtract",
@@ -264,6 +264,7 @@ fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
         decay: keywords.one_of("decay", &[DecayRule::Euler, DecayRule::Exponential], decays)?,
         threshold: keywords.one_of("threshold", &[ThresholdTest::Strict, ThresholdTest::Inclusive], tests)?,
         input_shape: keywords.take("input_shape")?,
+        neuron: keywords.path("neuron")?.map(Into::into),
         ..Options::default()
     };
     keywords.none_left()?;

@@ -7,6 +7,8 @@ use nsim::agree::compare::real_trace;
 use nsim::agree::ladder::layers;
 use nsim::energy::evaluate::Plan;
 use nsim::files::network::NetworkFile;
+use nsim::import::foreign;
+use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::session::front::real_and_integers;
 use numpy::ToPyArray;
 use pyo3::prelude::*;
@@ -26,16 +28,28 @@ use crate::work::{detached, work};
 /// Loads a model.
 ///
 /// `model` is the path of a model file (`.ron`, `.nir`, `.net`, ..) or the name of a shipped model.
+/// What the file of another tool does not say is given as to `nsim import`: `dt_ms`, `neuron` (a
+/// file), `reset`, `decay`, `threshold`, `decision`, `input_shape`.
 #[pyfunction]
-#[pyo3(text_signature = "(model)")]
-pub fn load(py: Python<'_>, model: PathBuf) -> PyResult<Network> {
+#[pyo3(signature = (model, **options), text_signature = "(model, **options)")]
+pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>) -> PyResult<Network> {
     let model = model.to_string_lossy().into_owned();
+    let given = options.filter(|given| !given.is_empty());
+    let options = given.map(|given| memory::options(&Keywords::new(Some(given))?)).transpose()?;
     let loaded = detached(py, || {
-        let network = nsim::load_model(&model)?;
+        let path = Path::new(&model);
+        let network = match &options {
+            None => nsim::load_model(&model)?,
+            Some(options) if foreign::is_foreign(path) => foreign::network(path, options)?,
+            Some(_) => {
+                let message = format!("{model} is no file of another tool, whose gaps the options fill");
+                return Err(Diagnostic::new("usage", message).help("leave the options out: a model's file says all"));
+            }
+        };
         real_and_integers(&network)?;
         Ok(network)
     });
-    let network = loaded.map_err(|error: nsim::ir::base::diagnostic::Diagnostic| raised(py, error))?;
+    let network = loaded.map_err(|error: Diagnostic| raised(py, error))?;
     Network::loaded(py, model, network)
 }
 
@@ -340,7 +354,7 @@ impl Network {
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
         let written = detached(py, || self.network.resolved()?.write(&path, force));
-        written.map_err(|problem: nsim::ir::base::diagnostic::Diagnostic| raised(py, problem))
+        written.map_err(|problem: Diagnostic| raised(py, problem))
     }
 
     fn __repr__(&self) -> String {

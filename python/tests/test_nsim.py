@@ -197,6 +197,11 @@ class Errors(unittest.TestCase):
             error = self.raised(lambda: nsim.load(path))
             self.assertTrue(error.place.startswith(path + ":2:"), error.place)
 
+    def test_options_of_load_are_for_files_of_other_tools(self):
+        self.assertEqual(self.raised(lambda: nsim.load("vtsnn-slip", dt_ms=2.0)).code, "usage")
+        with self.assertRaises(TypeError):
+            nsim.load("vtsnn-slip", dt=2.0)
+
     def test_a_bias_beyond_its_field_is_refused_once_with_its_bounds(self):
         def network(bias):
             populations = [{"name": "in", "shape": 3, "kind": "Input"}, {"name": "out", "shape": 2, "du": 4096, "dv": 128, "vth": 1, "bias": bias}]

@@ -349,6 +349,14 @@ class Modules(unittest.TestCase):
             for word in ("out -> lo (Leaky) -> hid -> lh (Leaky)", "forward()", "inhibition", "reset_delay", "nsim.from_torch(module, sample)"):
                 self.assertIn(word, said)
             self.assertTrue(any(note in said for note in network.notes), network.notes)
+            # The remedies that are printed, as they are printed.
+            torch.save({"0.weight": torch.ones(4, 20)}, path)
+            with self.assertRaises(nsim.Error) as raised:
+                nsim.load(path)
+            self.assertIn("neuron= CONFIG.yml", raised.exception.help)
+            neuron = os.path.join(folder, "CONFIG.yml")
+            Path(neuron).write_text("neuron: {type: LIF, tau_syn_inv: 200, tau_mem_inv: 100, v_leak: 0, v_th: 1, v_reset: 0}")
+            self.assertEqual([name for name, *_ in nsim.load(path, neuron=neuron, dt_ms=1.0, decision="LastV").populations], ["input", "0"])
             # The classes are the same to a state dict.
             alpha = nn.Sequential(nn.Linear(20, 20), snn.Alpha(alpha=0.9, beta=0.8))
             torch.save(alpha.state_dict(), path)

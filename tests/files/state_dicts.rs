@@ -391,6 +391,10 @@ fn a_note_says_in_what_order_layers_were_taken() {
     let network = nsim::load_model(path.to_str().unwrap()).unwrap();
     assert_eq!(network.conventions().assumed.as_ref(), Some(&assumed));
     assert_eq!(network.conventions().notes, imported.notes);
+    // A command says it once.
+    let map = std::process::Command::new(env!("CARGO_BIN_EXE_nsim")).arg("map").arg(&path).output().unwrap();
+    let stderr = String::from_utf8_lossy(&map.stderr);
+    assert!(map.status.success() && stderr.matches(&assumed).count() == 1, "{stderr}");
     // Of integers, and of neurons that a user describes.
     for text in ["type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024", "type: Leaky, beta: 0.75"] {
         let dense = |name| (name, vec![2, 2], vec![20.0; 4]);
