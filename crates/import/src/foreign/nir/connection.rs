@@ -90,7 +90,7 @@ impl Reader<'_> {
             }
             "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
                 let window = self.window(&connection.shape, name)?;
-                // A pool without padding gives each unit of a channel as much of the channel's bias.
+                // A pool without padding gives each unit of a channel as much of its bias.
                 let pools = node.kind.ends_with("Pool2d") && window.sliding.padding == (0, 0);
                 let (size, mean) = (window.sliding.size, node.kind == "AvgPool2d");
                 let counted = if mean { 1.0 } else { (size.0 * size.1) as f64 };
