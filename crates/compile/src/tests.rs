@@ -266,9 +266,9 @@ fn a_kernel_is_stored_once() {
     }
 }
 
-/// In the order of the file a 5 x 5 convolution takes 32 cores, since none holds the kernels of many
-/// channels. Tiles take 9, whose busiest works five times as long; injecting 6,400 channels takes
-/// most of a step in any case.
+/// In the order of the file a 5 x 5 convolution takes 32 cores, since none holds the kernels of
+/// many channels. Tiles take 9, whose busiest works five times as long; injecting 6,400 channels
+/// takes most of a step in any case.
 #[test]
 fn cores_are_saved_where_most_of_a_step_is_not_theirs() {
     let mut net = Builder::new();

@@ -30,8 +30,8 @@ pub fn load_model(argument: &str) -> Result<Network> {
     load_model_with(argument, None)
 }
 
-/// As [`load_model`], with the milliseconds of a timestep where the file does not say. Warns of what
-/// was assumed of another tool's file.
+/// As [`load_model`], with the milliseconds of a timestep where the file does not say. Warns of
+/// what was assumed of another tool's file.
 ///
 /// # Errors
 /// As [`load_model`]; `model.timestep` where the file says another one.

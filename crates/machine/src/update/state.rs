@@ -132,8 +132,8 @@ impl<S, C: Spike, N: Spike> Form<'_, S, C, N>
 where
     S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
 {
-    /// Runs it with the widest vectors of the processor. Vectors of others are not compiled: each is
-    /// a third of the time that this crate takes to compile.
+    /// Runs it with the widest vectors of the processor. Vectors of others are not compiled: each
+    /// is a third of the time that this crate takes to compile.
     #[inline(always)]
     fn run(self, arch: pulp::Arch) {
         match arch {

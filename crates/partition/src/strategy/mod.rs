@@ -16,9 +16,9 @@
 //!   ([`refine`]).
 //!
 //! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages.
-//! `Multilevel` leaves out mappings whose steps are too long for the cores that they save; otherwise none is ever worse than the one above. Copies of a network are one copy's partition
-//! repeated, so that no copy shares a core with another, unless filling all of them together takes
-//! fewer cores.
+//! `Multilevel` leaves out mappings whose steps are too long for the cores that they save; otherwise
+//! none is ever worse than the one above. Copies of a network are one copy's partition repeated, so
+//! that no copy shares a core with another, unless filling all of them together takes fewer cores.
 
 pub mod box_fan_out;
 pub mod boxes;
@@ -57,7 +57,6 @@ use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::activity::CoreCounts;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::base::rng;
-use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates::{Rates, UNIT};
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::{CoreUsage, Partition, PartitionError, seats};
@@ -407,7 +406,8 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     let events = filler.fan_in.events_into(filler.network, search.rates);
     let inputs: u64 = (0..filler.network.channels()).map(|channel| search.rates.rate_of(channel)).sum();
     let steps = UNIT as u64;
-    let others = (table.turn_time.0 + table.barrier(1).0) * steps;
+    let others_us = (table.turn_time.microseconds() + table.barrier(1).microseconds()) * steps as f64;
+    let injection_us = table.injection_time.microseconds() * inputs as f64;
     let length = |members: &Members, times: u64| {
         let of_core = |held: &Vec<CompartmentId>| {
             let events_sparse = held.iter().map(|id| events[id.index()]).sum::<u64>() * times;
@@ -415,7 +415,7 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
             core_time(&CoreCounts { events_sparse, visited, active: visited, ..CoreCounts::default() }, &table)
         };
         let busiest = members.iter().map(of_core).max().unwrap_or_default();
-        Picoseconds(busiest.0 + table.injection_time.0 * inputs * times + others).microseconds()
+        busiest.microseconds() + injection_us * times as f64 + others_us
     };
     // Tiles gather the compartments with the most synapses, which shows in steps of many spikes.
     let ways = if over_space { &[1, BURST][..] } else { &[1] };
