@@ -55,7 +55,7 @@ pub fn usage(
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
     let places = Places::for_network(network, limits);
-    let (used, shared) = uses(network, members, seats, limits, &places);
+    let (used, shared) = unzipped(uses(network, members, seats, limits, &places, |_| true));
     let shared = SharedPlaces { places: &places, members: &shared };
     let shared = fan_out::by_position(&places, limits).then_some(&shared);
     let core_of = seats.iter().map(|seat| seat.core).collect();
@@ -75,8 +75,8 @@ pub fn usage_with_fan_out(
     fan_out: &FanOut,
     limits: &Limits,
 ) -> IdVec<CoreId, CoreUsage> {
-    let (used, _) = uses(network, members, seats, limits, &Places::for_network(network, limits));
-    with_fan_out(used, members, fan_out)
+    let uses = uses(network, members, seats, limits, &Places::for_network(network, limits), |_| true);
+    with_fan_out(uses.into_iter().map(|core| core.usage), members, fan_out)
 }
 
 /// The use of each core, where that of all but output axons is known.
@@ -94,8 +94,24 @@ pub fn with_fan_out(
     usage.into_iter().zip(members).map(of_core).collect()
 }
 
-/// What each core uses but for its output axons, and which places are members of population axons
-/// on it.
+/// What a core uses but for its output axons, and which places are members of population axons on
+/// it. It depends on the compartments of the core and their order alone.
+#[derive(Debug, Clone, Default)]
+pub struct CoreUse {
+    /// The use.
+    pub usage: CoreUsage,
+    /// The places, ascending, and whether it is a pop32 axon.
+    pub shared: Vec<(u32, bool)>,
+}
+
+/// The uses, and the places.
+#[must_use]
+pub fn unzipped(uses: Vec<CoreUse>) -> (Vec<CoreUsage>, MembersOfCores) {
+    let (usage, shared): (_, Vec<_>) = uses.into_iter().map(|core| (core.usage, core.shared)).unzip();
+    (usage, shared.into())
+}
+
+/// What each wanted core uses; of the others nothing is counted.
 ///
 /// # Panics
 /// As [`usage`].
@@ -106,12 +122,16 @@ pub fn uses(
     seats: &IdVec<CompartmentId, Seat>,
     limits: &Limits,
     places: &Places,
-) -> (Vec<CoreUsage>, MembersOfCores) {
+    wanted: impl Fn(CoreId) -> bool + Sync,
+) -> Vec<CoreUse> {
     let longest = longest_delays(network, seats, members.len(), |_| true);
     let profiles = profiles(network, seats, members.len());
     let formats = Formats::for_network(network);
     let stored = limits.is_limited(Resource::StoredSynapses).then(|| StoredSynapses::for_network(network));
-    let counted = by_core::by_core(network, &formats, seats, members.len(), |core, keys| {
+    by_core::by_core_from(network, &formats, seats, members.len(), (|_| true, &wanted), |core, keys| {
+        if !wanted(core) {
+            return CoreUse::default();
+        }
         let held = &members[core];
         let mut totals = CoreTotals::new(held.len() as u32, longest[core]);
         let widths = Widths::for_core(totals.compartments, longest[core], limits.packing);
@@ -120,10 +140,8 @@ pub fn uses(
         totals.synapses = keys.len() as u64;
         (totals.compartment_profiles, totals.threshold_profiles) = profiles[core].counts();
         totals.stored = stored.as_ref().map_or(0, |stored| stored.of_core(network, held));
-        (totals.usage(limits), lists.members(limits))
-    });
-    let (used, shared): (Vec<CoreUsage>, Vec<_>) = counted.into_iter().unzip();
-    (used, shared.into())
+        CoreUse { usage: totals.usage(limits), shared: lists.members(limits) }
+    })
 }
 
 /// The profiles of each core.

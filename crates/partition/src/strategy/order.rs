@@ -14,7 +14,8 @@
 //!   filling is repeated. It ends because estimates only grow, and a core with a single compartment
 //!   is never split.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
@@ -22,7 +23,7 @@ use crate::error::CompileError;
 use crate::reason::Reason;
 use crate::resources::axon_sharing::Places;
 use crate::resources::even_draws;
-use crate::resources::exact::uses;
+use crate::resources::exact::{CoreUse, unzipped, uses};
 use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::{ALONE, FanOut, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core};
 use crate::resources::incremental::{Filling, Newcomer};
@@ -30,7 +31,7 @@ use crate::strategy::members::{Members, row_of_chips};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
-use nsim_ir::partition::{CoreUsage, seats};
+use nsim_ir::partition::{CoreUsage, Seat, seats};
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Capacity, OutputAxons, Resource};
 
@@ -39,6 +40,9 @@ use nsim_ir::resource::{Capacity, OutputAxons, Resource};
 const ROUNDS: u32 = 14;
 /// The first margin is a 2^5th of the fan-out.
 const FIRST_MARGIN: u32 = 5;
+
+/// Memberships whose cores' uses are kept.
+const KNOWN: usize = 4;
 
 /// Compartments from which on an order is filled in parts, and those of a part.
 const LARGE: u64 = 1 << 18;
@@ -232,13 +236,15 @@ pub struct Filler<'a> {
     pub target: &'a Target,
     /// The network read backwards.
     pub fan_in: FanIn,
+    /// What cores of these compartments use: from round to round most cores stay as they are.
+    known: Mutex<HashMap<Vec<CompartmentId>, CoreUse>>,
 }
 
 impl<'a> Filler<'a> {
     /// A filler.
     #[must_use]
     pub fn new(network: &'a Quantised, target: &'a Target) -> Self {
-        Filler { network, target, fan_in: FanIn::new(network) }
+        Filler { network, target, fan_in: FanIn::new(network), known: Mutex::default() }
     }
 
     /// The better of keeping segments whole and filling every core up.
@@ -299,10 +305,36 @@ impl<'a> Filler<'a> {
         let places = Places::for_network(network, limits);
         let seats = || seats(network.compartments(), members).ok();
         let counted = if by_position(&places, limits) { seats() } else { None };
-        let counted = counted.map(|seats| uses(network, members, &seats, limits, &places));
-        let (usage, shared) = counted.unzip();
+        let counted = counted.map(|seats| self.uses(members, &seats, &places));
+        let (usage, shared) = counted.map(unzipped).unzip();
         let shared = shared.as_ref().map(|members| SharedPlaces { places: &places, members });
         (network_fan_out(network, &core_of, &chips, limits, shared.as_ref()), usage.map(IdVec::from))
+    }
+
+    /// What each core uses, counted where it is not known. The lock is not held meanwhile, since a
+    /// thread that waits for others may be given work that takes it.
+    fn uses(&self, members: &Members, seats: &IdVec<CompartmentId, Seat>, places: &Places) -> Vec<CoreUse> {
+        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut of_cores: Vec<Option<CoreUse>> = {
+            let known = known();
+            members.iter().map(|held| known.get(held).cloned()).collect()
+        };
+        if of_cores.iter().any(Option::is_none) {
+            let is_new = |core: CoreId| of_cores[core.index()].is_none();
+            let counted = uses(self.network, members, seats, self.target.limits(), places, is_new);
+            let mut known = known();
+            // A few memberships are worth their memory.
+            if known.len() > KNOWN * members.len() {
+                known.clear();
+            }
+            for ((of_core, held), counted) in of_cores.iter_mut().zip(members).zip(counted) {
+                if of_core.is_none() {
+                    known.insert(held.clone(), counted.clone());
+                    *of_core = Some(counted);
+                }
+            }
+        }
+        of_cores.into_iter().flatten().collect()
     }
 
     /// Fills again until output axons fit too.
