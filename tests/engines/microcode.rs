@@ -13,6 +13,7 @@ use nsim::golden::Golden;
 use nsim::ir::activity::Overflow;
 use nsim::ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim::ir::base::id::{ChannelId, PopulationId};
+use nsim::ir::neurons::NeuronKind;
 use nsim::ir::program::Program;
 use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::spanned::parse;
@@ -122,6 +123,20 @@ fn a_stated_kind_is_kept_by_every_text() {
     let golden = trace(&mut Golden::new(&quantised), &quantised, &sample);
     assert!(golden.totals.spikes > 20);
     assert_on_machine(&quantised, &compiled.program, &sample, &golden, "own");
+}
+
+#[test]
+fn a_parameter_of_a_stated_kind_may_have_any_name() {
+    let events: Vec<_> = (0..40).flat_map(|t| (0..3).map(move |channel| (t, ChannelId(channel)))).collect();
+    let sample = Sample::new(40, &events, None).unwrap();
+    let seen = |network: &Quantised| trace(&mut Golden::new(network), network, &sample);
+    let meant = quantised(MODEL).unwrap();
+    let of_loihi = NeuronKind::Loihi.parameters().iter().flat_map(|f| [Some(f.name), f.real.map(|(real, _)| real)]);
+    for name in of_loihi.flatten().filter(|name| *name != "dv") {
+        let named = quantised(&MODEL.replace("theta", name)).unwrap();
+        assert_eq!(named.projections(), meant.projections(), "{name}");
+        seen(&named).assert_same(&seen(&meant), name);
+    }
 }
 
 #[test]

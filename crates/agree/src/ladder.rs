@@ -262,7 +262,7 @@ impl Ladder {
         let srm = self.graph.has_srm();
         let given = |names: &[&str]| {
             self.populations.iter().any(|population| match &population.origin {
-                Some(Origin::Loihi { parameters, .. }) => names.iter().any(|name| parameters.get(name).is_some()),
+                Some(Origin::Loihi { parameters, .. }) => names.iter().any(|name| parameters.real(name).is_some()),
                 Some(Origin::Srm(..)) => true,
                 None => false,
             })

@@ -36,7 +36,7 @@ impl Pipeline {
     pub fn missing(graph: &Graph) -> Option<Pipeline> {
         let kinds: Vec<&PopulationKind> = graph.populations().map(|(_, population)| &population.kind).collect();
         let inputs: Vec<bool> = kinds.iter().map(|kind| matches!(kind, PopulationKind::Input)).collect();
-        let real = kinds.iter().any(|kind| matches!(kind, PopulationKind::Neurons(p) if p.get("vth").is_some()));
+        let real = kinds.iter().any(|kind| matches!(kind, PopulationKind::Neurons(p) if p.real("vth").is_some()));
         if graph.has_srm() || !real && graph.facts().provenance.is_some() {
             return None;
         }

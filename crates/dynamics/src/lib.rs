@@ -129,7 +129,7 @@ pub fn model_thresholds(graph: &Graph) -> Vec<f64> {
             PopulationKind::Input => Vec::new(),
             PopulationKind::Srm(srm) => vec![srm.theta; count as usize],
             PopulationKind::Neurons(p) => {
-                let least = if p.get("vth").is_some() { f64::MIN } else { 64.0 };
+                let least = if p.real("vth").is_some() { f64::MIN } else { 64.0 };
                 (0..count)
                     .map(|index| model(p, index, facts.timestep_ms, facts.semantics).threshold.max(least))
                     .collect()

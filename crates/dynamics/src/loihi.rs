@@ -253,12 +253,12 @@ fn model(p: &NeuronParameters, index: u32, timestep_ms: f64) -> RealForm {
 /// voltage.
 pub(super) fn threshold_and_reset(p: &NeuronParameters, index: u32) -> RealForm {
     let power = |name: &str, factor: f64, more: f64| libm::exp2(more + factor * p.value(name, index));
-    let real = p.get("vth").map(|threshold| threshold.each.get(index));
+    let real = p.real("vth").map(|threshold| threshold.each.get(index));
     RealForm {
         keep_u: 0.0,
         keep_v: 0.0,
         threshold: real.unwrap_or_else(|| p.value("vth_mant", index) * 64.0),
-        bias: match p.get("bias") {
+        bias: match p.real("bias") {
             Some(bias) => bias.each.get(index),
             None => p.value("bias_mant", index) * power("bias_exp", 1.0, 0.0),
         },

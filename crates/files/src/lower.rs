@@ -255,7 +255,8 @@ impl Lowering<'_> {
                 _ => {}
             }
         }
-        if desc.parameter("bias").is_some() && desc.parameter("vth").is_none() {
+        let real = desc.kind.parameters().iter().any(|field| field.real.is_some_and(|(real, _)| real == "bias"));
+        if real && desc.parameter("bias").is_some() && desc.parameter("vth").is_none() {
             let message = format!("population '{name}' has a real bias beside an integer threshold");
             return Err(self
                 .error("model.parameter", message, self.at(span, "bias"))

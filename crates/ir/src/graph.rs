@@ -180,6 +180,14 @@ impl NeuronParameters {
         self.given.iter().find(|(given, _)| *given == name).map(|(_, values)| values)
     }
 
+    /// A parameter in real units that the file gives, of a kind that has such a form: what a kind of
+    /// the file calls so is an integer.
+    #[must_use]
+    pub fn real(&self, name: &str) -> Option<&Values> {
+        let forms = self.kind.parameters().iter().filter_map(|field| field.real);
+        forms.map(|(real, _)| real).find(|real| *real == name).and_then(|real| self.get(real))
+    }
+
     /// A parameter of one compartment, its default where the file gives none, 0 where there is no
     /// default.
     #[must_use]

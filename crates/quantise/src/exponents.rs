@@ -159,7 +159,7 @@ fn least_decay(parameters: &NeuronParameters, timestep_ms: f64) -> f64 {
         PerCompartment::Same(value) => share(*value),
         PerCompartment::Each(values) => values.iter().map(|&value| share(value)).fold(1.0, f64::min),
     };
-    match (parameters.get("du"), parameters.get("tau_u_ms")) {
+    match (parameters.get("du"), parameters.real("tau_u_ms")) {
         (Some(du), _) => least(&du.each, &|du| du / DECAY_ONE as f64),
         (None, Some(tau)) => least(&tau.each, &|tau| -libm::expm1(-timestep_ms / tau)),
         (None, None) => 1.0,
@@ -169,7 +169,7 @@ fn least_decay(parameters: &NeuronParameters, timestep_ms: f64) -> f64 {
 /// Register units for a real unit of a population whose scale is open.
 fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
     let PopulationKind::Neurons(parameters) = &graph.population(node).kind else { return None };
-    let threshold = greatest(&parameters.get("vth")?.each);
+    let threshold = greatest(&parameters.real("vth")?.each);
     let (mut fits, mut open) = (f64::from(ThresholdMantissa::MAX.get()) * 64.0 / threshold, false);
     // How often the scale may be doubled before a weight with the greatest exponent no longer fits.
     let mut most = f64::INFINITY;
@@ -202,7 +202,7 @@ fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
     let foreseen = parameters.greatest_input.unwrap_or(f64::INFINITY);
     let sum = greatest_sum(graph, node).min(foreseen).max(f64::MIN_POSITIVE);
     let decay = least_decay(parameters, graph.facts().timestep_ms).max(f64::MIN_POSITIVE);
-    let bias = parameters.get("bias").map_or(0.0, |bias| greatest(&bias.each)).max(f64::MIN_POSITIVE);
+    let bias = parameters.real("bias").map_or(0.0, |bias| greatest(&bias.each)).max(f64::MIN_POSITIVE);
     let bounds = [
         most,
         libm::exp2(21.0) / sum,

@@ -240,7 +240,7 @@ impl Stage<'_> {
     /// Register units for a real unit of a population with a real threshold.
     fn scale(&self, node: NodeIndex, population: &graph::Population) -> Result<Option<f64>> {
         let PopulationKind::Neurons(parameters) = &population.kind else { return Ok(None) };
-        let Some(threshold) = parameters.get("vth") else { return Ok(None) };
+        let Some(threshold) = parameters.real("vth") else { return Ok(None) };
         let greatest = match &threshold.each {
             PerCompartment::Same(value) => *value,
             PerCompartment::Each(values) => values.iter().copied().fold(f64::MIN, f64::max),

@@ -166,7 +166,7 @@ pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
 /// is in them.
 fn weight_unit(graph: &Graph, target: NodeIndex, projection: &nsim_ir::graph::Projection) -> f64 {
     let PopulationKind::Neurons(parameters) = &graph.population(target).kind else { return 1.0 };
-    match parameters.get("vth") {
+    match parameters.real("vth") {
         Some(_) => 1.0,
         None => {
             let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);

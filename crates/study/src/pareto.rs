@@ -396,7 +396,7 @@ fn with_weight_bits(graph: &Graph, bits: u8) -> Result<Graph, Error> {
         let mut projection = projection.clone();
         let integers = matches!(
             &graph.population(target).kind,
-            PopulationKind::Neurons(p) if p.get("vth").is_none()
+            PopulationKind::Neurons(p) if p.real("vth").is_none()
         ) && projection.weight_scale.is_none();
         let all = weights(&projection.kind);
         let mean = all.iter().map(|w| w.abs()).sum::<f64>() / all.len().max(1) as f64;

@@ -110,7 +110,9 @@ fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
     // A population with the greatest threshold is read out by its potential.
     let never = f64::from(ThresholdMantissa::MAX.get());
     let in_integers = |kind: &PopulationKind| match kind {
-        PopulationKind::Neurons(p) => p.get("vth_mant").is_some() && p.value("vth_mant", 0) < never,
+        PopulationKind::Neurons(p) => {
+            p.kind.table().registers && p.get("vth_mant").is_some() && p.value("vth_mant", 0) < never
+        }
         _ => false,
     };
     let mut changes = Vec::new();

@@ -105,7 +105,7 @@ pub fn is_real(graph: &Graph) -> bool {
         PopulationKind::Input => false,
         PopulationKind::Srm(_) => true,
         PopulationKind::Neurons(parameters) => {
-            ["vth", "tau_u_ms", "tau_v_ms"].iter().any(|name| parameters.get(name).is_some())
+            ["vth", "tau_u_ms", "tau_v_ms"].iter().any(|name| parameters.real(name).is_some())
         }
     };
     graph.populations().any(|(_, population)| real(&population.kind))
