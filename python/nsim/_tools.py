@@ -27,26 +27,24 @@ def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, thres
 def from_torch(module, sample, *, export=None, **options):
     """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`.
 
-    A network of snnTorch is read from its modules and compared with them on random samples: what would differ is refused. `check` are
-    spikes `[samples, channels.., T]` to compare on too, `output` names the layer that decides, by default the first that forward()
-    returns. Modules of Norse are exported to NIR by Norse, which no comparison follows; `export` is another function from (module,
-    sample) to a graph. `options` are those of `from_nir`. Of snnTorch, the timestep is 0.1 ms as in its own exporter, and the reset is
-    the modules', unless options say otherwise.
+    A network of snnTorch or Norse is read from its modules and compared with them on random samples: what would differ is refused.
+    `check` are spikes `[samples, channels.., T]` to compare on too, `output` names the layer that decides, by default the first that
+    forward() returns. The timestep is that of Norse's cells, of snnTorch 0.1 ms as in its own exporter, and the reset is the modules',
+    unless options say otherwise. `export` is a function from (module, sample) to a graph of NIR, for another tool, which no comparison
+    follows. `options` are those of `from_nir`.
     """
     from . import _torch
 
     module = _torch.read(module, sample)
     kinds = {type(part).__module__.split(".")[0] for part in module.modules()}
-    if export is None and "snntorch" in kinds:
+    if export is None and kinds & {"snntorch", "norse"}:
         return _torch.network_of(module, sample, **options)
-    for name, part in module.named_modules():
-        _torch.check(part, name)
-    if export is None and "norse" not in kinds:
+    if export is None:
         message = f"the module ({_torch.kind_of(module)}) has no neurons of snnTorch or Norse"
-        raise _torch.refusal(message, "put neurons behind its layers, such as snntorch.Leaky; for another tool, give its exporter: export=")
+        help = "put neurons behind its layers, such as snntorch.Leaky; a network of sinabs is written by its own exporter " \
+            "(docs/tutorials/from-pytorch.md); for another tool, give its exporter: export="
+        raise _torch.refusal(message, help)
     try:
-        if export is None:
-            from norse.torch import to_nir as export
         graph = export(module, sample)
     except _nsim.Error:
         raise

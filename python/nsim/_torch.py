@@ -1,7 +1,7 @@
-"""Networks of snnTorch: what each module means on a chip, and the proof that what was read is what runs.
+"""Networks of snnTorch and Norse: what each module means on a chip, and the proof that what was read is what runs.
 
 Input: a module and one timestep of input. It is called once; every module that runs becomes nodes of a NIR graph with the equations of
-snnTorch 1.0.0. Output: a network whose spikes in real numbers are those of the module, layer by layer, on random samples.
+snnTorch 1.0.0 and Norse 1.1.0. Output: a network whose spikes in real numbers are those of the module, layer by layer, on random samples.
 
 A module, a value of a parameter or a computation that is not in the tables below is refused by its name, as is a network whose spikes
 differ.
@@ -50,9 +50,16 @@ VIEWS = {"flatten", "unflatten", "view", "reshape", "squeeze", "unsqueeze", "det
 WRAPPERS = {"OptimizedModule": "_orig_mod", "DataParallel": "module", "DistributedDataParallel": "module"}
 """Classes that run another module, with its name in them."""
 
-NEURONS = {"Lapicque", "Leaky", "Synaptic", "RLeaky", "RSynaptic"}
+OF_SNNTORCH = {"Lapicque", "Leaky", "Synaptic", "RLeaky", "RSynaptic"}
 
-SPIKING = " ".join(sorted(NEURONS))
+SPIKING = " ".join(sorted(OF_SNNTORCH))
+
+OF_NORSE = {"LIFCell", "LIFRecurrentCell", "LIFBoxCell", "IAFCell"}
+
+HEADS = {"LICell", "LIBoxCell"}
+"""Neurons of Norse that never spike: their potential is what they give."""
+
+NEURONS = OF_SNNTORCH | OF_NORSE | HEADS
 
 CARRIED = [
     ("Conv1d Conv2d", "padding_mode", ("zeros",), "pad with zeros: beyond the edge there are no neurons"),
@@ -85,11 +92,11 @@ def refusal(message, help, code="import.torch"):
 
 
 def kind_of(module):
-    """The name of a module's class; of a class that is not of torch or snnTorch, with its module."""
+    """The name of a module's class; of a class that is not of torch, snnTorch or Norse, with its module."""
     kind = type(module)
     if hasattr(module, "parametrizations"):
         kind = kind.__mro__[1]
-    ours = kind.__module__.split(".")[0] in ("torch", "snntorch")
+    ours = kind.__module__.split(".")[0] in ("torch", "snntorch", "norse")
     return kind.__name__ if ours else f"{kind.__module__}.{kind.__name__}"
 
 
@@ -149,17 +156,55 @@ def lapicque(module, shape, name):
     return taken, step / capacity
 
 
+def norse(module, shape, name):
+    """What a step takes of the current and of the voltage: `v <- v + dt tau_mem_inv (i - v)` and `i <- i - dt tau_syn_inv i`."""
+    kind, parameters = kind_of(module), module.p
+    for key in ("v_leak", "v_reset"):
+        value = reals(torch_of(getattr(parameters, key, 0.0)))
+        if np.any(value != 0):
+            raise refusal(f"'{name}' ({kind}): {key} is {value.max():g}, and only 0 is carried to a chip", f"train with {key} 0")
+    taken = {}
+    for state, key in (("alpha", "tau_syn_inv"), ("beta", "tau_mem_inv")):
+        if hasattr(parameters, key):
+            taken[state] = module.dt * reals(torch_of(getattr(parameters, key)), shape)
+            if np.any((taken[state] < 0) | (taken[state] > 1)):
+                message = f"'{name}' ({kind}): a step takes dt {key} = {taken[state].max():.4g} of its state, which is not within 0 to 1"
+                raise refusal(message, f"train with {key} of at most 1 / dt = {1 / module.dt:g}")
+    return taken
+
+
+def torch_of(value):
+    """A number or tensor as a tensor."""
+    import torch
+
+    return torch.as_tensor(value)
+
+
 def neuron(module, shape, dt, name):
-    """The node of a layer of neurons, whose equations in NIR are those of snnTorch in steps of `dt` seconds."""
+    """The node of a layer of neurons, whose equations in NIR are those of its library in steps of `dt` seconds."""
+    kind = kind_of(module)
+    if kind in OF_NORSE | HEADS:
+        taken = norse(module, shape, name)
+        # A current counts what a step takes of the voltage; where nothing decays it is added as it is.
+        counts = taken.setdefault("beta", np.zeros(shape))
+        return node_of(taken, np.where(counts > 0, counts, 1.0), None if kind in HEADS else reals(torch_of(module.p.v_th), shape), dt)
     taken = {key: 1 - np.clip(reals(getattr(module, key), shape), 0, 1) for key in ("alpha", "beta") if hasattr(module, key)}
     counts = 1.0
-    if kind_of(module) == "Lapicque":
+    if kind == "Lapicque":
         taken["beta"], counts = lapicque(module, shape, name)
+    return node_of(taken, counts, reals(module.threshold, shape), dt)
+
+
+def node_of(taken, counts, threshold, dt):
+    """The node of neurons of which a step takes these shares, in which an input counts so much; without a threshold they never spike."""
     steps = {key: np.where(share > 0, 1 / np.maximum(share, 1 / ENDLESS), ENDLESS) for key, share in taken.items()}
-    node = {"r": steps["beta"] * counts, "v_leak": np.zeros(shape), "v_threshold": reals(module.threshold, shape)}
+    node = {"r": steps["beta"] * counts, "v_leak": np.zeros_like(taken["beta"])}
+    kind = "LI" if threshold is None else "LIF"
+    if threshold is not None:
+        node["v_threshold"] = threshold
     if "alpha" not in steps:
-        return {"type": "LIF", "tau": steps["beta"] * dt, **node}
-    return {"type": "CubaLIF", "tau_syn": steps["alpha"] * dt, "w_in": steps["alpha"], "tau_mem": steps["beta"] * dt, **node}
+        return {"type": kind, "tau": steps["beta"] * dt, **node}
+    return {"type": f"Cuba{kind}", "tau_syn": steps["alpha"] * dt, "w_in": steps["alpha"], "tau_mem": steps["beta"] * dt, **node}
 
 
 def cleared(module):
@@ -343,6 +388,8 @@ class Trace:
         self.inside += 1
         if kind not in PASSED | set(AXES) | NEURONS:
             instead = next((remedy for begin, remedy in INSTEAD.items() if kind.startswith(begin)), None)
+            if f"{kind}Cell" in NEURONS:
+                instead = f"use norse.torch.{kind}Cell: forward() is of one timestep"
             others = "carried are " + ", ".join(sorted(PASSED | set(AXES) | NEURONS)) + ", and modules made of these"
             raise refusal(f"'{name}' ({kind}) has no counterpart on a chip that nsim knows", instead or others)
         check(module, name)
@@ -369,7 +416,9 @@ class Trace:
         name, kind, given = self.names[module], kind_of(module), (*args, *kwargs.values())[0]
         spikes, *states = out if isinstance(out, tuple) else (out,)
         for state in states:
-            self.learn(state, f"{STATE}'{name}'")
+            # Norse gives a named tuple of tensors.
+            for one in state if isinstance(state, tuple) else (state,):
+                self.learn(one, f"{STATE}'{name}'")
         if kind in PASSED:
             self.learn(spikes, self.known.get(id(given), "no output of a module of the network"))
             return
@@ -388,11 +437,18 @@ class Trace:
                 shared = before != self.before[module] and not isinstance(before, str)
                 raise refusal(message, "give each layer neurons of its own" if shared else ONE_STEP)
             self.neurons[module], self.before[module] = node, before
-            self.nodes[node] = neuron(module, tuple(given.shape[1:]), self.dt, name)
-            if kind.startswith("R"):
+            self.nodes[node] = neuron(module, tuple(spikes.shape[1:]), self.dt, name)
+            if kind.startswith("R") or kind == "LIFRecurrentCell":
                 back = self.add(f"{name}.recurrent")
-                self.nodes[back] = recurrent(module.recurrent, tuple(given.shape[1:]), f"{name}.recurrent")
+                self.nodes[back] = recurrent(module, tuple(spikes.shape[1:]), f"{name}.recurrent")
                 self.edges += [(node, back), (back, node)]
+            if kind == "LIFRecurrentCell":
+                into = self.add(f"{name}.input")
+                self.nodes[into] = {"type": "Linear", "weight": module.input_weights.detach().cpu().numpy()}
+                self.edges.append((into, node))
+                self.connect(given, into, f"the input of '{name}' ({kind})")
+                self.learn(spikes, {node})
+                return
         elif kind == "AvgPool2d":
             stride = module.kernel_size if module.stride is None else module.stride
             sizes = {"kernel_size": module.kernel_size, "stride": stride, "padding": module.padding}
@@ -443,7 +499,10 @@ class Trace:
 
 
 def recurrent(module, shape, name):
-    """The node of what a layer sends itself."""
+    """The node of what a layer of neurons sends itself."""
+    if hasattr(module, "recurrent_weights"):
+        return {"type": "Linear", "weight": module.recurrent_weights.detach().cpu().numpy()}
+    module = module.recurrent
     if hasattr(module, "V"):
         return {"type": "Scale", "scale": reals(module.V, shape)}
     check(module, name)
@@ -452,10 +511,13 @@ def recurrent(module, shape, name):
 
 def resets(neurons, names):
     """How all neurons reset, and the names of those that stay at 0 for a step, as `nsim import` reads them from a state dict."""
-    later = {module: getattr(module, "reset_delay", True) for module in neurons}
-    how = {module.reset_mechanism for module in neurons}
+    neurons = {module: node for module, node in neurons.items() if kind_of(module) not in HEADS}
+    # A cell of Norse resets when it spikes.
+    later = {module: kind_of(module) in OF_SNNTORCH and getattr(module, "reset_delay", True) for module in neurons}
+    mechanism = {module: getattr(module, "reset_mechanism", None) or norse_reset(module, names[module]) for module in neurons}
+    how = set(mechanism.values())
     if len(how) > 1 or ("subtract" in how and len(set(later.values())) > 1):
-        each = ", ".join(f"'{names[one]}' {one.reset_mechanism!r}{'' if later[one] else ' without reset_delay'}" for one in neurons)
+        each = ", ".join(f"'{names[one]}' {mechanism[one]!r}{'' if later[one] else ' without reset_delay'}" for one in neurons)
         raise refusal(f"the layers reset in different ways: {each}", "train all layers with reset_mechanism='zero'")
     if how == {"subtract"}:
         return ("subtract-later" if later[next(iter(later))] else "subtract"), []
@@ -463,15 +525,40 @@ def resets(neurons, names):
     return ("zero" if how else None), held
 
 
+def norse_reset(module, name):
+    """How a cell of Norse resets, in the words of snnTorch."""
+    how = getattr(getattr(module.p, "reset_method", None), "__name__", "reset_value")
+    if how not in ("reset_value", "reset_subtract"):
+        raise refusal(f"'{name}' ({kind_of(module)}): reset_method is {how}", "train with reset_value, or with reset_subtract")
+    return "zero" if how == "reset_value" else "subtract"
+
+
+def remembering(neurons):
+    """Makes each cell of Norse go on with the state that it left, which its module passes around; hooks."""
+    states = {}
+    cells = [one for one in neurons if kind_of(one) not in OF_SNNTORCH]
+    given = lambda one, args, kwargs: (((*args, *kwargs.values())[0], states.get(one)), {})
+    hooks = [cell.register_forward_pre_hook(given, with_kwargs=True) for cell in cells]
+    return hooks + [cell.register_forward_hook(lambda one, _, out: states.update({one: out[1]})) for cell in cells]
+
+
+def timestep_ms(module):
+    """The timestep of Norse's cells, or of snnTorch's exporter."""
+    steps = {part.dt for part in module.modules() if kind_of(part) in OF_NORSE | HEADS}
+    if len(steps) > 1:
+        raise refusal(f"the cells have different timesteps: dt is {', '.join(map(str, sorted(steps)))}", "train all with the same dt")
+    return 1e3 * steps.pop() if steps else TIMESTEP_MS
+
+
 def network_of(module, sample, name="network", dt_ms=None, reset=None, output=None, check=None, **options):
-    """A module of snnTorch as a network, which does what the module does.
+    """A module of snnTorch or Norse as a network, which does what the module does.
 
     `output` names the layer that decides, by default the first that forward() returns. `check` are spikes `[samples, channels.., T]` on
     which the network is compared with the module, beyond the random ones.
     """
     import torch
 
-    dt_ms = TIMESTEP_MS if dt_ms is None else dt_ms
+    dt_ms = timestep_ms(module) if dt_ms is None else dt_ms
     traced = copied(module)
     dtype = torch.float64 if any(one.dtype == torch.float64 for one in traced.parameters()) else torch.float32
     traced, shape = traced.to(dtype), tuple(sample.shape[1:])
@@ -530,7 +617,8 @@ def compare(network, module, trace, given):
     spikes = {node: [] for node in trace.neurons.values()}
     keep = lambda one, _, out: spikes[trace.neurons[one]].append((out[0] if isinstance(out, tuple) else out).reshape(samples, -1) != 0)
     hooks = casting(module, torch.float64)
-    hooks += [part.register_forward_hook(keep) for part in trace.neurons]
+    spiking = {one: node for one, node in trace.neurons.items() if kind_of(one) not in HEADS}
+    hooks += remembering(trace.neurons) + [part.register_forward_hook(keep) for part in spiking]
     with torch.no_grad():
         for step in range(steps):
             called(module, torch.from_numpy(given[..., step]).double())
@@ -539,7 +627,7 @@ def compare(network, module, trace, given):
     # Layers behind the output answer later than it does.
     silence = np.zeros((*given.shape[:-1], len(trace.neurons)), np.uint8)
     ours = dict(_nsim.real_spikes(network, np.concatenate([given, silence], axis=-1)))
-    for module, node in trace.neurons.items():
+    for module, node in spiking.items():
         theirs = np.stack([one.numpy() for one in spikes[node]], axis=2)
         mine = np.zeros_like(theirs)
         rows = ours[node][ours[node][:, 1] < steps]

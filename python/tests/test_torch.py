@@ -22,6 +22,12 @@ except ImportError:
     torch = None
     print("absent: torch with snntorch, its modules were not tested", file=sys.stderr)
 
+try:
+    import norse.torch as norse
+except ImportError:
+    norse = None
+    print("absent: norse, its modules were not tested", file=sys.stderr)
+
 README = Path(__file__).parents[2] / "README.md"
 PAGE = README.parent / "docs/tutorials/from-pytorch.md"
 
@@ -123,6 +129,70 @@ class Tables(unittest.TestCase):
         pooled, whole = spikes(True), spikes(False)
         self.assertEqual([set(channel) for channel in pooled.tolist()], [set(channel) for channel in whole.tolist()])
         self.assertGreater(pooled.min(), 0)
+
+
+@unittest.skipIf(torch is None or norse is None, "torch, snntorch or norse is absent")
+class Cells(unittest.TestCase):
+    """Cells of Norse, whose states its modules pass around."""
+
+    def setUp(self):
+        torch.manual_seed(2)
+        warnings.simplefilter("ignore")
+        self.spikes = np.random.default_rng(2).random((20, 30, 60)) < 0.3
+
+    def chain(self, *cells):
+        """Layers of 40 and 5 with these cells; the weights make them spike."""
+        module = norse.SequentialState(nn.Linear(30, 40), cells[0], nn.Linear(40, 5), cells[1])
+        module[0].weight.data *= 6
+        module[2].weight.data *= 6
+        return module
+
+    def given(self, module):
+        """What the module gives in each step, `[samples, outputs, steps]`."""
+        state, steps = None, []
+        with torch.no_grad():
+            for step in range(self.spikes.shape[-1]):
+                out, state = module(torch.tensor(self.spikes[..., step], dtype=torch.float32), state)
+                steps.append(out.numpy())
+        return np.stack(steps, axis=-1)
+
+    def test_every_kind_of_cells(self):
+        recurrent = norse.SequentialState(norse.LIFRecurrentCell(30, 40), nn.Linear(40, 5), norse.LIFCell())
+        recurrent[0].input_weights.data *= 2
+        recurrent[1].weight.data *= 6
+        own = norse.LIFParameters(v_th=torch.tensor(0.5), tau_mem_inv=torch.tensor(50.0), tau_syn_inv=torch.tensor(300.0))
+        slow = norse.LIFBoxParameters(tau_mem_inv=torch.rand(5) * 100 + 50, v_th=torch.tensor(0.05))
+        for module in (self.chain(norse.LIFCell(), norse.LIFCell(own)), self.chain(norse.LIFBoxCell(), norse.LIFBoxCell(slow)),
+                       self.chain(norse.IAFCell(), norse.LIFCell(own, dt=0.001)), recurrent):
+            network = nsim.from_torch(module, torch.zeros(1, 30))
+            self.assertIn("timestep 1 ms", network.notes[0])
+            theirs = self.given(module).sum(axis=-1)
+            rows = dict(nsim._nsim.real_spikes(network, self.spikes))[[name for name, *_ in network.populations if name != "always"][-1]]
+            counted = np.zeros_like(theirs)
+            np.add.at(counted, (rows[:, 0], rows[:, 2]), 1)
+            self.assertGreater(theirs.sum(), 100)
+            self.assertLessEqual(np.abs(counted - theirs).sum(), 0.01 * theirs.sum())
+
+    def test_a_head_without_spikes_decides_by_its_potential(self):
+        for head in (norse.LICell, norse.LIBoxCell):
+            module = self.chain(norse.LIFBoxCell(), head())
+            network = nsim.from_torch(module, torch.zeros(1, 30))
+            theirs = self.given(module).max(axis=-1).argmax(axis=1)
+            self.assertGreaterEqual(np.mean(np.array(network.map().run(self.spikes).predicted) == theirs), 0.9)
+
+    def test_what_is_not_carried_is_named(self):
+        for cell, words in [
+            (norse.LIFCell(norse.LIFParameters(v_reset=torch.tensor(0.2))), ("v_reset", "0.2")),
+            (norse.LIFBoxCell(norse.LIFBoxParameters(v_leak=torch.tensor(0.1))), ("v_leak", "0.1")),
+            (norse.LIFCell(norse.LIFParameters(tau_syn_inv=torch.tensor(2e3))), ("tau_syn_inv", "= 2 of", "1000")),
+            (norse.LIFCell(dt=0.002), ("dt is 0.001, 0.002", "same dt")),
+            (norse.LIF(), ("(LIF)", "LIFCell")),
+            (norse.LSNNCell(), ("LSNNCell", "LIFCell")),
+        ]:
+            with self.assertRaises(nsim.Error) as raised:
+                nsim.from_torch(self.chain(norse.LIFCell(), cell), torch.zeros(1, 30))
+            for word in words:
+                self.assertIn(word, str(raised.exception))
 
 
 @unittest.skipIf(torch is None, "torch or snntorch is absent")
