@@ -56,10 +56,10 @@ SPIKING = " ".join(sorted(OF_SNNTORCH))
 
 OF_NORSE = {"LIFCell", "LIFRecurrentCell", "LIFBoxCell", "IAFCell"}
 
-HEADS = {"LICell", "LIBoxCell"}
+OF_POTENTIAL = {"LICell", "LIBoxCell"}
 """Neurons of Norse that never spike: their potential is what they give."""
 
-NEURONS = OF_SNNTORCH | OF_NORSE | HEADS
+NEURONS = OF_SNNTORCH | OF_NORSE | OF_POTENTIAL
 
 CARRIED = [
     ("Conv1d Conv2d", "padding_mode", ("zeros",), "pad with zeros: beyond the edge there are no neurons"),
@@ -69,12 +69,14 @@ CARRIED = [
     (SPIKING, "inhibition", (False,), "train without inhibition: a core has no circuit that lets one neuron win"),
     (SPIKING, "state_quant", (False,), "train without state_quant: nsim rounds states as the chip does"),
     (SPIKING, "graded_spikes_factor", (1,), "train with 1: spikes of a Loihi 1 core carry no value"),
-    (SPIKING, "reset_mechanism", ("zero", "subtract"), "train with reset_mechanism='zero'"),
+    (SPIKING, "reset_mechanism", ("zero", "subtract"), "train with reset_mechanism='zero'; where the potential of the last layer decides, "
+     "decision='GreatestV' (or 'SumOfV', 'LastV') reads it"),
 ]
 """Classes, a parameter of theirs, the values that are carried, and what to do about others."""
 
 INSTEAD = {
-    "MaxPool": "use torch.nn.AvgPool2d: a core adds what arrives and takes no maximum",
+    "MaxPool": "a core takes no maximum: train with torch.nn.AvgPool2d; of spikes, AvgPool2d(k) and behind it snntorch.Leaky(beta=0, "
+    "threshold=0.5 / k**2, reset_mechanism='zero', init_hidden=True) are the same without training",
     "ReLU": "put a spiking neuron in its place, such as snntorch.Leaky: a core sends spikes",
     "LayerNorm": "use torch.nn.BatchNorm1d or BatchNorm2d, whose numbers are constants once trained",
     "Alpha": "train with snntorch.Synaptic, whose current decays too",
@@ -100,12 +102,14 @@ def kind_of(module):
     return kind.__name__ if ours else f"{kind.__module__}.{kind.__name__}"
 
 
-def check(module, name):
-    """Refuses a value of a parameter that is not carried."""
+def check(module, name, by_potential=False):
+    """Refuses a value of a parameter that is not carried; without reset are neurons whose potential decides."""
     kind = kind_of(module)
     for kinds, key, values, remedy in CARRIED:
         value = getattr(module, key, values[0])
         value = value.item() if hasattr(value, "item") and len(value.reshape(-1)) == 1 else value
+        if key == "reset_mechanism" and value == "none" and by_potential and not kind.startswith("R"):
+            continue
         if kind in kinds.split() and not any(value is one or (isinstance(value, (int, float, str)) and value == one) for one in values):
             said = " or ".join(map(repr, values))
             raise refusal(f"'{name}' ({kind}): {key} is {value!r}, and only {said} is carried to a chip", remedy)
@@ -173,6 +177,11 @@ def norse(module, shape, name):
     return taken
 
 
+def is_head(module):
+    """Whether neurons are read by their potential alone: snnTorch's never return from a spike where nothing resets them."""
+    return kind_of(module) in OF_POTENTIAL or getattr(module, "reset_mechanism", None) == "none"
+
+
 def torch_of(value):
     """A number or tensor as a tensor."""
     import torch
@@ -183,16 +192,16 @@ def torch_of(value):
 def neuron(module, shape, dt, name):
     """The node of a layer of neurons, whose equations in NIR are those of its library in steps of `dt` seconds."""
     kind = kind_of(module)
-    if kind in OF_NORSE | HEADS:
+    if kind not in OF_SNNTORCH:
         taken = norse(module, shape, name)
         # A current counts what a step takes of the voltage; where nothing decays it is added as it is.
         counts = taken.setdefault("beta", np.zeros(shape))
-        return node_of(taken, np.where(counts > 0, counts, 1.0), None if kind in HEADS else reals(torch_of(module.p.v_th), shape), dt)
+        return node_of(taken, np.where(counts > 0, counts, 1.0), None if is_head(module) else reals(torch_of(module.p.v_th), shape), dt)
     taken = {key: 1 - np.clip(reals(getattr(module, key), shape), 0, 1) for key in ("alpha", "beta") if hasattr(module, key)}
     counts = 1.0
     if kind == "Lapicque":
         taken["beta"], counts = lapicque(module, shape, name)
-    return node_of(taken, counts, reals(module.threshold, shape), dt)
+    return node_of(taken, counts, None if is_head(module) else reals(module.threshold, shape), dt)
 
 
 def node_of(taken, counts, threshold, dt):
@@ -291,13 +300,13 @@ def remedy(what):
 class Trace:
     """The graph of one call: each module that runs is a node, edges are the tensors that pass from one to the next."""
 
-    def __init__(self, module, sample, dt, output=None):
+    def __init__(self, module, sample, dt, output=None, by_potential=False):
         import torch
 
         self.names = leaves(module)
         self.nodes = {"input": {"type": "Input", "shape": np.array(sample.shape[1:])}}
         self.shapes = {"input": sample.shape[1:]}
-        self.edges, self.neurons, self.dt, self.inside = [], {}, dt, 0
+        self.edges, self.neurons, self.dt, self.inside, self.by_potential = [], {}, dt, 0, by_potential
         # Of each node its module, and of neurons the modules before them.
         self.modules, self.before = {}, {}
         # Of each tensor the nodes whose sum it is, or in words what it is; tensors are kept, as numbers of freed ones are used again.
@@ -356,6 +365,9 @@ class Trace:
         if isinstance(sources, str):
             message = f"{what} is {sources}, which a network on a chip does not compute"
             raise refusal(message, remedy(sources))
+        for head in [self.modules[source] for source in sources if to != "output" and is_head(self.modules.get(source))]:
+            message = f"{what} is the potential of '{self.names[head]}' ({kind_of(head)}), and a core sends spikes"
+            raise refusal(message, "put a spiking neuron in its place: without a reset, the last layer alone is read")
         self.edges += [(source, to) for source in sorted(sources)]
 
     def decide(self, outs, wanted):
@@ -392,7 +404,7 @@ class Trace:
                 instead = f"use norse.torch.{kind}Cell: forward() is of one timestep"
             others = "carried are " + ", ".join(sorted(PASSED | set(AXES) | NEURONS)) + ", and modules made of these"
             raise refusal(f"'{name}' ({kind}) has no counterpart on a chip that nsim knows", instead or others)
-        check(module, name)
+        check(module, name, self.by_potential)
         given = (*args, *kwargs.values())[0]
         if not hasattr(given, "dim"):
             message = f"'{name}' ({kind}) receives a {type(given).__name__}, and spikes are a tensor"
@@ -511,7 +523,7 @@ def recurrent(module, shape, name):
 
 def resets(neurons, names):
     """How all neurons reset, and the names of those that stay at 0 for a step, as `nsim import` reads them from a state dict."""
-    neurons = {module: node for module, node in neurons.items() if kind_of(module) not in HEADS}
+    neurons = {module: node for module, node in neurons.items() if not is_head(module)}
     # A cell of Norse resets when it spikes.
     later = {module: kind_of(module) in OF_SNNTORCH and getattr(module, "reset_delay", True) for module in neurons}
     mechanism = {module: getattr(module, "reset_mechanism", None) or norse_reset(module, names[module]) for module in neurons}
@@ -544,7 +556,7 @@ def remembering(neurons):
 
 def timestep_ms(module):
     """The timestep of Norse's cells, or of snnTorch's exporter."""
-    steps = {part.dt for part in module.modules() if kind_of(part) in OF_NORSE | HEADS}
+    steps = {part.dt for part in module.modules() if kind_of(part) in OF_NORSE | OF_POTENTIAL}
     if len(steps) > 1:
         raise refusal(f"the cells have different timesteps: dt is {', '.join(map(str, sorted(steps)))}", "train all with the same dt")
     return 1e3 * steps.pop() if steps else TIMESTEP_MS
@@ -565,7 +577,8 @@ def network_of(module, sample, name="network", dt_ms=None, reset=None, output=No
     shown = [drawn(shape)] if check is None else [drawn(shape), checked(check, shape)]
     hooks = casting(traced, dtype)
     with listed(traced):
-        trace = Trace(traced, sample.detach().cpu().to(dtype), dt_ms / 1e3, output)
+        by_potential = options.get("decision") not in (None, "Spikes")
+        trace = Trace(traced, sample.detach().cpu().to(dtype), dt_ms / 1e3, output, by_potential)
     for hook in hooks:
         hook.remove()
     own, held = resets(trace.neurons, trace.names)
@@ -617,7 +630,7 @@ def compare(network, module, trace, given):
     spikes = {node: [] for node in trace.neurons.values()}
     keep = lambda one, _, out: spikes[trace.neurons[one]].append((out[0] if isinstance(out, tuple) else out).reshape(samples, -1) != 0)
     hooks = casting(module, torch.float64)
-    spiking = {one: node for one, node in trace.neurons.items() if kind_of(one) not in HEADS}
+    spiking = {one: node for one, node in trace.neurons.items() if not is_head(one)}
     hooks += remembering(trace.neurons) + [part.register_forward_hook(keep) for part in spiking]
     with torch.no_grad():
         for step in range(steps):

@@ -131,7 +131,11 @@ impl<'py> Array<'py> {
     }
 
     fn not_finite(&self, index: usize, value: f64) -> Diagnostic {
-        self.wrong(index, value, "not a finite number").help("numpy.nan_to_num(array, posinf=0, neginf=0) makes it 0")
+        let help = match self.name.as_str() {
+            "labels" => "give no samples without a label: spikes[numpy.isfinite(labels)]",
+            _ => "numpy.nan_to_num(array, posinf=0, neginf=0) makes it 0",
+        };
+        self.wrong(index, value, "not a finite number").help(help)
     }
 
     /// Calls `read` with the index in C order and the value of every number.
@@ -176,7 +180,8 @@ impl<'py> Array<'py> {
             }
             if number.fract() != 0.0 {
                 let wrong = self.wrong(index, number, WHOLE);
-                let help = "encode real numbers as spikes, or take those from 0.5 on: array >= 0.5";
+                let help = "encode real numbers as spikes (constant input: docs/tutorials/from-pytorch.md#other-codes), or take those \
+                            from 0.5 on: array >= 0.5";
                 return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
             }
             if number < 0.0 {

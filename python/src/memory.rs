@@ -17,14 +17,14 @@ use nsim::ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::fixed::SignMode;
 use nsim::ir::graph::MOST_UNITS;
-use nsim::ir::neurons::NeuronKind;
+use nsim::ir::neurons::{Emits, NeuronKind};
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{Array, Counted};
-use crate::error::raised;
+use crate::error::{raised, warn_of, worded};
 use crate::keywords::{Keywords, usage, whole};
 use crate::work::detached;
 
@@ -61,8 +61,16 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
         Ok(axes) => axes.take(MOST_AXES).map(|one| axis(&one?)).collect::<PyResult<_>>()?,
         Err(_) => vec![axis(&shape)?],
     };
-    let built = PopulationDesc::input(&name, shape);
+    let mut built = PopulationDesc::input(&name, shape);
     let kind: String = keywords.take("kind")?.unwrap_or_else(|| "Loihi".to_string());
+    let found = NeuronKind::ALL.into_iter().find(|known| known.name() == kind);
+    let sends_values = found.map(|kind| kind.table().emits == Emits::Values);
+    if kind == "Input" || sends_values == Some(false) {
+        built.payload = keywords.take("payload")?;
+    }
+    if kind == "Input" || sends_values == Some(true) {
+        built.message_bits = keywords.take("message_bits")?;
+    }
     if kind == "Input" {
         keywords.none_left()?;
         return Ok(built);
@@ -73,7 +81,6 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
         keywords.none_left()?;
         return Ok(PopulationDesc { srm: Some(srm), ..built });
     }
-    let found = NeuronKind::ALL.into_iter().find(|known| known.name() == kind);
     let Some(kind) = found else {
         let known: Vec<&str> = ["Input", "Srm"].into_iter().chain(NeuronKind::ALL.map(NeuronKind::name)).collect();
         let message = format!("{whose}: kind is '{kind}', which is not known");
@@ -279,9 +286,13 @@ fn built_of(
 ) -> PyResult<(Network, Vec<String>)> {
     let read = detached(py, || {
         let imported = imported()?;
-        Ok((imported.model.build(Path::new(&place(name)))?, imported.notes))
+        Ok((imported.model.build(Path::new(&place(name)))?, imported.notes, imported.assumed))
     });
-    read.map_err(|problem: Diagnostic| raised(py, problem))
+    let (network, notes, assumed) = read.map_err(|problem: Diagnostic| raised(py, problem))?;
+    if let Some(assumed) = assumed {
+        warn_of(py, &worded(&assumed))?;
+    }
+    Ok((network, notes))
 }
 
 /// A network from the bytes of another tool's file.

@@ -85,6 +85,7 @@ impl Shown {
                     true => {
                         "where spikes are [T, samples, channels..] give numpy.moveaxis(numpy.asarray(array), 0, -1)"
                     }
+                    false if labels.shape() == [shown.samples.len(), 1] => "give one axis: labels[:, 0]",
                     false => "give a class for each sample; of one-hot rows, labels.argmax(axis=1) has them",
                 };
                 return Err(usage(message, help));

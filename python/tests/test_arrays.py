@@ -268,6 +268,15 @@ class Spikes(Case):
             ["a", "b", "c"], [0, 1, 1j], np.ma.array([0, 1, 1], mask=[0, 0, 1]), 5, np.eye(3), [[0], [1, 2], 1],
         ]:
             self.refused(lambda: self.mapping.run(spikes, labels=labels), "labels")
+        # The printed remedies.
+        labels, unknown = np.array([[0], [1], [1]]), np.array([0, 1, np.nan])
+        with self.assertRaisesRegex(nsim.Error, r"labels\[:, 0\]"):
+            self.mapping.run(spikes, labels=labels)
+        self.assertEqual(self.mapping.run(spikes, labels=labels[:, 0]).labels, [0, 1, 1])
+        with self.assertRaisesRegex(nsim.Error, r"spikes\[numpy.isfinite\(labels\)\]"):
+            self.mapping.run(spikes, labels=unknown)
+        kept = np.isfinite(unknown)
+        self.assertEqual(self.mapping.run(spikes[kept], labels=unknown[kept]).labels, [0, 1])
         self.refused(lambda: self.mapping.run(spikes, labels=[0, 1.5, 1]), "labels[1] is 1.5", code="input.labels")
         self.refused(lambda: self.mapping.run(spikes, labels=[0, 1, 2]), "labels[2] is 2", "from 0 to 1", code="input.labels")
 

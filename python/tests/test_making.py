@@ -130,6 +130,23 @@ class Agreed(unittest.TestCase):
         self.assertIn("next:", str(agreement))
         self.assertEqual(agreement._repr_html_().count("<table>"), 2)
 
+    def test_spikes_that_carry_a_value(self):
+        populations = [
+            {"name": "in", "shape": 4, "kind": "Input", "payload": 3},
+            {"name": "out", "shape": 2, "du": 4096, "dv": 300, "vth_mant": 900},
+        ]
+        weights = [{"from": "in", "to": "out", "weights": np.full((2, 4), 40)}]
+        spikes = np.ones((1, 4, 9), np.uint8)
+        build = lambda: nsim.Network("valued", populations, weights, output="out").map("oheo-gulch").run(spikes).counts.sum()
+        three = build()
+        populations[0]["payload"] = 1
+        self.assertGreater(three, build())
+        populations[0] = {"name": "in", "shape": 4, "kind": "Input", "message_bits": 8}
+        self.assertGreater(build(), 0)
+        populations[1]["message_bits"] = 8
+        with self.assertRaisesRegex(TypeError, "message_bits"):
+            build()
+
     def test_neurons_that_subtract(self):
         populations = [
             {"name": "in", "shape": 4, "kind": "Input"},

@@ -180,6 +180,11 @@ class Cells(unittest.TestCase):
             theirs = self.given(module).max(axis=-1).argmax(axis=1)
             self.assertGreaterEqual(np.mean(np.array(network.map().run(self.spikes).predicted) == theirs), 0.9)
 
+    def test_a_potential_goes_to_no_other_layer(self):
+        with self.assertRaises(nsim.Error) as raised:
+            nsim.from_torch(self.chain(norse.LICell(), norse.LIFCell()), torch.zeros(1, 30))
+        self.assertIn("the potential of '1' (LICell)", str(raised.exception))
+
     def test_what_is_not_carried_is_named(self):
         for cell, words in [
             (norse.LIFCell(norse.LIFParameters(v_reset=torch.tensor(0.2))), ("v_reset", "0.2")),
@@ -247,6 +252,42 @@ class Modules(unittest.TestCase):
                 spikes = np.random.default_rng(4).random((4, 32, 30)) < 0.3
                 digests = [one.map(target).run(spikes).digest for one in (network, dicts)]
                 self.assertEqual(*digests)
+
+    def test_a_last_layer_without_reset_is_read_by_its_potential(self):
+        for kind, options in ((snn.Leaky, {}), (snn.Synaptic, {"alpha": 0.8})):
+            head = self.lif(kind, reset_mechanism="none", output=True, **options)
+            module = nn.Sequential(nn.Linear(32, 16), self.lif(), nn.Linear(16, 8), head)
+            with self.assertRaises(nsim.Error) as raised:
+                nsim.from_torch(module, torch.zeros(1, 32))
+            self.assertIn("decision='GreatestV'", raised.exception.help)
+            for decision, of_steps in (("GreatestV", lambda v: v.max(axis=-1)), ("SumOfV", lambda v: v.sum(axis=-1)), ("LastV", lambda v: v[..., -1])):
+                network = nsim.from_torch(module, torch.zeros(1, 32), decision=decision)
+                self.assertFalse(any("otherwise" in note for note in network.notes), network.notes)
+                spikes = np.random.default_rng(5).random((30, 32, 40)) < 0.3
+                _torch.cleared(module)
+                with torch.no_grad():
+                    steps = [module(torch.tensor(spikes[..., step], dtype=torch.float32))[-1].numpy() for step in range(40)]
+                theirs = of_steps(np.stack(steps, axis=-1)).argmax(axis=1)
+                self.assertGreaterEqual(np.mean(np.array(network.map().run(spikes).predicted) == theirs), 0.9)
+
+    def test_the_potential_of_a_layer_that_spikes_is_warned_of(self):
+        module = nn.Sequential(nn.Linear(32, 8), self.lif(output=True))
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            network = nsim.from_torch(module, torch.zeros(1, 32), decision="SumOfV")
+        self.assertTrue(any("what each reset leaves" in str(one.message) for one in seen), seen)
+        self.assertTrue(any("SumOfV" in note for note in network.notes))
+
+    def test_a_pool_of_spikes_is_what_the_remedy_for_a_greatest_says(self):
+        k, spikes = 3, (torch.rand(30, 2, 3, 9, 9) < 0.2).float()
+        with self.assertRaises(nsim.Error) as raised:
+            nsim.from_torch(nn.Sequential(nn.MaxPool2d(k), self.lif()), torch.zeros(1, 3, 9, 9))
+        made = re.search(r"snntorch\.(Leaky\([^)]*\))", raised.exception.help)[1]
+        pool = nn.Sequential(nn.AvgPool2d(k), eval(f"snn.{made}", {"snn": snn, "k": k}))
+        with torch.no_grad():
+            for step in spikes:
+                self.assertTrue(torch.equal(pool(step), nn.MaxPool2d(k)(step)))
+        self.read(nn.Sequential(*pool, nn.Flatten(), nn.Linear(27, 4), self.lif(threshold=0.2, output=True)), 3, 9, 9)
 
     def test_layers_between_neurons(self):
         first = nn.Sequential(nn.Conv2d(2, 4, 3, padding=1), nn.BatchNorm2d(4), nn.Dropout(0.5), self.lif(threshold=0.4))

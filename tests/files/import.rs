@@ -264,6 +264,24 @@ fn presented(image: &[i64], input: [usize; 3], layers: &[Layer], steps: usize) -
 }
 
 #[test]
+fn numbers_that_netx_changes_are_told_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net.net");
+    let assumed = |weights: [f64; 2], bias: f64| {
+        let input = layer("input").with("shape", ints(&[2]));
+        let dense = layer("dense").with("shape", ints(&[1])).with("neuron", cuba(2048, 512, 40));
+        let dense = dense.with("weight", Numbers::f64(&[1, 2], &weights)).with("bias", Numbers::f64(&[1], &[bias]));
+        let file = Group::default().with("layer", Group::default().with("0", input).with("1", dense));
+        std::fs::write(&path, hdf5::write(&file).unwrap()).unwrap();
+        load_model(path.to_str().unwrap()).unwrap().conventions().assumed.clone()
+    };
+    assert_eq!(assumed([20.0, -6.0], 2.0), None);
+    assert!(assumed([20.0, -6.5], 2.0).unwrap().contains("1 numbers of 'weight' are not whole"));
+    assert!(assumed([20.0, -7.0], 2.5).unwrap().contains("1 biases are not whole"));
+    assert!(assumed([513.0, -7.0], 2.0).unwrap().contains("of 2 numbers of 'weight' fit no synapse format"));
+}
+
+#[test]
 fn a_deep_network_with_an_image_and_resets_gives_what_its_equations_give() {
     let input = [2, 8, 6];
     let mut layers = Vec::new();

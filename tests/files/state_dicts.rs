@@ -402,6 +402,9 @@ fn a_note_says_in_what_order_layers_were_taken() {
         let assumed = imported.assumed.unwrap();
         assert!(assumed.contains(": a -> b;") && imported.notes.contains(&assumed), "{assumed}");
     }
+    let lif = "type: LIF, tau_syn_inv: 200, tau_mem_inv: 100, v_leak: 0, v_th: 1, v_reset: 0";
+    let cells = import(&[("a.weight", vec![2, 2], vec![2.0; 4])], &neuron(&folder, lif)).unwrap();
+    assert!(cells.assumed.unwrap().contains("all are taken for LIFCell"));
 }
 
 #[test]

@@ -97,7 +97,7 @@ pub struct Imported {
     pub model: NetworkFile,
     /// By which conventions it was read, and what was changed.
     pub notes: Vec<String>,
-    /// Of these notes the one that the file may contradict.
+    /// Of these notes what a user is told unasked: what the file may contradict, or what is lost.
     pub assumed: Option<String>,
     /// What became of the weights of each layer, for files whose weights are rounded.
     pub layers: Vec<LayerWeights>,
@@ -205,13 +205,28 @@ impl Imported {
         self
     }
 
-    /// The same, decided by potentials where the output never spikes: by their sum where they
-    /// forget everything in a step, by the last where they forget nothing, else by the greatest.
+    /// The same, decided as an option says; else by potentials where the output never spikes: by
+    /// their sum where they forget everything in a step, by the last where they forget nothing, else
+    /// by the greatest.
     #[must_use]
-    pub(super) fn read_out(mut self) -> Self {
-        let output = self.model.population(&self.model.output).and_then(|output| output.loihi.as_ref());
-        let parameter = |key: &str| output?.iter().find(|(given, _)| *given == key).map(|(_, value)| value);
-        if parameter("vth_mant") != Some(&Parameter::Same(NEVER)) {
+    pub(super) fn read_out(mut self, option: Option<ReadOut>) -> Self {
+        let output = self.model.population(&self.model.output).and_then(|output| output.loihi.clone());
+        let parameter = |key: &str| output.as_ref()?.iter().find(|(given, _)| *given == key).map(|(_, value)| value);
+        let never = parameter("vth_mant") == Some(&Parameter::Same(NEVER));
+        if let Some(decision) = option {
+            self.model.decision = decision;
+            if !never && decision != ReadOut::Spikes {
+                let note = format!(
+                    "'{}' spikes, and its potential that decides ({decision:?}) is what each reset leaves of it: a tool \
+                     that compares the potential before its reset decides otherwise; a threshold above every potential \
+                     makes both the same",
+                    self.model.output
+                );
+                self.notes.push(note.clone());
+                self.assumed.get_or_insert(note);
+            }
+        }
+        if option.is_some() || !never {
             return self;
         }
         let both = |value: f64| [parameter("du"), parameter("dv")].map(|own| own == Some(&Parameter::Same(value)));

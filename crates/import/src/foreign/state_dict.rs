@@ -554,7 +554,11 @@ fn real(
     graph.follow(&last, "output", node("Output"));
     check_used(modules, &layers, &neurons)?;
     let reset = chosen_reset(reset, options)?;
-    let lacking = if neuron.is_none() { ", and inhibition and reset_delay of neurons" } else { "" };
+    let lacking = match neuron.map(|neuron| &neuron.kind) {
+        None => ", and inhibition, reset_delay and a mechanism set after construction of neurons",
+        Some(NeuronKind::Lif { .. }) => ", and which cells its neurons are: all are taken for LIFCell",
+        Some(_) => "",
+    };
     let assumed = format!("{}; nsim.from_torch(module, sample) in Python reads them", in_order(&chain, lacking));
     notes.extend([assumed.clone(), format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds")]);
     let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };

@@ -28,7 +28,10 @@ pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
     let length: usize = array.shape().iter().product();
     if array.shape().iter().filter(|&&axis| axis == length).count() == 0 {
         let message = format!("labels of shape {:?} are not one number for each sample", array.shape());
-        return Err(wrong(message).help("an array of one axis: labels.argmax(axis=1) makes one of one-hot rows"));
+        return Err(wrong(message).help(match array.shape() {
+            [_, 1] => "an array of one axis: labels[:, 0]",
+            _ => "an array of one axis: labels.argmax(axis=1) makes one of one-hot rows",
+        }));
     }
     let tensor = array.tensor()?;
     let class = |number: f64| (number >= 0.0 && number.fract() == 0.0 && number < 4e9).then_some(number as u32);

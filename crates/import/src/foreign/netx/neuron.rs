@@ -31,7 +31,7 @@ impl Reader<'_> {
             let whole: Vec<f64> = given.iter().map(|x| x.trunc()).collect();
             let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
             if cut > 0 {
-                self.notes.push(format!("layer {}: {cut} biases are not whole and lose their fraction", layer.number));
+                self.lose(format!("layer {}: {cut} biases are not whole and lose their fraction", layer.number));
             }
             let biases = self.each(layer, "bias", whole, shape)?;
             match neurons.kind {

@@ -34,7 +34,7 @@ impl Reader<'_> {
         let whole: Vec<f64> = given.iter().map(|x| x.trunc() + 0.0).collect();
         let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
         if cut > 0 {
-            self.notes.push(format!(
+            self.lose(format!(
                 "layer {}: {cut} numbers of '{key}' are not whole and lose their fraction",
                 layer.number
             ));
@@ -46,7 +46,7 @@ impl Reader<'_> {
         }
         let encoded = encode::encode(whole, exponent as i64);
         if encoded.changed > 0 {
-            self.notes.push(format!(
+            self.lose(format!(
                 "layer {}: {} of {} numbers of '{key}' fit no synapse format; they are rounded to even steps and \
                  clipped",
                 layer.number,

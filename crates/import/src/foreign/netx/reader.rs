@@ -63,6 +63,8 @@ pub(super) struct Reader<'a> {
     pub(super) options: &'a Options,
     pub(super) model: NetworkFile,
     pub(super) notes: Vec<String>,
+    /// Of the notes, those of numbers that were changed.
+    pub(super) lost: Vec<String>,
     pub(super) layers: Vec<LayerWeights>,
     pub(super) last: Option<Last>,
     pub(super) expanded: Cell<u64>,
@@ -72,6 +74,12 @@ pub(super) struct Reader<'a> {
 }
 
 impl Reader<'_> {
+    /// Notes that numbers of the file were changed.
+    pub(super) fn lose(&mut self, note: String) {
+        self.lost.push(note.clone());
+        self.notes.push(note);
+    }
+
     /// Adds a population and makes it the last.
     pub(super) fn push(&mut self, name: &str, shape: Vec<u64>, neurons: Option<Neurons>) {
         let start_step = match &neurons {

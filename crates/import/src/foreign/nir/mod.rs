@@ -82,7 +82,8 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     };
     reader.network()?;
     let Reader { model, notes, .. } = reader;
-    let mut imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None }.read_out();
+    let imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None };
+    let mut imported = imported.read_out(options.decision);
     imported.model.provenance = Some(format!("imported from a NIR file; {}", imported.notes.join("; ")));
     Ok(imported)
 }
