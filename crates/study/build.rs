@@ -1,15 +1,17 @@
 //! Lists the stored results of the paper's tables, so that the program carries each file that lies
-//! in their folder.
+//! in their folder: that of the project, or in a packaged crate its copy.
 
 use std::path::Path;
 
-const RESULTS: &str = "../../results/paper";
-
 fn main() -> std::io::Result<()> {
+    let own = Path::new(env!("CARGO_MANIFEST_DIR"));
+    // Not the link of this folder, which some systems store as text.
+    let project = own.join("../../results/paper");
+    let results = if project.is_dir() { project } else { own.join("results/paper") };
     println!("cargo::rerun-if-changed=build.rs");
-    println!("cargo::rerun-if-changed={RESULTS}");
+    println!("cargo::rerun-if-changed={}", results.display());
     let mut paths = Vec::new();
-    for entry in std::fs::read_dir(RESULTS)? {
+    for entry in std::fs::read_dir(results)? {
         let path = entry?.path();
         if path.extension().is_some_and(|extension| extension == "json") {
             paths.push(std::fs::canonicalize(path)?);

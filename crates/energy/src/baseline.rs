@@ -7,15 +7,13 @@ use crate::published::baseline::{BaselineFile, DenseLayer};
 use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
 use nsim_cost::job::Mode;
 use nsim_dynamics::synapses::Enumerate;
+use nsim_files::shipped::{BASELINES, Shipped};
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::hardware::constants::Status;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spanned::parse;
-
-/// Baselines that come with the program: name and file.
-pub const SHIPPED: &[(&str, &str)] = &[("rtx-2080-ti", include_str!("../../../mapping/baselines/rtx-2080-ti.ron"))];
 
 /// Sizes that decide whether two networks are the same workload for dense hardware.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -152,10 +150,10 @@ impl Baseline {
     /// # Errors
     /// A diagnostic when there is none of this name.
     pub fn shipped(name: &str) -> Result<Self, Diagnostic> {
-        match SHIPPED.iter().find(|(shipped, _)| *shipped == name) {
-            Some((_, text)) => Baseline::parse(&SourceText::new(format!("mapping/baselines/{name}.ron"), *text)),
+        match Shipped::find(BASELINES, name) {
+            Some(shipped) => Baseline::parse(&shipped.source()),
             None => {
-                let names: Vec<&str> = SHIPPED.iter().map(|&(name, _)| name).collect();
+                let names: Vec<&str> = BASELINES.iter().map(|shipped| shipped.name).collect();
                 Err(Diagnostic::new("baseline.unknown", format!("there is no baseline {name}"))
                     .help(format!("baselines are {}", names.join(", "))))
             }
@@ -398,7 +396,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_baseline_that_does_not_add_up_is_refused_where_it_stands() {
-        let text = SHIPPED[0].1.replacen("59890.0", "69890.0", 1);
+        let text = BASELINES[0].text.replacen("59890.0", "69890.0", 1);
         let problem = Baseline::parse(&SourceText::new("b.ron", text)).unwrap_err();
         assert_eq!(problem.code, "baseline.sum");
         assert!(problem.position().is_some());

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::baseline::{Baseline, SHIPPED};
+use crate::baseline::Baseline;
 use crate::published::scenario::{ScenarioFile, scenario};
 use nsim_compile as compile;
 use nsim_compile::place::SAVED;
@@ -11,6 +11,7 @@ use nsim_cost::estimate::Convention;
 use nsim_cost::job::{Accounting, DeployedCores, Mode};
 use nsim_cost::{CostTable, Deployment, Host, HostWork, Streams, Transport};
 use nsim_files as io;
+use nsim_files::shipped::BASELINES;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::hardware::Target;
@@ -226,7 +227,7 @@ pub struct BaselineSelection {
 /// # Errors
 /// A diagnostic for a name that does not exist.
 pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnostic> {
-    let all = || SHIPPED.iter().map(|(name, _)| Baseline::shipped(name)).collect::<Result<Vec<_>, _>>();
+    let all = || BASELINES.iter().map(|shipped| Baseline::shipped(shipped.name)).collect::<Result<Vec<_>, _>>();
     let Some(names) = names else {
         return Ok(BaselineSelection { files: all()?, cpu: true, roofline: false });
     };
@@ -234,7 +235,7 @@ pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnost
     let mut files = Vec::new();
     for name in names.iter().filter(|name| ![CPU, ROOFLINE].contains(&name.as_str())) {
         files.push(Baseline::shipped(name).map_err(|problem: Diagnostic| {
-            let known: Vec<&str> = SHIPPED.iter().map(|&(name, _)| name).chain([CPU, ROOFLINE]).collect();
+            let known: Vec<&str> = BASELINES.iter().map(|shipped| shipped.name).chain([CPU, ROOFLINE]).collect();
             problem.help(format!("baselines are {}", known.join(", ")))
         })?);
     }

@@ -30,7 +30,7 @@ macro_rules! shipped {
         &[$($(Shipped {
             name: concat!($prefix, $name),
             path: concat!($folder, "/", $name, ".ron"),
-            text: include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../", $folder, "/", $name, ".ron")),
+            text: include_str!(concat!(env!("SHIPPED"), "/", $folder, "/", $name, ".ron")),
         },)*)*]
     };
 }
@@ -43,7 +43,7 @@ macro_rules! models {
         /// The arrays that shipped models refer to: path within `models/`, content.
         pub const ARRAYS: &[(&str, &[u8])] = &[$((
             concat!($name, ".safetensors"),
-            include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/", $name, ".safetensors")).as_slice(),
+            include_bytes!(concat!(env!("SHIPPED"), "/models/", $name, ".safetensors")).as_slice(),
         )),*];
     };
 }
@@ -144,11 +144,14 @@ pub const WORKLOADS: &[Shipped] = shipped!(
     "pilotnet-lif",
 );
 
+/// Shipped rows of other hardware.
+pub const BASELINES: &[Shipped] = shipped!("mapping/baselines": "rtx-2080-ti");
+
 /// Shipped scenarios.
 pub const SCENARIOS: &[Shipped] = shipped!("mapping/scenarios": "vtsnn-slip-paper");
 
 /// All of these tables.
-pub const TABLES: &[&[Shipped]] = &[MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, WORKLOADS, SCENARIOS];
+pub const TABLES: &[&[Shipped]] = &[MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, WORKLOADS, SCENARIOS, BASELINES];
 
 /// Where a text came from, which decides where the files that it names are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

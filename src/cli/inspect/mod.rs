@@ -22,7 +22,7 @@ use crate::cli::inspect::hardware::{
 };
 use crate::cli::inspect::network::network_findings;
 use crate::cli::output;
-use nsim_energy::baseline::{Baseline, SHIPPED};
+use nsim_energy::baseline::Baseline;
 use nsim_energy::published::scenario;
 use nsim_files::mapping::mapping;
 use nsim_files::shipped;
@@ -110,17 +110,14 @@ fn inspect(argument: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
 }
 
 fn inspect_shipped(name: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
-    let tables = [shipped::MODELS, shipped::TARGETS, shipped::CHIPS, shipped::CONSTANTS, shipped::SCENARIOS];
+    let tables =
+        [shipped::MODELS, shipped::TARGETS, shipped::CHIPS, shipped::CONSTANTS, shipped::SCENARIOS, shipped::BASELINES];
     for table in tables {
         if let Some(found) = shipped::Shipped::find(table, name) {
             return inspect_ron(found.source(), Origin::Shipped, dt_ms);
         }
     }
-    if let Ok(baseline) = Baseline::shipped(name) {
-        return Ok(baseline_findings(&baseline));
-    }
     let mut names: Vec<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
-    names.extend(SHIPPED.iter().map(|(name, _)| name));
     names.sort_unstable();
     names.dedup();
     Err(Diagnostic::new("inspect.unknown", format!("there is no file and nothing shipped named '{name}'"))

@@ -75,7 +75,7 @@ impl PictureFormat {
 }
 
 /// Latin and Greek of the font, as the base64 digits of a WOFF2 file.
-const FONT_DIGITS: &str = include_str!("../../../../assets/roboto/roboto-latin.woff2.base64");
+const FONT_DIGITS: &str = include_str!(concat!(env!("ASSETS"), "/roboto/roboto-latin.woff2.base64"));
 
 /// A picture with its font in it.
 pub fn with_font(svg: &str) -> String {
@@ -96,7 +96,7 @@ mod drawn {
     use resvg::usvg::{Options, Tree};
     use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
-    const FONT: &[u8] = include_bytes!("../../../../assets/roboto/roboto-subset.ttf");
+    const FONT: &[u8] = include_bytes!(concat!(env!("ASSETS"), "/roboto/roboto-subset.ttf"));
     /// Pixels of a picture for each of its units, unless it is so large that this would make more
     /// than [`MOST_PIXELS`].
     const SCALE: f32 = 3.0;
