@@ -46,6 +46,76 @@ fn other_hardware_stands_beside_the_chip_with_its_source() {
     assert_eq!(said(&["energy", "--cpu-watts", "20,5"]).0, 2);
 }
 
+/// Accuracy of decisions is that of samples that end there, which `nsim run` counts.
+#[test]
+fn an_early_exit_is_priced_with_the_accuracy_that_it_has() {
+    let folder = tempfile::tempdir().unwrap();
+    let same = ["slip-tactile", "--input", "scene:slip?samples=30&seed=2", "--early-exit", "2"];
+    let run = object(&[&["run"], &same[..]].concat(), 0);
+    let energy = object(&[&["energy"], &same[..], &["--baseline"]].concat(), 0);
+    let (early, decision) = (&energy["early_exit"], &energy["per_decision"]);
+    assert_eq!((&early["accuracy"], &early["median_step"]), (&run["accuracy"], &run["early_exit"]["median_step"]));
+    assert_ne!(early["accuracy"], energy["accuracy"], "this tests too little");
+    for key in ["accuracy", "median_step", "energy_uj"] {
+        assert_eq!(early[key], decision[key], "{key}");
+    }
+    let whole = energy["per_sample"][0]["energy_uj"].as_f64().unwrap();
+    let saved = early["energy_saved_uj"].as_f64().unwrap() / 30.0;
+    assert!((decision["energy_uj"].as_f64().unwrap() + saved - whole).abs() < 1e-6 * whole, "{energy}");
+    for full in [&[][..], &["--full"]] {
+        let (_, text, _) = said(&[&["energy"], &same[..], &["--baseline"], full].concat());
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let [then, end] = [early, &energy].map(|of| of["accuracy"].as_f64().unwrap());
+        let wanted = format!(
+            "Right when decided: {then:.3} ({end:.3} at the end); median after step {} of the sample",
+            early["median_step"]
+        );
+        assert!(text.contains(&wanted), "{wanted}: {text}");
+    }
+    // Without labels nothing is right or wrong.
+    let model = write(folder.path(), "small.ron", MODEL);
+    let noise = "scene:noise?samples=3&steps=20&rate=0.3";
+    let small = object(&["energy", &model, "--input", noise, "--baseline", "--early-exit", "1"], 0);
+    assert_eq!(small["early_exit"]["accuracy"], Value::Null);
+}
+
+/// The paper's rows of x86 and neuron cores stand by its total, with what they are here.
+#[test]
+fn every_unit_of_the_paper_s_job_stands_by_what_it_is_here() {
+    for (deployment, mode, printed) in [
+        ("spread", "offline", [[0.19, 21.1, 21.3], [11.7, 0.64, 12.4]]),
+        ("paper", "realtime", [[0.19, 20.1, 20.3], [11.9, 0.15, 12.1]]),
+    ] {
+        let line = ["energy", "--samples", "0..2", "--baseline", "--deployment", deployment, "--mode", mode];
+        let energy = object(&line, 0);
+        let parts = energy["parts"].as_array().unwrap();
+        assert_eq!(parts.len(), 2);
+        let total = if deployment == "paper" { 2 } else { 3 };
+        for ((part, unit), printed) in parts.iter().zip(["x86", "neuron"]).zip(printed) {
+            assert_eq!(part["unit"], unit);
+            for (key, printed) in ["static_mw", "dynamic_mw", "total_mw"].into_iter().zip(printed) {
+                assert_eq!(part["printed"][key], printed);
+                let here = part["here"][key].as_f64().unwrap();
+                assert!((part["ratio"][key].as_f64().unwrap() - here / printed).abs() < 1e-12, "{part}");
+            }
+        }
+        let sum: f64 = parts.iter().map(|part| part["here"]["total_mw"].as_f64().unwrap()).sum();
+        assert!((sum - energy["rows"][total]["total_mw"].as_f64().unwrap()).abs() < 1e-9, "{energy}");
+        let (_, text, _) = said(&line);
+        let [x86, neuron] = printed.map(|row| row.map(|mw| mw.to_string()).join(" "));
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        for wanted in [format!("x86 core {x86}"), format!("neuron cores {neuron}")] {
+            assert!(text.contains(&wanted), "{wanted}: {text}");
+        }
+        let ratio = &parts[1]["ratio"];
+        let [fixed, dynamic] = ["static_mw", "dynamic_mw"].map(|key| ratio[key].as_f64().unwrap());
+        assert!(text.contains(&format!("neuron cores {fixed:.2} static, {dynamic:.2} dynamic. Inferred:")), "{text}");
+    }
+    let (_, full, _) = said(&["energy", "--samples", "0..1", "--baseline", "--full"]);
+    assert!(full.contains("624") && full.contains("nsim show loihi1-evidence"), "{full}");
+    assert!(said(&["show", "loihi1-evidence"]).1.contains("231 us a step less its other parts"));
+}
+
 #[test]
 fn a_model_without_a_scenario_has_one_copy_everywhere() {
     let folder = tempfile::tempdir().unwrap();

@@ -69,8 +69,9 @@ fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
                 }
                 // A decision that is only noted changes nothing else.
                 let watched = Keep { early_exit: Some(EarlyExit::watched(rule, &network)), ..keep(&network, None) };
-                let Outcome { decided_at, steps_saved, .. } = golden;
-                let noted = Outcome { decided_at, steps_saved, ..skipping_aside(&whole) };
+                let Outcome { decided_at, decided_class, steps_saved, .. } = golden;
+                let noted = Outcome { decided_at, decided_class, steps_saved, ..skipping_aside(&whole) };
+                assert_eq!(noted.class_when_decided(), golden.class(), "{what}");
                 for (name, engine) in &mut engines {
                     let outcome = run_sample(engine.as_mut(), &sample, &watched, |_, _| ());
                     assert_eq!(skipping_aside(&outcome), noted, "{what}, {name}, watched");

@@ -165,11 +165,21 @@ fn stored_figures_of_the_hardware_are_those_that_energy_prints() {
     for mode in ["offline", "realtime"] {
         let printed =
             energy(&["--deployment", "paper", "--mode", mode, "--baseline"])["rows"].as_array().unwrap().clone();
+        let line = ["--deployment", "paper", "--mode", mode, "--convention", "published", "--baseline"];
+        let by_paper = energy(&line)["rows"].as_array().unwrap().clone();
         let modelled = stored.iter().filter(|row| row.table == mode && row.measured.is_some());
         let quantities = modelled.map(|row| {
-            let now = figure(&printed, "total", &row.quantity);
+            let (unit, name) = match row.quantity.split_once('_') {
+                Some((unit @ ("x86" | "neuron"), name)) => (unit, name),
+                _ => ("total", &*row.quantity),
+            };
+            let now = match name {
+                "mw_per_step" => figure(&by_paper, unit, "energy_uj"),
+                "edp_pjs" => figure(&by_paper, unit, name),
+                _ => figure(&printed, unit, name),
+            };
             assert!((row.measured.unwrap() - now).abs() < 5.1e-5, "{mode} {}: {now}, stored {row:?}", row.quantity);
         });
-        assert_eq!(quantities.count(), 4);
+        assert_eq!(quantities.count(), 12);
     }
 }

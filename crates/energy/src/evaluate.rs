@@ -6,21 +6,24 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use crate::baseline::{Baseline, NetworkShape};
 use crate::job::{per_decision, report, saved};
 use crate::options::{CostOptions, DeploymentSource, tables, with_preset};
 use crate::other_hardware;
 use crate::other_hardware::OneCopy;
 use crate::paper;
 use crate::published::scenario::{ScenarioFile, shipped_for};
-use crate::report::table::EnergyReport;
+use crate::report::table::{EnergyReport, Part};
 use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
-use nsim_cost::estimate::{ByStatus, Case, Convention, EnergyRow, step_price};
+use nsim_cost::estimate::{ByStatus, Case, Convention, EnergyRow, FigureSource, step_price};
 use nsim_cost::job::Accounting;
 use nsim_cost::{Deployment, MeterSettings, StepMeter};
 use nsim_ir::hardware::Target;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+use nsim_session::accuracy_when_decided;
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
 use nsim_session::samples::Run;
@@ -167,25 +170,40 @@ pub fn evaluate(
     let measured_job =
         plan.shipped.as_ref().filter(|job| job.target == target.name() && accounting == Accounting::Profiler);
     let mut rows: Vec<(EnergyRow, Cow<'static, str>)> = Vec::new();
+    let mut as_in = Vec::new();
     if let Some(job) = measured_job {
         if plan.job().is_none() {
-            let as_in = paper::row(workload, job, options, &target, work)?;
-            rows.push((as_in, "the measured job, by the same constants".into()));
+            as_in = paper::rows(workload, job, options, &target, work)?;
+            let total = as_in.iter().find(|row| row.unit == "total").cloned();
+            rows.extend(total.map(|total| (total, "the measured job, by the same constants".into())));
         }
-        rows.extend(paper::printed(job, mode, convention, steps_per_sample)?);
+        rows.extend(paper::printed(job, "total", mode, convention, steps_per_sample)?);
     }
     others.rows.splice(0..0, rows.into_iter().map(|(row, source)| (row, source.into_owned())));
-    let printed = match measured_job {
-        Some(job) => paper::printed(job, mode, Convention::Published, steps_per_sample)?,
-        None => None,
+    let as_printed = |unit| match measured_job {
+        Some(job) => paper::printed(job, unit, mode, Convention::Published, steps_per_sample),
+        None => Ok(None),
     };
+    let shape = NetworkShape::of_network(one.network);
+    let row = |file: &Baseline| file.row(&shape, one.steps, one.timestep, mode, Convention::Published).ok();
+    let published = options.baselines.files.iter().filter_map(row).filter(|row| row.source == FigureSource::Published);
+    let published = as_printed("total")?.map(|(row, _)| row).into_iter().chain(published);
+    let printed = published.filter_map(|row| Some([row.energy_uj?, row.edp_pjs?])).collect();
     let mut energy = report(model, &target, &case, run.outcomes.len() as u64, others.rows);
+    let here = if as_in.is_empty() { &energy.estimate.rows } else { &as_in };
+    for unit in ["x86", "neuron"] {
+        let own = here.iter().find(|row| row.unit == unit).cloned();
+        let parts = own.zip(as_printed(unit)?).map(|(here, (printed, _))| Part { here, printed });
+        energy.parts.extend(parts);
+    }
     energy.seed = workload.seed;
     energy.input.clone_from(&workload.origin);
-    energy.comparison.per_decision = Some(per_decision(rule, &case, &run.outcomes));
+    let right = accuracy_when_decided(&run.outcomes, workload.samples().into_iter().map(Sample::label));
+    energy.comparison.per_decision = Some(per_decision(rule, &case, &run.outcomes, right));
     energy.job.clone_from(&plan.shipped);
     energy.early_exit = options.early_exit.map(|rule| saved(rule, &case, &run.outcomes));
-    energy.printed = printed.and_then(|(row, _)| Some([row.energy_uj?, row.edp_pjs?]));
+    energy.printed = printed;
+    energy.copies_counted = workload.copies;
     energy.notes.extend(others.notes);
     energy.accuracy = workload.accuracy(&run.outcomes);
     energy.labelled = workload.samples().iter().filter(|sample| sample.label().is_some()).count() as u64;

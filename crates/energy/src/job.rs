@@ -5,9 +5,9 @@ use crate::report::table::{EnergyReport, Saved, constant_entries};
 use nsim_cost::estimate::{Bound, Case, EnergyRow, estimate, spent};
 use nsim_ir::hardware::Target;
 use nsim_ir::hardware::constants::{BARRIER, Constants, SET};
-use nsim_session::Outcome;
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
+use nsim_session::{Outcome, median_decision};
 
 /// The level of intervals by the errors of works.
 const LEVEL: f64 = 0.8;
@@ -27,8 +27,8 @@ pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
     }
 }
 
-/// The mean cost of a sample until it is decided.
-pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDecision {
+/// The mean cost of a sample until it is decided; `accuracy` is that of the classes then.
+pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], accuracy: Option<f64>) -> PerDecision {
     let until_decided = &case.meter.lanes()[case.preset].until_decided;
     let (spent, samples) = (spent(case, until_decided), outcomes.len().max(1) as f64);
     let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
@@ -38,6 +38,8 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> PerDec
         time_us: spent.time_us / samples,
         energy_uj: spent.energy_uj / samples,
         early: decided / samples,
+        accuracy,
+        median_step: median_decision(outcomes),
     }
 }
 
@@ -103,7 +105,9 @@ pub fn report(
         accuracy: None,
         labelled: 0,
         job: None,
-        printed: None,
+        printed: Vec::new(),
+        parts: Vec::new(),
+        copies_counted: case.copies_counted,
         transport: case.meter.transport(),
         comparison: Comparison { ratios, per_sample: per_sample(rows, steps), per_decision: None },
         baselines,

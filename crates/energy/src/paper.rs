@@ -35,17 +35,18 @@ pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Resu
     Ok(compile(network, &target, &Options::default())?)
 }
 
-/// The `total` row of a job by a target's first constants, shown what the workload is shown.
+/// Rows of a job by a target's first constants, shown what the workload is shown: one x86 core, the
+/// neuron cores of one copy, and their total.
 ///
 /// # Errors
 /// As [`mapped`].
-pub fn row(
+pub fn rows(
     workload: &Workload<'_>,
     scenario: &ScenarioFile,
     options: &CostOptions,
     target: &Target,
     work: HostWork,
-) -> Result<EnergyRow, Error> {
+) -> Result<Vec<EnergyRow>, Error> {
     let compiled = mapped(&workload.compiled.one, scenario, target)?;
     let deployment = Deployment::from_numbers("paper", scenario.deployment.value, target, scenario.copies.value, work);
     let metered = Metered::new(&compiled);
@@ -67,17 +68,18 @@ pub fn row(
         steps_per_sample: workload.steps_per_sample(),
         ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
     };
-    let total = estimate(&case).rows.into_iter().find(|row| row.unit == "total");
-    let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;
-    Ok(EnergyRow { hardware: format!("{}, as in {}", row.hardware, scenario.work), ..row })
+    let named = |row: EnergyRow| EnergyRow { hardware: format!("{}, as in {}", row.hardware, scenario.work), ..row };
+    Ok(estimate(&case).rows.into_iter().map(named).collect())
 }
 
-/// The `total` row that a job's source printed in this mode; energy is power times time.
+/// The row of a unit (`x86`, `neuron`, `total`) that a job's source printed in this mode; energy is
+/// power times time.
 ///
 /// # Errors
 /// When a table of measurements cannot be read.
 pub fn printed(
     scenario: &ScenarioFile,
+    unit: &'static str,
     mode: Mode,
     convention: Convention,
     steps: Option<u32>,
@@ -88,13 +90,13 @@ pub fn printed(
             continue;
         }
         let cell = |figure: &str| {
-            let found = table.cells.iter().find(|cell| cell.unit.value == "total" && cell.figure.value == figure);
+            let found = table.cells.iter().find(|cell| cell.unit.value == unit && cell.figure.value == figure);
             found.and_then(crate::published::measurement::MeasuredCell::value).map(|(value, _)| value)
         };
         let powers = (cell("static_mw").unwrap_or(0.0), cell("dynamic_mw"));
         let hardware = format!("{}, printed", scenario.work);
         let latency = cell("latency_us");
-        let row = EnergyRow::new(&hardware, "total", convention, powers, latency, FigureSource::Published, steps);
+        let row = EnergyRow::new(&hardware, unit, convention, powers, latency, FigureSource::Published, steps);
         let total_mw = cell("total_mw").or(row.total_mw);
         let energy_uj = match convention {
             Convention::Physical => total_mw.zip(latency).map(|(power, time)| power * time / 1e3),

@@ -12,7 +12,7 @@ use nsim_ir::quantised::Quantised;
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
 use nsim_session::neurobench::NeuroBench;
-use nsim_session::{Outcome, accuracy, digest};
+use nsim_session::{Outcome, accuracy, digest, median_decision};
 
 /// Everything that the report says.
 #[derive(Debug)]
@@ -115,9 +115,8 @@ impl RunReport<'_> {
 
     /// How many samples were decided early, and the least step by which half of those were.
     fn decided(&self) -> (usize, Option<u32>) {
-        let mut steps: Vec<u32> = self.outcomes.iter().filter_map(|outcome| outcome.decided_at).collect();
-        steps.sort_unstable();
-        (steps.len(), steps.get(steps.len().saturating_sub(1) / 2).copied())
+        let decided = self.outcomes.iter().filter(|outcome| outcome.decided_at.is_some());
+        (decided.count(), median_decision(self.outcomes))
     }
 
     fn early_exit_json(&self) -> Value {

@@ -128,6 +128,8 @@ pub struct Outcome {
     pub steps: u32,
     /// The step after whose update the sample was decided; `None` when that was its last or never.
     pub decided_at: Option<u32>,
+    /// The class after that step; `None` also for a sample that was decided silent.
+    pub decided_class: Option<u32>,
     /// Timesteps after that one: left off when a decision ends the sample.
     pub steps_saved: u32,
     /// Counts that any engine keeps.
@@ -150,6 +152,16 @@ impl Outcome {
         }
         let most = self.counts.iter().copied().max().filter(|&most| most > 0)?;
         self.counts.iter().position(|&count| count == most).map(|class| class as u32)
+    }
+
+    /// The class when the sample was decided; of a sample that was not, that of its end.
+    #[must_use]
+    pub fn class_when_decided(&self) -> Option<u32> {
+        if self.decided_at.is_some() { self.decided_class } else { self.class() }
+    }
+
+    fn decide(&mut self, step: u32) {
+        (self.decided_at, self.decided_class) = (Some(step), self.class());
     }
 }
 
@@ -218,8 +230,9 @@ pub fn run_copies<E: Engine + ?Sized>(
                 }
                 after_step(engine, Passed { steps: passed, decided: outcome.decided_at.is_some() });
                 step += passed;
-                if decided.is_some() {
-                    (outcome.decided_at, decision) = (decided, None);
+                if let Some(decided) = decided {
+                    outcome.decide(decided);
+                    decision = None;
                 }
                 continue;
             }
@@ -241,12 +254,14 @@ pub fn run_copies<E: Engine + ?Sized>(
         }
         after_step(engine, Passed { steps: 1, decided: outcome.decided_at.is_some() });
         if decision.as_mut().is_some_and(|decision| decision.decided_after(step)) {
-            (outcome.decided_at, decision) = (Some(step), None);
+            outcome.decide(step);
+            decision = None;
         }
         if let Some(potentials) = outcome.potentials.as_mut().filter(|_| step >= start_step) {
             potentials.add(|output| engine.potential(CompartmentId(first.0 + output)));
-            if outcome.decided_at.is_none() && margin.is_some_and(|margin| potentials.lead() >= margin) {
-                outcome.decided_at = Some(step);
+            let is_decided = margin.is_some_and(|margin| potentials.lead() >= margin);
+            if is_decided && outcome.decided_at.is_none() {
+                outcome.decide(step);
             }
         }
         step += 1;
@@ -254,6 +269,7 @@ pub fn run_copies<E: Engine + ?Sized>(
     outcome.steps = step;
     // What is decided by the last step is not early.
     outcome.decided_at = outcome.decided_at.filter(|decided| decided + 1 < sample.steps());
+    outcome.decided_class = outcome.decided_class.filter(|_| outcome.decided_at.is_some());
     outcome.steps_saved = outcome.decided_at.map_or(0, |decided| sample.steps() - decided - 1);
     engine.settle();
     outcome.totals = engine.totals();
@@ -298,9 +314,32 @@ fn record<E: Engine + ?Sized>(engine: &E, probe: &Probe, step: usize, steps: usi
 /// The share of samples whose class is their label; `None` unless all have one.
 #[must_use]
 pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {
+    share_right(outcomes, labels, Outcome::class)
+}
+
+/// The same of the classes when samples were decided.
+#[must_use]
+pub fn accuracy_when_decided(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {
+    share_right(outcomes, labels, Outcome::class_when_decided)
+}
+
+fn share_right(
+    outcomes: &[Outcome],
+    labels: impl IntoIterator<Item = Option<u32>>,
+    class: impl Fn(&Outcome) -> Option<u32>,
+) -> Option<f64> {
     let labels = labels.into_iter().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty())?;
-    let right = outcomes.iter().zip(&labels).filter(|(outcome, label)| outcome.class() == Some(**label));
+    let right = outcomes.iter().zip(&labels).filter(|(outcome, label)| class(outcome) == Some(**label));
     Some(right.count() as f64 / labels.len() as f64)
+}
+
+/// The least step by which half of the samples that were decided early were decided; `None` where
+/// none was.
+#[must_use]
+pub fn median_decision(outcomes: &[Outcome]) -> Option<u32> {
+    let mut steps: Vec<u32> = outcomes.iter().filter_map(|outcome| outcome.decided_at).collect();
+    steps.sort_unstable();
+    steps.get(steps.len().saturating_sub(1) / 2).copied()
 }
 
 /// SHA-256 over little-endian u32 triples (sample in run order, step, output) of all output spikes,

@@ -1,7 +1,6 @@
-//! How soon, and for how much energy, a network decides as it will in the end.
+//! How soon a network decides as it will in the end.
 //!
-//! Input: outcomes of labelled samples, the energy of each step. Output: accuracy and energy after
-//! each step.
+//! Input: outcomes of labelled samples. Output: accuracy after each step.
 
 use nsim_ir::spikes::Sample;
 use nsim_session::Outcome;
@@ -15,25 +14,17 @@ pub struct Trial {
     pub timestep_ms: f64,
     /// Share of the samples that are right on the spikes up to each step.
     pub accuracy: Vec<f64>,
-    /// Mean energy that one copy has spent up to the end of each step.
-    pub energy_uj: Vec<f64>,
     /// For each sample when it was right for good; `None` where it never is.
     pub decided_ms: Vec<Option<f64>>,
 }
 
 impl Trial {
-    /// Accuracy and energy over samples of one length, of which a step costs what `spent_uj` says.
+    /// Accuracy over samples of this many steps.
     ///
     /// # Errors
     /// [`Error::Usage`] for a sample without a label.
-    pub fn new(samples: &[&Sample], outcomes: &[Outcome], timestep_ms: f64, spent_uj: &[f64]) -> Result<Trial, Error> {
-        let so_far = |energy: &mut f64, step: &f64| {
-            *energy += step;
-            Some(*energy)
-        };
-        let energy_uj = spent_uj.iter().scan(0.0, so_far).collect();
-        let steps = spent_uj.len();
-        let mut trial = Trial { timestep_ms, accuracy: vec![0.0; steps], energy_uj, decided_ms: Vec::new() };
+    pub fn new(samples: &[&Sample], outcomes: &[Outcome], timestep_ms: f64, steps: usize) -> Result<Trial, Error> {
+        let mut trial = Trial { timestep_ms, accuracy: vec![0.0; steps], decided_ms: Vec::new() };
         let share = 1.0 / samples.len().max(1) as f64;
         for (index, (outcome, sample)) in outcomes.iter().zip(samples).enumerate() {
             if outcome.potentials.is_some() {

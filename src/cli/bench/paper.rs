@@ -13,8 +13,6 @@ use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::workload::simulate;
 use crate::cli::output;
 use crate::cli::train::train;
-use nsim_cost::MeterSettings;
-use nsim_cost::estimate::{Case, spent_by_step_uj};
 use nsim_energy::environment::Environment;
 use nsim_energy::workload::Workload;
 use nsim_files as io;
@@ -90,15 +88,13 @@ const NAMES: [&str; 6] =
     ["slip-tactile", "slip-vision", "slip-both", "container-tactile", "container-vision", "container-both"];
 /// Folds of the paper.
 const FOLDS: u32 = 5;
-/// Copies of a network on the target, as in the paper's power measurement.
-const COPIES: u32 = 32;
 
 /// What a network does with samples: on simulated cores, or in real numbers where its neurons are
 /// no chip's.
-fn trial(model: &str, samples: Vec<Sample>, (neurons, copies): (Neurons, u32), context: Context) -> Result<Trial> {
+fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) -> Result<Trial> {
     let wanted = if neurons == Neurons::Srm { Wanted::Real } else { Wanted::Mapped };
-    let Prepared::Ready(job) = jobs::prepare(&JobArgs::for_model(model), wanted, Some(copies), &[])? else {
-        return Err(Error::Usage(format!("{model}: {copies} copies do not fit the default target: see nsim map")));
+    let Prepared::Ready(job) = jobs::prepare(&JobArgs::for_model(model), wanted, Some(1), &[])? else {
+        return Err(Error::Usage(format!("{model} does not fit the default target: see nsim map")));
     };
     let Job::Real(graph, quantised, _) = &job else {
         let (compiled, target) = job.mapped().ok_or_else(|| Error::Fault(format!("{model} is not mapped")))?;
@@ -114,20 +110,16 @@ fn trial(model: &str, samples: Vec<Sample>, (neurons, copies): (Neurons, u32), c
         reference(&model, units, &samples, &keep, progress).outcomes
     });
     let steps = samples.iter().map(|sample| sample.steps() as usize).max().unwrap_or(0);
-    let (timestep_ms, spent_uj) = (quantised.parts().timestep_ms, vec![0.0; steps]);
-    Trial::new(&samples, &outcomes, timestep_ms, &spent_uj)
+    Trial::new(&samples, &outcomes, quantised.parts().timestep_ms, steps)
 }
 
-/// Accuracy and energy after each step of a mapped network on its samples, all of one length.
+/// Accuracy after each step of a mapped network on its samples, all of one length.
 fn timed(workload: &Workload<'_>, context: Context) -> Result<Trial> {
-    let (metered, deployment) = workload.meter().offline(workload.target)?;
-    let run = simulate(workload, MeterSettings { by_step: Some(0), ..metered }, None, true, context)?;
+    let (metered, _) = workload.meter().offline(workload.target)?;
+    let run = simulate(workload, metered, None, true, context)?;
     let unequal = || Error::Usage("accuracy over time needs samples of one length".to_string());
     let steps = workload.steps_per_sample().ok_or_else(unequal)?;
-    let timestep_ms = workload.compiled.one.parts().timestep_ms;
-    let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);
-    let spent = spent_by_step_uj(&Case { steps_per_sample: Some(steps), ..case });
-    Trial::new(&workload.samples(), &run.outcomes, timestep_ms, &spent)
+    Trial::new(&workload.samples(), &run.outcomes, workload.compiled.one.parts().timestep_ms, steps as usize)
 }
 
 fn chosen(samples: &[Sample], numbers: &[usize]) -> Vec<Sample> {
@@ -162,7 +154,7 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
                     let said = format!("{loss} loss, seed {}, fold {fold}: accuracy {trained:.4}", job.plan.seed);
                     job.write((&model, true), &weights, "", &said)?;
                     let model = model.display().to_string();
-                    let trial = trial(&model, chosen(&samples, tested), (neurons, COPIES), context)?;
+                    let trial = trial(&model, chosen(&samples, tested), neurons, context)?;
                     let run = trial.accuracy.last().copied().unwrap_or(0.0);
                     // Integers are the same in training and on cores; real numbers have fewer
                     // digits in training.
@@ -171,8 +163,8 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
                     }
                     trials.push(trial);
                 }
-                let (folds, epochs, copies) = (args.folds, job.plan.epochs, COPIES);
-                rows.extend(Tested { cell, loss, neurons, folds, epochs, copies, trials: &trials }.rows());
+                let (folds, epochs) = (args.folds, job.plan.epochs);
+                rows.extend(Tested { cell, loss, neurons, folds, epochs, trials: &trials }.rows());
             }
         }
         Ok(())
@@ -193,7 +185,7 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
             let samples = scenes.seen_by(&network)?;
             let labels: Vec<u32> = samples.iter().filter_map(Sample::label).collect();
             let folds = Training::folds_by_label(&labels, FOLDS);
-            let trial = trial(&model, chosen(&samples, &folds[0]), (Neurons::Loihi, 1), context)?;
+            let trial = trial(&model, chosen(&samples, &folds[0]), Neurons::Loihi, context)?;
             let of_cell = ("accuracy", cell.task, cell.modality, Some(loss));
             let is_cell =
                 |row: &&mut PaperRow| (&*row.table, &*row.task, &*row.modality, row.loss.as_deref()) == of_cell;

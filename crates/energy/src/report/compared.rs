@@ -48,6 +48,10 @@ pub struct PerDecision {
     pub energy_uj: f64,
     /// Share of the samples that were decided before their end.
     pub early: f64,
+    /// Share of the samples whose class at that time is their label; `None` without labels.
+    pub accuracy: Option<f64>,
+    /// The least step of the sample, from 0, by which half of those decided early were.
+    pub median_step: Option<u32>,
 }
 
 /// Power times time of a row in uJ.
@@ -100,8 +104,20 @@ pub struct Comparison {
 }
 
 impl Comparison {
+    /// How many samples are right when they are decided, of how many at their end; when and for how
+    /// much that is.
+    pub(super) fn decisions(&self, whole: Option<f64>) -> String {
+        let Some(decision) = &self.per_decision else { return String::new() };
+        let right = decision.accuracy.zip(whole);
+        let right = right.map(|(then, end)| format!("Right when decided: {then:.3} ({end:.3} at the end)"));
+        let step = decision.median_step.map(|step| format!("median after step {step} of the sample"));
+        let energy = Some(format!("{} uJ a decision", three(decision.energy_uj)));
+        let said: Vec<String> = right.into_iter().chain(step).chain(energy).collect();
+        said.join("; ") + "."
+    }
+
     /// In words and tables.
-    pub(super) fn text(&self) -> String {
+    pub(super) fn text(&self, accuracy: Option<f64>) -> String {
         let mut out = String::new();
         if !self.ratios.is_empty() {
             let row = |ratio: &Ratio| {
@@ -126,8 +142,12 @@ impl Comparison {
             let rows: Vec<Vec<String>> = samples.chain(decided).collect();
             out += &table(&["One sample on", "Time (ms)", "Energy (uJ)"], &rows);
             if let Some(decision) = &self.per_decision {
-                out +=
-                    &wrapped(&format!("{:.1} % of the samples are decided before their end.", 100.0 * decision.early));
+                out += &wrapped(&format!(
+                    "{:.1} % of the samples are decided before their end. {} Times are the chip's; with --mode \
+                     realtime they are the sensor's.",
+                    100.0 * decision.early,
+                    self.decisions(accuracy)
+                ));
             }
             out.push('\n');
         }

@@ -17,6 +17,7 @@ use nsim_cost::estimate::{Bound, Convention, EnergyRow, Estimate, FigureSource, 
 use nsim_cost::job::Accounting;
 use nsim_cost::job::Mode;
 use nsim_cost::{Host, Transport};
+use nsim_files::shipped::{CONSTANTS, Shipped};
 use nsim_files::table::{count, csv, csv_text, table, three, wrapped};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
 use nsim_session::decision::Rule;
@@ -47,6 +48,30 @@ pub struct Saved {
 
 fn spelled<S: serde::Serializer>(rule: &Rule, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_str(rule)
+}
+
+/// A unit of the published job, as it comes out here and as its source prints it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Part {
+    /// By the constants of the report.
+    pub here: EnergyRow,
+    /// Of the same unit.
+    pub printed: EnergyRow,
+}
+
+impl Part {
+    /// Static, dynamic and total power here over those printed; `None` for what is not printed.
+    fn ratios(&self) -> [Option<f64>; 3] {
+        let powers = |row: &EnergyRow| [row.static_mw, row.dynamic_mw, row.total_mw];
+        let (here, printed) = (powers(&self.here), powers(&self.printed));
+        std::array::from_fn(|at| Some(here[at]? / printed[at].filter(|mw| *mw > 0.0)?))
+    }
+
+    fn json(&self) -> Value {
+        let [static_mw, dynamic_mw, total_mw] = self.ratios();
+        let ratio = json!({ "static_mw": static_mw, "dynamic_mw": dynamic_mw, "total_mw": total_mw });
+        json!({ "unit": self.here.unit, "here": self.here, "printed": self.printed, "ratio": ratio })
+    }
 }
 
 /// A constant of the report.
@@ -86,7 +111,7 @@ pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
         "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
         "mode": mode.name(), "convention": convention.name(), "fits": false, "reasons": [], "seed": null, "rows": [],
         "cores_used": null, "breakdown_pj_per_timestep": null, "per_timestep_uj": null, "early_exit": null,
-        "constants": [], "populations": [], "inputs": [], "cores": [], "warnings": [],
+        "parts": [], "constants": [], "populations": [], "inputs": [], "cores": [], "warnings": [],
     })
 }
 
@@ -137,8 +162,12 @@ pub struct EnergyReport {
     pub expected: Option<Score>,
     /// The published job of the model, if there is one.
     pub job: Option<ScenarioFile>,
-    /// What that printed as energy and energy-delay product.
-    pub printed: Option<[f64; 2]>,
+    /// What that and other published hardware printed as energy and energy-delay product.
+    pub printed: Vec<[f64; 2]>,
+    /// Units of the published job, here and as printed.
+    pub parts: Vec<Part>,
+    /// Copies whose counts the run has.
+    pub copies_counted: u32,
     /// What is not known and why, for people; also on stderr when the output is for programs.
     pub notes: Vec<String>,
     /// Of which hardware the constants are, where it is not the chip.
@@ -164,6 +193,11 @@ fn row_name(row: &EnergyRow, chip: &str) -> String {
         // A name as the field writes it: Loihi.
         _ => chip.chars().take(1).flat_map(char::to_uppercase).chain(chip.chars().skip(1)).collect(),
     }
+}
+
+/// Whether a publication printed it of the chip.
+fn is_printed(row: &EnergyRow) -> bool {
+    row.source == FigureSource::Published && row.hardware.ends_with(", printed")
 }
 
 /// A line of the table.
@@ -198,6 +232,17 @@ impl EnergyReport {
 
     fn total(&self) -> Option<&EnergyRow> {
         self.estimate.rows.iter().find(|row| row.unit == "total")
+    }
+
+    /// What an early exit would save, and what it decides until then.
+    fn early_exit_json(&self) -> Value {
+        let mut object = json!(self.early_exit);
+        if let (Some(fields), Some(decision)) = (object.as_object_mut(), &self.comparison.per_decision) {
+            fields.insert("accuracy".to_string(), json!(decision.accuracy));
+            fields.insert("median_step".to_string(), json!(decision.median_step));
+            fields.insert("energy_uj".to_string(), json!(decision.energy_uj));
+        }
+        object
     }
 
     /// Powers of all copies, and a copy's share, by the report's accounting.
@@ -254,7 +299,8 @@ impl EnergyReport {
             "ratios": self.comparison.ratios,
             "per_sample": self.comparison.per_sample,
             "per_decision": self.comparison.per_decision,
-            "early_exit": self.early_exit,
+            "early_exit": self.early_exit_json(),
+            "parts": self.parts.iter().map(Part::json).collect::<Vec<_>>(),
             "constants": self.constants,
             "expected": self.expected,
             "notes": self.notes.iter().chain(&self.inherited).chain(&self.without_interval).collect::<Vec<_>>(),
@@ -302,14 +348,16 @@ impl EnergyReport {
             Some(figure) if exact => format!("{figure}"),
             Some(figure) => three(figure),
         };
-        let power = |figure: Option<f64>| cell(figure, printed) + if assumed { "?" } else { "" };
+        let mark = if assumed { "?" } else { "" };
+        let power = |figure: Option<f64>| cell(figure, printed) + mark;
         let [(_, of_energy), (_, of_edp)] = self.units();
         let product = |figure: Option<f64>| {
             let text = match figure {
                 Some(figure) if computed && figure >= 1e3 => format!("{figure:.0}"),
                 figure => cell(figure, printed && !computed),
             };
-            if computed && !text.is_empty() { text + "*" } else { text }
+            let mark = if computed { "*" } else { mark };
+            if text.is_empty() { text } else { text + mark }
         };
         let is_part = ["x86", "neuron"].contains(&row.unit);
         [
@@ -345,12 +393,18 @@ impl EnergyReport {
             }
             let is_part = ["x86", "neuron", "boot", "idle"].contains(&row.unit);
             let source = match row.busy {
-                Some(busy) => format!("busy {busy:.1}"),
+                Some(_) => "busy CPUs".to_string(),
                 None if own && is_part => String::new(),
                 None => row.source.name().to_string(),
             };
             lines.push((row_name(row, self.hardware()), self.cells(row), source));
-            if own
+            if is_printed(row) {
+                for Part { here, printed } in &self.parts {
+                    let name = format!("  {}", row_name(here, &here.hardware));
+                    lines.push((name, self.cells(printed), String::new()));
+                }
+            }
+            if row.source == FigureSource::Simulated
                 && (every_interval || !is_part)
                 && let Some(mut interval) = self.interval(row)
             {
@@ -428,7 +482,7 @@ impl EnergyReport {
         out
     }
 
-    /// What is said below the table: at most five remarks.
+    /// What is said below the table: at most seven remarks.
     fn remarks(&self) -> Vec<String> {
         let Deployment { cores_used, copies, board_chips, chips_used, .. } = &self.deployment;
         if self.accounting == Accounting::Rails {
@@ -445,7 +499,6 @@ impl EnergyReport {
             if cores.fract() == 0.0 { format!("{cores}") } else { three(cores) }
         };
         let mut said = Vec::new();
-        let is_printed = |row: &EnergyRow| row.source == FigureSource::Published && row.hardware.ends_with(", printed");
         let job = self.job.as_ref().filter(|_| self.rows().any(is_printed));
         if *copies > 1 {
             let all = self.estimate.job.profiler();
@@ -456,13 +509,15 @@ impl EnergyReport {
         if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
             let (own, theirs) = (each(*cores_used, *copies), each(job.deployment.value.cores_used, job.copies.value));
             said.push(format!("Cores of a copy: {own} here, {theirs} in the paper; static power goes with them."));
-            if self.total().is_some_and(|total| total.low.is_some()) {
-                said.push("The row as in the paper has its interval with --deployment paper.".to_string());
-            }
         }
+        said.extend(job.map(|job| self.inferred(job)));
         let mut marks = Vec::new();
-        if let (Some(_), Some([energy, edp]), Convention::Physical) = (job, self.printed, self.convention()) {
-            marks.push(format!("* power x time; the paper prints {energy} and {edp} (power / 150)."));
+        if let (true, Convention::Physical) =
+            (self.rows().any(|row| row.source == FigureSource::Published), self.convention())
+        {
+            let printed = |[energy, edp]: &[f64; 2]| format!("{energy} and {edp}");
+            let printed: Vec<String> = self.printed.iter().map(printed).collect();
+            marks.push(format!("* power x time; printed: {} (power / 150).", printed.join(", ")));
         }
         if self.rows().any(|row| row.power_source != row.source && row.power_source == FigureSource::Assumed) {
             marks.push("? assumed power".to_string());
@@ -470,14 +525,28 @@ impl EnergyReport {
         said.extend(Some(marks.join(" ")).filter(|marks| !marks.is_empty()));
         said.extend(self.dominant());
         let last = match job {
-            Some(_) => {
-                "Constants rest on findings of the paper too; nsim bench published omits them, and allows for input \
-                 spikes that the paper does not print: wider intervals."
-            }
+            Some(_) => "nsim bench published omits the paper's own findings: wider intervals.",
             None => "Fewer cores save profiler milliwatts, not board watts (--accounting rails).",
         };
-        said.extend((said.len() < 5).then(|| last.to_string()));
+        said.extend((said.len() < 7).then(|| last.to_string()));
         said
+    }
+
+    /// How the units of the published job compare, and what its figures here rest on that its source
+    /// does not say.
+    fn inferred(&self, job: &ScenarioFile) -> String {
+        let part = |part: &Part| {
+            let [fixed, dynamic, _] = part.ratios().map(|ratio| ratio.map_or_else(unknown, |x| format!("{x:.2}")));
+            format!("{} {fixed} static, {dynamic} dynamic", row_name(&part.here, &part.here.hardware))
+        };
+        let parts: Vec<String> = self.parts.iter().map(part).collect();
+        let relays = if job.input_relays { "a relay an input, " } else { "" };
+        let streams = if self.deployment.streams > 1 { "a stream a copy" } else { "one stream a chip" };
+        format!(
+            "The paper's job, here / printed: {}. Inferred: its row is one x86 core and one copy; {relays}{streams}, \
+             input spikes as shown.",
+            parts.join("; ")
+        )
     }
 
     /// What takes most of a step.
@@ -517,8 +586,13 @@ impl EnergyReport {
             let share =
                 saved.energy_saved_share.map_or(String::new(), |share| format!(", {:.0} % of energy", 100.0 * share));
             out += &wrapped(&format!(
-                "early exit {}: {} of {} samples decided early; saves {} of {} timesteps{share}",
-                saved.rule, saved.decided, self.samples, saved.steps_saved, self.timesteps
+                "early exit {}: {} of {} samples decided early; saves {} of {} timesteps{share}. {}",
+                saved.rule,
+                saved.decided,
+                self.samples,
+                saved.steps_saved,
+                self.timesteps,
+                self.comparison.decisions(self.accuracy)
             ));
         }
         out
@@ -546,14 +620,15 @@ impl EnergyReport {
         out.push('\n');
         out.push_str(&self.breakdown());
         out.push_str(&self.shares());
-        out.push_str(&self.comparison.text());
+        out.push_str(&self.comparison.text(self.accuracy));
         out.push_str(&self.detail.populations_text(self.timesteps));
         out.push_str(&self.detail.slowest_text(SLOWEST_SHOWN));
         if let Some(Score { energy_uj, step_us, .. }) = self.expected {
             out += &wrapped(&format!(
-                "At these mean rates nsim map --profile expects {} uJ of all copies and {} us of a timestep: every \
-                 compartment active, spikes spread evenly.",
+                "At these mean rates nsim map --profile expects {} uJ of the whole job of {} mapped here, and {} us of a \
+                 timestep: every compartment active, spikes spread evenly.",
                 three(energy_uj),
+                if self.copies_counted == 1 { "1 copy".to_string() } else { format!("{} copies", self.copies_counted) },
                 three(step_us)
             ));
             out.push('\n');
@@ -562,7 +637,7 @@ impl EnergyReport {
             out += &wrapped(&format!(
                 "Early exit {}: {} of {} samples are decided before their end. That would save {} of the {} \
                  timesteps, {} us \
-                 and {} uJ{}; the figures above are those of whole samples.",
+                 and {} uJ{}. The figures above are those of whole samples.",
                 saved.rule,
                 saved.decided,
                 self.samples,
@@ -576,6 +651,9 @@ impl EnergyReport {
         }
         for (row, source) in &self.baselines {
             out += &wrapped(&format!("{}: {source}", row_name(row, self.hardware())));
+        }
+        if let Some(job) = self.job.as_ref().filter(|_| !self.parts.is_empty()) {
+            out += &wrapped(&format!("The paper's job: {}. {}", job.source, job.notes));
         }
         out.push_str(&self.sources());
         for note in &self.notes {
@@ -598,7 +676,8 @@ impl EnergyReport {
         if rows.is_empty() {
             return String::new();
         }
-        table(&["From constants", "published", "calibrated", "assumed"], &rows) + "\n"
+        let spikes = "Input spikes are no constant: they are those of what was shown.";
+        table(&["From constants", "published", "calibrated", "assumed"], &rows) + &wrapped(spikes) + "\n"
     }
 
     fn breakdown(&self) -> String {
@@ -643,7 +722,12 @@ impl EnergyReport {
         if !assumed.is_empty() {
             let _ = write!(out, " ({})", assumed.join(", "));
         }
-        out.push_str(". --format json lists each with its source.");
+        match Shipped::find(CONSTANTS, &self.preset) {
+            Some(shipped) => {
+                let _ = write!(out, ". nsim show {} prints each with its source and findings.", shipped.name);
+            }
+            None => out.push_str(". --format json lists each with its source."),
+        }
         wrapped(&out)
     }
 }

@@ -2,7 +2,7 @@
 //! folds came to.
 //!
 //! Input: trained networks on the samples that their training left out ([`Trial`]), with the chip's
-//! neurons or spike-response neurons. Output: rows of accuracy, of early decisions and of energy;
+//! neurons or spike-response neurons. Output: rows of accuracy and of early decisions;
 //! which sense leads when. Left out on purpose: training and simulating, which need a folder and a
 //! target.
 
@@ -133,8 +133,6 @@ pub struct Tested<'a> {
     pub folds: u32,
     /// Epochs of each training.
     pub epochs: u32,
-    /// Copies on the target, all alike, where neurons are the chip's.
-    pub copies: u32,
     /// What each did with the samples that its training left out.
     pub trials: &'a [Trial],
 }
@@ -163,9 +161,9 @@ impl Tested<'_> {
         PaperRow { low: Some(low), high: Some(high), ..self.row(table, quantity, note, figures) }
     }
 
-    /// Accuracy, decisions by time, when decided, energy.
+    /// Accuracy, decisions by time, since when right for good.
     pub fn rows(&self) -> Vec<PaperRow> {
-        let Tested { folds, epochs, copies, trials, .. } = self;
+        let Tested { folds, epochs, trials, .. } = self;
         let tested = trials.len();
         let of_trials = |figure: &dyn Fn(&Trial) -> Option<f64>| trials.iter().filter_map(figure).collect::<Vec<f64>>();
         let (table, early, kind, place) = match self.neurons {
@@ -188,11 +186,7 @@ impl Tested<'_> {
             let times: Vec<f64> = trial.decided_ms.iter().flatten().copied().collect();
             (!times.is_empty()).then(|| mean_sd(&times).0)
         });
-        rows.push(self.row(early, "decided_ms", note.clone(), decided));
-        if self.neurons == Neurons::Loihi {
-            let note = format!("{note}; a sample, one of {copies} packed copies, as fast as possible");
-            rows.push(self.row(early, "energy_uj", note, of_trials(&|trial| trial.energy_uj.last().copied())));
-        }
+        rows.push(self.row(early, "decided_ms", note, decided));
         for row in &mut rows {
             for figure in [&mut row.measured, &mut row.deviation, &mut row.low, &mut row.high].into_iter().flatten() {
                 *figure = rounded(*figure);
@@ -208,6 +202,11 @@ struct At {
     time_ms: u32,
     low: f64,
     high: f64,
+}
+
+/// The share that naming any one class of a task gets right.
+pub fn chance(task: &str) -> f64 {
+    if task == "slip" { 1.0 / 2.0 } else { 1.0 / 20.0 }
 }
 
 /// Which sense leads when: a sentence for each task, loss and neuron kind with both senses.
@@ -235,8 +234,7 @@ pub fn leads(rows: &[PaperRow]) -> Vec<String> {
         if pairs.is_empty() {
             continue;
         }
-        let guessing = if task == "slip" { 1.0 / 2.0 } else { 1.0 / 20.0 };
-        let leads = |one: &At, other: &At| one.low > other.high.max(guessing);
+        let leads = |one: &At, other: &At| one.low > other.high.max(chance(task));
         let times = |above: &dyn Fn(&At, &At) -> bool| {
             let times: Vec<String> =
                 pairs.iter().filter(|(a, b)| above(a, b)).map(|(a, _)| a.time_ms.to_string()).collect();
@@ -255,8 +253,7 @@ mod tests {
     use nsim_train::job::Job;
 
     fn trial(accuracy: Vec<f64>, samples: usize) -> Trial {
-        let energy_uj = (0..accuracy.len()).map(|step| step as f64).collect();
-        Trial { timestep_ms: 1.0, accuracy, energy_uj, decided_ms: vec![Some(7.0); samples] }
+        Trial { timestep_ms: 1.0, accuracy, decided_ms: vec![Some(7.0); samples] }
     }
 
     #[test]
@@ -289,7 +286,7 @@ mod tests {
         late[149] = 0.75;
         let trials = [trial(late, 4), trial(vec![1.0; 150], 4)];
         let neurons = Neurons::Loihi;
-        let tested = Tested { cell, loss: "count", neurons, folds: 5, epochs: 9, copies: 32, trials: &trials };
+        let tested = Tested { cell, loss: "count", neurons, folds: 5, epochs: 9, trials: &trials };
         let rows = tested.rows();
         let of = |quantity: &str| rows.iter().find(|row| row.quantity == quantity).unwrap();
         let accuracy = of("accuracy");
@@ -299,8 +296,8 @@ mod tests {
         assert!((accuracy.low.unwrap() - low).abs() < 1e-6 && (accuracy.high.unwrap() - high).abs() < 1e-6);
         assert!(accuracy.note.contains("2 of 5 folds, 9 epochs"));
         assert_eq!(of("accuracy_by_20_ms").measured, Some(0.75));
-        assert_eq!((of("decided_ms").measured, of("energy_uj").measured), (Some(7.0), Some(149.0)));
-        assert_eq!(rows.len(), 1 + 8 + 2);
+        assert_eq!(of("decided_ms").measured, Some(7.0));
+        assert_eq!(rows.len(), 1 + 8 + 1);
         let rows = Tested { neurons: Neurons::Srm, ..tested }.rows();
         assert!(rows.len() == 1 + 8 + 1 && rows.iter().all(|row| row.table == "srm"));
     }

@@ -135,7 +135,7 @@ mod tests {
         let rows = rows(Vec::new()).unwrap();
         let stored = STORED.iter().flat_map(|(name, text)| parse(name, text).unwrap());
         let printed: Vec<PaperRow> = stored.filter(|row| row.published.is_some()).collect();
-        assert_eq!(printed.len(), 24 + 12 + 16);
+        assert_eq!(printed.len(), 24 + 12 + 36 + 2);
         for row in printed {
             assert_eq!(rows.iter().filter(|found| same(found, &row)).count(), 1, "{row:?}");
         }
