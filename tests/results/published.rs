@@ -138,7 +138,11 @@ fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() 
         let (low, high) = row.interval.unwrap();
         (low..=high).contains(&row.published)
     });
-    assert!(inside.count() as f64 >= 0.8 * of_works.len() as f64);
+    let (inside, all) = (inside.count(), of_works.len());
+    assert!(inside as f64 >= 0.8 * all as f64);
+    fresh += &format!("\nOf {all} figures so predicted, {inside} lie within the 80 % interval.\n");
+    let readme = std::fs::read_to_string(root("README.md")).unwrap();
+    assert!(readme.contains(&format!("{inside} of {all}")), "README.md: {inside} of {all} figures");
     // What tables of energy say of their intervals is what was found here.
     assert_eq!(class_errors(&rows), constants.errors, "mapping/constants/loihi1-evidence.ron: errors");
     let page = root("docs/energy.md");
@@ -149,6 +153,63 @@ fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() 
     }
     let advice = "run: NSIM_BLESS=1 cargo test --test results published::, then the tests again";
     assert!(with_block(&text, "published", &fresh) == text, "{advice}");
+}
+
+/// What early exits of shipped networks decide and cost, in the results of the paper's tables and
+/// on the page of training.
+#[test]
+fn early_exits_are_those_that_energy_prints() {
+    let exits = |model: &str, input: &str, rule: &str| {
+        let line = ["--input", input, "--early-exit", rule, "--mode", "realtime", "--baseline"];
+        energy(&[&[model], &line[..]].concat())
+    };
+    let stored = nsim::study::published::paper::rows(Vec::new()).unwrap();
+    let cell = |task: &str, modality: &str| {
+        let of_cell = stored.iter().filter(|row| (&*row.task, &*row.modality) == (task, modality));
+        of_cell
+            .filter(|row| row.loss.as_deref() == Some("count") && row.note.starts_with("modelled"))
+            .collect::<Vec<_>>()
+    };
+    for (task, modality, timestep_ms) in
+        [("slip", "tactile", 1.0), ("slip", "both", 1.0), ("container", "tactile", 20.0)]
+    {
+        let rows = cell(task, modality);
+        assert_eq!(rows.len(), 4);
+        let words: Vec<&str> = rows[0].note.split([' ', ',']).collect();
+        let now = exits(words[1], words[3], "certain");
+        let decision = &now["per_decision"];
+        for row in rows {
+            let figure = match &*row.quantity {
+                "certain_ms" => (decision["median_step"].as_f64().unwrap() + 1.0) * timestep_ms,
+                "certain_accuracy" => decision["accuracy"].as_f64().unwrap(),
+                "certain_energy_uj" => decision["energy_uj"].as_f64().unwrap(),
+                _ => now["per_sample"][0]["energy_uj"].as_f64().unwrap(),
+            };
+            assert!((row.measured.unwrap() - figure).abs() < 1e-6, "{figure}, stored {row:?}");
+        }
+    }
+    let mut fresh = "| model | 2 | 4 | 8 | certain | whole |\n|---|---|---|---|---|---|\n".to_string();
+    for model in ["vtsnn-slip", "slip-vision", "slip-tactile"] {
+        let rules = ["2", "4", "8", "certain"].map(|rule| exits(model, "scene:slip?samples=200&seed=2", rule));
+        let figures = |accuracy: &Value, of: &Value| {
+            let energy = of["energy_uj"].as_f64().unwrap() / 1e3;
+            format!("{:.3}, {energy:.2}", accuracy.as_f64().unwrap())
+        };
+        let cells = rules.iter().map(|now| {
+            let decision = &now["per_decision"];
+            format!("{}, {}", decision["median_step"], figures(&decision["accuracy"], decision))
+        });
+        let whole = figures(&rules[0]["accuracy"], &rules[0]["per_sample"][0]);
+        fresh += &format!("| `{model}` | {} | {whole} |\n", cells.collect::<Vec<_>>().join(" | "));
+    }
+    let page = root("docs/training.md");
+    let text = std::fs::read_to_string(&page).unwrap();
+    if std::env::var_os("NSIM_BLESS").is_some() {
+        std::fs::write(&page, with_block(&text, "exits", &fresh)).unwrap();
+        return;
+    }
+    let advice = "run: NSIM_BLESS=1 cargo test --test results published::, then the tests again";
+    assert!(with_block(&text, "exits", &fresh) == text, "{advice}");
 }
 
 /// A page with another text between the marks of this name.
