@@ -109,7 +109,7 @@ fn every_unit_of_the_paper_s_job_stands_by_what_it_is_here() {
         }
         let ratio = &parts[1]["ratio"];
         let [fixed, dynamic] = ["static_mw", "dynamic_mw"].map(|key| ratio[key].as_f64().unwrap());
-        assert!(text.contains(&format!("neuron cores {fixed:.2} static, {dynamic:.2} dynamic. Inferred:")), "{text}");
+        assert!(text.contains(&format!("neuron cores {fixed:.2}, {dynamic:.2}. Inferred:")), "{text}");
     }
     let (_, full, _) = said(&["energy", "--samples", "0..1", "--baseline", "--full"]);
     assert!(full.contains("624") && full.contains("nsim show loihi1-evidence"), "{full}");

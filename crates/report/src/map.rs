@@ -119,7 +119,8 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
 fn expected_text(score: &Score) -> String {
     let Score { cores, energy_uj, step_us, static_mw, .. } = score;
     wrapped(&format!(
-        "expected of a step: {} uJ, {} us; static power {} mW of {}",
+        "expected of such a step, all copies and x86 cores: {} uJ, {} us (nsim energy counts the spikes shown); static \
+         power {} mW of {}",
         three(*energy_uj),
         three(*step_us),
         three(*static_mw),

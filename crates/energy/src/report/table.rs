@@ -435,8 +435,13 @@ impl EnergyReport {
         let mode = if self.mode == Mode::Offline { "offline" } else { "real time" };
         let mut out = wrapped(&format!("{} on {}: {copies} on {chips} ({cores}), {mode}", self.model, self.target));
         let shown = self.input.first().map_or("", String::as_str);
-        let shown = shown.split('?').next().unwrap_or(shown);
-        let shown = if self.input.len() > 1 { format!("{shown} and others") } else { shown.to_string() };
+        // How many samples and which seed say nothing of what was shown; other fields of a scene do.
+        let (scene, fields) = shown.split_once('?').unwrap_or((shown, ""));
+        let says =
+            |field: &&str| !field.is_empty() && !["samples=", "seed="].iter().any(|name| field.starts_with(name));
+        let fields: Vec<&str> = fields.split('&').filter(says).collect();
+        let shown = if fields.is_empty() { scene.to_string() } else { format!("{scene}?{}", fields.join("&")) };
+        let shown = if self.input.len() > 1 { format!("{shown} and others") } else { shown };
         let samples = match self.accuracy {
             Some(share) => {
                 let right = (share * self.labelled as f64).round();
@@ -512,12 +517,14 @@ impl EnergyReport {
         }
         said.extend(job.map(|job| self.inferred(job)));
         let mut marks = Vec::new();
-        if let (true, Convention::Physical) =
-            (self.rows().any(|row| row.source == FigureSource::Published), self.convention())
-        {
-            let printed = |[energy, edp]: &[f64; 2]| format!("{energy} and {edp}");
-            let printed: Vec<String> = self.printed.iter().map(printed).collect();
-            marks.push(format!("* power x time; printed: {} (power / 150).", printed.join(", ")));
+        let printed: Vec<String> = self.printed.iter().map(|[energy, edp]| format!("{energy} and {edp}")).collect();
+        if !printed.is_empty() {
+            marks.push(match self.convention() {
+                Convention::Physical => format!("* power x time; printed: {} (power / 150).", printed.join(", ")),
+                Convention::Published => {
+                    "Energy is power / steps of a sample; the paper prints pJ s as nJ s.".to_string()
+                }
+            });
         }
         if self.rows().any(|row| row.power_source != row.source && row.power_source == FigureSource::Assumed) {
             marks.push("? assumed power".to_string());
@@ -537,14 +544,13 @@ impl EnergyReport {
     fn inferred(&self, job: &ScenarioFile) -> String {
         let part = |part: &Part| {
             let [fixed, dynamic, _] = part.ratios().map(|ratio| ratio.map_or_else(unknown, |x| format!("{x:.2}")));
-            format!("{} {fixed} static, {dynamic} dynamic", row_name(&part.here, &part.here.hardware))
+            format!("{} {fixed}, {dynamic}", row_name(&part.here, &part.here.hardware))
         };
         let parts: Vec<String> = self.parts.iter().map(part).collect();
-        let relays = if job.input_relays { "a relay an input, " } else { "" };
-        let streams = if self.deployment.streams > 1 { "a stream a copy" } else { "one stream a chip" };
+        let relays = if job.input_relays { "relays; " } else { "" };
+        let streams = if self.deployment.streams > 1 { "a stream a copy" } else { "one stream" };
         format!(
-            "The paper's job, here / printed: {}. Inferred: its row is one x86 core and one copy; {relays}{streams}, \
-             input spikes as shown.",
+            "Static, dynamic here / printed: {}. Inferred: a row is an x86 core and a copy; {relays}{streams}; input spikes.",
             parts.join("; ")
         )
     }

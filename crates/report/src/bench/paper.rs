@@ -154,7 +154,7 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
         ],
     );
     let energies = hardware(
-        "Energy as the paper computes it, power / 150, and its product with time: here (in the paper)",
+        "Energy as the paper has it, power / 150, and times latency: here (in the paper)",
         &[("Loihi", ""), ("RTX 2080 Ti", "gpu_")],
         &[("energy (mW/150)", "mw_per_step"), ("EDP (pJ s)", "edp_pjs")],
     );

@@ -9,6 +9,8 @@ use super::draw::{
     Axis, BOTTOM, COLOURS, END, LEFT, MIDDLE, Mark, RIGHT, SMALL, Scale, Sheet, TOP, WIDTH, filled, stroked,
 };
 
+use nsim_files::table::three;
+
 const DASHES: [&str; 4] = ["", "7 3", "2 3", "9 3 2 3"];
 
 /// Numbers of a chart under one name.
@@ -142,26 +144,48 @@ fn name_groups(sheet: &mut Sheet, names: &[String]) -> f64 {
 /// A number, and the ends of its interval where one is known.
 pub type Marked = (f64, Option<(f64, f64)>);
 
-/// A chart of points: one group a category, one point a series in it, with its interval. Points,
-/// unlike bars, need no ground; an axis of factors has none.
-pub fn marks(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<Option<Marked>>)]) -> String {
-    let all = series.iter().flat_map(|(_, marks)| marks.iter().flatten());
-    let ends =
-        all.flat_map(|(value, interval)| [*value, interval.map_or(*value, |i| i.0), interval.map_or(*value, |i| i.1)]);
-    let up = Scale::new(y, ends, BOTTOM, TOP);
-    let mut sheet = Sheet::chart(title, "", &y.label);
-    sheet.ticks_up(&up);
-    let group = name_groups(&mut sheet, categories);
-    for (index, (name, marks)) in series.iter().enumerate() {
-        let colour = colour(index);
-        for (place, (value, interval)) in marks.iter().enumerate().filter_map(|(place, mark)| Some((place, (*mark)?))) {
-            let x = LEFT + group * (place as f64 + (index as f64 + 1.0) / (series.len() as f64 + 1.0));
-            if let Some([low, high]) = interval.and_then(|(low, high)| Some([up.place(low)?, up.place(high)?])) {
-                sheet.line([x, low, x, high], &stroked(&colour, 2.0, ""));
-            }
-            up.place(value).into_iter().for_each(|y| sheet.dot((x, y), &colour));
+/// A row a category and a panel a series, each with an axis of factors of its own: points with
+/// their values and intervals.
+pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<Marked>>)]) -> String {
+    let (left, wide, tall, top) = (215.0, 150.0, 38.0, TOP + 24.0);
+    let bottom = top + tall * categories.len() as f64;
+    let mut sheet = Sheet::new((left + (wide + 16.0) * series.len() as f64, bottom + 30.0), 14.0, title);
+    let middle = |row: usize| top + tall * (row as f64 + 0.5);
+    for (row, name) in categories.iter().enumerate() {
+        for (number, line) in name.lines().enumerate() {
+            sheet.text((left - 10.0, middle(row) + 2.0 + 13.0 * number as f64), END, line);
         }
-        sheet.legend(index, (&colour, Mark::Dot), name);
+    }
+    for (index, (name, marks)) in series.iter().enumerate() {
+        let (colour, from) = (colour(index), left + (wide + 16.0) * index as f64);
+        let known = || marks.iter().enumerate().filter_map(|(row, mark)| Some((row, (*mark)?)));
+        let ends = known().flat_map(|(_, (value, interval))| {
+            let (low, high) = interval.unwrap_or((value, value));
+            [low, value, high]
+        });
+        // The words of a point at an end stay within the panel.
+        let across = Scale::new(&Axis::log(""), ends, from + 18.0, from + wide - 18.0);
+        sheet.rect([from, top, wide, bottom - top], &stroked("#999", 1.0, ""));
+        sheet.text((from + wide / 2.0, top - 8.0), MIDDLE, name);
+        let mut last = f64::MIN;
+        for (x, label) in across.ticks() {
+            if x - last >= 34.0 {
+                sheet.line([x, top, x, bottom], &stroked("#ddd", 1.0, ""));
+                sheet.text((x, bottom + 14.0), &format!("{MIDDLE} {SMALL}"), &label);
+                last = x;
+            }
+        }
+        for (row, (value, interval)) in known() {
+            let y = middle(row) + 4.0;
+            if let Some([low, high]) = interval.and_then(|(low, high)| Some([across.place(low)?, across.place(high)?]))
+            {
+                sheet.line([low, y, high, y], &stroked(&colour, 2.0, ""));
+            }
+            if let Some(x) = across.place(value) {
+                sheet.dot((x, y), &colour);
+                sheet.text((x, y - 8.0), MIDDLE, &three(value));
+            }
+        }
     }
     sheet.svg()
 }
@@ -265,9 +289,10 @@ mod tests {
         let svg = bars("b", &Axis::linear("y"), &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
         assert_eq!(svg.matches("<rect").count(), 1 + 2 + 1);
         let known = vec![Some((3.0, Some((1.0, 9.0)))), None];
-        let svg = marks("m", &Axis::log("y"), &["c".into(), "d".into()], &[("s".into(), known)]);
-        // A point with its interval, and the legend's.
-        assert_eq!((svg.matches("<circle").count(), svg.matches("stroke-width=\"2.00\"").count()), (2, 1), "{svg}");
+        let svg = panels("m", &["c".into(), "d".into()], &[("s".into(), known)]);
+        // A point with its value and its interval.
+        assert!(svg.contains(">3.00<"), "{svg}");
+        assert_eq!((svg.matches("<circle").count(), svg.matches("stroke-width=\"2.00\"").count()), (1, 1), "{svg}");
     }
 
     #[test]

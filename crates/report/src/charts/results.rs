@@ -31,26 +31,41 @@ fn parts(value: &Value) -> Vec<(String, f64)> {
 }
 
 /// Power, time, energy and energy-delay product of a timestep on all hardware of `nsim.energy/1`,
-/// with their intervals; the name of hardware says where its figures come from.
+/// a panel each, with their intervals; the name of hardware says where its figures come from.
 pub fn hardware(result: &Value) -> Option<String> {
     let totals: Vec<&Value> = rows(&result["rows"]).iter().filter(|row| row["unit"] == "total").collect();
-    let name = |row: &&Value| format!("{}\n({})", words(&row["hardware"]), words(&row["source"]));
+    let name = |row: &&Value| {
+        let power = if row["power_source"] == "assumed" { ", power assumed" } else { "" };
+        format!("{}\n({}{power})", words(&row["hardware"]), words(&row["source"]))
+    };
     let names: Vec<String> = totals.iter().map(name).collect();
+    let (energy, edp, unit) = match words(&result["convention"]) {
+        "published" => ("energy (mW/steps)", "EDP (pJ s)", 1.0),
+        _ => ("energy (uJ)", "EDP (nJ s)", 1e-3),
+    };
     let columns = [
-        ("power (mW)", "total_mw"),
-        ("time (us)", "latency_us"),
-        ("energy (uJ)", "energy_uj"),
-        ("EDP (pJ s)", "edp_pjs"),
+        ("power (mW)", "total_mw", 1.0),
+        ("time (us)", "latency_us", 1.0),
+        (energy, "energy_uj", 1.0),
+        (edp, "edp_pjs", unit),
     ];
-    let columns = columns.map(|(name, key)| {
+    let columns = columns.map(|(name, key, unit)| {
+        let number = |figure: &Value| Some(number(figure)? * unit);
         let interval = |row: &Value| Some((number(&row["low"][key])?, number(&row["high"][key])?));
         (name.to_string(), totals.iter().map(|row| Some((number(&row[key])?, interval(row)))).collect())
     });
-    let title = format!("{} on {}: a timestep on each hardware", words(&result["model"]), words(&result["target"]));
-    totals
-        .iter()
-        .any(|row| number(&row["energy_uj"]).is_some())
-        .then(|| plot::marks(&title, &Axis::log("mW, us, uJ, pJ s; lines: intervals"), &names, &columns))
+    let copies = match result["copies"].as_u64() {
+        Some(1) => "1 copy".to_string(),
+        copies => format!("{} copies", copies.unwrap_or_default()),
+    };
+    let mode = if result["mode"] == "realtime" { "real time" } else { words(&result["mode"]) };
+    let title = format!(
+        "{} on {}: a timestep, {copies} ({}), {mode}; lines: intervals",
+        words(&result["model"]),
+        words(&result["target"]),
+        words(&result["deployment"])
+    );
+    totals.iter().any(|row| number(&row["energy_uj"]).is_some()).then(|| plot::panels(&title, &names, &columns))
 }
 
 /// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the
@@ -186,9 +201,10 @@ mod tests {
             "breakdown_pj_per_timestep": { "synaptic_event": 30.0, "hop": 0.0, "spike": 70.0 },
             "time_us_per_timestep": { "slowest_core": 2.0, "barrier": 1.0, "host": 0.0 },
         });
-        // A point of the total row with its interval, and those of the legend.
+        // A point of the total row with its value and interval.
         let svg = hardware(&result).unwrap();
-        assert!(svg.contains(">(simulated)<") && svg.matches("<circle").count() == 1 + 4, "{svg}");
+        assert!(svg.contains(">(simulated)<") && svg.matches("<circle").count() == 1, "{svg}");
+        assert!(svg.contains(">5.00<") && svg.contains("m on t: a timestep"), "{svg}");
         assert_eq!(svg.matches("stroke-width=\"2.00\"").count(), 1, "{svg}");
         let svg = energy(&result).unwrap();
         assert!(svg.contains(">synaptic event<") && !svg.contains(">hop<") && svg.contains("all: 5.00 uJ"));

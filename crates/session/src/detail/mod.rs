@@ -101,8 +101,8 @@ impl Detail {
                 ("events", |(row, _)| row.counts.synaptic_events().to_string()),
             ],
         );
-        let shown =
-            if self.cores.len() > most { format!(", {most} of {} cores", self.cores.len()) } else { String::new() };
+        let (some, all) = (rows.len(), self.cores.len());
+        let shown = if all > some { format!(", {some} of {all} cores") } else { String::new() };
         format!("Cores by the steps in which they were the slowest{shown}:\n{table}\n")
     }
 }
