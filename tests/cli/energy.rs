@@ -117,6 +117,16 @@ fn every_unit_of_the_paper_s_job_stands_by_what_it_is_here() {
 }
 
 #[test]
+fn the_readme_shows_lines_that_are_printed() {
+    let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
+    let shown = readme.split("```text\n").nth(1).unwrap().split("```").next().unwrap();
+    let printed = said(&["energy", "--baseline", "rtx-2080-ti"]).1;
+    let mut lines = printed.lines();
+    let strange = shown.lines().find(|line| !lines.any(|other| other == *line));
+    assert_eq!(strange, None, "{printed}");
+}
+
+#[test]
 fn a_model_without_a_scenario_has_one_copy_everywhere() {
     let folder = tempfile::tempdir().unwrap();
     let model = write(folder.path(), "small.ron", MODEL);
