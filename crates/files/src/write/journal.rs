@@ -48,7 +48,7 @@ fn whole_lines(text: &[u8]) -> (Vec<String>, usize) {
 }
 
 impl Journal {
-    /// Opens a journal, which is made when it is absent or ends within its head; returns the lines
+    /// Opens a journal, which is made when it is absent, ends within its head or has no line behind it; returns the lines
     /// behind its head.
     ///
     /// # Errors
@@ -66,12 +66,16 @@ impl Journal {
         // What the system had not yet written when it went down may read as zeros.
         let told = text.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
         text.truncate(told);
-        let (mut lines, end) = whole_lines(&text);
+        let (mut lines, mut end) = whole_lines(&text);
         if lines.is_empty() && !text.is_empty() && !written(head).as_bytes().starts_with(&text) {
             return Err(journal.other("no journal of nsim"));
         }
         if lines.first().is_some_and(|first| first != head) {
-            return Err(journal.other("the journal of other work"));
+            if lines.len() > 1 {
+                return Err(journal.other("the journal of other work"));
+            }
+            // Other work that came to nothing keeps no one from this.
+            (lines, end) = (Vec::new(), 0);
         }
         journal.file.set_len(end as u64).and_then(|()| journal.file.seek(SeekFrom::End(0))).map_err(fail)?;
         match lines.is_empty() {
@@ -129,6 +133,12 @@ mod tests {
             assert_eq!(std::fs::read(&path).unwrap(), whole);
         }
         assert_eq!(Journal::open(&path, "work 2").unwrap_err().code, "journal.other");
+        // A journal without lines is no work that could be lost.
+        let other = folder.path().join("empty.journal");
+        drop(Journal::open(&other, "work 1").unwrap());
+        Journal::open(&other, "work 2").unwrap().0.add("one").unwrap();
+        assert_eq!(Journal::open(&other, "work 2").unwrap().1, ["one"]);
+        assert_eq!(Journal::open(&other, "work 1").unwrap_err().code, "journal.other");
         std::fs::write(&path, "something else").unwrap();
         assert_eq!(Journal::open(&path, "work 1").unwrap_err().code, "journal.other");
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "something else");
