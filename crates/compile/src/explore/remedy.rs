@@ -8,8 +8,8 @@
 //! - leaving out what can change no output (`--prune static`);
 //! - relays, and sources that share input axons (`--relays`);
 //! - fewer copies: the most that fit;
-//! - fewer weight bits, each weight rounded to the coarser step: whether the network still does its
-//!   task is another question, which the remedy says;
+//! - fewer weight bits, each weight rounded to the coarser step, unless a projection then has no weight
+//!   but 0: whether the network still does its task is another question, which the remedy says;
 //! - the next larger shipped boards;
 //! - the least limits of a core with which the network fits, for a chip of one's own.
 //!
@@ -19,6 +19,8 @@
 use std::collections::BTreeMap;
 
 use crate::{AddedRelays, CompileError, DEFAULT_RATE, Effort, Front, Objective, Options, Reason, Strategy};
+use nsim_dynamics::synapses::Enumerate;
+use nsim_ir::base::id::PopulationId;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
@@ -127,9 +129,16 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         else {
             continue;
         };
+        let (before, after) = (non_zero(one), non_zero(front.quantised()));
+        // Without any weight between two populations it is another network.
+        if before.iter().any(|(ends, count)| *count > 0 && after.get(ends) == Some(&0)) {
+            break;
+        }
+        let (all, kept): (u64, u64) = (before.values().sum(), after.values().sum());
+        let zeros = if kept < all { format!(", {} of {all} become 0", all - kept) } else { String::new() };
         let Some(fitting) = fits(front, &target, options.copies) else { continue };
-        let words =
-            format!("store weights in {bits} bits; check the accuracy, weights get coarser: {}", typed(&changes));
+        let typed = typed(&changes);
+        let words = format!("store weights in {bits} bits; check the accuracy, weights get coarser{zeros}: {typed}");
         keep("weight_bits", words, fitting);
         break;
     }
@@ -165,6 +174,18 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         }
     }
     found
+}
+
+/// By source and target population, the synapses between them whose weight is not 0.
+fn non_zero(network: &Quantised) -> BTreeMap<(PopulationId, PopulationId), u64> {
+    let mut counts = BTreeMap::new();
+    for projection in network.projections().iter() {
+        let count: &mut u64 = counts.entry((projection.source, projection.target)).or_default();
+        for source in 0..network.populations()[projection.source].shape.len() {
+            projection.connectivity.for_each_from(source, |_, weight| *count += u64::from(weight != 0));
+        }
+    }
+    counts
 }
 
 /// Changes as they are typed.
