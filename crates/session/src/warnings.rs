@@ -126,7 +126,15 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         }
         if row.wrapped > 0 {
             let place = first.as_ref().filter(|(population, _)| *population == id).map_or("", |(_, place)| place);
-            add("wrapped", format!("{} wrapped{place}: {HALVE}", counted(row.wrapped, "current or accumulator value")));
+            let message = match network.populations()[id].message.bits() {
+                0 => format!("{} wrapped{place}: {HALVE}", counted(row.wrapped, "current or accumulator value")),
+                bits => format!(
+                    "{} wrapped, or were messages of more than {bits} bits, which are sent whole{place}: let the kind \
+                     bound what it sends, or state more bits",
+                    counted(row.wrapped, "value")
+                ),
+            };
+            add("wrapped", message);
         }
         if !matches!(run.ran, Ran::Reals)
             && let Some(message) = rounded(network, id)
