@@ -124,7 +124,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
                 Question { model, target: &target, options: &options, pruned: &[], remedies: &[], relays: None };
             let outcome = Outcome::DoesNotFit(&reasons);
             let json = || report::json(question, outcome);
-            output::print(context.format, || report::text(question, outcome), json, || report::csv(outcome))?;
+            output::print(context.format, || report::text(question, outcome), json, || report::csv(&target, outcome))?;
             return Ok(Answer::No);
         }
         begun => begun?,
@@ -203,7 +203,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             object["pareto"] = report::pareto_json(&candidates);
             object
         };
-        let csv = || if candidates.is_empty() { report::csv(outcome) } else { report::pareto_csv(&candidates) };
+        let csv = || if candidates.is_empty() { report::csv(target, outcome) } else { report::pareto_csv(&candidates) };
         output::print(context.format, text, json, csv)?;
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })

@@ -14,13 +14,13 @@ use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
 use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, place};
-use nsim_files::table::{Column, count, shell_lines, table_of, three, wrapped};
+use nsim_files::table::{Column, cell, count, csv_text, shell_lines, table_of, three, wrapped};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::pruned::Row as PrunedRow;
 use nsim_ir::quantised::Population;
-use nsim_ir::resource::Resource;
+use nsim_ir::resource::{Limits, Resource};
 
 /// What was asked.
 #[derive(Debug, Clone, Copy)]
@@ -99,7 +99,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "checked_how": mapping.map(|mapping| if mapping.shifts > 0 { "classes" } else { "whole" }),
         "checked_share": mapping.map(|_| 1.0),
         "described": mapping.is_some_and(|mapping| mapping.lattices.is_some()),
-        "cores": mapping.into_iter().flat_map(rows).collect::<Vec<_>>(),
+        "cores": mapping.into_iter().flat_map(|mapping| rows(mapping, target.limits())).collect::<Vec<_>>(),
         "limits": target.limits(),
         "traffic": null,
         "expected": null,
@@ -220,22 +220,43 @@ pub fn reason_json(reason: &Reason) -> Value {
 /// What is said of a core.
 const CORE_COLUMNS: &str = "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words";
 
-fn rows(compiled: &Mapping) -> impl Iterator<Item = Value> {
+/// Cores, with what they use of limits that few chips have: stored synapses, and pools by name.
+fn rows<'m>(compiled: &'m Mapping, limits: &'m Limits) -> impl Iterator<Item = Value> + 'm {
     compiled.partition.usage().enumerate().map(|(core, used)| {
         let site = compiled.placement.site(core);
-        json!({
+        let mut row = json!({
             "core": core.0, "chip": site.chip, "x": site.x, "y": site.y,
             "compartments": used[Resource::Compartments], "axons_in": used[Resource::AxonsIn],
             "axons_out": used[Resource::AxonsOut], "synapses": used.synapses,
             "synapse_words": used[Resource::SynapseWords],
-        })
+        });
+        if limits.is_limited(Resource::StoredSynapses) {
+            row["stored_synapses"] = used[Resource::StoredSynapses].into();
+        }
+        if !limits.pools.is_empty() {
+            row["pools"] = limits.pools.iter().map(|pool| (pool.name.clone(), json!(pool.need(&used.of)))).collect();
+        }
+        row
     })
 }
 
+/// Cores as CSV: [`CORE_COLUMNS`], stored synapses where they are limited, and a column a pool.
+fn cores_csv(compiled: &Mapping, limits: &Limits) -> String {
+    let stored = limits.is_limited(Resource::StoredSynapses).then_some("stored_synapses");
+    let columns: Vec<&str> = CORE_COLUMNS.split(',').chain(stored).collect();
+    let pools = || limits.pools.iter().map(|pool| pool.name.as_str());
+    let cells = |row: Value| {
+        let own = columns.iter().map(|column| cell(&row[*column]));
+        own.chain(pools().map(|pool| cell(&row["pools"][pool]))).collect()
+    };
+    let header = columns.iter().copied().chain(pools()).map(str::to_string).collect();
+    csv_text(header, rows(compiled, limits).map(cells))
+}
+
 /// Cores as CSV; the reasons instead when it does not fit.
-pub fn csv(outcome: Outcome<'_>) -> String {
+pub fn csv(target: &Target, outcome: Outcome<'_>) -> String {
     match outcome {
-        Outcome::Fits(compiled, ..) => nsim_files::table::csv(rows(compiled), CORE_COLUMNS),
+        Outcome::Fits(compiled, ..) => cores_csv(compiled, target.limits()),
         Outcome::DoesNotFit(reasons) => {
             let columns = "code,population,core,resource,need,limit,help";
             nsim_files::table::csv(reasons.iter().map(reason_json), columns)
@@ -442,7 +463,7 @@ mod tests {
         assert_eq!(keys(&fits["traffic"]), of_traffic);
         assert_eq!(fits["limits"]["axons_in"], 4096);
         assert!(fits["seconds"]["partition"].is_f64());
-        assert_eq!(csv(outcome).lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
+        assert_eq!(csv(question.target, outcome).lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
         let spoken = text(question, outcome);
         assert!(spoken.starts_with("slip fits") && spoken.contains(" 3 copies on 3 of "), "{spoken}");
 
@@ -460,7 +481,7 @@ mod tests {
             spoken.contains("does not fit") && spoken.contains("population sight: one of its compartments"),
             "{spoken}"
         );
-        assert_eq!(csv(Outcome::DoesNotFit(&reasons)).lines().count(), 1 + reasons.len());
+        assert_eq!(csv(&small, Outcome::DoesNotFit(&reasons)).lines().count(), 1 + reasons.len());
     }
 
     #[test]
