@@ -147,7 +147,7 @@ fn each_remedy_of_a_mapping_makes_it_fit() {
         &["map", &wide, "--target", "tiny", "--copies", "9"],
         &["map", &bits, "--target", "tiny", "--set", "target.chips_x=1", "--set", "target.limits.synapse_words=80"],
         // A change that other boards cannot have leaves the reasons as they are.
-        &["map", &small, "--target", &own, "--copies", "20000", "--set", "target.cores_per_chip=3000"],
+        &["map", &small, "--target", &own, "--copies", "20000", "--set", "target.cores_per_tile=40"],
     ] {
         let map = object(line, 1);
         assert!(!map["reasons"].as_array().unwrap().is_empty(), "{line:?}");

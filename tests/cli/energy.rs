@@ -185,7 +185,7 @@ fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
         text.split_whitespace()
             .collect::<Vec<_>>()
             .join(" ")
-            .matches("not stated for mine, static power too, are loihi's")
+            .matches("Priced with constants of loihi, static power too")
             .count()
     };
     assert_eq!((noted(&energy), noted(&[&energy[..], &["--full"]].concat()), noted(&energy[..4])), (1, 1, 0));

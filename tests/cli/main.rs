@@ -17,6 +17,7 @@ mod jobs;
 mod mapping;
 mod neurobench;
 mod options;
+mod own_chip;
 mod page;
 mod pictures;
 mod remedies;

@@ -301,7 +301,7 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
             let message =
                 format!("messages of population '{name}' carry integers of {bits} bits, those of {target} {carry}");
             return Err(Diagnostic::new("map.message", message)
-                .help("choose a target with wider messages (its message_bits)")
+                .help(format!("set message_bits: {bits} in a chip of your own, or choose a target with wider messages"))
                 .into());
         }
         let Units::Compartments { neurons, .. } = &population.units else { continue };
@@ -316,16 +316,16 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
                 kind.name(),
                 target.name()
             );
-            return Err(Diagnostic::new("map.neuron-kind", message)
-                .help(match kind {
-                    NeuronKind::SoftReset => {
-                        "train with a reset to zero (snnTorch: reset_mechanism='zero'); or nsim convert makes it one \
-                         and \
-                         measures the loss; or choose a target with these neuron_kinds"
-                    }
-                    _ => "choose a target with these neuron_kinds",
-                })
-                .into());
+            let family = kind.family().name();
+            let own = format!("name {family} in neuron_kinds of a chip of your own, or choose a target that has it");
+            let help = match kind {
+                NeuronKind::SoftReset => format!(
+                    "train with a reset to zero (snnTorch: reset_mechanism='zero'); or nsim convert makes it one and \
+                     measures the loss; or {own}"
+                ),
+                _ => own,
+            };
+            return Err(Diagnostic::new("map.neuron-kind", message).help(help).into());
         }
     }
     Ok(())

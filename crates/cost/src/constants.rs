@@ -100,7 +100,9 @@ impl CostTable {
             for (name, constant) in constants.list() {
                 // The power of an x86 core at work is no better known than its share of a step.
                 let known = match name {
-                    "x86_active_power" => constant.status.max(constants.x86_injecting_share.status),
+                    "x86_active_power" => {
+                        constant.status.max(constants.x86_injecting_share.status.min(Status::Assumed))
+                    }
                     _ => constant.status,
                 };
                 let goes = known != status && constant.unit != Unit::ratio;

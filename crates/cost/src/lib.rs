@@ -8,6 +8,7 @@
 //! Not modelled: temperature, voltage and the measurement chain, which the sources do not separate;
 //! of the host all that is not done for each spike, step or value.
 
+pub mod charged;
 pub mod constants;
 pub mod deployment;
 pub mod estimate;

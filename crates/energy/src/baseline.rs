@@ -256,7 +256,7 @@ impl Baseline {
         match self.file.status {
             Status::Published => FigureSource::Published,
             Status::Calibrated => FigureSource::Modelled,
-            Status::Assumed => FigureSource::Assumed,
+            Status::Assumed | Status::NotGiven => FigureSource::Assumed,
         }
     }
 

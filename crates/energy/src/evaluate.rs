@@ -20,8 +20,9 @@ use nsim_cost::estimate::{ByStatus, Case, Convention, EnergyRow, FigureSource, s
 use nsim_cost::job::Accounting;
 use nsim_cost::{Deployment, MeterSettings, StepMeter};
 use nsim_ir::hardware::Target;
+use nsim_ir::neurons::Family;
 use nsim_ir::program::Program;
-use nsim_ir::quantised::Quantised;
+use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::spikes::Sample;
 use nsim_session::accuracy_when_decided;
 use nsim_session::decision::{EarlyExit, Rule};
@@ -167,8 +168,7 @@ pub fn evaluate(
     if let Some(command) = &options.gpu_command {
         other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
     }
-    let measured_job =
-        plan.shipped.as_ref().filter(|job| job.target == target.name() && accounting == Accounting::Profiler);
+    let measured_job = plan.shipped.as_ref().filter(|job| job.is_on(&target) && accounting == Accounting::Profiler);
     let mut rows: Vec<(EnergyRow, Cow<'static, str>)> = Vec::new();
     let mut as_in = Vec::new();
     if let Some(job) = measured_job {
@@ -195,6 +195,14 @@ pub fn evaluate(
         let own = here.iter().find(|row| row.unit == unit).cloned();
         let parts = own.zip(as_printed(unit)?).map(|(here, (printed, _))| Part { here, printed });
         energy.parts.extend(parts);
+    }
+    let of_model = |population: &Population| match &population.units {
+        Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.kind.family() == Family::MICROCODE),
+        Units::Input(_) => false,
+    };
+    if compiled.one.populations().iter().any(of_model) {
+        let said = "The program of a kind that the model states is not priced: it costs what any compartment costs.";
+        energy.of_constants.push(said.to_string());
     }
     energy.seed = workload.seed;
     energy.input.clone_from(&workload.origin);

@@ -2,9 +2,10 @@
 
 use crate::report::compared::{Comparison, PerDecision, per_sample, ratios};
 use crate::report::table::{EnergyReport, Saved, constant_entries};
+use nsim_cost::charged::is_charged;
 use nsim_cost::estimate::{Bound, Case, EnergyRow, estimate, spent};
 use nsim_ir::hardware::Target;
-use nsim_ir::hardware::constants::{BARRIER, Constants, SET};
+use nsim_ir::hardware::constants::{BARRIER, Constants, SET, Status};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
 use nsim_session::{Outcome, median_decision};
@@ -43,9 +44,35 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], accuracy:
     }
 }
 
+/// What a reader has to know of the constants behind the `total` row, a sentence each: whose they
+/// are, which are absent, which were set in vain, and which figures have no interval, and why.
+pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<String> {
+    let preset = &target.constants()[case.preset];
+    let theirs = &preset.hardware;
+    let foreign = theirs != case.hardware && !theirs.is_empty();
+    let inherited = foreign.then(|| format!("Priced with constants of {theirs}, static power too (--constants FILE)."));
+    let absent = preset
+        .list()
+        .into_iter()
+        .filter(|(name, constant)| constant.status == Status::NotGiven && is_charged(case, name));
+    let absent: Vec<&str> = absent.map(|(name, _)| name).collect();
+    let absent =
+        (!absent.is_empty()).then(|| format!("Not given by {}, counted as 0: {}.", preset.name, absent.join(", ")));
+    let set = preset.stated_in.iter().filter(|(_, from)| *from == SET).map(|(name, _)| *name);
+    let vain: Vec<&str> = set.filter(|name| !is_charged(case, name)).collect();
+    let vain = (!vain.is_empty()).then(|| {
+        let why = match target.chip().x86_cores_in_use {
+            0 => format!(", and {} keeps no x86 core busy", target.chip().hardware()),
+            _ => String::new(),
+        };
+        format!("Without effect: {}. Nothing is counted that is charged so{why}.", vain.join(", "))
+    });
+    [inherited, absent, vain, without_interval(target, preset, total)].into_iter().flatten().collect()
+}
+
 /// Which figures of the `total` row have no interval, and why, where errors of constants are the
 /// cause: those of another chip, of a changed constant, or of a whole preset are unknown.
-pub fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> Option<String> {
+fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> Option<String> {
     type Figure = (&'static str, Option<f64>, fn(&Bound) -> Option<f64>);
     let figures: [Figure; 4] = [
         ("power", total.total_mw, |low| low.total_mw),
@@ -60,7 +87,7 @@ pub fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) 
     let changed: Vec<&str> = Constants::NAMES.iter().copied().chain([BARRIER]).filter(is_changed).collect();
     let why = match changed.as_slice() {
         _ if preset.hardware != hardware => format!("the constants' errors on {hardware} are unknown"),
-        [] if preset.errors.is_empty() => format!("the errors of preset {} are unknown", preset.name),
+        _ if preset.errors.is_empty() => format!("the errors of preset {} are unknown", preset.name),
         [] => return None,
         [one] => format!("{one} is changed, and its error is unknown"),
         several if several.len() <= 3 => format!("{} are changed, and their errors are unknown", several.join(", ")),
@@ -82,14 +109,10 @@ pub fn report(
     let estimate = estimate(case);
     let total = estimate.rows.iter().find(|row| row.unit == "total");
     let preset = &target.constants()[case.preset];
-    let without_interval = total.and_then(|total| without_interval(target, preset, total));
+    let of_constants = total.map_or_else(Vec::new, |total| of_constants(target, case, total));
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
     let steps = case.activity.steps() as f64 / samples.max(1) as f64;
     let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
-    let inherited = (preset.hardware != case.hardware && !preset.hardware.is_empty()).then(|| {
-        let (theirs, own) = (&preset.hardware, case.hardware);
-        format!("Constants that are not stated for {own}, static power too, are {theirs}'s (--constants FILE).")
-    });
     EnergyReport {
         model: model.to_string(),
         target: target.name().to_string(),
@@ -116,8 +139,7 @@ pub fn report(
         expected: None,
         constants: constant_entries(preset),
         notes: estimate.notes.clone(),
-        inherited,
-        without_interval,
+        of_constants,
         estimate,
     }
 }

@@ -71,6 +71,11 @@ impl CostOptions {
             let (host, chip) = (host.name(), target.chip().hardware());
             return Err(Error::Usage(format!("--host {host}: {chip} keeps no x86 core busy; leave --host out")));
         }
+        if self.reset_words > 0 && host == Host::None {
+            let message =
+                "--reset-words: an x86 core sets them, and with --host none, or on a chip without one, none runs";
+            return Err(Error::Usage(message.to_string()));
+        }
         let steps_per_sample = steps_per_sample.unwrap_or(1);
         Ok(HostWork { host, streams: self.streams, reset_words: self.reset_words, steps_per_sample })
     }
@@ -192,9 +197,26 @@ impl DeploymentSource {
                 if scenario.model != *model {
                     return Err(Error::Usage(format!("--deployment {name} is of {}, not {model}", scenario.model)));
                 }
-                Ok(Deployment::from_numbers(name, scenario.deployment.value, target, copies, work))
+                let (own, of) = (&scenario.target, scenario.copies.value);
+                if !scenario.is_on(target) {
+                    let changed = if own == target.name() { " with --set" } else { "" };
+                    let message = format!("--deployment {name} is of {own}, not {}{changed}", target.name());
+                    return Err(Error::Usage(format!("{message}; use --target {own}, spread or packed")));
+                }
+                if copies != of {
+                    return Err(Error::Usage(format!(
+                        "--deployment {name} is of {of} copies; leave --copies {copies} out"
+                    )));
+                }
+                let cores = scenario.deployment.value;
+                check_numbers(name, cores, target)?;
+                Ok(Deployment::from_numbers(name, cores, target, copies, work))
             }
-            DeploymentSource::Numbers(cores) => Ok(Deployment::from_numbers("as given", *cores, target, copies, work)),
+            DeploymentSource::Numbers(cores) => {
+                let DeployedCores { cores_used, chips_used, x86_cores } = *cores;
+                check_numbers(&format!("{cores_used},{chips_used},{x86_cores}"), *cores, target)?;
+                Ok(Deployment::from_numbers("as given", *cores, target, copies, work))
+            }
             DeploymentSource::Mapping(path, mapping) => {
                 // A mapping that could not be run is no deployment either.
                 let options = Options { copies, ..Options::default() };
@@ -209,6 +231,28 @@ impl DeploymentSource {
             }
         }
     }
+}
+
+/// Checks that a target has these numbers of cores.
+///
+/// # Errors
+/// [`Error::Usage`] that names the first number that it has not.
+fn check_numbers(named: &str, cores: DeployedCores, target: &Target) -> Result<()> {
+    let DeployedCores { cores_used, chips_used, x86_cores } = cores;
+    let (chip, chips) = (target.chip(), u64::from(target.chips()));
+    let most = |of_chip: u32| (chips_used * u64::from(of_chip), format!("{of_chip} on each of {chips_used} chips"));
+    let (most_cores, of_cores) = most(chip.cores);
+    let (most_x86, of_x86) = most(chip.x86_cores);
+    let what = match () {
+        () if chips_used > chips => format!("{chips_used} chips, and {} has {chips}", target.name()),
+        () if cores_used > most_cores => format!("{cores_used} neuron cores, and {} has {of_cores}", target.name()),
+        () if x86_cores > most_x86 => format!("{x86_cores} x86 cores, and {} has {of_x86}", target.name()),
+        () if x86_cores > 0 && x86_cores < chips_used => {
+            format!("{chips_used} chips share {x86_cores} x86 cores, and each chip in use is fed by one of its own")
+        }
+        () => return Ok(()),
+    };
+    Err(Error::Usage(format!("--deployment {named}: {what}; numbers are CORES,CHIPS,X86")))
 }
 
 /// The baselines that are asked for.

@@ -112,8 +112,26 @@ fn copies_are_spread_or_packed_and_the_paper_s_job_says_where_its_are() {
     assert_eq!(deployed("slip-tactile", "paper", &one, 1).unwrap_err().exit_status(), 2);
     // As given.
     assert_eq!(numbers(&deployed("own", "594,5,5", &one, 32).unwrap()), (32, 594, 5, 5));
-    for wrong in ["0,1,1", "1,2,1"] {
-        assert_eq!(deployed("own", wrong, &one, 1).unwrap_err().exit_status(), 2, "{wrong}");
+    for (wrong, says) in [
+        ("0,1,1", "at least one core on each chip"),
+        ("1,2,1", "at least one core on each chip"),
+        ("100,33,33", "33 chips, and nahuku-32 has 32"),
+        ("129,1,1", "129 neuron cores, and nahuku-32 has 128 on each of 1 chips"),
+        ("10,2,7", "7 x86 cores, and nahuku-32 has 3 on each of 2 chips"),
+        ("594,32,5", "32 chips share 5 x86 cores"),
+    ] {
+        let refused = deployed("own", wrong, &one, 1).unwrap_err();
+        assert_eq!(refused.exit_status(), 2, "{wrong}");
+        assert!(refused.to_string().contains(says), "{wrong}: {refused}");
+    }
+    // The paper's job is of its copies on its board, unchanged.
+    let paper = named("vtsnn-slip");
+    let refused = deployed("vtsnn-slip", "paper", &paper, 33).unwrap_err();
+    assert!(refused.to_string().contains("is of 32 copies"), "{refused}");
+    let source = DeploymentSource::load("paper", "vtsnn-slip", shipped_for("vtsnn-slip").unwrap().as_ref()).unwrap();
+    for other in [io::target::load_target("oheo-gulch").unwrap(), nahuku().changed()] {
+        let refused = source.deployment(&paper, &other, 32, HostWork::default()).unwrap_err();
+        assert!(refused.to_string().contains("is of nahuku-32, not "), "{refused}");
     }
 }
 

@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::hardware::constants::{Constants, SET, Status, classes_of};
 use nsim_ir::locate;
+use nsim_ir::resource::Limits;
 
 /// One change.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -197,8 +198,14 @@ fn check_kept(text: &str, changes: &[(String, String)], before: &str) -> Result<
 /// `set.path`.
 pub fn target_fields() -> Result<Option<String>> {
     let mut text = "Target()".to_string();
-    let changes = changes(Some("target"));
-    for (path, value) in &changes {
+    let mut changes = changes(Some("target"));
+    for (path, value) in &mut changes {
+        // What is no limit of a resource is that of a pool.
+        if let Some(name) = path.strip_prefix("limits.").filter(|name| !name.contains('.') && *name != "pools") {
+            if !Limits::NAMES.contains(&name) {
+                *path = format!("limits.pools.{name}");
+            }
+        }
         text = with_parents(text, path, value).map_err(|message| nowhere(&format!("target.{path}"), &message))?;
     }
     check_kept(&text, &changes, "target.")?;
@@ -229,6 +236,10 @@ pub fn constants(constants: &mut Constants) -> Result<()> {
             let help = format!("write --set constants.{path}=NUMBER{}", constant.unit.suffix());
             Diagnostic::new("set.value", format!("--set constants.{path}={value}: {message}")).help(help)
         })?;
+        if !(0.0..=1e9).contains(&number) {
+            return Err(Diagnostic::new("set.value", format!("--set constants.{path}={value}: outside 0 to 1e9"))
+                .help(format!("a constant is from 0 to 1e9 {}", constant.unit.suffix())));
+        }
         constant.value = number.into();
         (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
         constant.findings.clear();

@@ -12,10 +12,12 @@ use super::network::NetworkFile;
 use super::shipped::{self, Origin, Shipped};
 use super::text::{beside, read_text};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::base::names::did_you_mean;
 use nsim_ir::hardware::constants::{Constants, ConstantsChanges};
 use nsim_ir::hardware::{Chip, Target, TargetChanges, TargetFile};
 use nsim_ir::locate::value;
 use nsim_ir::neurons::NeuronKind;
+use nsim_ir::resource::Limits;
 use nsim_ir::spanned::{Spanned, parse};
 
 /// Loads a target: a path, `-`, or a shipped name.
@@ -111,10 +113,23 @@ fn changed(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> 
 fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &Target) -> Result<Target> {
     let stem = source.path().file_stem().map_or_else(|| "target".into(), |stem| stem.to_string_lossy().into_owned());
     let name = changes.name.clone().unwrap_or(stem);
-    // What is typed for a run asks what if of the same chip; a file describes another.
-    let own_name = Some(name.as_str()).filter(|_| source.path() != Path::new(SET));
-    let chip = changes.chip(base.chip().clone(), own_name);
+    // A chip that is changed for a run has no file to be called after.
+    let own_name = match source.path() == Path::new(SET) {
+        true => format!("{}, changed", base.chip().hardware()),
+        false => name.clone(),
+    };
+    let pools: Vec<&str> = base.limits().pools.iter().map(|pool| pool.name.as_str()).collect();
+    if let Some(wrong) = changes.limits.pools.keys().find(|name| !pools.contains(&name.as_str())) {
+        let names = [&pools[..], &Limits::NAMES].concat();
+        let meant = did_you_mean(wrong, names.iter().copied());
+        return Err(Diagnostic::new("target.limit", format!("{} has no limit {wrong}", base.name()))
+            .help(format!("{meant}limits are {}", names.join(", ")))
+            .in_file(source.path()));
+    }
+    let chip = changes.chip(base.chip().clone(), &own_name);
     chip.check(source)?;
+    let differs = chip.name == own_name || changes.chips_x.is_some() || changes.chips_y.is_some();
+    let is_changed = name == base.name() && (differs || base.is_changed());
     let constants = match &changes.constants {
         None => base.constants().to_vec(),
         Some(names) => presets(source, origin, names)?,
@@ -127,10 +142,11 @@ fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &T
         chips_y: changes.chips_y.unwrap_or_else(|| base.chips_y().into()),
         constants: Vec::new(),
     };
-    Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
+    let target = Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
         Some(_) => problem,
         None => problem.in_file(source.path()),
-    })
+    })?;
+    Ok(if is_changed { target.changed() } else { target })
 }
 
 fn presets(source: &SourceText, origin: Origin, names: &[Spanned<String>]) -> Result<Vec<Constants>> {
@@ -229,8 +245,14 @@ fn part(
         Some(shipped) => Ok(shipped.source()),
         None => {
             let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
+            let help = match name.value.strip_suffix(".ron") {
+                Some(stem) => format!("write the name without .ron: {stem:?}"),
+                None => {
+                    format!("shipped are: {}; or put {}.ron beside the target file", names.join(", "), name.value)
+                }
+            };
             Err(Diagnostic::new("target.part", format!("there is no {kind} named '{}'", name.value))
-                .help(format!("shipped are: {}; or put {}.ron beside the target file", names.join(", "), name.value))
+                .help(help)
                 .at(source, name.span))
         }
     }
@@ -240,7 +262,7 @@ fn part(
 pub(crate) mod tests {
     use super::*;
     use nsim_ir::hardware::constants::FigureClass;
-    use nsim_ir::resource::{Limits, Resource};
+    use nsim_ir::resource::Resource;
 
     /// A small chip, for the tests of this room.
     pub(crate) const CHIP: &str = r#"Chip(
@@ -414,7 +436,7 @@ pub(crate) mod tests {
         };
         let wide = write(
             "wide.ron",
-            "// Not a base: this is a remark.\nTarget(base: \"loihi1-chip\", cores_per_chip: 256, limits: (axons_out: \
+            "// Not a base: this is a remark.\nTarget(base: \"loihi1-chip\", cores_per_tile: 8, limits: (axons_out: \
              8192))",
         )
         .unwrap();
@@ -435,9 +457,12 @@ pub(crate) mod tests {
         assert_eq!(board.limits(), wide.limits());
         for (text, code, word) in [
             ("Target(base: \"loihi7\")", "target.part", "loihi7"),
+            ("Target(base: \"tiny.ron\")", "target.part", "without .ron: \"tiny\""),
+            ("Target(base: \"tiny\", limits: (pools: (memory: 5)))", "target.limit", "no limit memory"),
             ("Target(base: \"tiny\", limits: (axons: 1))", "target.syntax", "axons_out"),
             ("Target(base: \"tiny\", chips_x: 500)", "target.size", "500"),
             ("Target(base: \"loihi1-chip\", cores_per_tile: 4, cores_per_chip: 256)", "target.size", "256"),
+            ("Target(base: \"loihi1-chip\", cores_per_chip: 129)", "target.size", "have 128 places"),
         ] {
             let error = write("wrong.ron", text).unwrap_err();
             assert_eq!(error.code, code, "{text}: {error}");

@@ -559,6 +559,12 @@ pub struct Family(&'static str);
 impl Family {
     /// All kinds that model files state.
     pub const MICROCODE: Family = Family("Microcode");
+
+    /// As a chip lists it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.0
+    }
 }
 
 static FAMILIES: LazyLock<Vec<&'static str>> =

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 
-use serde::de::Error;
+use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// How synapse words are counted (`docs/formats.md`).
@@ -98,12 +98,12 @@ macro_rules! resources {
         #[serde(deny_unknown_fields, rename = "Limits")]
         struct LimitsInFile {
             $(#[serde(default = "not_given", skip_serializing_if = "is_not_given")] $name: u32,)*
-            axon_out_slots: u32,
-            axon_out_slots_off_chip: u32,
+            axon_out_slots: Option<u32>,
+            axon_out_slots_off_chip: Option<u32>,
             #[serde(default)]
             output_axons: OutputAxons,
-            synapses_per_entry: u32,
-            packing: Packing,
+            synapses_per_entry: Option<u32>,
+            packing: Option<Packing>,
             #[serde(default, skip_serializing_if = "Vec::is_empty")]
             unlimited: Vec<Resource>,
             #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -125,12 +125,27 @@ macro_rules! resources {
             pub synapses_per_entry: Option<u32>,
             /// How words are counted.
             pub packing: Option<Packing>,
+            /// Limits of pools by their names.
+            #[serde(default, deserialize_with = "by_name")]
+            pub pools: BTreeMap<String, u64>,
         }
 
         impl LimitChanges {
-            /// The limits with these changes.
+            /// The limits with these changes. A resource that had as much as a pool left it follows the
+            /// pool.
             #[must_use]
             pub fn applied(&self, mut limits: Limits) -> Limits {
+                let before = limits.pools.clone();
+                for pool in &mut limits.pools {
+                    if let Some(&limit) = self.pools.get(&pool.name) {
+                        *pool = Arc::new(Pool { limit, ..Pool::clone(pool) });
+                    }
+                }
+                for resource in Resource::ALL {
+                    let old = left_by(before.iter().map(Arc::as_ref), resource);
+                    let most = &mut limits.most[resource];
+                    *most = left_by(limits.pools.iter().map(Arc::as_ref), resource).min(if *most == old { NOT_GIVEN } else { *most });
+                }
                 $(if let Some(most) = self.$name {
                     limits.most[Resource::$resource] = most;
                 })*
@@ -154,7 +169,7 @@ macro_rules! resources {
                     ("synapses_per_entry", self.synapses_per_entry.is_some()),
                     ("packing", self.packing.is_some()),
                 ];
-                changed.contains(&(name, true))
+                changed.contains(&(name, true)) || self.pools.contains_key(name)
             }
         }
 
@@ -166,18 +181,17 @@ macro_rules! resources {
 
         impl From<Limits> for LimitsInFile {
             fn from(limits: Limits) -> Self {
-                let Limits { axon_out_slots, axon_out_slots_off_chip, output_axons, synapses_per_entry, packing, .. } =
-                    limits;
                 LimitsInFile {
                     $($name: limits.most[Resource::$resource],)*
-                    axon_out_slots,
-                    axon_out_slots_off_chip,
-                    output_axons,
-                    synapses_per_entry,
-                    packing,
+                    axon_out_slots: Some(limits.axon_out_slots),
+                    axon_out_slots_off_chip: Some(limits.axon_out_slots_off_chip),
+                    output_axons: limits.output_axons,
+                    synapses_per_entry: Some(limits.synapses_per_entry),
+                    packing: Some(limits.packing),
                     unlimited: Resource::ALL
                         .into_iter()
-                        .filter(|&resource| limits.most[resource] == NOT_GIVEN && !OPTIONAL.contains(&resource))
+                        .filter(|&resource| limits.most[resource] == NOT_GIVEN)
+                        .filter(|one| !OPTIONAL.contains(one) || limits.most[Resource::SynapseWords] == NOT_GIVEN)
                         .collect(),
                     pools: limits.pools.into_iter().map(Arc::unwrap_or_clone).collect(),
                 }
@@ -301,10 +315,71 @@ pub struct Pool {
     /// How much of it a core has.
     pub limit: u64,
     /// What one of each resource takes of it.
+    #[serde(deserialize_with = "each_once")]
     pub costs: BTreeMap<Resource, u32>,
 }
 
+/// The most of a resource that pools leave it, each used by nothing else; [`NOT_GIVEN`] where it draws
+/// on none.
+fn left_by<'p>(pools: impl IntoIterator<Item = &'p Pool>, resource: Resource) -> u32 {
+    let of = |pool: &Pool| Some(pool.limit / u64::from(*pool.costs.get(&resource)?));
+    let least = pools.into_iter().filter_map(of).min();
+    least.map_or(NOT_GIVEN, |most| u32::try_from(most).unwrap_or(NOT_GIVEN))
+}
+
+/// Numbers by names, in a map or as the fields of a struct.
+fn by_name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, u64>, D::Error> {
+    struct ByName;
+    impl<'de> Visitor<'de> for ByName {
+        type Value = BTreeMap<String, u64>;
+
+        fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            formatter.write_str("the limit of each pool by its name")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+            let mut limits = BTreeMap::new();
+            while let Some((name, limit)) = map.next_entry()? {
+                limits.insert(name, limit);
+            }
+            Ok(limits)
+        }
+    }
+    deserializer.deserialize_any(ByName)
+}
+
+/// A map whose keys differ.
+fn each_once<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<Resource, u32>, D::Error> {
+    struct EachOnce;
+    impl<'de> Visitor<'de> for EachOnce {
+        type Value = BTreeMap<Resource, u32>;
+
+        fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            formatter.write_str("the cost of each resource")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+            let mut costs = BTreeMap::new();
+            while let Some((resource, cost)) = map.next_entry::<Resource, u32>()? {
+                if costs.insert(resource, cost).is_some() {
+                    return Err(A::Error::custom(format_args!("the cost of `{}` is given twice", resource.name())));
+                }
+            }
+            Ok(costs)
+        }
+    }
+    deserializer.deserialize_map(EachOnce)
+}
+
 impl Pool {
+    /// Whether its unit is a multiple of bytes or bits, such as KB.
+    fn is_in_multiples(&self) -> bool {
+        const MULTIPLES: [&str; 9] = ["k", "m", "g", "ki", "mi", "gi", "kilo", "mega", "giga"];
+        let unit = self.unit.to_lowercase();
+        let multiple = ["bytes", "byte", "bits", "bit", "b"].iter().find_map(|one| unit.strip_suffix(one));
+        multiple.is_some_and(|multiple| MULTIPLES.contains(&multiple.trim()))
+    }
+
     /// How much of it these uses take.
     #[must_use]
     pub fn need(&self, used: &PerResource<u64>) -> u64 {
@@ -472,35 +547,55 @@ impl TryFrom<LimitsInFile> for Limits {
 
     fn try_from(file: LimitsInFile) -> Result<Self, String> {
         let mut most = file.own();
-        for pool in &file.pools {
+        for (place, pool) in file.pools.iter().enumerate() {
+            let is_named = |other: &Pool| other.name == pool.name;
+            if file.pools[..place].iter().any(is_named) || Limits::NAMES.contains(&pool.name.as_str()) {
+                return Err(format!("the pool {}: another limit has this name", pool.name));
+            }
+            if pool.is_in_multiples() {
+                let help = "its limit and its costs count in it: write both in bytes or in bits";
+                return Err(format!("the pool {} is in {}; {help}", pool.name, pool.unit));
+            }
             if pool.costs.is_empty() || pool.costs.values().any(|&cost| cost == 0) {
                 return Err(format!(
                     "the pool {} needs resources that draw on it, and of each a cost above 0",
                     pool.name
                 ));
             }
-            for (&resource, &cost) in &pool.costs {
-                most[resource] = most[resource].min(u32::try_from(pool.limit / u64::from(cost)).unwrap_or(u32::MAX));
+            for &resource in pool.costs.keys() {
+                most[resource] = most[resource].min(left_by([pool], resource));
             }
         }
         let lacks = |&resource: &Resource| most[resource] == NOT_GIVEN;
         if let Some(resource) = file.unlimited.iter().find(|resource| !lacks(resource)) {
             return Err(format!("`{}` is unlimited and has a limit; remove one of them", resource.name()));
         }
-        let mut lacking = Resource::ALL.into_iter().filter(lacks);
-        if let Some(resource) = lacking.find(|one| !OPTIONAL.contains(one) && !file.unlimited.contains(one)) {
-            let help = "give its limit, a pool that it draws on, or name it in `unlimited`";
-            return Err(format!("missing field `{}`: {help}", resource.name()));
+        let is_missing = |one: &Resource| lacks(one) && !OPTIONAL.contains(one) && !file.unlimited.contains(one);
+        let mut missing: Vec<&str> = Resource::ALL.into_iter().filter(is_missing).map(Resource::name).collect();
+        let help = match missing.is_empty() {
+            true => "",
+            false => ": give each resource a limit, a pool that it draws on, or name it in `unlimited`",
+        };
+        let LimitsInFile { axon_out_slots, axon_out_slots_off_chip, synapses_per_entry, packing, .. } = &file;
+        let others = [
+            ("axon_out_slots", axon_out_slots.is_none()),
+            ("axon_out_slots_off_chip", axon_out_slots_off_chip.is_none()),
+            ("synapses_per_entry", synapses_per_entry.is_none()),
+            ("packing", packing.is_none()),
+        ];
+        missing.extend(others.into_iter().filter(|(_, is_missing)| *is_missing).map(|(name, _)| name));
+        let (Some(axon_out_slots), Some(axon_out_slots_off_chip), Some(synapses_per_entry), Some(packing), []) =
+            (*axon_out_slots, *axon_out_slots_off_chip, *synapses_per_entry, *packing, missing.as_slice())
+        else {
+            let s = if missing.len() > 1 { "s" } else { "" };
+            return Err(format!("missing field{s} `{}`{help}", missing.join("`, `")));
+        };
+        let synapses = [Resource::SynapseWords, Resource::StoredSynapses];
+        if synapses.iter().all(lacks) && !file.unlimited.contains(&Resource::StoredSynapses) {
+            let help = "no limit counts synapses; give one, a pool that it draws on, or name it in `unlimited`";
+            return Err(format!("missing field `stored_synapses`: {help}"));
         }
-        let LimitsInFile {
-            axon_out_slots,
-            axon_out_slots_off_chip,
-            output_axons,
-            synapses_per_entry,
-            packing,
-            pools,
-            ..
-        } = file;
+        let LimitsInFile { output_axons, pools, .. } = file;
         let pools = pools.into_iter().map(Arc::new).collect();
         Ok(Limits { most, pools, axon_out_slots, axon_out_slots_off_chip, output_axons, synapses_per_entry, packing })
     }
@@ -515,7 +610,8 @@ mod tests {
         synapse_formats: 3, compartment_profiles: 4, threshold_profiles: 4, accumulators: 128, stored_synapses: 99, packing: Nengo)";
 
     fn limits(text: &str) -> Result<Limits, String> {
-        ron::from_str(text).map_err(|error| error.to_string())
+        let options = ron::Options::default().with_default_extension(ron::extensions::Extensions::IMPLICIT_SOME);
+        options.from_str(text).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -573,5 +669,53 @@ mod tests {
             };
         assert!(pool("{}").contains("the pool m needs resources"));
         assert!(pool("{axons_in: 0}").contains("a cost above 0"));
+        assert!(pool("{axons_in: 1, axons_in: 1}").contains("the cost of `axons_in` is given twice"));
+    }
+
+    #[test]
+    fn a_pool_is_changed_by_its_name_and_what_draws_on_it_follows() {
+        let pools = "pools: [(name: \"memory\", unit: \"bytes\", limit: 1000, costs: {axons_in: 4, synapse_words: 8})]";
+        let own = OWN.replace("synapse_words: 256,", "").replace("axons_in: 64", "axons_in: 60");
+        let limits = limits(&own.replace("Nengo)", &format!("Nengo, {pools})"))).unwrap();
+        let options = ron::Options::default().with_default_extension(ron::extensions::Extensions::IMPLICIT_SOME);
+        for text in ["(pools: (memory: 2000))", "(pools: {\"memory\": 2000})"] {
+            let changes: LimitChanges = options.from_str(text).unwrap();
+            let changed = changes.applied(limits.clone());
+            assert_eq!(changed.pools[0].limit, 2000, "{text}");
+            assert_eq!((changed[Resource::AxonsIn], changed[Resource::SynapseWords]), (60, 250), "{text}");
+            assert!(changes.changes("memory") && !changes.changes("axons_in"));
+        }
+        let fewer = LimitChanges { pools: [("memory".to_string(), 80)].into(), ..LimitChanges::default() };
+        let fewer = fewer.applied(limits);
+        assert_eq!((fewer[Resource::AxonsIn], fewer[Resource::SynapseWords]), (20, 10));
+    }
+
+    #[test]
+    fn synapses_without_a_limit_pools_of_one_name_and_multiples_of_bytes_are_refused() {
+        let pools = |own: &str, pools: &str| limits(&own.replace("Nengo)", &format!("Nengo, {pools})")));
+        let pool =
+            |name: &str, unit: &str| format!("(name: \"{name}\", unit: \"{unit}\", limit: 64, costs: {{axons_in: 1}})");
+        let one = |name: &str, unit: &str| pools(OWN, &format!("pools: [{}]", pool(name, unit)));
+        for unit in ["bytes", "bits", "words", "kernels", "B"] {
+            one("m", unit).unwrap_or_else(|error| panic!("{unit}: {error}"));
+        }
+        for unit in ["KB", "KiB", "kB", "kbit", "MB", "kilobytes"] {
+            assert!(one("m", unit).unwrap_err().contains("write both in bytes or in bits"), "{unit}");
+        }
+        let twice = format!("pools: [{}, {}]", pool("m", "bytes"), pool("m", "bits"));
+        assert!(pools(OWN, &twice).unwrap_err().contains("the pool m: another limit has this name"));
+        assert!(one("axons_out", "bytes").unwrap_err().contains("another limit has this name"));
+        let none = OWN.replace("synapse_words: 256, ", "").replace("stored_synapses: 99, ", "");
+        let refused = pools(&none, "unlimited: [synapse_words]").unwrap_err();
+        assert!(refused.contains("missing field `stored_synapses`: no limit counts synapses"), "{refused}");
+        let free = pools(&none, "unlimited: [synapse_words, stored_synapses]").unwrap();
+        assert_eq!(limits(&ron::to_string(&free).unwrap()).unwrap(), free);
+        let several = OWN.replace("axons_out: 64, ", "").replace("accumulators: 128, ", "");
+        let several = several.replace("synapses_per_entry: 64,", "").replace(", packing: Nengo", "");
+        let refused = limits(&several).unwrap_err();
+        assert!(
+            refused.contains("missing fields `axons_out`, `accumulators`, `synapses_per_entry`, `packing`"),
+            "{refused}"
+        );
     }
 }

@@ -301,8 +301,8 @@ fn plain(error: &ron::Error) -> String {
         ron::Error::NoSuchStructField { expected, found, outer } => {
             let of = outer.as_ref().map_or(String::new(), |outer| format!(" in `{outer}`"));
             let meant = did_you_mean(found, expected.iter().copied());
-            let meant = meant.strip_suffix("? ").map_or(String::new(), |meant| format!("; {meant}?"));
-            return format!("Unexpected field named `{found}`{of}, expected one of `{}`{meant}", expected.join("`, `"));
+            let meant = meant.strip_suffix(' ').map_or(String::new(), |meant| format!(" ({meant})"));
+            return format!("Unexpected field named `{found}`{of}{meant}, expected one of `{}`", expected.join("`, `"));
         }
         _ => {}
     }

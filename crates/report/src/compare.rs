@@ -35,8 +35,10 @@ pub struct Priced {
     /// Where its intervals come from: the errors of published works, or the bounds of modelled
     /// constants; `None` without intervals.
     pub intervals: Option<Intervals>,
-    /// Which figures have no interval, and why.
-    pub without_interval: Option<String>,
+    /// What to know of its constants, as `nsim energy` says it.
+    pub of_constants: Vec<String>,
+    /// Whether x86 cores feed it.
+    pub has_host: bool,
 }
 
 /// Where intervals come from.
@@ -73,6 +75,8 @@ pub struct Comparison {
     pub input: Vec<String>,
     /// The seed of the input, if one was used.
     pub seed: Option<u64>,
+    /// Fields of targets and constants that `--set` gives all of them.
+    pub set: Vec<String>,
     /// A row a target, in the order of the command.
     pub targets: Vec<ComparedTarget>,
 }
@@ -117,7 +121,7 @@ fn row_json(row: &ComparedTarget) -> Value {
 /// `nsim.compare/1`.
 #[must_use]
 pub fn json(found: &Comparison) -> Value {
-    let Comparison { model, input, seed, targets } = found;
+    let Comparison { model, input, seed, targets, .. } = found;
     let rows: Vec<Value> = targets.iter().map(row_json).collect();
     json!({ "schema": "nsim.compare/1", "model": model, "input": input, "seed": seed, "targets": rows })
 }
@@ -144,7 +148,7 @@ pub fn text(found: &Comparison) -> String {
     for ComparedTarget { target, constants, found, .. } in &found.targets {
         match found {
             Ok(priced) => {
-                said.extend(priced.without_interval.iter().map(|why| wrapped(&format!("{target}: {why}"))));
+                said.extend(priced.of_constants.iter().map(|why| wrapped(&format!("{target}: {why}"))));
                 let figure = |(_, _, figure, _): &Figure| figure(&priced.row).map_or("-".to_string(), three);
                 let counts = [target.clone(), priced.chips_used.to_string(), priced.cores_used.to_string()];
                 lines.push(counts.into_iter().chain(FIGURES.iter().map(figure)).collect());
@@ -169,6 +173,17 @@ pub fn text(found: &Comparison) -> String {
     let shown = if found.input.is_empty() { "its scene".to_string() } else { found.input.join(" ") };
     let mut out = wrapped(&format!("{}, one copy, shown {shown}", found.model));
     out += &format!("\n{}\n{said}", table(&header, &lines));
+    let priced = |fed| {
+        let targets = found.targets.iter().filter(|one| one.found.as_ref().is_ok_and(|priced| priced.has_host == fed));
+        targets.map(|one| one.target.as_str()).collect::<Vec<_>>().join(", ")
+    };
+    if !found.set.is_empty() {
+        out += &wrapped(&format!("--set changes every row: {}", found.set.join(", ")));
+    }
+    let (fed, alone) = (priced(true), priced(false));
+    if !fed.is_empty() && !alone.is_empty() {
+        out += &wrapped(&format!("x86 cores that feed input are in {fed}, and not in {alone}: --host none omits them"));
+    }
     kinds.dedup();
     for (constants, intervals) in kinds {
         out += &wrapped(&match intervals {

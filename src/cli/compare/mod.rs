@@ -12,7 +12,6 @@ use nsim_cost::Host;
 use nsim_cost::job::Mode;
 use nsim_energy::evaluate;
 use nsim_energy::evaluate::Plan;
-use nsim_energy::job;
 use nsim_energy::options::CostOptions;
 use nsim_files as io;
 use nsim_ir::hardware::Target;
@@ -62,7 +61,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let targets = targets.collect::<Result<Vec<Target>, Error>>()?;
     let network = args.timestep.load(&args.model)?;
     let name = network.file().name.clone();
-    let mut found = Comparison { model: name, input: Vec::new(), seed: None, targets: Vec::new() };
+    let mut found = Comparison { model: name, input: Vec::new(), seed: None, set: Vec::new(), targets: Vec::new() };
     for (name, target) in args.targets.iter().zip(&targets) {
         let on_target = match priced(args, name, target, &mut found, context) {
             // What a chip does not have is told by a diagnostic of mapping.
@@ -76,6 +75,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let hardware = target.chip().hardware().to_string();
         found.targets.push(ComparedTarget { target: target.name().to_string(), hardware, constants, found: on_target });
     }
+    let set = io::changes::of_process().iter().filter(|change| change.is_of_target());
+    found.set.extend(set.map(|change| change.path().to_string()));
     output::print(context.format, || report::text(&found), || report::json(&found), || report::csv_rows(&found))?;
     let holds = found.targets.iter().any(|target| target.found.is_ok());
     Ok(if holds { Answer::Yes } else { Answer::No })
@@ -117,7 +118,6 @@ fn priced(
         _ => Some(Intervals::Works),
     };
     let (chips_used, cores_used) = (evaluated.deployment.chips_used, evaluated.deployment.cores_used);
-    let preset = target.constants().first();
-    let without_interval = preset.and_then(|preset| job::without_interval(target, preset, &row));
-    Ok(Ok(Priced { chips_used, cores_used, row, intervals, without_interval }))
+    let (has_host, of_constants) = (evaluated.deployment.x86_cores > 0, evaluated.energy.of_constants);
+    Ok(Ok(Priced { chips_used, cores_used, row, intervals, of_constants, has_host }))
 }

@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use nsim_energy::baseline::Baseline;
 use nsim_energy::published::scenario::ScenarioFile;
-use nsim_ir::hardware::constants::{BARRIER, Constant, Constants};
+use nsim_ir::hardware::constants::{BARRIER, Constant, Constants, Status};
 use nsim_ir::hardware::{Chip, Target};
 use nsim_report::inspect::{Findings, FindingsTable};
 
@@ -30,7 +30,10 @@ fn limits_table(chip: &Chip, own: &str) -> FindingsTable {
     let unlimited = limits.remove("unlimited").and_then(|names| names.as_array().cloned()).unwrap_or_default();
     let unlimited = unlimited.iter().filter_map(|name| Some((name.as_str()?.to_string(), "unlimited".into())));
     limits.remove("pools");
-    let pools = pools.iter().map(|pool| (pool.name.clone(), format!("{} {}", pool.limit, pool.unit).into()));
+    let pools = pools.iter().map(|pool| {
+        let costs: Vec<String> = pool.costs.iter().map(|(one, cost)| format!("{} * {cost}", one.name())).collect();
+        (pool.name.clone(), format!("{} {}: {}", pool.limit, pool.unit, costs.join(" + ")).into())
+    });
     let rows = pools.chain(limits).chain(unlimited).map(row);
     FindingsTable {
         rows_in_text: usize::MAX,
@@ -47,7 +50,8 @@ fn constants_table(presets: &[Constants], own: Option<&str>) -> FindingsTable {
     for preset in presets {
         let mut add = |field: &str, name: String, constant: &Constant| {
             let Constant { value, unit, status, source, findings: _ } = constant;
-            let from = preset.stated_in.get(field).map_or(own.unwrap_or(&preset.name), String::as_str);
+            let stated = preset.stated_in.get(field).map_or(own.unwrap_or(&preset.name), String::as_str);
+            let from = (*status != Status::NotGiven).then_some(stated);
             rows.push(json!([preset.name, name, value.value, unit, status, source, from]));
         };
         for (name, constant) in preset.list() {
@@ -63,12 +67,12 @@ fn constants_table(presets: &[Constants], own: Option<&str>) -> FindingsTable {
 
 /// A preset with the number of its constants by status.
 fn preset_summary(preset: &Constants) -> String {
-    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    let mut counts: BTreeMap<Status, usize> = BTreeMap::new();
     let barriers = preset.barrier.iter().map(|entry| &entry.time);
     for constant in preset.list().into_iter().map(|(_, constant)| constant).chain(barriers) {
-        *counts.entry(format!("{:?}", constant.status).to_lowercase()).or_default() += 1;
+        *counts.entry(constant.status).or_default() += 1;
     }
-    let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
+    let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {}", status.name())).collect();
     format!("{}: {}", preset.name, counts.join(", "))
 }
 

@@ -9,6 +9,7 @@ use serde::Deserialize;
 use nsim_cost::job::DeployedCores;
 use nsim_files::shipped;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
+use nsim_ir::hardware::Target;
 use nsim_ir::spanned::{Spanned, parse};
 
 /// A scenario file.
@@ -40,6 +41,14 @@ pub struct ScenarioFile {
     pub source: String,
     /// What is inferred.
     pub notes: String,
+}
+
+impl ScenarioFile {
+    /// Whether this is the target that it ran on, as its name says and unchanged.
+    #[must_use]
+    pub fn is_on(&self, target: &Target) -> bool {
+        self.target == target.name() && !target.is_changed()
+    }
 }
 
 /// The scenario that ships for a model; a path names no shipped model.

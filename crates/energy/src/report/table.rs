@@ -170,10 +170,8 @@ pub struct EnergyReport {
     pub copies_counted: u32,
     /// What is not known and why, for people; also on stderr when the output is for programs.
     pub notes: Vec<String>,
-    /// Of which hardware the constants are, where it is not the chip.
-    pub inherited: Option<String>,
-    /// Which figures have no interval, and why.
-    pub without_interval: Option<String>,
+    /// Of the constants: whose they are, what is absent or set in vain, which figures have no interval.
+    pub of_constants: Vec<String>,
 }
 
 /// What a row of the table is called.
@@ -303,7 +301,7 @@ impl EnergyReport {
             "parts": self.parts.iter().map(Part::json).collect::<Vec<_>>(),
             "constants": self.constants,
             "expected": self.expected,
-            "notes": self.notes.iter().chain(&self.inherited).chain(&self.without_interval).collect::<Vec<_>>(),
+            "notes": self.notes.iter().chain(&self.of_constants).collect::<Vec<_>>(),
         });
         let total = self.total();
         object["low"] = json!(total.and_then(|row| row.low).unwrap_or_default());
@@ -529,6 +527,9 @@ impl EnergyReport {
         if self.rows().any(|row| row.power_source != row.source && row.power_source == FigureSource::Assumed) {
             marks.push("? assumed power".to_string());
         }
+        if self.rows().any(|row| row.busy.is_some()) {
+            marks.push("busy: measured while other programs kept this many processors busy".to_string());
+        }
         said.extend(Some(marks.join(" ")).filter(|marks| !marks.is_empty()));
         said.extend(self.dominant());
         let last = match job {
@@ -585,7 +586,7 @@ impl EnergyReport {
     /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
     pub fn headline(&self) -> String {
         let mut out = self.table(false);
-        for remark in self.remarks().iter().chain(&self.inherited).chain(&self.without_interval) {
+        for remark in self.remarks().iter().chain(&self.of_constants) {
             out += &wrapped(remark);
         }
         if let Some(saved) = self.early_exit {
@@ -620,7 +621,7 @@ impl EnergyReport {
     /// The whole report for people: what a reader asks first comes first.
     pub fn text(&self) -> String {
         let mut out = self.table(true);
-        for remark in self.remarks().iter().chain(&self.inherited).chain(&self.without_interval) {
+        for remark in self.remarks().iter().chain(&self.of_constants) {
             out += &wrapped(remark);
         }
         out.push('\n');
@@ -727,6 +728,10 @@ impl EnergyReport {
         );
         if !assumed.is_empty() {
             let _ = write!(out, " ({})", assumed.join(", "));
+        }
+        let absent = of(Status::NotGiven).count();
+        if absent > 0 {
+            let _ = write!(out, ", {absent} not given");
         }
         match Shipped::find(CONSTANTS, &self.preset) {
             Some(shipped) => {

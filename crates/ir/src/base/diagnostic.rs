@@ -105,7 +105,9 @@ struct Others(Vec<Diagnostic>);
 
 /// What to change where a problem does not say it itself: by the beginning of its code, or its end;
 /// the first counts.
-const USUAL: [(&str, &str); 32] = [
+const USUAL: [(&str, &str); 34] = [
+    ("chip.syntax", "docs/formats.md has the fields of a chip: nsim show loihi1 prints a shipped one"),
+    ("constants.syntax", "docs/formats.md has the fields of constants: nsim show davies2018 prints a shipped preset"),
     (".syntax", "nsim inspect FILE says what a file is: a model begins with Network(, a data set with DataSet("),
     ("io.missing", "check the path, which begins in the folder that nsim is called in"),
     ("io.denied", "allow its reading: chmod u+r FILE"),

@@ -25,9 +25,14 @@ pub enum Status {
     /// Not known; chosen, with the reason in the source.
     #[serde(alias = "Assumed")]
     Assumed,
+    /// Absent from the preset, and counted as 0. No file writes it.
+    #[serde(skip_deserializing, rename = "not given")]
+    NotGiven,
 }
 
-named_variants!(Status { Published = "published", Calibrated = "calibrated", Assumed = "assumed" });
+named_variants!(Status {
+    Published = "published", Calibrated = "calibrated", Assumed = "assumed"; Status::NotGiven => "not given"
+});
 
 /// The unit of a constant as it is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -191,7 +196,7 @@ pub struct Constant {
 impl Constant {
     fn not_given(unit: Unit) -> Self {
         let source = "not given by this preset".to_string();
-        Constant { value: 0.0.into(), unit, source, status: Status::Assumed, findings: Vec::new() }
+        Constant { value: 0.0.into(), unit, source, status: Status::NotGiven, findings: Vec::new() }
     }
 
     /// The median of the findings of other groups than this one; `None` when there are none.
@@ -257,7 +262,7 @@ pub struct UnusedConstant {
 }
 
 /// Calls a macro with every single-valued constant and its unit: what holds a value for each is
-/// made from this list alone. Those that a source need not give are zero and assumed without it.
+/// made from this list alone. Those that a source need not give are 0 without it, [`Status::NotGiven`].
 #[macro_export]
 macro_rules! for_each_constant {
     ($make:ident) => {
@@ -396,7 +401,7 @@ macro_rules! constants {
 
         impl ConstantsChanges {
             /// The other preset with the changes. Errors of figures that follow from a changed
-            /// constant are gone.
+            /// constant are gone, and those of other hardware.
             #[must_use]
             pub fn applied(self, base: &Constants, name: String) -> Constants {
                 let mut made = Constants { name, notes: self.notes, ..base.clone() };
@@ -421,6 +426,9 @@ macro_rules! constants {
                 })*
                 made.step = self.step.unwrap_or(made.step);
                 made.hardware = self.hardware.unwrap_or(made.hardware);
+                if made.hardware != base.hardware {
+                    made.errors.clear();
+                }
                 made.errors = self.errors.unwrap_or(made.errors);
                 made
             }
@@ -510,7 +518,7 @@ fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Un
             .help("say where the figure is printed, what it was fitted to, or why it is assumed"));
     }
     if constant.unit != unit {
-        return Err(wrong("target.unit", format!("{name} is in {:?}, not {unit:?}", constant.unit)));
+        return Err(wrong("target.unit", format!("{name} needs {unit:?}, and the file has {:?}", constant.unit)));
     }
     if !(0.0..=1e9).contains(&value) {
         return Err(wrong("target.constant", format!("{name} {value} is outside 0..=1e9")));
@@ -562,7 +570,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_preset_need_not_give_is_zero_and_assumed() {
+    fn what_a_preset_need_not_give_is_zero_and_not_given() {
         let (source, whole) = loihi1();
         let without = |name: &str| {
             let lines = source.text().lines().filter(|line| !line.trim_start().starts_with(name));
@@ -570,7 +578,7 @@ mod tests {
         };
         let preset = without("spike_time").unwrap();
         preset.check(&source).unwrap();
-        assert_eq!((preset.spike_time.value.value, preset.spike_time.status), (0.0, Status::Assumed));
+        assert_eq!((preset.spike_time.value.value, preset.spike_time.status), (0.0, Status::NotGiven));
         assert_eq!(preset.list().len(), whole.list().len());
         assert!(without("core_static_power").is_err());
     }

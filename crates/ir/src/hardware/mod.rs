@@ -94,12 +94,44 @@ impl Chip {
         self.hardware.as_deref().unwrap_or(&self.name)
     }
 
+    /// Places of cores on its tiles.
+    #[must_use]
+    pub fn places(&self) -> u32 {
+        self.width.saturating_mul(self.height).saturating_mul(self.cores_per_tile)
+    }
+
+    /// Checks the ranges of its sizes and limits.
+    fn check_sizes(&self) -> Result<()> {
+        let wrong = |message: String| Diagnostic::new("target.size", format!("chip {}: {message}", self.name));
+        let sizes = [
+            ("width", self.width, 64),
+            ("height", self.height, 64),
+            ("cores_per_tile", self.cores_per_tile, 64),
+            ("limits.compartments", self.limits[Resource::Compartments], 65_536),
+            ("limits.axons_in", self.limits[Resource::AxonsIn], 65_536),
+            ("limits.synapses_per_entry", self.limits.synapses_per_entry, 64),
+        ];
+        for (what, value, most) in sizes {
+            if value == 0 || value > most {
+                return Err(wrong(format!("{what} {value} is outside 1..={most}")));
+            }
+        }
+        let Chip { width, height, cores_per_tile, cores, .. } = self;
+        if *cores == 0 || *cores > self.places() {
+            let places = format!("{width} x {height} tiles of {cores_per_tile} have {} places", self.places());
+            return Err(wrong(format!("cores {cores} is outside 1..={}: {places}", self.places()))
+                .help("also set width, height or cores_per_tile"));
+        }
+        Ok(())
+    }
+
     /// Checks what the types of the fields do not.
     ///
     /// # Errors
-    /// A diagnostic when x86 cores are kept busy that the chip does not have, when an output axon
+    /// A diagnostic when a size or limit is out of range, when x86 cores are kept busy that the chip does not have, when an output axon
     /// takes no slot, or when a source is given for a limit that does not exist.
     pub fn check(&self, source: &SourceText) -> Result<()> {
+        self.check_sizes().map_err(|problem| problem.in_file(source.path()))?;
         let wrong = |message: String| Diagnostic::new("target.chip", format!("chip {}: {message}", self.name));
         if self.x86_cores_in_use > self.x86_cores {
             return Err(wrong(format!(
@@ -165,7 +197,7 @@ pub struct TargetChanges {
     pub width: Option<u32>,
     /// Tiles of a chip from north to south.
     pub height: Option<u32>,
-    /// Cores of a tile; as many as `cores_per_chip` needs unless given.
+    /// Cores of a tile.
     pub cores_per_tile: Option<u32>,
     /// Cores of a chip; what its tiles hold when their number or size is given.
     pub cores_per_chip: Option<u32>,
@@ -191,7 +223,7 @@ impl TargetChanges {
     /// A chip with the changes, which goes by this name where there are any. Sources of limits that
     /// are changed no longer say where they come from.
     #[must_use]
-    pub fn chip(&self, mut chip: Chip, name: Option<&str>) -> Chip {
+    pub fn chip(&self, mut chip: Chip, name: &str) -> Chip {
         let sizes = [self.width, self.height, self.cores_per_tile, self.cores_per_chip];
         let x86 = [self.x86_cores, self.x86_cores_in_use];
         let programmed = self.neuron_kinds.is_some() || self.message_bits.is_some();
@@ -202,18 +234,16 @@ impl TargetChanges {
             };
         }
         let other = programmed || self.limits != LimitChanges::default();
-        if let Some(name) = name.filter(|_| other || sizes.iter().chain(&x86).any(Option::is_some)) {
+        if other || sizes.iter().chain(&x86).any(Option::is_some) {
             (chip.name, chip.hardware) = (name.to_string(), None);
         }
         chip.x86_cores = self.x86_cores.unwrap_or(chip.x86_cores);
         chip.x86_cores_in_use = self.x86_cores_in_use.unwrap_or(chip.x86_cores_in_use.min(chip.x86_cores));
         chip.width = self.width.unwrap_or(chip.width);
         chip.height = self.height.unwrap_or(chip.height);
-        let tiles = chip.width.saturating_mul(chip.height);
-        let held = self.cores_per_chip.map_or(0, |cores| cores.div_ceil(tiles.max(1)));
-        chip.cores_per_tile = self.cores_per_tile.unwrap_or(chip.cores_per_tile.max(held));
+        chip.cores_per_tile = self.cores_per_tile.unwrap_or(chip.cores_per_tile);
         let resized = self.width.is_some() || self.height.is_some() || self.cores_per_tile.is_some();
-        let cores = if resized { tiles.saturating_mul(chip.cores_per_tile) } else { chip.cores };
+        let cores = if resized { chip.places() } else { chip.cores };
         chip.cores = self.cores_per_chip.unwrap_or(cores);
         chip.neuron_kinds = self.neuron_kinds.clone().unwrap_or(chip.neuron_kinds);
         chip.message_bits = self.message_bits.unwrap_or(chip.message_bits);
@@ -238,9 +268,22 @@ pub struct Target {
     chips_y: u32,
     chip: Chip,
     constants: Vec<Constants>,
+    is_changed: bool,
 }
 
 impl Target {
+    /// The same target, known to have another board or chip than the one of its name.
+    #[must_use]
+    pub fn changed(self) -> Self {
+        Target { is_changed: true, ..self }
+    }
+
+    /// Whether it has another board or chip than the one of its name.
+    #[must_use]
+    pub fn is_changed(&self) -> bool {
+        self.is_changed
+    }
+
     /// Changes every preset of constants.
     ///
     /// # Errors
@@ -264,20 +307,7 @@ impl Target {
                 return Err(wrong(format!("{what} {} is outside 1..=128", side.value)).at(source, side.span));
             }
         }
-        let sizes = [
-            ("width", chip.width, 64),
-            ("height", chip.height, 64),
-            ("cores_per_tile", chip.cores_per_tile, 64),
-            ("cores", chip.cores, chip.width.saturating_mul(chip.height).saturating_mul(chip.cores_per_tile)),
-            ("limits.compartments", chip.limits[Resource::Compartments], 65_536),
-            ("limits.axons_in", chip.limits[Resource::AxonsIn], 65_536),
-            ("limits.synapses_per_entry", chip.limits.synapses_per_entry, 64),
-        ];
-        for (what, value, most) in sizes {
-            if value == 0 || value > most {
-                return Err(wrong(format!("chip {}: {what} {value} is outside 1..={most}", chip.name)));
-            }
-        }
+        chip.check_sizes()?;
         // So that a number of cores always fits its type, whatever the sides.
         let cores = u64::from(file.chips_x.value) * u64::from(file.chips_y.value) * u64::from(chip.cores);
         if cores > MOST_CORES {
@@ -296,6 +326,7 @@ impl Target {
             chips_y: file.chips_y.value,
             chip,
             constants,
+            is_changed: false,
         })
     }
 

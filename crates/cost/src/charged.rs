@@ -1,0 +1,102 @@
+//! Which constants a run is charged for.
+//!
+//! Input: what is to be estimated ([`Case`]) and the name of a constant. Output: whether anything was
+//! counted that the constant is multiplied with. Invariant: a constant of which this says no changes no
+//! figure. Of parts of which the longest counts, this says yes for all.
+
+use crate::deployment::Host;
+use crate::estimate::Case;
+use crate::job::Accounting;
+use crate::transport::Transport;
+use nsim_ir::hardware::constants::StepForm;
+
+/// Whether a run counts something that this constant is multiplied with.
+#[must_use]
+pub fn is_charged(case: &Case<'_>, constant: &str) -> bool {
+    let (sum, hops, deployment) = (case.activity.sum(), case.activity.hops(), case.deployment);
+    let timing = &case.meter.settings().timing;
+    let (rails, x86) = (case.accounting == Accounting::Rails, deployment.x86_cores > 0);
+    // (21) takes no time for routes and buffers.
+    let follows = case.meter.tables()[case.preset].step == StepForm::Sum;
+    let links = hops.links() > 0;
+    match constant {
+        "synapse_dense_energy" | "synapse_dense_time" => sum.events_dense > 0,
+        "synapse_sparse_energy" | "synapse_sparse_time" => sum.events_sparse > 0,
+        "dendrite_energy" | "compartment_energy" | "compartment_time" => sum.visited > 0,
+        "compartment_active_energy" | "compartment_active_time" => sum.active > 0,
+        "spike_energy" | "spike_time" => sum.spikes > 0,
+        "axon_out_energy" | "axon_out_time" => sum.messages_out > 0,
+        "axon_in_energy" | "axon_in_time" => sum.messages_in > 0,
+        "local_hop_energy" => hops.local > 0,
+        "hop_ew_energy" => hops.east_west > 0,
+        "hop_ns_energy" => hops.north_south > 0,
+        "hop_chip_energy" => hops.chip > 0,
+        "local_hop_time" => follows && sum.messages_in > 0,
+        "hop_ew_time" => follows && hops.east_west > 0,
+        "hop_ns_time" => follows && hops.north_south > 0,
+        "hop_chip_time" => follows && hops.chip > 0,
+        "link_time" => links,
+        "link_chip_time" => hops.chip > 0,
+        "link_buffer" => follows && links && timing.transport == Transport::Queued,
+        "injection_time" => timing.streams > 0,
+        "turn_time" => timing.turn,
+        "chip_hop_time" => timing.chip_hops > 0,
+        "reset_word_time" => timing.reset.count > 0,
+        "core_static_power" => !rails,
+        "x86_static_ratio" => !rails && x86,
+        "x86_clock_power" | "x86_active_power" => x86,
+        "x86_injecting_share" => x86 && deployment.host != Host::None,
+        "chip_boot_power" => rails,
+        "x86_on_power" => rails && x86,
+        _ => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::constants::CostTable;
+    use crate::constants::tests::preset;
+    use crate::deployment::{Deployment, tests::paper};
+    use crate::estimate::estimate;
+    use crate::model::tests::any_step;
+    use nsim_ir::activity::Activity;
+    use nsim_ir::hardware::constants::Constants;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(16))]
+
+        /// Priced anew with another value, a run has other figures only if it is charged for the constant.
+        #[test]
+        fn a_constant_that_is_not_charged_changes_no_figure(
+            steps in proptest::collection::vec(any_step(2), 1..4), rails in any::<bool>(), alone in any::<bool>(),
+            preset_name in prop_oneof![Just("loihi1-evidence"), Just("loihi2-modelled")],
+        ) {
+            let deployment = match alone {
+                true => Deployment { x86_cores: 0, x86_chips: 0, x86_working: 0, host: Host::None, ..paper() },
+                false => paper(),
+            };
+            let accounting = if rails { Accounting::Rails } else { Accounting::Profiler };
+            let figures = |constants: &Constants, asked: &str| {
+                let mut activity = Activity::new(2);
+                let mut meter = crate::meter::tests::meter(vec![CostTable::new(constants).unwrap()], 1, None);
+                for step in &steps {
+                    activity.add_steps(step, 1);
+                    meter.add(step, 1, false);
+                }
+                let case = Case { accounting, ..Case::new(&activity, &meter, &deployment, 1.0) };
+                let shown = estimate(&case);
+                ((shown.rows, shown.breakdown_pj, shown.time_us), is_charged(&case, asked))
+            };
+            let constants = preset(preset_name);
+            for name in Constants::NAMES {
+                let mut other = constants.clone();
+                other.get_mut(name).unwrap().value = (constants.clone().get_mut(name).unwrap().value.value + 1.0).into();
+                let (before, charged) = figures(&constants, name);
+                prop_assert!(charged || figures(&other, name).0 == before, "{name}");
+            }
+        }
+    }
+}
