@@ -201,10 +201,9 @@ pub fn target_fields() -> Result<Option<String>> {
     let mut changes = changes(Some("target"));
     for (path, value) in &mut changes {
         // What is no limit of a resource is that of a pool.
-        if let Some(name) = path.strip_prefix("limits.").filter(|name| !name.contains('.') && *name != "pools") {
-            if !Limits::NAMES.contains(&name) {
-                *path = format!("limits.pools.{name}");
-            }
+        let is_pool = |name: &&str| !name.contains('.') && *name != "pools" && !Limits::NAMES.contains(name);
+        if let Some(name) = path.strip_prefix("limits.").filter(is_pool) {
+            *path = format!("limits.pools.{name}");
         }
         text = with_parents(text, path, value).map_err(|message| nowhere(&format!("target.{path}"), &message))?;
     }

@@ -179,7 +179,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
 /// By source and target population, the synapses between them whose weight is not 0.
 fn non_zero(network: &Quantised) -> BTreeMap<(PopulationId, PopulationId), u64> {
     let mut counts = BTreeMap::new();
-    for projection in network.projections().iter() {
+    for projection in network.projections() {
         let count: &mut u64 = counts.entry((projection.source, projection.target)).or_default();
         for source in 0..network.populations()[projection.source].shape.len() {
             projection.connectivity.for_each_from(source, |_, weight| *count += u64::from(weight != 0));
