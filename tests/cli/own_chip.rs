@@ -118,6 +118,15 @@ fn intervals_are_of_the_hardware_that_was_measured() {
     }
 }
 
+/// More cores in tiles that nobody sized make larger ones, which is said.
+#[test]
+fn more_cores_make_larger_tiles_and_say_so() {
+    let (_folder, board) = board();
+    let (code, _, stderr) = said(&["map", "slip-tactile", "--target", &board, "--set", "target.cores_per_chip=17"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stderr.contains("17 cores make tiles of 2") && stderr.contains("cores_per_tile"), "{stderr}");
+}
+
 /// What cannot be is refused in a chip file as in a target.
 #[test]
 fn impossible_chips_are_refused_with_the_field_to_set() {
@@ -131,7 +140,7 @@ fn impossible_chips_are_refused_with_the_field_to_set() {
     let inspect = |from: &str, to: &str| vec!["inspect".to_string(), of(&CHIP.replace(from, to))];
     let base = |fields: &str| vec!["inspect".to_string(), of(&format!("Target(base: \"board\", {fields})"))];
     for (line, says) in [
-        (map("target.cores_per_chip=17"), "cores 17 is outside 1..=16: 4 x 4 tiles of 1 have 16 places"),
+        (base("cores_per_chip: 17, cores_per_tile: 1"), "cores 17 is outside 1..=16: 4 x 4 tiles of 1 have 16 places"),
         (base("cores_per_chip: 100, width: 2"), "cores 100 is outside 1..=8"),
         (inspect("cores: 16", "cores: 17"), "cores 17 is outside 1..=16"),
         (inspect("cores: 16", "cores: 0"), "cores 0 is outside 1..=16"),
@@ -182,24 +191,27 @@ fn a_memory_is_set_and_swept_by_its_name() {
 
 /// A remedy that leaves no weight between two populations is none.
 #[test]
-fn fewer_weight_bits_are_no_remedy_where_all_weights_become_0() {
+fn fewer_weight_bits_are_no_remedy_where_all_weights_become_0_and_say_how_many_do() {
     let (folder, board) = board();
-    let model = |weight: i32| {
+    let model = |(low, high): (i32, i32), weight: i32| {
         let text = format!(
             "Network(name: \"two\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), Loihi(name: \
              \"a\", shape: [300], du: 4096, dv: 4096, vth_mant: 10), Loihi(name: \"b\", shape: [300], du: 4096, dv: \
-             4096, vth_mant: 10)], projections: [Dense(from: [\"in\"], to: \"a\", weights: Uniform(low: 16, high: 16, \
+             4096, vth_mant: 10)], projections: [Dense(from: [\"in\"], to: \"a\", weights: Uniform(low: {low}, high: {high}, \
              step: 2, seed: 1)), Dense(from: [\"a\"], to: \"b\", weights: Uniform(low: {weight}, high: 120, step: 2, \
              seed: 1))], output: \"b\")"
         );
         write(folder.path(), "two.ron", &text)
     };
-    let few = ["--set", "target.limits.memory=4096"];
-    for (weight, all) in [(120, true), (2, true)] {
-        let refused = object(&[&["map", &model(weight), "--target", &board], &few[..]].concat(), 1);
+    for (of_input, weight, memory, offered) in
+        [((16, 16), 120, 4096, None), ((16, 16), 2, 4096, None), ((-120, 120), -120, 8192, Some("of 90486 become 0"))]
+    {
+        let set = format!("target.limits.memory={memory}");
+        let refused = object(&["map", &model(of_input, weight), "--target", &board, "--set", &set], 1);
         let remedies = refused["remedies"].as_array().unwrap();
         let bits = remedies.iter().find(|one| one["kind"] == "weight_bits");
-        assert_eq!(bits.is_none(), all, "{refused}");
+        assert_eq!(bits.is_some(), offered.is_some(), "{refused}");
+        assert!(bits.is_none_or(|bits| bits["change"].as_str().unwrap().contains(offered.unwrap())), "{refused}");
     }
 }
 

@@ -128,6 +128,10 @@ fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &T
     }
     let chip = changes.chip(base.chip().clone(), &own_name);
     chip.check(source)?;
+    if changes.cores_per_tile.is_none() && chip.cores_per_tile != base.chip().cores_per_tile {
+        let (cores, held) = (chip.cores, chip.cores_per_tile);
+        tracing::warn!("{name}: its {cores} cores make tiles of {held}; width, height or cores_per_tile say otherwise");
+    }
     let differs = chip.name == own_name || changes.chips_x.is_some() || changes.chips_y.is_some();
     let is_changed = name == base.name() && (differs || base.is_changed());
     let constants = match &changes.constants {
@@ -462,7 +466,7 @@ pub(crate) mod tests {
             ("Target(base: \"tiny\", limits: (axons: 1))", "target.syntax", "axons_out"),
             ("Target(base: \"tiny\", chips_x: 500)", "target.size", "500"),
             ("Target(base: \"loihi1-chip\", cores_per_tile: 4, cores_per_chip: 256)", "target.size", "256"),
-            ("Target(base: \"loihi1-chip\", cores_per_chip: 129)", "target.size", "have 128 places"),
+            ("Target(base: \"loihi1-chip\", cores_per_chip: 129, width: 8)", "target.size", "have 128 places"),
         ] {
             let error = write("wrong.ron", text).unwrap_err();
             assert_eq!(error.code, code, "{text}: {error}");

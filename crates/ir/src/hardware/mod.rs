@@ -197,7 +197,7 @@ pub struct TargetChanges {
     pub width: Option<u32>,
     /// Tiles of a chip from north to south.
     pub height: Option<u32>,
-    /// Cores of a tile.
+    /// Cores of a tile; as many as `cores_per_chip` needs where it alone is given.
     pub cores_per_tile: Option<u32>,
     /// Cores of a chip; what its tiles hold when their number or size is given.
     pub cores_per_chip: Option<u32>,
@@ -241,8 +241,10 @@ impl TargetChanges {
         chip.x86_cores_in_use = self.x86_cores_in_use.unwrap_or(chip.x86_cores_in_use.min(chip.x86_cores));
         chip.width = self.width.unwrap_or(chip.width);
         chip.height = self.height.unwrap_or(chip.height);
-        chip.cores_per_tile = self.cores_per_tile.unwrap_or(chip.cores_per_tile);
         let resized = self.width.is_some() || self.height.is_some() || self.cores_per_tile.is_some();
+        let tiles = chip.width.saturating_mul(chip.height).max(1);
+        let needed = self.cores_per_chip.filter(|_| !resized).map_or(0, |cores| cores.div_ceil(tiles));
+        chip.cores_per_tile = self.cores_per_tile.unwrap_or(chip.cores_per_tile.max(needed));
         let cores = if resized { chip.places() } else { chip.cores };
         chip.cores = self.cores_per_chip.unwrap_or(cores);
         chip.neuron_kinds = self.neuron_kinds.clone().unwrap_or(chip.neuron_kinds);
