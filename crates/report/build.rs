@@ -1,5 +1,5 @@
-//! Deflates what pages embed, and says where the files that pictures embed lie: in the folder of the
-//! project, or in a packaged crate, which has copies.
+//! Deflates what pages embed, and says where the files that pictures embed lie: in the folder of
+//! the project, or in a packaged crate, which has copies.
 
 use std::io::Write;
 use std::path::Path;

@@ -205,7 +205,7 @@ def neuron(module, shape, dt, name):
 
 
 def node_of(taken, counts, threshold, dt):
-    """The node of neurons of which a step takes these shares, in which an input counts so much; without a threshold they never spike."""
+    """The node of neurons of which a step takes these shares, times what an input counts; without a threshold they never spike."""
     steps = {key: np.where(share > 0, 1 / np.maximum(share, 1 / ENDLESS), ENDLESS) for key, share in taken.items()}
     node = {"r": steps["beta"] * counts, "v_leak": np.zeros_like(taken["beta"])}
     kind = "LI" if threshold is None else "LIF"

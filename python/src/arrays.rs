@@ -180,8 +180,8 @@ impl<'py> Array<'py> {
             }
             if number.fract() != 0.0 {
                 let wrong = self.wrong(index, number, WHOLE);
-                let help = "encode real numbers as spikes (constant input: docs/tutorials/from-pytorch.md#other-codes), or take those \
-                            from 0.5 on: array >= 0.5";
+                let help = "encode real numbers as spikes (constant input: \
+                            docs/tutorials/from-pytorch.md#other-codes), or take those from 0.5 on: array >= 0.5";
                 return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
             }
             if number < 0.0 {

@@ -197,8 +197,8 @@ fn fewer_weight_bits_are_no_remedy_where_all_weights_become_0_and_say_how_many_d
         let text = format!(
             "Network(name: \"two\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]), Loihi(name: \
              \"a\", shape: [300], du: 4096, dv: 4096, vth_mant: 10), Loihi(name: \"b\", shape: [300], du: 4096, dv: \
-             4096, vth_mant: 10)], projections: [Dense(from: [\"in\"], to: \"a\", weights: Uniform(low: {low}, high: {high}, \
-             step: 2, seed: 1)), Dense(from: [\"a\"], to: \"b\", weights: Uniform(low: {weight}, high: 120, step: 2, \
+             4096, vth_mant: 10)], projections: [Dense(from: [\"in\"], to: \"a\", weights: Uniform(low: {low}, \
+             high: {high}, step: 2, seed: 1)), Dense(from: [\"a\"], to: \"b\", weights: Uniform(low: {weight}, high: 120, step: 2, \
              seed: 1))], output: \"b\")"
         );
         write(folder.path(), "two.ron", &text)

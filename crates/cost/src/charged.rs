@@ -1,8 +1,8 @@
 //! Which constants a run is charged for.
 //!
-//! Input: what is to be estimated ([`Case`]) and the name of a constant. Output: whether anything was
-//! counted that the constant is multiplied with. Invariant: a constant of which this says no changes no
-//! figure. Of parts of which the longest counts, this says yes for all.
+//! Input: what is to be estimated ([`Case`]) and the name of a constant. Output: whether anything
+//! was counted that the constant is multiplied with. Invariant: a constant of which this says no
+//! changes no figure. Of parts of which the longest counts, this says yes for all.
 
 use crate::deployment::Host;
 use crate::estimate::Case;
@@ -68,7 +68,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(16))]
 
-        /// Priced anew with another value, a run has other figures only if it is charged for the constant.
+        /// Priced anew with another value, a run has other figures only if it is charged for the
+        /// constant.
         #[test]
         fn a_constant_that_is_not_charged_changes_no_figure(
             steps in proptest::collection::vec(any_step(2), 1..4), rails in any::<bool>(), alone in any::<bool>(),
@@ -93,7 +94,8 @@ mod tests {
             let constants = preset(preset_name);
             for name in Constants::NAMES {
                 let mut other = constants.clone();
-                other.get_mut(name).unwrap().value = (constants.clone().get_mut(name).unwrap().value.value + 1.0).into();
+                let constant = other.get_mut(name).unwrap();
+                constant.value = (constant.value.value + 1.0).into();
                 let (before, charged) = figures(&constants, name);
                 prop_assert!(charged || figures(&other, name).0 == before, "{name}");
             }

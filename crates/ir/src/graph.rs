@@ -180,8 +180,8 @@ impl NeuronParameters {
         self.given.iter().find(|(given, _)| *given == name).map(|(_, values)| values)
     }
 
-    /// A parameter in real units that the file gives, of a kind that has such a form: what a kind of
-    /// the file calls so is an integer.
+    /// A parameter in real units that the file gives, of a kind that has such a form. A kind that
+    /// the file states may give the name to an integer.
     #[must_use]
     pub fn real(&self, name: &str) -> Option<&Values> {
         let forms = self.kind.parameters().iter().filter_map(|field| field.real);

@@ -131,8 +131,8 @@ macro_rules! resources {
         }
 
         impl LimitChanges {
-            /// The limits with these changes. A resource that had as much as a pool left it follows the
-            /// pool.
+            /// The limits with these changes. A resource that had as much as a pool left it follows
+            /// the pool.
             #[must_use]
             pub fn applied(&self, mut limits: Limits) -> Limits {
                 let before = limits.pools.clone();
@@ -144,7 +144,8 @@ macro_rules! resources {
                 for resource in Resource::ALL {
                     let old = left_by(before.iter().map(Arc::as_ref), resource);
                     let most = &mut limits.most[resource];
-                    *most = left_by(limits.pools.iter().map(Arc::as_ref), resource).min(if *most == old { NOT_GIVEN } else { *most });
+                    let own = if *most == old { NOT_GIVEN } else { *most };
+                    *most = left_by(limits.pools.iter().map(Arc::as_ref), resource).min(own);
                 }
                 $(if let Some(most) = self.$name {
                     limits.most[Resource::$resource] = most;
@@ -319,8 +320,8 @@ pub struct Pool {
     pub costs: BTreeMap<Resource, u32>,
 }
 
-/// The most of a resource that pools leave it, each used by nothing else; [`NOT_GIVEN`] where it draws
-/// on none.
+/// The most of a resource that pools leave it, each used by nothing else; [`NOT_GIVEN`] where it
+/// draws on none.
 fn left_by<'p>(pools: impl IntoIterator<Item = &'p Pool>, resource: Resource) -> u32 {
     let of = |pool: &Pool| Some(pool.limit / u64::from(*pool.costs.get(&resource)?));
     let least = pools.into_iter().filter_map(of).min();

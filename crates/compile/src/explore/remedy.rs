@@ -8,8 +8,8 @@
 //! - leaving out what can change no output (`--prune static`);
 //! - relays, and sources that share input axons (`--relays`);
 //! - fewer copies: the most that fit;
-//! - fewer weight bits, each weight rounded to the coarser step, unless a projection then has no weight
-//!   but 0: whether the network still does its task is another question, which the remedy says;
+//! - fewer weight bits, each weight rounded to the coarser step, unless a projection then has no
+//!   weight but 0: whether the network still does its task is another question, which the remedy says;
 //! - the next larger shipped boards;
 //! - the least limits of a core with which the network fits, for a chip of one's own.
 //!

@@ -170,7 +170,8 @@ pub struct EnergyReport {
     pub copies_counted: u32,
     /// What is not known and why, for people; also on stderr when the output is for programs.
     pub notes: Vec<String>,
-    /// Of the constants: whose they are, what is absent or set in vain, which figures have no interval.
+    /// Of the constants: whose they are, what is absent or set in vain, which figures have no
+    /// interval.
     pub of_constants: Vec<String>,
 }
 
@@ -433,7 +434,7 @@ impl EnergyReport {
         let mode = if self.mode == Mode::Offline { "offline" } else { "real time" };
         let mut out = wrapped(&format!("{} on {}: {copies} on {chips} ({cores}), {mode}", self.model, self.target));
         let shown = self.input.first().map_or("", String::as_str);
-        // How many samples and which seed say nothing of what was shown; other fields of a scene do.
+        // The number of samples and the seed say nothing of the scene; its other fields do.
         let (scene, fields) = shown.split_once('?').unwrap_or((shown, ""));
         let says =
             |field: &&str| !field.is_empty() && !["samples=", "seed="].iter().any(|name| field.starts_with(name));
@@ -540,8 +541,8 @@ impl EnergyReport {
         said
     }
 
-    /// How the units of the published job compare, and what its figures here rest on that its source
-    /// does not say.
+    /// How the units of the published job compare, and what its figures here rest on that its
+    /// source does not say.
     fn inferred(&self, job: &ScenarioFile) -> String {
         let part = |part: &Part| {
             let [fixed, dynamic, _] = part.ratios().map(|ratio| ratio.map_or_else(unknown, |x| format!("{x:.2}")));
@@ -551,7 +552,8 @@ impl EnergyReport {
         let relays = if job.input_relays { "relays; " } else { "" };
         let streams = if self.deployment.streams > 1 { "a stream a copy" } else { "one stream" };
         format!(
-            "Static, dynamic here / printed: {}. Inferred: a row is an x86 core and a copy; {relays}{streams}; input spikes.",
+            "Static, dynamic here / printed: {}. Inferred: a row is an x86 core and a copy; {relays}{streams}; input \
+             spikes.",
             parts.join("; ")
         )
     }
@@ -632,8 +634,8 @@ impl EnergyReport {
         out.push_str(&self.detail.slowest_text(SLOWEST_SHOWN));
         if let Some(Score { energy_uj, step_us, .. }) = self.expected {
             out += &wrapped(&format!(
-                "At these mean rates nsim map --profile expects {} uJ of the whole job of {} mapped here, and {} us of a \
-                 timestep: every compartment active, spikes spread evenly.",
+                "At these mean rates nsim map --profile expects {} uJ of the whole job of {} mapped here, and {} us of \
+                 a timestep: every compartment active, spikes spread evenly.",
                 three(energy_uj),
                 if self.copies_counted == 1 { "1 copy".to_string() } else { format!("{} copies", self.copies_counted) },
                 three(step_us)

@@ -48,8 +48,8 @@ fn whole_lines(text: &[u8]) -> (Vec<String>, usize) {
 }
 
 impl Journal {
-    /// Opens a journal, which is made when it is absent, ends within its head or has no line behind it; returns the lines
-    /// behind its head.
+    /// Opens a journal, which is made when it is absent, ends within its head or has no line after
+    /// it; returns the lines after its head.
     ///
     /// # Errors
     /// `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.

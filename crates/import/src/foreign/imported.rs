@@ -205,9 +205,9 @@ impl Imported {
         self
     }
 
-    /// The same, decided as an option says; else by potentials where the output never spikes: by
-    /// their sum where they forget everything in a step, by the last where they forget nothing, else
-    /// by the greatest.
+    /// The import, decided as an option says; else by potentials where the output never spikes: by
+    /// their sum where they forget everything in a step, by the last where they forget nothing,
+    /// else by the greatest.
     #[must_use]
     pub(super) fn read_out(mut self, option: Option<ReadOut>) -> Self {
         let output = self.model.population(&self.model.output).and_then(|output| output.loihi.clone());
@@ -217,8 +217,8 @@ impl Imported {
             self.model.decision = decision;
             if !never && decision != ReadOut::Spikes {
                 let note = format!(
-                    "'{}' spikes, and its potential that decides ({decision:?}) is what each reset leaves of it: a tool \
-                     that compares the potential before its reset decides otherwise; a threshold above every potential \
+                    "'{}' spikes, and its potential that decides ({decision:?}) is what each reset leaves of it: a \
+                     tool that compares the potential before its reset decides otherwise; a threshold above every potential \
                      makes both the same",
                     self.model.output
                 );

@@ -262,7 +262,8 @@ pub struct UnusedConstant {
 }
 
 /// Calls a macro with every single-valued constant and its unit: what holds a value for each is
-/// made from this list alone. Those that a source need not give are 0 without it, [`Status::NotGiven`].
+/// made from this list alone. Those that a source need not give are 0 without it,
+/// [`Status::NotGiven`].
 #[macro_export]
 macro_rules! for_each_constant {
     ($make:ident) => {

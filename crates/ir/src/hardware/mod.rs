@@ -128,8 +128,9 @@ impl Chip {
     /// Checks what the types of the fields do not.
     ///
     /// # Errors
-    /// A diagnostic when a size or limit is out of range, when x86 cores are kept busy that the chip does not have, when an output axon
-    /// takes no slot, or when a source is given for a limit that does not exist.
+    /// A diagnostic when a size or limit is out of range, when x86 cores are kept busy that the
+    /// chip does not have, when an output axon takes no slot, or when a source is given for a limit
+    /// that does not exist.
     pub fn check(&self, source: &SourceText) -> Result<()> {
         self.check_sizes().map_err(|problem| problem.in_file(source.path()))?;
         let wrong = |message: String| Diagnostic::new("target.chip", format!("chip {}: {message}", self.name));

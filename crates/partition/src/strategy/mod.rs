@@ -16,9 +16,9 @@
 //!   ([`refine`]).
 //!
 //! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages.
-//! `Multilevel` leaves out mappings whose steps are too long for the cores that they save; otherwise
-//! none is ever worse than the one above. Copies of a network are one copy's partition repeated, so
-//! that no copy shares a core with another, unless filling all of them together takes fewer cores.
+//! `Multilevel` skips mappings whose steps are too long for the cores that they save; otherwise none
+//! is ever worse than the one above. Copies of a network are one copy's partition repeated, so that
+//! no copy shares a core with another, unless filling all of them together takes fewer cores.
 
 pub mod box_fan_out;
 pub mod boxes;
