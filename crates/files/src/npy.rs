@@ -349,7 +349,7 @@ stored!(u8: "'|u1'", i32: "'<i4'", f64: "'<f8'");
 /// # Errors
 /// When the output cannot be written, or the numbers do not fill the shape.
 pub fn write<T: Stored>(out: impl Write, shape: &[u64], numbers: impl IntoIterator<Item = T>) -> std::io::Result<()> {
-    let mut out = BufWriter::new(out);
+    let mut out = BufWriter::with_capacity(crate::write::BUFFER_BYTES, out);
     out.write_all(&header(T::DTYPE, shape)?)?;
     let mut count = 0;
     for number in numbers {

@@ -106,7 +106,7 @@ impl Batch {
             _ => path.to_path_buf(),
         };
         let mut temporary = Temporary::new(&disk::folder_of(&real)).map_err(fail)?;
-        let mut out = BufWriter::new(temporary.file.as_file_mut());
+        let mut out = BufWriter::with_capacity(super::BUFFER_BYTES, temporary.file.as_file_mut());
         let filled = fill(&mut out).map_err(fail)?;
         out.flush().and_then(|()| out.get_ref().sync_all()).map_err(fail)?;
         drop(out);

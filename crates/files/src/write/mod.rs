@@ -23,6 +23,10 @@ use super::text::is_standard_stream;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::names::printable;
 
+/// Bytes that are collected before the system is asked to write: an array of a few MB takes some
+/// twenty calls.
+pub(crate) const BUFFER_BYTES: usize = 1 << 18;
+
 /// Whether something has been, or is being, printed to stdout.
 static PRINTING: AtomicBool = AtomicBool::new(false);
 
