@@ -20,7 +20,7 @@ use nsim_report::charts::sample::{Content, Panel, Panels};
 use nsim_report::scene::{ByMarkers, ClassSummary, Onsets, SceneReport};
 use nsim_scene::markers::Annotated;
 use nsim_scene::wire::Carried;
-use nsim_scene::{Recorded, Recording, TOUCH, VISION, camera, touch};
+use nsim_scene::{Recorded, Recording, Senses, TOUCH, VISION, camera, touch};
 use nsim_session::error::Error;
 
 const EXAMPLES: &str = "\
@@ -86,7 +86,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let folder = args.output.as_ref().map(|path| write::Folder::begin(path, MANIFEST, context.force)).transpose()?;
     let make = |sample: u32| {
-        let recording = scene.recording(sample);
+        let recording = scene.recording(sample, Senses::BOTH);
         let files = match &folder {
             Some(folder) => store(folder, sample, &recording, args.polarity)?,
             None => [String::new(), String::new()],
@@ -130,7 +130,7 @@ fn by_polarity(planes: Vec<(u32, u32)>) -> Vec<(String, Vec<(u32, u32)>)> {
 
 /// A sample as a picture.
 fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
-    let recording = scene.recording(sample);
+    let recording = scene.recording(sample, Senses::BOTH);
     let class = scene.classes.get(recording.label as usize).cloned().unwrap_or_default();
     let (rises, falls) = recording.touch.iter().copied().partition(|&(_, channel)| channel % 2 == 1);
     Panels {

@@ -19,7 +19,7 @@ use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::GRAVITY;
 use super::parameter::{parameter, parameters, spread, unknown};
-use super::recording::{Recording, Seen};
+use super::recording::{Recording, Seen, Senses};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout, press, shift_mm};
 use super::wire::Wire;
 use nsim_ir::base::diagnostic::Result;
@@ -284,15 +284,15 @@ parameters! {
 }
 
 impl Containers {
-    /// What is recorded of a sample.
+    /// What these senses record of a sample.
     #[must_use]
-    pub fn recording(&self, sample: u32) -> Recording {
+    pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
         let draws = Draws::new(self.seed, sample);
         let label = label(self.seed, sample);
         let course = self.course(draws, label);
         let ticks = STEPS * BIN_MS / TICK_MS;
         let moments: Vec<Moment> = (0..ticks).map(|k| course.at(1e-3 * f64::from(k * TICK_MS))).collect();
-        let sensed = self.touch(&course, &moments, draws);
+        let sensed = if senses.touch { self.touch(&course, &moments, draws) } else { Vec::new() };
         // An event of a tick is sent in any of its milliseconds.
         let spread = |tick: u32, channel| draws.bits(Purpose::Wire, channel + (1 << 19), tick) as u32 % TICK_MS;
         let (touch, wire) = match self.wire {
@@ -303,7 +303,8 @@ impl Containers {
                 (decoded.into_iter().map(|(ms, channel)| (ms / TICK_MS, channel)).collect(), wire)
             }
         };
-        let Seen { units, planes } = self.vision(&course, &moments, draws);
+        let seen = senses.vision.then(|| self.vision(&course, &moments, draws));
+        let Seen { units, planes } = seen.unwrap_or_default();
         Recording {
             steps: STEPS,
             label,
@@ -575,13 +576,26 @@ mod tests {
     fn recordings_lie_within_their_bins_and_repeat() {
         let set = Containers { seed: 4, ..Containers::default() };
         for sample in 0..4 {
-            let recording = set.recording(sample);
-            assert_eq!(recording, set.recording(sample));
+            let recording = set.recording(sample, Senses::BOTH);
+            assert_eq!(recording, set.recording(sample, Senses::BOTH));
             let contact = (recording.onset_ms.unwrap() / f64::from(BIN_MS)) as u32;
             assert!(recording.touch.iter().all(|&(bin, channel)| bin < STEPS && channel < 156 && bin + 1 >= contact));
             assert!(recording.vision.iter().all(|&(bin, channel)| bin < STEPS && channel < 3150));
             assert!(recording.vision_planes.iter().all(|&(bin, channel)| bin < STEPS && channel < 6300));
             assert!(recording.touch.len() > 200 && recording.vision.len() > 2000);
+        }
+    }
+
+    #[test]
+    fn a_sense_records_the_same_where_the_other_is_not_read() {
+        let set = Containers { seed: 4, ..Containers::default() };
+        for sample in 0..3 {
+            let both = set.recording(sample, Senses::BOTH);
+            let touch = set.recording(sample, Senses { vision: false, ..Senses::BOTH });
+            let vision = set.recording(sample, Senses { touch: false, ..Senses::BOTH });
+            assert!(vision.touch.is_empty() && touch.vision.is_empty() && touch.vision_planes.is_empty());
+            let Recording { vision, vision_planes, .. } = vision;
+            assert_eq!(both, Recording { vision, vision_planes, ..touch });
         }
     }
 

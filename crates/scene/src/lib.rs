@@ -19,7 +19,7 @@ pub mod wire;
 
 use rayon::prelude::*;
 
-pub use self::recording::{MOST_SAMPLES, Recording, TOUCH, VISION, VISION_PLANES};
+pub use self::recording::{MOST_SAMPLES, Recording, Senses, TOUCH, VISION, VISION_PLANES};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::quantised::Quantised;
@@ -122,12 +122,12 @@ impl Recorded {
         }
     }
 
-    /// What is recorded of a sample: a function of parameters, seed and the sample's number.
+    /// What these senses record of a sample: a function of parameters, seed and the sample's number.
     #[must_use]
-    pub fn recording(&self, sample: u32) -> Recording {
+    pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
         match &self.scene {
-            Scene::Slip(slip) => slip.recording(sample),
-            Scene::Container(set) => set.recording(sample),
+            Scene::Slip(slip) => slip.recording(sample, senses),
+            Scene::Container(set) => set.recording(sample, senses),
         }
     }
 }
@@ -153,10 +153,11 @@ fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
         };
         first[sense] = population.first_channel().map(|channel| channel.0);
     }
+    let wanted = Senses { touch: first[0].is_some(), vision: first[1].or(first[2]).is_some() };
     let samples = (0..scene.samples)
         .into_par_iter()
         .map(|sample| {
-            let recording = scene.recording(sample);
+            let recording = scene.recording(sample, wanted);
             let mut events = Vec::with_capacity(recording.touch.len() + recording.vision.len());
             let recorded = [&recording.touch, &recording.vision, &recording.vision_planes];
             for (first, sense) in first.iter().zip(recorded) {

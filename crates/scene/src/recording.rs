@@ -8,7 +8,22 @@ use super::wire::Carried;
 /// The most samples of a scene.
 pub const MOST_SAMPLES: u32 = 100_000;
 
-/// What two fingers and a camera recorded of one sample.
+/// The senses of which a sample is recorded. Neither depends on the other: the events of one are the
+/// same whether the other is recorded or not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Senses {
+    /// Two fingers.
+    pub touch: bool,
+    /// A camera, which takes nine tenths of the time.
+    pub vision: bool,
+}
+
+impl Senses {
+    /// Touch and vision.
+    pub const BOTH: Senses = Senses { touch: true, vision: true };
+}
+
+/// What two fingers and a camera recorded of one sample; a sense that was not recorded is empty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
     /// Timesteps.

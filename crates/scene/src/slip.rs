@@ -18,7 +18,7 @@ use super::draw::{Draws, Purpose};
 use super::gripper::{Grasp, GraspState, Motion, follow};
 use super::markers::Annotated;
 use super::parameter::{parameter, parameters, spread, unknown};
-use super::recording::{Recording, Seen};
+use super::recording::{Recording, Seen, Senses};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout, press, shift_mm};
 use super::wire::Wire;
 use nsim_ir::base::diagnostic::Result;
@@ -119,15 +119,16 @@ parameters! {
 }
 
 impl Slip {
-    /// What is recorded of a sample.
+    /// What these senses record of a sample.
     #[must_use]
-    pub fn recording(&self, sample: u32) -> Recording {
+    pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
         let (grasp, motion) = self.course(sample);
         let draws = Draws::new(self.seed, sample);
         let vibration = Vibration::draw(self, draws);
-        let sensed = touch(self, &grasp, &motion, vibration, draws);
+        let sensed = if senses.touch { touch(self, &grasp, &motion, vibration, draws) } else { Vec::new() };
         let (touch, wire) = Wire::between(self.wire, sensed, STEPS, draws);
-        let Seen { units, mut planes } = vision(self, &grasp, &motion, vibration, draws);
+        let seen = senses.vision.then(|| vision(self, &grasp, &motion, vibration, draws));
+        let Seen { units, mut planes } = seen.unwrap_or_default();
         planes.sort_unstable();
         Recording {
             steps: STEPS,
@@ -536,7 +537,7 @@ mod tests {
             let slip = Slip { seed, ..Slip::default() };
             let (mut touch, mut vision) = (0, 0);
             for sample in 0..40 {
-                let recording = slip.recording(sample);
+                let recording = slip.recording(sample, Senses::BOTH);
                 assert!(recording.touch.iter().all(|&(step, channel)| step < STEPS && channel < 156));
                 assert!(recording.vision.windows(2).all(|pair| pair[0] < pair[1]));
                 assert!(recording.vision.iter().all(|&(step, channel)| step < STEPS && channel < 3150));
@@ -558,17 +559,30 @@ mod tests {
     #[test]
     fn a_sample_is_a_function_of_its_seed_and_number() {
         let slip = Slip::default();
-        let alone = slip.recording(7);
-        assert_eq!(alone, Slip::default().recording(7));
-        assert_ne!(alone.touch, slip.recording(6).touch);
-        assert_ne!(alone.touch, Slip { seed: 2, ..Slip::default() }.recording(7).touch);
+        let alone = slip.recording(7, Senses::BOTH);
+        assert_eq!(alone, Slip::default().recording(7, Senses::BOTH));
+        assert_ne!(alone.touch, slip.recording(6, Senses::BOTH).touch);
+        assert_ne!(alone.touch, Slip { seed: 2, ..Slip::default() }.recording(7, Senses::BOTH).touch);
+    }
+
+    #[test]
+    fn a_sense_records_the_same_where_the_other_is_not_read() {
+        let slip = Slip { seed: 4, ..Slip::default() };
+        for sample in 0..3 {
+            let both = slip.recording(sample, Senses::BOTH);
+            let touch = slip.recording(sample, Senses { vision: false, ..Senses::BOTH });
+            let vision = slip.recording(sample, Senses { touch: false, ..Senses::BOTH });
+            assert!(vision.touch.is_empty() && touch.vision.is_empty() && touch.vision_planes.is_empty());
+            let Recording { vision, vision_planes, .. } = vision;
+            assert_eq!(both, Recording { vision, vision_planes, ..touch });
+        }
     }
 
     #[test]
     fn without_noise_motion_or_change_nothing_spikes() {
         let still = parse("slip?touch_noise_kpa=0&pixel_noise_hz=0&lift_ms=1000&vibration=0&samples=4&adaptation_ms=1");
         for sample in 0..4 {
-            let recording = still.as_ref().unwrap().recording(sample);
+            let recording = still.as_ref().unwrap().recording(sample, Senses::BOTH);
             assert_eq!((recording.touch.len(), recording.vision.len()), (0, 0));
             assert_eq!((recording.label, recording.onset_ms), (0, None));
         }
@@ -580,7 +594,7 @@ mod tests {
         let tenth = |text: &str, touch: bool| {
             let slip = parse(text).unwrap();
             let of = |sample| {
-                let recording = slip.recording(sample);
+                let recording = slip.recording(sample, Senses::BOTH);
                 let events = if touch { recording.touch } else { recording.vision };
                 f64::from(events.get(9).map_or(STEPS, |event| event.0))
             };
@@ -596,7 +610,9 @@ mod tests {
     #[test]
     fn lamps_that_flicker_beyond_the_contrast_are_seen_everywhere() {
         let still = "slip?touch_noise_kpa=0&pixel_noise_hz=0&lift_ms=1000&vibration=0&samples=1";
-        let spikes = |flicker: &str| parse(&format!("{still}&flicker={flicker}")).unwrap().recording(0).vision.len();
+        let spikes = |flicker: &str| {
+            parse(&format!("{still}&flicker={flicker}")).unwrap().recording(0, Senses::BOTH).vision.len()
+        };
         assert_eq!(spikes("0.05"), 0);
         assert!(spikes("0.5") > 3150 * 15);
     }
