@@ -74,7 +74,10 @@ pub(in crate::cli) fn labelled(job: &Job) -> Result<(Vec<Example>, usize)> {
 }
 
 fn data(job: &Job, args: &Args) -> Result<Data> {
-    let data = job.data(&args.train, &args.test)?;
+    let data = {
+        let _busy = output::busy("reading or making samples");
+        job.data(&args.train, &args.test)?
+    };
     if data.train.is_empty() {
         return Err(Error::Usage("there are no training samples: add --train SOURCE".to_string()));
     }

@@ -64,9 +64,12 @@ impl TrainReport<'_> {
             }
         };
         format!(
-            "trained by nsim train, seed {}, {} epochs over {} samples, of which {train_accuracy:.4} are \
+            "trained by nsim train, seed {}, {} epoch{} over {} samples, of which {train_accuracy:.4} are \
              right{test}{folds}",
-            self.job.plan.seed, state.epoch, samples.0
+            self.job.plan.seed,
+            state.epoch,
+            if state.epoch == 1 { "" } else { "s" },
+            samples.0
         )
     }
 
@@ -87,7 +90,7 @@ impl TrainReport<'_> {
     /// For people.
     pub fn text(&self) -> String {
         let mut out = format!("{}: {}", self.job.file.name, nsim_files::table::wrapped(&self.summary()));
-        out += &format!("{:.1} s\n", self.trained.seconds);
+        out += &format!("{:.1} s after the samples were there\n", self.trained.seconds);
         if let Some(model) = self.model {
             out += &format!("written: {}\n", model.display());
         }
