@@ -449,7 +449,7 @@
         tooltip: { formatter: (at) => { const row = known[at.seriesIndex === 0 ? at.data[2] : at.dataIndex]; return `${escape(nameOf(row))}<br>${number(row[key])} ${unit}${interval(row, key) ? `<br>80 %: ${interval(row, key)}` : ""}`; } },
         grid: { left: 205, right: 20, top: 8, bottom: 42 },
         xAxis: { type: "log", ...axisName(`${unit}, logarithmic`, 26), axisLabel: { formatter: (x) => number(x) }, minorSplitLine: { show: true, lineStyle: { color: "#f0f0f0" } } },
-        yAxis: { type: "category", inverse: true, data: known.map(nameOf), axisLabel: { width: 195, overflow: "break" } },
+        yAxis: { type: "category", inverse: true, data: known.map(nameOf), axisLabel: { width: 195, overflow: "break", lineHeight: 13 } },
         series: [
           { type: "custom", data: bars, encode: { x: [0, 1], y: 2 }, renderItem: (_, api) => {
             const [x0, y] = api.coord([api.value(0), api.value(2)]);
