@@ -244,11 +244,6 @@ pub fn built(
 
 /// The options of an import that Python has.
 pub fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
-    let resets = |reset: ResetMode| match reset {
-        ResetMode::Zero => "zero",
-        ResetMode::Subtract => "subtract",
-        ResetMode::SubtractLater => "subtract-later",
-    };
     let decays = |decay: DecayRule| match decay {
         DecayRule::Euler => "euler",
         DecayRule::Exponential => "exponential",
@@ -267,7 +262,7 @@ pub fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
     let options = Options {
         decision: keywords.one_of("decision", &read_outs, decisions)?,
         dt_ms: keywords.take("dt_ms")?,
-        reset: keywords.one_of("reset", &[ResetMode::Zero, ResetMode::Subtract, ResetMode::SubtractLater], resets)?,
+        reset: keywords.one_of("reset", &ResetMode::ALL, ResetMode::name)?,
         decay: keywords.one_of("decay", &[DecayRule::Euler, DecayRule::Exponential], decays)?,
         threshold: keywords.one_of("threshold", &[ThresholdTest::Strict, ThresholdTest::Inclusive], tests)?,
         input_shape: keywords.take("input_shape")?,

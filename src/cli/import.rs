@@ -49,7 +49,7 @@ pub struct Args {
     /// Type and parameters of the neurons, where the file has none: a YAML file
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
-    /// What the voltage does at a spike, where the file does not say (NIR): it returns to zero, as
+    /// What the voltage does at a spike (NIR), whatever v_reset 0 of the file says: it returns to zero, as
     /// on the chip; or the threshold is subtracted at the spike, or a step later as in snnTorch,
     /// which only some targets can do
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&RESETS))]
@@ -98,8 +98,10 @@ pub struct Args {
 }
 
 /// The resets that can be asked for.
-const RESETS: [(&str, ResetMode); 3] =
-    [("zero", ResetMode::Zero), ("subtract", ResetMode::Subtract), ("subtract-later", ResetMode::SubtractLater)];
+static RESETS: [(&str, ResetMode); 3] = {
+    let [zero, subtract, later] = ResetMode::ALL;
+    [(zero.name(), zero), (subtract.name(), subtract), (later.name(), later)]
+};
 
 impl Args {
     fn options(&self) -> Result<Options, Error> {
@@ -136,6 +138,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage(message.to_string()));
     }
     let imported = foreign::read(&args.file, &args.options()?)?;
+    if let Some(assumed) = &imported.assumed {
+        tracing::warn!("{}: {assumed}", args.file.display());
+    }
     let shown = args.output.as_deref().unwrap_or(&args.file);
     nsim_session::front::check(&imported.model.build(shown)?).map_err(in_the_file(&args.file))?;
     let files = match &args.output {
@@ -174,7 +179,8 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
         semantics,
         ..
     } = &imported.model;
-    let reset = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
+    let every = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
+    let reset = every.or(imported.reset.map(|reset| reset.name().to_string()));
     let populations = populations.iter().map(|population| {
         let real = population.srm.into_iter().flatten().map(|(key, value)| format!("{key} {value}"));
         let parameters = population.loihi.iter().flatten().map(|(key, value)| match value {

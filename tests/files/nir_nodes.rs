@@ -203,18 +203,22 @@ fn a_kernel_whose_sources_have_delays_of_their_own_is_listed() {
 
 #[test]
 fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for() {
+    let with_reset = |root: &Group, reset: Option<ResetMode>| read(root, &Options { reset, ..step() });
     let says = |root: &Group, reset: Option<ResetMode>| {
-        let options = Options { reset, ..step() };
-        read(root, &options).map(|imported| imported.notes.iter().any(|note| note.contains("does not say how")))
+        with_reset(root, reset).map(|read| read.assumed.is_some_and(|said| said.contains("does not say how")))
     };
     let with = |neuron: Group| file(&[("i", source(&[2])), ("w", linear(3, 2, 5)), ("n", neuron), ("o", output())]);
     let said = with(lif(&[3]).with("v_reset", reals(&[0.0; 3])));
     assert!(!says(&said, None).unwrap() && !says(&said, Some(ResetMode::Zero)).unwrap());
+    let unsaid = with(lif(&[3]));
     for reset in [ResetMode::Subtract, ResetMode::SubtractLater] {
         let error = says(&said, Some(reset)).unwrap_err();
         assert!(error.code == "import.option" && error.help.unwrap().contains("leave --reset out"));
     }
-    let unsaid = with(lif(&[3]));
+    for reset in ResetMode::ALL {
+        let taken = with_reset(&unsaid, Some(reset)).unwrap();
+        assert_eq!((taken.reset, taken.assumed), (Some(reset), None));
+    }
     assert!(says(&unsaid, None).unwrap() && !says(&unsaid, Some(ResetMode::SubtractLater)).unwrap());
     let other = with(lif(&[3]).with("v_reset", reals(&[0.5; 3])));
     assert_eq!(says(&other, None).unwrap_err().code, "import.unsupported");
@@ -224,6 +228,20 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
     assert_eq!(says(&tree, Some(ResetMode::Subtract)).unwrap_err().code, "import.option");
     assert_eq!(read(&tree, &Options { dt_ms: Some(2.0), ..Options::default() }).unwrap_err().code, "import.option");
     assert!(!says(&tree, Some(ResetMode::Zero)).unwrap());
+}
+
+#[test]
+fn a_timestep_beyond_a_time_constant_that_decays_exponentially_is_told() {
+    let root = file(&[("i", source(&[2])), ("w", linear(4, 2, 5)), ("n", cuba(&[4])), ("o", output())]);
+    let assumed = |dt_ms: f64| {
+        let decay = Some(DecayRule::Exponential);
+        let reset = Some(ResetMode::Zero);
+        read(&root, &Options { dt_ms: Some(dt_ms), decay, reset, ..Options::default() }).unwrap().assumed
+    };
+    assert_eq!(assumed(1.0), None);
+    let told = assumed(6.0).unwrap();
+    assert!(["6 ms", "'tau_syn' of 4 ms", "nsim.from_torch"].iter().all(|word| told.contains(word)), "{told}");
+    assert!(!told.contains("tau_mem"), "{told}");
 }
 
 #[test]

@@ -88,6 +88,21 @@ pub enum ResetMode {
     SubtractLater,
 }
 
+impl ResetMode {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Zero, Self::Subtract, Self::SubtractLater];
+
+    /// Its name in options and results.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Zero => "zero",
+            Self::Subtract => "subtract",
+            Self::SubtractLater => "subtract-later",
+        }
+    }
+}
+
 /// A model that was read from a foreign file.
 #[derive(Debug, Clone)]
 pub struct Imported {
@@ -99,6 +114,8 @@ pub struct Imported {
     pub notes: Vec<String>,
     /// Of these notes what a user is told unasked: what the file may contradict, or what is lost.
     pub assumed: Option<String>,
+    /// What a spike does to v, as the file or an option says; `None` where the format leaves no choice.
+    pub reset: Option<ResetMode>,
     /// What became of the weights of each layer, for files whose weights are rounded.
     pub layers: Vec<LayerWeights>,
 }

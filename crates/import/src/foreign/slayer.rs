@@ -432,7 +432,7 @@ pub(super) fn build(
         model.output = matrix.name;
     }
     model.provenance = Some(format!("imported from {kind}; {}", notes.join("; ")));
-    Ok(Imported { kind, model, notes, layers, assumed: None }.read_out(options.decision))
+    Ok(Imported { kind, model, notes, layers, assumed: None, reset: None }.read_out(options.decision))
 }
 
 /// The shape of an input of `units` channels: `--input-shape`, or a line.

@@ -567,7 +567,7 @@ fn real(
     let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?.held(&held);
     notes.extend(read.into_iter().filter(|note| !note.starts_with("timestep ")));
     model.provenance = Some(format!("imported from a {kind}; {}", notes.join("; ")));
-    Ok(Imported { kind, model, notes, layers: lines, assumed: Some(assumed) })
+    Ok(Imported { kind, model, notes, layers: lines, assumed: Some(assumed), reset })
 }
 
 /// The reset of the file, unless an option says another one.

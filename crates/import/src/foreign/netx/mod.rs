@@ -40,7 +40,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
             options.refuse_unused("a model of nsim, which is restored as it was", &[])?;
             check_restored(&model, options)?;
             notes.push("written by nsim and unchanged since: restored as it was".to_string());
-            return Ok(Imported { kind: "lava-dl netx", model, notes, layers: Vec::new(), assumed: None });
+            return Ok(Imported { kind: "lava-dl netx", model, notes, layers: Vec::new(), assumed: None, reset: None });
         }
         Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
         None => {}
@@ -316,8 +316,8 @@ impl Reader<'_> {
         }
         let assumed = (!self.lost.is_empty()).then(|| self.lost.join("; "));
         let (model, notes, layers) = (self.model, self.notes, self.layers);
-        let mut imported =
-            Imported { kind: "lava-dl netx", model, notes, layers, assumed }.read_out(self.options.decision);
+        let mut imported = Imported { kind: "lava-dl netx", model, notes, layers, assumed, reset: None }
+            .read_out(self.options.decision);
         imported.model.provenance = Some(format!("imported from a lava-dl netx file; {}", imported.notes.join("; ")));
         Ok(imported)
     }

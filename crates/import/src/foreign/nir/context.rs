@@ -58,6 +58,8 @@ pub(super) struct Reader<'a> {
     /// Seconds of a timestep.
     pub(super) dt: f64,
     pub(super) listed: usize,
+    /// Notes that a user is told unasked.
+    pub(super) assumed: Vec<String>,
 }
 
 /// Fields that every node may have and that say nothing of the network.

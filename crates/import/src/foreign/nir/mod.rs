@@ -56,7 +56,9 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         Some(Ok(model)) => {
             check_restored(&model, options)?;
             notes.push("written by nsim and unchanged since: restored as it was".to_string());
-            return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None });
+            let subtracts = model.populations.iter().any(|population| population.kind == NeuronKind::SoftReset);
+            let reset = subtracts.then_some(options.reset.unwrap_or(ResetMode::Subtract));
+            return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None, reset });
         }
         Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
         None => {}
@@ -73,6 +75,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         options,
         model,
         notes,
+        assumed: Vec::new(),
         names: BTreeMap::new(),
         shapes: BTreeMap::new(),
         depths: BTreeMap::new(),
@@ -81,8 +84,12 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         listed: 0,
     };
     reader.network()?;
-    let Reader { model, notes, .. } = reader;
-    let imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None };
+    let Reader { model, mut notes, assumed, .. } = reader;
+    notes.extend(assumed.iter().cloned());
+    let resets = model.populations.iter().any(|population| population.loihi.is_some());
+    let reset = resets.then_some(options.reset.unwrap_or(ResetMode::Zero));
+    let assumed = (!assumed.is_empty()).then(|| assumed.join("; "));
+    let imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed, reset };
     let mut imported = imported.read_out(options.decision);
     imported.model.provenance = Some(format!("imported from a NIR file; {}", imported.notes.join("; ")));
     Ok(imported)
@@ -156,17 +163,16 @@ impl Reader<'_> {
             let (resets, said) = (resets(&node.kind), node.group.get("v_reset").is_some());
             unsaid |= resets && !said;
             let kind = match self.options.reset.filter(|&reset| resets && reset != ResetMode::Zero) {
-                Some(_) if said => {
+                Some(reset) if said => {
                     return Err(Diagnostic::new(
                         "import.option",
-                        format!("node '{name}' has v_reset 0, which --reset {} contradicts", self.reset_name()),
+                        format!("node '{name}' has v_reset 0, which --reset {} contradicts", reset.name()),
                     )
                     .help(
                         "leave --reset out: a neuron with v_reset returns to that value. snnTorch and sinabs write \
-                         v_reset 0 for \
-                         networks that subtract too: read such a network of snnTorch from its state dict \
-                         (torch.save), or delete \
-                         the field from each node with h5py: del file['node/nodes/NAME/v_reset']",
+                         v_reset 0 for networks that subtract too: read such a network of snnTorch from its state \
+                         dict (torch.save), or delete the field from each node with h5py: \
+                         del file['node/nodes/NAME/v_reset']",
                     ));
                 }
                 Some(_) => NeuronKind::SoftReset,
@@ -182,36 +188,28 @@ impl Reader<'_> {
             }
         }
         self.output(&order)?;
-        if unsaid && self.options.reset.is_none() {
-            self.notes.push(
-                "the file does not say how neurons reset; as on the chip v returns to zero (--reset zero says so; \
-                 a network trained with reset by subtraction will differ: snnTorch subtracts a step after the spike, \
-                 --reset subtract-later, others at the spike, --reset subtract)"
+        match self.options.reset {
+            None if unsaid => self.assumed.push(
+                "the file does not say how neurons reset; as on the chip v returns to zero: --reset subtract-later of \
+                 nsim import reads a network of snnTorch that subtracts, --reset subtract one of sinabs (SingleSpike; \
+                 its MultiSpike has no counterpart), and --reset zero confirms zero"
                     .to_string(),
-            );
-        }
-        if unsaid && self.options.reset.is_some_and(|reset| reset != ResetMode::Zero) {
-            self.notes.push(format!(
-                "neurons subtract their threshold {} (SoftReset): Loihi 1 has no such compartment; nsim convert makes \
-                 them reset to zero and measures the loss",
-                match self.options.reset {
-                    Some(ResetMode::SubtractLater) =>
-                        "in the step after their spike, of which a synapse to themselves takes what decays too early",
-                    _ => "when they spike",
-                }
-            ));
+            ),
+            Some(reset @ (ResetMode::Subtract | ResetMode::SubtractLater)) if unsaid => {
+                let when = match reset {
+                    ResetMode::Subtract => "when they spike",
+                    _ => "in the step after their spike, of which a synapse to themselves takes what decays too early",
+                };
+                self.notes.push(format!(
+                    "neurons subtract their threshold {when} (SoftReset), as --reset {} says: Loihi 1 has no such \
+                     compartment; nsim convert makes them reset to zero and measures the loss",
+                    reset.name()
+                ));
+            }
+            _ => {}
         }
         self.model.timestep_ms = self.dt * 1e3;
         Ok(())
-    }
-
-    /// The value of `--reset`.
-    fn reset_name(&self) -> &'static str {
-        match self.options.reset {
-            Some(ResetMode::Subtract) => "subtract",
-            Some(ResetMode::SubtractLater) => "subtract-later",
-            Some(ResetMode::Zero) | None => "zero",
-        }
     }
 
     fn check_kinds(&self) -> Result<()> {

@@ -3,6 +3,7 @@
 //! Input: time constants, resistances, thresholds of a node. Output: the timestep of the file, and
 //! decays, gain, threshold and bias in that step.
 
+use std::cell::RefCell;
 use std::cmp::Ordering;
 
 use super::context::{Reader, product, resets, unsupported, wrong};
@@ -105,7 +106,10 @@ impl Reader<'_> {
             return Ok(1e-3);
         }
         let ask = |message: String| {
-            Diagnostic::new("import.option", message).help("say how long a timestep is: --dt MS, for example --dt 0.1")
+            Diagnostic::new("import.option", message).help(
+                "say how long a timestep is: --dt MS, for example --dt 0.1. No timestep suits the time constants that \
+                 Norse writes: nsim.from_torch reads its modules",
+            )
         };
         let Some((_, first)) = found.first().cloned() else {
             return Err(ask("the timestep is not in the file, and its nodes do not imply one".to_string()));
@@ -147,12 +151,22 @@ impl Reader<'_> {
                 _ => Ok(value),
             }
         };
+        let long = RefCell::new(Vec::new());
         let fraction = |key: &str| -> Result<Parameter> {
             let tau = get(key, None)?;
             if !all(&tau, |tau| tau > 0.0) {
                 return Err(wrong(format!("node '{name}': '{key}' is not above 0")));
             }
             if self.options.decay == Some(DecayRule::Exponential) {
+                if let Some(&tau) = tau.values().iter().find(|&&tau| dt > tau) {
+                    long.borrow_mut().push(format!(
+                        "node '{name}': a timestep of {} ms is longer than its '{key}' of {} ms, so that a step leaves \
+                         {:.2} % of the state: a network of Norse or snnTorch is read by nsim.from_torch",
+                        dt * 1e3,
+                        decimal(tau) * 1e3,
+                        100.0 * (-dt / tau).exp()
+                    ));
+                }
                 return Ok(tau.map(|tau| -(-dt / tau).exp_m1()));
             }
             if !all(&tau, |tau| dt <= tau * (1.0 + 1e-6)) {
@@ -259,6 +273,7 @@ impl Reader<'_> {
             shown(&neuron.dv),
             shown(&neuron.gain)
         ));
+        self.assumed.extend(long.into_inner());
         Ok(Some(neuron))
     }
 }
