@@ -133,7 +133,7 @@ class Network:
         spikes: Spikes = None,
         *,
         target: Optional[Path] = None,
-        against: Union[str, "PathLike[str]", Network, None] = None,
+        against: Union[str, "PathLike[str]", Network, "Conversion", None] = None,
         conversion: str = "search",
         calibrate: Sources = None,
         calibration_samples: int = 60,
@@ -380,7 +380,10 @@ class Run:
         """SHA-256 of the output spikes."""
     @property
     def counts(self) -> NDArray[np.uint32]:
-        """Spikes of each output, `[samples, outputs]`."""
+        """Spikes of each output, `[samples, outputs]`; all 0 where a potential decides."""
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """What decides, `[samples, outputs]`: spikes, or what is read of the potential."""
     @property
     def predicted(self) -> list[Optional[int]]: ...
     @property

@@ -6,7 +6,7 @@ file gives.
 
 import io
 
-from . import _nsim
+from . import _nsim, _torch
 
 
 def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, threshold=None, decision=None):
@@ -16,6 +16,9 @@ def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, thres
     'strict' or 'inclusive', `decision` 'Spikes', 'GreatestV', 'SumOfV' or 'LastV'. `Network.notes` says by which conventions it was read. snnTorch
     (`snntorch.export_nir.export_to_nir`) and Norse (`norse.torch.to_nir`) make such graphs of their networks.
     """
+    if not hasattr(graph, "to_dict"):
+        message = f"from_nir takes a nir.NIRGraph, and this is a {type(graph).__name__}"
+        raise _torch.refusal(message, "a file is read by nsim.load(path), an object of the package nir by from_nir", "usage")
     import nir
 
     file = io.BytesIO()
@@ -33,8 +36,6 @@ def from_torch(module, sample, *, export=None, **options):
     unless options say otherwise. `export` is a function from (module, sample) to a graph of NIR, for another tool, which no comparison
     follows. `options` are those of `from_nir`.
     """
-    from . import _torch
-
     module = _torch.read(module, sample)
     kinds = {type(part).__module__.split(".")[0] for part in module.modules()}
     if export is None and kinds & {"snntorch", "norse"}:

@@ -75,14 +75,17 @@ CARRIED = [
 """Classes, a parameter of theirs, the values that are carried, and what to do about others."""
 
 INSTEAD = {
-    "MaxPool": "a core takes no maximum: train with torch.nn.AvgPool2d; of spikes, AvgPool2d(k) and behind it snntorch.Leaky(beta=0, "
-    "threshold=0.5 / k**2, reset_mechanism='zero', init_hidden=True) are the same without training",
+    "MaxPool": "a core takes no maximum of sums: put the neurons in front of it, which changes the network, or train with torch.nn.AvgPool2d",
     "ReLU": "put a spiking neuron in its place, such as snntorch.Leaky: a core sends spikes",
     "LayerNorm": "use torch.nn.BatchNorm1d or BatchNorm2d, whose numbers are constants once trained",
     "Alpha": "train with snntorch.Synaptic, whose current decays too",
     "BatchNormTT": "use torch.nn.BatchNorm1d or BatchNorm2d: weights are the same in every timestep",
 }
 """What to use instead of a class, by the beginning of its name."""
+
+OF_SPIKES = "of spikes, AvgPool2d(k) and behind it snntorch.Leaky(beta=0, threshold=0.5 / k**2, reset_mechanism='zero', init_hidden=True) " \
+    "are the same without training"
+"""What to use instead of a maximum of spikes."""
 
 
 def refusal(message, help, code="import.torch"):
@@ -400,6 +403,9 @@ class Trace:
         self.inside += 1
         if kind not in PASSED | set(AXES) | NEURONS:
             instead = next((remedy for begin, remedy in INSTEAD.items() if kind.startswith(begin)), None)
+            sources = self.known.get(id((*args, *kwargs.values())[0]), "")
+            if kind.startswith("MaxPool") and not isinstance(sources, str) and sources <= {"input", *self.neurons.values()}:
+                instead = OF_SPIKES
             if f"{kind}Cell" in NEURONS:
                 instead = f"use norse.torch.{kind}Cell: forward() is of one timestep"
             others = "carried are " + ", ".join(sorted(PASSED | set(AXES) | NEURONS)) + ", and modules made of these"
@@ -455,7 +461,11 @@ class Trace:
                 self.nodes[back] = recurrent(module, tuple(spikes.shape[1:]), f"{name}.recurrent")
                 self.edges += [(node, back), (back, node)]
             if kind == "LIFRecurrentCell":
-                into = self.add(f"{name}.input")
+                into, sources = self.add(f"{name}.input"), self.known.get(id(given), "")
+                for source in () if isinstance(sources, str) else sources:
+                    if np.any(self.nodes.get(source, {}).get("bias", 0)):
+                        message = f"'{name}' (LIFRecurrentCell) multiplies the bias of '{self.names[self.modules[source]]}' with its input weights"
+                        raise refusal(message, "train that layer with bias=False, or leave it out: the cell has input weights of its own")
                 self.nodes[into] = {"type": "Linear", "weight": module.input_weights.detach().cpu().numpy()}
                 self.edges.append((into, node))
                 self.connect(given, into, f"the input of '{name}' ({kind})")
@@ -531,6 +541,10 @@ def resets(neurons, names):
     if len(how) > 1 or ("subtract" in how and len(set(later.values())) > 1):
         each = ", ".join(f"'{names[one]}' {mechanism[one]!r}{'' if later[one] else ' without reset_delay'}" for one in neurons)
         raise refusal(f"the layers reset in different ways: {each}", "train all layers with reset_mechanism='zero'")
+    at_once = [f"'{names[one]}'" for one in neurons if kind_of(one) in OF_SNNTORCH and not later[one]]
+    if how == {"subtract"} and at_once:
+        message = f"{', '.join(at_once)}: reset_delay=False lets snnTorch subtract before it compares where a neuron stays above its threshold"
+        raise refusal(message, "train with reset_delay=True, or with reset_mechanism='zero'")
     if how == {"subtract"}:
         return ("subtract-later" if later[next(iter(later))] else "subtract"), []
     held = [node for module, node in neurons.items() if later[module] and kind_of(module) != "Leaky"]
@@ -649,8 +663,4 @@ def compare(network, module, trace, given):
         if differing > ROUNDED * all_of:
             message = f"'{trace.names[module]}' ({kind_of(module)}) spikes {int(theirs.sum())} times in PyTorch and {int(mine.sum())} " \
                 f"times as nsim reads it, {differing} of them apart, in {samples} samples of {steps} steps: the network was not understood"
-            at_once = [f"'{trace.names[one]}'" for one in trace.neurons if not getattr(one, "reset_delay", True)]
-            if at_once:
-                raise refusal(message, f"train with reset_delay=True, which {', '.join(at_once)} lack{'s' * (len(at_once) == 1)}: without it " \
-                    "snnTorch subtracts before it compares where a neuron stays above its threshold")
             raise refusal(message, f"its forward() may reset neurons in each call, or depend on the batch, on numbers or on time: {ONE_STEP}")

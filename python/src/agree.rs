@@ -17,7 +17,7 @@ use nsim::files::write;
 use nsim::files::write::check_free;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Quantised;
-use nsim::report::agree::{AgreeReport, converted_from, named_fits, potentials};
+use nsim::report::agree::{AgreeReport, converted_from, named_fits, potentials, role};
 use nsim::session::front::real_and_integers;
 use nsim::train::convert::calibration::RunInput;
 use nsim::train::convert::copies::{MOST, USUAL};
@@ -61,11 +61,13 @@ impl Agreement {
     ) -> PyResult<Self> {
         let (graph, written) = detached(py, || real_and_integers(network)).map_err(|problem| raised(py, problem))?;
         Form::require_written("agree", &written, 1).map_err(|problem| raised(py, problem))?;
-        let (on, instead) = target_with_neurons(network.file(), target).map_err(|problem| raised(py, problem))?;
-        let typed = target.map(str::to_string).or_else(|| instead.as_ref().map(|_| on.name().to_string()));
-        let target = on;
         let against: Option<Bound<'_, PyAny>> = keywords.take("against")?;
         let other = against.as_ref().map(|given| model(py, given, in_memory)).transpose()?.flatten();
+        // A network in real numbers is not mapped: what it is compared with is.
+        let deployed = other.as_ref().filter(|_| is_real(&graph)).map_or(network, |(other, ..)| other);
+        let (on, instead) = target_with_neurons(deployed.file(), target).map_err(|problem| raised(py, problem))?;
+        let typed = target.map(str::to_string).or_else(|| instead.as_ref().map(|_| on.name().to_string()));
+        let target = on;
         let word = match &other {
             Some(_) => None,
             None => against.map(|given| given.extract::<String>()).transpose()?,
@@ -81,9 +83,13 @@ impl Agreement {
             }
             Some(other) => {
                 let message = format!("against is '{other}', which is no word that is known and no model file");
-                return Err(usage(message, "against is one of srm, cuba, golden, a model file, or an nsim.Network"));
+                return Err(usage(message, "against is one of srm, cuba, golden, a model file, an nsim.Network or an nsim.Conversion"));
             }
         };
+        if keywords.only("conversion")?.take::<Bound<'_, PyAny>>("conversion")?.is_some_and(|given| in_memory(&given).is_some()) {
+            let message = "conversion is a network, and says how spike response neurons become integers".to_string();
+            return Err(usage(message, "give the network or the nsim.Conversion as against="));
+        }
         let conversion = keywords.one_of("conversion", &Conversion::ALL, Conversion::name)?;
         let conversion = conversion.unwrap_or(Conversion::Search);
         let calibrate = sources(keywords.take("calibrate")?.as_ref())?;
@@ -118,7 +124,7 @@ impl Agreement {
                 let report = AgreeReport { target: Some(target.name()), ..report };
                 Ok((report.json(), report.text(), report.falls()))
             };
-            if let Some(other) = &other {
+            if let Some((_, kind, other)) = &other {
                 Form::require_written("agree", other, 1)?;
                 let own = match is_real(&graph) {
                     true => None,
@@ -127,7 +133,7 @@ impl Agreement {
                 let second = mapped(other).map_err(|problem| unfit(&problem, target.name()))?;
                 let both = ((&graph, &written, own.as_ref()), (other, &second.program));
                 let agreement = compare_models(both.0, both.1, &samples, steps, progress)?;
-                let two = (name, other.parts().name.as_str());
+                let two = [(name, role(&graph)), (other.parts().name.as_str(), *kind)];
                 return done(AgreeReport::of_two(two, seen, &agreement), &agreement.layers);
             }
             let run = RunInput { sources: &shown.stimulus.origin, seed: shown.stimulus.seed, scene };
@@ -142,7 +148,6 @@ impl Agreement {
                 (against.is_real() && most > 0).then(|| attribute(&ladder, &output_layer(ladder.deployed()), some));
             let next = attribution.as_ref().and_then(|attribution| in_python(attribution, typed.as_deref()));
             let report = AgreeReport {
-                other: None,
                 found: integers.found.as_ref(),
                 fits: &named_fits(&graph, fits),
                 attribution: attribution.as_ref(),
@@ -150,8 +155,8 @@ impl Agreement {
                 next: next.as_ref(),
                 source: converted_from(&graph)
                     .filter(|_| matches!(against, Counterpart::Cuba))
-                    .map(|trained| (trained, "trained.agree(spikes, against=network)".to_string())),
-                ..AgreeReport::of_two((name, against.name()), seen, &agreement)
+                    .map(|trained| (trained, "network.agree(spikes, against=conversion), of the network that was converted".to_string())),
+                ..AgreeReport::of_one((name, against.name()), seen, &agreement)
             };
             done(report, &agreement.layers)
         })?;
@@ -163,15 +168,18 @@ impl Agreement {
 /// The problem of another network that does not fit on the target of this one.
 fn unfit(problem: &CompileError, target: &str) -> nsim::Error {
     let message = format!("the network of against= does not run on {target}: {problem}");
-    let help = "give target=, or compare the other way: other.agree(spikes, against=network)";
+    let help = "give target=, or call agree of that network, with this one as against=";
     Diagnostic::new("usage", message).help(help).into()
 }
 
-/// The network that an `nsim.Network` holds; none of another object.
+/// The network that an `nsim.Network` or an `nsim.Conversion` holds; none of another object.
 pub type InMemory = fn(&Bound<'_, PyAny>) -> Option<Arc<Network>>;
 
-/// The integers of an `nsim.Network` or of a model file; none of a word that is neither.
-fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyResult<Option<Quantised>> {
+/// A network to compare with, what it is, and its integers.
+type Other = (Arc<Network>, &'static str, Quantised);
+
+/// An `nsim.Network`, that of an `nsim.Conversion`, or of a model file; none of a word that is neither.
+fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyResult<Option<Other>> {
     let loaded = match (in_memory(given), given.extract::<PathBuf>()) {
         (Some(network), _) => network,
         (_, Ok(path)) if path.exists() || shipped::MODELS.iter().any(|known| Path::new(known.name) == path) => {
@@ -181,11 +189,11 @@ fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyRes
         (_, Ok(_)) => return Ok(None),
         (_, Err(_)) => {
             let message = "against is neither text nor a network".to_string();
-            return Err(usage(message, "give srm, cuba, golden, a model file, or an nsim.Network"));
+            return Err(usage(message, "give srm, cuba, golden, a model file, an nsim.Network or an nsim.Conversion"));
         }
     };
-    let (_, integers) = detached(py, || real_and_integers(&loaded)).map_err(|problem| raised(py, problem))?;
-    Ok(Some(integers))
+    let (graph, integers) = detached(py, || real_and_integers(&loaded)).map_err(|problem| raised(py, problem))?;
+    Ok(Some((loaded, role(&graph), integers)))
 }
 
 #[pymethods]

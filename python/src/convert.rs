@@ -103,7 +103,7 @@ impl Conversion {
 impl Conversion {
     /// The network in integers.
     #[getter]
-    fn network(&self, py: Python<'_>) -> Py<PyAny> {
+    pub fn network(&self, py: Python<'_>) -> Py<PyAny> {
         self.network.clone_ref(py)
     }
 

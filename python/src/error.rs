@@ -27,7 +27,8 @@ pyo3::create_exception!(
 );
 
 /// What is typed in a shell, and in Python.
-const IN_PYTHON: [(&str, &str); 3] = [
+const IN_PYTHON: [(&str, &str); 4] = [
+    (" of nsim import", " of nsim.load and from_nir"),
     ("nsim convert", "network.convert(spikes)"),
     ("nsim agree", "network.agree(spikes)"),
     ("--set decision=GreatestV", "decision='GreatestV' of from_torch and from_nir"),

@@ -292,8 +292,8 @@ impl Network {
     /// Where and why the integers on the cores disagree with the network that was trained:
     /// `nsim agree`.
     ///
-    /// `against` is 'srm', 'cuba' or 'golden', by default what was trained, or a model file or a
-    /// network that is run on the same spikes; `conversion` 'search'
+    /// `against` is 'srm', 'cuba' or 'golden', by default what was trained, or a model file, a
+    /// network or a conversion that is run on the same spikes; `conversion` 'search'
     /// or 'analytic' is how spike response neurons become integers, the search on
     /// `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only this
     /// many timesteps of each sample; `attribution` finds the causes, on `attribution_samples`
@@ -317,7 +317,8 @@ impl Network {
     ) -> PyResult<Agreement> {
         let target = target.map(|target| target.to_string_lossy().into_owned());
         Agreement::new(py, &self.network, target.as_deref(), spikes, &Keywords::new(options)?, |given| {
-            Some(given.cast::<Network>().ok()?.get().network.clone())
+            let of = |given: &Bound<'_, PyAny>| Some(given.cast::<Network>().ok()?.get().network.clone());
+            of(given).or_else(|| of(given.cast::<Conversion>().ok()?.get().network(given.py()).bind(given.py())))
         })
     }
 

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Copies, Sample};
@@ -175,11 +176,23 @@ impl Run {
         digest(&self.run.outcomes)
     }
 
-    /// Spikes of each output, `[samples, outputs]`, uint32.
+    /// Spikes of each output, `[samples, outputs]`, uint32: all 0 where a potential decides, whose
+    /// numbers are in `scores`.
     #[getter]
     fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         let rows: Vec<Vec<u32>> = self.run.outcomes.iter().map(|outcome| outcome.counts.clone()).collect();
         Ok(PyArray2::from_vec2(py, &rows)?)
+    }
+
+    /// What decides, `[samples, outputs]`, float64: the spikes of each output, or the greatest, the
+    /// sum or the last of its potential, by the `decision` of `json()`.
+    #[getter]
+    fn scores<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let of_sample = |outcome: &Outcome| match &outcome.potentials {
+            Some(potentials) => potentials.scores().to_vec(),
+            None => outcome.counts.iter().copied().map(f64::from).collect(),
+        };
+        Ok(PyArray2::from_vec2(py, &self.run.outcomes.iter().map(of_sample).collect::<Vec<_>>())?)
     }
 
     /// The class of each sample, None where all outputs are silent.
@@ -305,8 +318,12 @@ impl Run {
         let steps: u64 = self.run.outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum();
         let accuracy = self.accuracy().map_or(String::new(), |accuracy| format!(", accuracy {accuracy:.4}"));
         let samples = self.run.outcomes.len();
-        let name = &self.mapping.compiled().one.parts().name;
-        format!("<nsim.Run {name}: {samples} samples, {steps} timesteps{accuracy}>")
+        let parts = self.mapping.compiled().one.parts();
+        let by = match parts.decision {
+            ReadOut::Spikes => String::new(),
+            potential => format!(", decided by {}", potential.name()),
+        };
+        format!("<nsim.Run {}: {samples} samples, {steps} timesteps{accuracy}{by}>", parts.name)
     }
 
     fn __str__(&self) -> String {

@@ -99,7 +99,17 @@ class Converted(unittest.TestCase):
 class Agreed(unittest.TestCase):
     def test_with_a_network_and_with_its_file(self):
         trained = nsim.load("vtsnn-slip-srm")
-        network = trained.convert(samples=(0, 3), calibration_samples=4).network
+        conversion = trained.convert(samples=(0, 3), calibration_samples=4)
+        network = conversion.network
+        said = " ".join(str(conversion).split())
+        self.assertRegex(said, r"accuracy [01]\.\d+ as trained, [01]\.\d+ converted, on 3 ")
+        agreement = trained.agree(samples=(0, 3), against=conversion)
+        said = " ".join(str(agreement).split())
+        self.assertIn("vtsnn-slip-srm, the trained network (a) and vtsnn-slip-srm, the converted network as deployed", said)
+        self.assertEqual(conversion.json()["held_out"]["accuracy"], agreement.json()["accuracy_b"])
+        with self.assertRaises(nsim.Error) as raised:
+            trained.agree(samples=(0, 3), conversion=conversion)
+        self.assertIn("against=", raised.exception.help)
         with tempfile.TemporaryDirectory() as folder:
             path = os.path.join(folder, "b.ron")
             network.save(path)
@@ -110,7 +120,8 @@ class Agreed(unittest.TestCase):
         # The conversion compared with itself is not the trained network.
         said = " ".join(str(network.agree(samples=(0, 3))).split())
         self.assertIn("was converted from vtsnn-slip-srm", said)
-        self.assertIn("trained.agree(spikes, against=network)", said)
+        self.assertIn("network.agree(spikes, against=conversion)", said)
+        self.assertIn("(a: the conversion, real numbers)", said)
         for wrong in ("nothing.ron", 3):
             with self.assertRaises(nsim.Error) as raised:
                 trained.agree(samples=(0, 1), against=wrong)
@@ -160,7 +171,7 @@ class Agreed(unittest.TestCase):
         reset = small(4, 40, np.full((2, 4), 40))
         with self.assertRaises(nsim.Error) as raised:
             reset.agree(spikes, against=network)
-        self.assertIn("other.agree(spikes, against=network)", raised.exception.help)
+        self.assertIn("call agree of that network, with this one as against=", raised.exception.help)
         with self.assertWarns(nsim.Warning):
             network.agree(spikes, against=reset)
         with self.assertRaises(nsim.Error) as raised:
@@ -203,8 +214,35 @@ class NotHelped(unittest.TestCase):
                 self.assertIn("<svg", Path(path).read_text())
             self.assertEqual(again.json()["layers"], agreement.json()["layers"])
             said = " ".join(str(agreement).split())
-            self.assertIn("What helps: weights of a layer that are similar in size", said)
+            self.assertIn("What may help: weights of a layer that are similar in size", said)
             self.assertNotIn("conversion", said)
+
+    def test_a_conversion_runs_where_it_is_deployed_and_is_told_from_what_was_trained(self):
+        network = self.network("subtract")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", nsim.Warning)
+            conversion = network.convert(self.spikes)
+            said = " ".join(str(network.agree(self.spikes, against=conversion)).split())
+        self.assertIn("x, the trained network (a) and x, the converted network as deployed on simulated cores of nahuku-32 (b)", said)
+        self.assertIn("(a: the trained network, real numbers)", " ".join(str(network.agree(self.spikes)).split()))
+        with self.assertRaises(nsim.Error) as raised:
+            conversion.network.agree(self.spikes, against=network)
+        self.assertNotIn("other.", raised.exception.help)
+        with self.assertRaises(nsim.Error) as raised:
+            network.convert(self.spikes, fine_tune=3)
+        self.assertIn("reset to zero", raised.exception.help)
+        with self.assertRaises(nsim.Error) as raised:
+            network.map()
+        for word in ("needs no conversion", "network.convert(spikes)", "target='oheo-gulch'"):
+            self.assertIn(word, raised.exception.help)
+
+    def test_a_model_is_not_written_under_the_name_of_another_format(self):
+        with tempfile.TemporaryDirectory() as folder:
+            for ending in ("pt", "nir", "npy"):
+                with self.assertRaises(nsim.Error) as raised:
+                    self.network("zero").save(os.path.join(folder, f"q.{ending}"), force=True)
+                self.assertEqual((raised.exception.code, raised.exception.help), ("write.ending", f"name it {os.path.join(folder, 'q.ron')}"))
+            self.assertEqual(os.listdir(folder), [])
 
     def test_a_conversion_searches_on_arrays_and_is_not_fine_tuned(self):
         network = self.network("zero")

@@ -185,6 +185,14 @@ class Cells(unittest.TestCase):
             nsim.from_torch(self.chain(norse.LICell(), norse.LIFCell()), torch.zeros(1, 30))
         self.assertIn("the potential of '1' (LICell)", str(raised.exception))
 
+    def test_a_bias_before_input_weights_is_refused_by_the_names_of_the_modules(self):
+        module = norse.SequentialState(nn.Linear(30, 20), norse.LIFRecurrentCell(20, 5))
+        with self.assertRaises(nsim.Error) as raised:
+            nsim.from_torch(module, torch.zeros(1, 30))
+        for word in ("'1' (LIFRecurrentCell)", "'0'", "bias=False"):
+            self.assertIn(word, str(raised.exception))
+        nsim.from_torch(norse.SequentialState(nn.Linear(30, 20, bias=False), norse.LIFRecurrentCell(20, 5)), torch.zeros(1, 30))
+
     def test_what_is_not_carried_is_named(self):
         for cell, words in [
             (norse.LIFCell(norse.LIFParameters(v_reset=torch.tensor(0.2))), ("v_reset", "0.2")),
@@ -268,7 +276,11 @@ class Modules(unittest.TestCase):
                 with torch.no_grad():
                     steps = [module(torch.tensor(spikes[..., step], dtype=torch.float32))[-1].numpy() for step in range(40)]
                 theirs = of_steps(np.stack(steps, axis=-1)).argmax(axis=1)
-                self.assertGreaterEqual(np.mean(np.array(network.map().run(spikes).predicted) == theirs), 0.9)
+                run = network.map().run(spikes)
+                self.assertGreaterEqual(np.mean(np.array(run.predicted) == theirs), 0.9)
+                # Counts are 0; what decides is said, and its numbers give the class.
+                self.assertEqual((run.counts.any(), run.scores.argmax(axis=1).tolist()), (False, run.predicted))
+                self.assertIn(f"decided by {run.json()['decision']}", repr(run))
 
     def test_the_potential_of_a_layer_that_spikes_is_warned_of(self):
         module = nn.Sequential(nn.Linear(32, 8), self.lif(output=True))
@@ -282,6 +294,10 @@ class Modules(unittest.TestCase):
         k, spikes = 3, (torch.rand(30, 2, 3, 9, 9) < 0.2).float()
         with self.assertRaises(nsim.Error) as raised:
             nsim.from_torch(nn.Sequential(nn.MaxPool2d(k), self.lif()), torch.zeros(1, 3, 9, 9))
+        # Behind neurons and before them a maximum is not the same.
+        self.assertNotIn("train with", raised.exception.help)
+        self.refused(nn.Sequential(nn.Conv2d(3, 4, 3), nn.MaxPool2d(2), self.lif()), (1, 3, 9, 9), "maximum of sums", "in front of it")
+        self.refused(nn.Sequential(nn.Conv2d(3, 4, 3), self.lif(), nn.MaxPool2d(2)), (1, 3, 9, 9), "of spikes")
         made = re.search(r"snntorch\.(Leaky\([^)]*\))", raised.exception.help)[1]
         pool = nn.Sequential(nn.AvgPool2d(k), eval(f"snn.{made}", {"snn": snn, "k": k}))
         with torch.no_grad():
@@ -607,8 +623,10 @@ class Modules(unittest.TestCase):
             self.assertNotIn(absent, raised.exception.help)
         for kind, options in ((snn.Leaky, {}), (snn.Synaptic, {"alpha": 0.5})):
             at_once = nn.Sequential(nn.Linear(32, 8), self.lif(kind, reset_mechanism="subtract", reset_delay=False, **options))
-            at_once[0].weight.data *= 10
-            self.refused(at_once, (1, 32), "'1'", "reset_delay=True")
+            # The parameter decides, and not what weak weights happen to show.
+            for scale in (0.1, 10):
+                at_once[0].weight.data *= scale
+                self.refused(at_once, (1, 32), "'1'", "reset_delay=True")
 
         class Cleared(Loop):
             def forward(self, x):

@@ -140,6 +140,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let fields = fields.collect::<Result<Vec<_>, _>>()?;
     let source = with_fields(&source, &fields)?;
     let job = Job::new(source, args.seed, args.epochs)?;
+    args.output.iter().try_for_each(|path| io::network::check_name(path))?;
     let weights = args.output.as_deref().map(job::weights_path);
     if args.output.as_deref().is_some_and(io::text::is_standard_stream) {
         return Err(Error::Usage("-o -: a trained model has weights, which need a file beside it".to_string()));

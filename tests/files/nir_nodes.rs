@@ -220,6 +220,22 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
         assert_eq!((taken.reset, taken.assumed), (Some(reset), None));
     }
     assert!(says(&unsaid, None).unwrap() && !says(&unsaid, Some(ResetMode::SubtractLater)).unwrap());
+    // The command says it on stderr, and its reset is the one that was taken.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net.nir");
+    std::fs::write(&path, hdf5::write(&said).unwrap()).unwrap();
+    for (words, taken, warns) in [(&[][..], "zero", true), (&["--reset", "subtract-later"], "subtract-later", false)] {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_nsim"));
+        let import =
+            command.arg("import").arg(&path).args(["--dt", "1", "--format", "json"]).args(words).output().unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&import.stdout).unwrap();
+        let stderr = String::from_utf8_lossy(&import.stderr);
+        assert!(
+            import.status.success() && stderr.contains("--reset subtract-later of nsim import") == warns,
+            "{stderr}"
+        );
+        assert_eq!(json["reset"], taken);
+    }
     let other = with(lif(&[3]).with("v_reset", reals(&[0.5; 3])));
     assert_eq!(says(&other, None).unwrap_err().code, "import.unsupported");
     // An export holds a model; options that contradict it are refused, those that repeat it are

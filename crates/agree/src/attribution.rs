@@ -161,6 +161,8 @@ pub struct Measured {
     pub layers: Vec<TrainSums>,
     /// The classes of the samples.
     pub classes: ClassTally,
+    /// Shares of right classes of the two, where all samples have labels.
+    pub accuracy: Option<(f64, f64)>,
 }
 
 /// One sample by two networks: the sums of each layer, and the class by each.
@@ -198,7 +200,7 @@ impl Measured {
             coincidence: all.coincidence(),
             potential_rmse: all.potential_rmse(),
         };
-        Measured { distance, layers: by_layer, classes }
+        Measured { distance, layers: by_layer, classes, accuracy: None }
     }
 }
 
@@ -228,7 +230,19 @@ pub fn measured(
         to.iter().map(one).collect()
     };
     let each: Vec<Vec<ComparedSample>> = samples.par_iter().map(of_sample).collect();
-    (0..to.len()).map(|rung| Measured::new(layers.len(), each.iter().map(|sample| &sample[rung]))).collect()
+    let labels: Option<Vec<u32>> = samples.iter().map(|sample| sample.label()).collect();
+    let labels = labels.filter(|labels| !labels.is_empty());
+    let right = |labels: &Vec<u32>, class: &dyn Fn(&[ComparedSample]) -> Option<u32>| {
+        let right = each.iter().zip(labels).filter(|(sample, label)| class(sample) == Some(**label)).count();
+        right as f64 / labels.len() as f64
+    };
+    let of_rung = |rung: usize| Measured {
+        accuracy: labels.as_ref().map(|labels| {
+            (right(labels, &|sample| sample[rung].classes.0), right(labels, &|sample| sample[rung].classes.1))
+        }),
+        ..Measured::new(layers.len(), each.iter().map(|sample| &sample[rung]))
+    };
+    (0..to.len()).map(of_rung).collect()
 }
 
 /// The network as its tool runs it: kernels without end, as the reference engine has them, and

@@ -320,8 +320,8 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
             let own = format!("name {family} in neuron_kinds of a chip of your own, or choose a target that has it");
             let help = match kind {
                 NeuronKind::SoftReset => format!(
-                    "train with a reset to zero (snnTorch: reset_mechanism='zero'); or nsim convert makes it one and \
-                     measures the loss; or {own}"
+                    "train with a reset to zero (snnTorch: reset_mechanism='zero'), which needs no conversion; or nsim convert \
+                     makes it one and measures the loss, which may be large; or run it exactly: {own}"
                 ),
                 _ => own,
             };

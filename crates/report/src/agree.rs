@@ -18,14 +18,17 @@ use nsim_ir::graph::Graph;
 use nsim_quantise::analytic::Fit;
 use nsim_train::convert::next::Next;
 use nsim_train::convert::search::{ConversionScore, SearchResult};
+use nsim_train::convert::staged::is_real;
 
 /// Everything that the report says.
 #[derive(Debug)]
 pub struct AgreeReport<'a> {
     /// The network's name.
     pub model: &'a str,
-    /// The other network, which was deployed, where two are compared.
-    pub other: Option<&'a str>,
+    /// What it is, where its name alone does not say that.
+    pub role: &'static str,
+    /// The name of the other network, which was deployed, and what it is, where two are compared.
+    pub other: Option<(&'a str, &'static str)>,
     /// What the deployed network was held against.
     pub against: &'static str,
     /// Where the samples came from.
@@ -65,11 +68,26 @@ pub fn converted_from(graph: &Graph) -> Option<&str> {
     Some(source)
 }
 
+/// What a network is: the trained one, a converted one, or neither.
+#[must_use]
+pub fn role(graph: &Graph) -> &'static str {
+    match converted_from(graph) {
+        Some(_) => "the converted network",
+        None if is_real(graph) => "the trained network",
+        None => "",
+    }
+}
+
+/// A network by its name and by what it is.
+fn called((name, role): (&str, &str)) -> String {
+    if role.is_empty() { name.to_string() } else { format!("{name}, {role}") }
+}
+
 /// What a network was compared with, in words.
 fn in_words(against: &str) -> &str {
     match against {
-        "srm" => "trained, spike response neurons",
-        "cuba" => "trained, real numbers",
+        "srm" => "the trained network, spike response neurons",
+        "cuba" => "the trained network, real numbers",
         "golden" => "the same integers, interpreted",
         other => other,
     }
@@ -78,12 +96,13 @@ fn in_words(against: &str) -> &str {
 impl<'a> AgreeReport<'a> {
     /// Of two networks and nothing more: no search, no causes.
     pub fn of_two(
-        (model, other): (&'a str, &'a str),
+        [(model, role), other]: [(&'a str, &'static str); 2],
         (input, seed, samples): (&'a [String], Option<u64>, usize),
         agreement: &'a Agreement,
     ) -> Self {
         AgreeReport {
             model,
+            role,
             other: Some(other),
             against: "another model",
             input,
@@ -101,6 +120,15 @@ impl<'a> AgreeReport<'a> {
             source: None,
             files: &[],
         }
+    }
+
+    /// Of a network and what it was held against, before a search and causes are added.
+    pub fn of_one(
+        (model, against): (&'a str, &'static str),
+        seen: (&'a [String], Option<u64>, usize),
+        agreement: &'a Agreement,
+    ) -> Self {
+        AgreeReport { other: None, against, ..Self::of_two([(model, ""); 2], seen, agreement) }
     }
 }
 
@@ -339,7 +367,7 @@ impl AgreeReport<'_> {
     /// A section of a document, with a chart under `picture`.
     pub fn markdown(&self, picture: &str) -> String {
         let (samples, input) = (count(self.samples as u64, "sample"), origin(self.input, self.seed));
-        let (a, b) = self.other.map_or((self.against, self.model), |other| (self.model, other));
+        let (a, b) = self.other.map_or((self.against, self.model), |(other, _)| (self.model, other));
         let mut out = format!("{}, {samples} of {input}; a: {a}, b: {b} on simulated cores.\n\n", self.model);
         if let Some(classes) = &self.classes {
             let said = classes_text(classes);
@@ -370,7 +398,10 @@ impl AgreeReport<'_> {
         let on = self.target.map_or(String::new(), |target| format!(" of {target}"));
         let a = if self.source.is_some() { "the conversion, real numbers" } else { in_words(self.against) };
         let mut out = wrapped(&match self.other {
-            Some(other) => format!("{} (a) and {other} as deployed on simulated cores{on} (b)", self.model),
+            Some(other) => {
+                let (a, b) = (called((self.model, self.role)), called(other));
+                format!("{a} (a) and {b} as deployed on simulated cores{on} (b)")
+            }
             None => format!("{} (a: {a}) and as deployed on simulated cores{on} (b)", self.model),
         });
         out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));
@@ -431,7 +462,7 @@ pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
     }
     let lossy = attribution.layers.iter().any(LayerLoss::is_lossy);
     if let Some(remedy) = attribution.worst().filter(|_| lossy).and_then(Cause::remedy) {
-        out += &wrapped(&format!("What helps: {remedy}."));
+        out += &wrapped(&format!("What may help: {remedy}."));
     }
     if let Some(Next { what, command, .. }) = next {
         out += &format!("{}{}\n", wrapped(&format!("next: a command that {what}")), shell_lines(command));

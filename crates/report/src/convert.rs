@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::agree::{blame, lost_json, next_json};
 use nsim_agree::attribution::{Distance, Share};
-use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table, table_of, wrapped};
+use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table, table_of, three, wrapped};
 use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
 use nsim_train::convert::job::{Done, Job, sentence};
 use nsim_train::convert::next::Next;
@@ -73,6 +73,8 @@ fn measured(measured: &Measured) -> Value {
     let layer = |(name, coincidence, _): &(String, Option<f64>, u64)| json!({ "name": name, "coincidence": coincidence.map(rounded) });
     let mut object = distance(&measured.distance);
     object["samples"] = measured.samples.into();
+    object["accuracy_trained"] = measured.accuracy.map(|(trained, _)| rounded(trained)).into();
+    object["accuracy"] = measured.accuracy.map(|(_, integers)| rounded(integers)).into();
     object["layers"] = measured.layers.iter().map(layer).collect();
     object
 }
@@ -201,6 +203,19 @@ impl ConvertReport<'_> {
             format!("{}, {}\n", self.job.graph.facts().name, count(calibration.samples as u64, "calibration sample"));
         if let Some(held) = self.done.held_out.as_ref() {
             out += &wrapped(&format!("on {}: {}", count(held.samples as u64, "held-out sample"), sentence(held)));
+        }
+        let judged = self.done.held_out.as_ref().unwrap_or(calibration);
+        if let Some((trained, integers)) = judged.accuracy {
+            let attribution = &self.done.converted.attribution;
+            let blamed = attribution.worst_of_classes().map(|(cause, _)| cause).or_else(|| attribution.worst());
+            let blamed = blamed.filter(|_| integers < trained);
+            out += &wrapped(&format!(
+                "accuracy {} as trained, {} converted, on {}{}",
+                three(trained),
+                three(integers),
+                count(judged.samples as u64, "sample"),
+                blamed.map_or(String::new(), |cause| format!("; most is lost to {}", cause.words()))
+            ));
         }
         // Names would be broken: stages are numbered, and named after the table.
         let stages = &self.done.converted.stages;

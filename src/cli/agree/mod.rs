@@ -30,6 +30,7 @@ use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
 use nsim_session::inputs;
 use nsim_train::convert::next::{Typed, next};
+use nsim_train::convert::staged::is_real;
 
 /// Runs the command; the answer is no when a bound that was asked for is missed.
 ///
@@ -46,10 +47,16 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Form::require_written("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
-    let (target, instead) = target_with_neurons(network.file(), args.target.as_deref())?;
+    let models = models::named(&args.against)?;
+    // A network in real numbers is not mapped: what it is compared with is.
+    let deployed = match models.as_slice() {
+        [other, ..] if is_real(&graph) => &args.timestep.load(other)?,
+        _ => &network,
+    };
+    let (target, instead) = target_with_neurons(deployed.file(), args.target.as_deref())?;
     instead.iter().for_each(|instead| tracing::warn!("{instead}"));
     let (trained, on) = ((&graph, &analytic), (&target, context));
-    match models::named(&args.against)?.as_slice() {
+    match models.as_slice() {
         [] => {}
         [other] => return models::with_one(args, trained, other, (&stimulus, &samples), on),
         several => return models::with_several(args, trained, several, (&stimulus, &samples), on),
@@ -112,7 +119,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     files.extend(args.plot_causes.iter().map(|path| path.display().to_string()));
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
     let report = AgreeReport {
-        other: None,
         found: integers.found.as_ref(),
         fits: &named_fits(&graph, &integers.fits),
         attribution: attribution.as_ref(),
@@ -123,7 +129,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         source: converted_from(&graph)
             .filter(|_| matches!(against, Counterpart::Cuba))
             .map(|trained| (trained, format!("nsim agree {trained} --against {}", args.model))),
-        ..AgreeReport::of_two((&graph.facts().name, against.name()), shown, &agreement)
+        ..AgreeReport::of_one((&graph.facts().name, against.name()), shown, &agreement)
     };
     if let (Some(path), Some(attribution)) = (&args.update, &attribution) {
         let name = &graph.facts().name;

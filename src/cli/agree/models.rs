@@ -19,7 +19,7 @@ use nsim_ir::graph::Graph;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Sample, Stimulus};
-use nsim_report::agree::AgreeReport;
+use nsim_report::agree::{AgreeReport, role};
 use nsim_report::side_by_side::{Compared, SideBySideReport};
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
@@ -82,6 +82,7 @@ fn deployed(model: &str, network: &Quantised, target: &Target) -> Result<Mapping
 /// A model file on simulated cores.
 struct Other {
     name: String,
+    role: &'static str,
     cores: usize,
 }
 
@@ -100,7 +101,7 @@ fn compared(
     };
     let mut all = Vec::new();
     for file in files {
-        let (_, second) = real_and_integers(&args.timestep.load(file)?)?;
+        let (trained, second) = real_and_integers(&args.timestep.load(file)?)?;
         Form::require_written("nsim agree", &second, 1)?;
         let compiled = deployed(file, &second, target)?;
         let first = (graph, integers, mapped.as_ref().map(|mapped| &mapped.program));
@@ -108,7 +109,8 @@ fn compared(
             compare_models(first, (&second, &compiled.program), samples, args.steps, done)
         })?;
         output::warn_all(&deployed_warnings(&compiled, samples)?);
-        all.push((agreement, Other { name: second.parts().name.clone(), cores: compiled.program.cores().len() }));
+        let name = second.parts().name.clone();
+        all.push((agreement, Other { name, role: role(&trained), cores: compiled.program.cores().len() }));
     }
     Ok(all)
 }
@@ -128,7 +130,7 @@ pub(super) fn with_one(
     let Some((agreement, second)) = all.pop() else { return Ok(Answer::No) };
     let files = draw(args, &graph.facts().name, &agreement.layers, context)?;
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
-    let two = AgreeReport::of_two((&graph.facts().name, &second.name), shown, &agreement);
+    let two = AgreeReport::of_two([(&graph.facts().name, role(graph)), (&second.name, second.role)], shown, &agreement);
     let report = AgreeReport { files: &files, target: Some(target.name()), ..two };
     report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
     if args.plot.as_deref().is_none_or(|path| !io::text::is_standard_stream(path)) {

@@ -70,6 +70,7 @@ pub struct Args {
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
+    args.output.iter().try_for_each(|path| io::network::check_name(path))?;
     io::write::check_all_free(&args.output, context.force)?;
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();

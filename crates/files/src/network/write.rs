@@ -212,6 +212,7 @@ impl NetworkFile {
     /// # Errors
     /// As [`Self::write`].
     pub fn write_under(&self, comment: &str, path: &Path, force: bool) -> Result<Vec<String>> {
+        check_name(path)?;
         let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
         let arrays = path.with_file_name(format!("{stem}.safetensors"));
         let name = arrays.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
@@ -237,6 +238,43 @@ impl NetworkFile {
             files.push(arrays.display().to_string());
         }
         Ok(files)
+    }
+}
+
+/// Endings of files that are no model of nsim's.
+const OTHERS: [&str; 16] = [
+    "pt",
+    "pth",
+    "ckpt",
+    "pkl",
+    "onnx",
+    "nir",
+    "net",
+    "h5",
+    "hdf5",
+    "npy",
+    "npz",
+    "csv",
+    "safetensors",
+    "json",
+    "yml",
+    "yaml",
+];
+
+/// Checks that a model is not written under the ending of another format.
+///
+/// # Errors
+/// `write.ending`.
+pub fn check_name(path: &Path) -> Result<()> {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+    match ending.filter(|ending| OTHERS.contains(&ending.as_str())) {
+        None => Ok(()),
+        Some(ending) => Err(Diagnostic::new(
+            "write.ending",
+            format!("a model is text, its arrays go into a .safetensors next to it, and files that end in .{ending} are others"),
+        )
+        .in_file(path)
+        .help(format!("name it {}", path.with_extension("ron").display()))),
     }
 }
 

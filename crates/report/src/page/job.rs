@@ -97,7 +97,7 @@ pub fn agreement(
     let sides = (Side { layers: &of_both, trace: &real }, Side { layers: &of_both, trace: &machine });
     let agreement = compare_networks(sides, &output_layer(network), some, None, progress)?;
     let shown = (workload.origin.as_slice(), workload.seed, some.len());
-    let report = AgreeReport::of_two((&network.parts().name, "the trained network"), shown, &agreement);
+    let report = AgreeReport::of_two([(&network.parts().name, ""), ("the trained network", "")], shown, &agreement);
     Ok(report.json())
 }
 

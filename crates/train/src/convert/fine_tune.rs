@@ -25,6 +25,7 @@ use rayon::prelude::*;
 
 use crate::cells::Cells;
 use crate::checkpoint;
+use crate::convert::resets::subtracts;
 use crate::convert::staged::Measured;
 use crate::fit::{Example, Forward, Plan};
 use crate::network::{Deployed, Source, Weights, Workspace};
@@ -192,7 +193,14 @@ pub fn trainable(graph: &Graph) -> Result<()> {
     for (_, population) in graph.populations() {
         if matches!(population.kind, PopulationKind::Neurons(_)) {
             let message = format!("'{}' has neurons that are not spike response neurons", population.name);
-            return Err(unlike(graph, &message));
+            let unlike = unlike(graph, &message);
+            return Err(match subtracts(&population.kind) {
+                true => unlike.help(
+                    "train the network again with a reset to zero (snnTorch: reset_mechanism='zero'): what the \
+                     conversion loses to the reset is then not lost, and nothing is to be fine-tuned",
+                ),
+                false => unlike,
+            });
         }
     }
     for (_, source, target, projection) in graph.projections() {

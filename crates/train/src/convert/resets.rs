@@ -7,7 +7,8 @@
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
 use nsim_ir::neurons::NeuronKind;
 
-fn subtracts(kind: &PopulationKind) -> bool {
+/// Whether neurons reset by subtraction.
+pub(super) fn subtracts(kind: &PopulationKind) -> bool {
     matches!(kind, PopulationKind::Neurons(parameters) if parameters.kind == NeuronKind::SoftReset)
 }
 

@@ -420,7 +420,7 @@ fn scored(
         ComparedSample::new(layers, output, (trained, &ladder.run(Rung::MACHINE, sample, false)), -1)
     };
     let each: Vec<ComparedSample> = samples.par_iter().zip(trained).map(compared).collect();
-    let Measured { distance, layers: by_layer, classes } = Measured::new(layers.len(), each.iter());
+    let Measured { distance, layers: by_layer, classes, .. } = Measured::new(layers.len(), each.iter());
     let last = layers.iter().position(|layer| layer == output).map(|place| by_layer[place]).unwrap_or_default();
     ConversionScore {
         classes,

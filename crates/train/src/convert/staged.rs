@@ -71,6 +71,8 @@ pub struct Measured {
     pub layers: Vec<(String, Option<f64>, u64)>,
     /// Samples.
     pub samples: usize,
+    /// Shares of right classes of that network and of the integers, where all samples have labels.
+    pub accuracy: Option<(f64, f64)>,
 }
 
 /// A network in integers and how it got there.
@@ -117,7 +119,7 @@ fn by_layer(ladder: &Ladder, measured: attribution::Measured, samples: usize) ->
         let silent = sum.spikes_a + sum.spikes_b == 0;
         (layer.name, (!silent).then(|| sum.coincidence()), sum.spikes_b)
     });
-    Measured { distance: measured.distance, layers: rows.collect(), samples }
+    Measured { distance: measured.distance, layers: rows.collect(), samples, accuracy: measured.accuracy }
 }
 
 impl Converted {

@@ -57,7 +57,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
             check_restored(&model, options)?;
             notes.push("written by nsim and unchanged since: restored as it was".to_string());
             let subtracts = model.populations.iter().any(|population| population.kind == NeuronKind::SoftReset);
-            let reset = subtracts.then_some(options.reset.unwrap_or(ResetMode::Subtract));
+            let reset = Some(if subtracts { options.reset.unwrap_or(ResetMode::Subtract) } else { ResetMode::Zero });
             return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None, reset });
         }
         Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),

@@ -163,7 +163,7 @@ impl Reader<'_> {
                         "node '{name}': a timestep of {} ms is longer than its '{key}' of {} ms, so that a step leaves \
                          {:.2} % of the state: a network of Norse or snnTorch is read by nsim.from_torch",
                         dt * 1e3,
-                        decimal(tau) * 1e3,
+                        format!("{:.4e}", tau * 1e3).parse().unwrap_or(tau * 1e3),
                         100.0 * (-dt / tau).exp()
                     ));
                 }
@@ -273,7 +273,10 @@ impl Reader<'_> {
             shown(&neuron.dv),
             shown(&neuron.gain)
         ));
-        self.assumed.extend(long.into_inner());
+        // One node stands for all.
+        if self.assumed.is_empty() {
+            self.assumed.extend(long.into_inner().into_iter().next());
+        }
         Ok(Some(neuron))
     }
 }
