@@ -7,6 +7,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::signals;
 use nsim_files as io;
+use nsim_files::network::NetworkFile;
 #[cfg(feature = "ann")]
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::train::{TrainReport, history_csv};
@@ -140,7 +141,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let fields = fields.collect::<Result<Vec<_>, _>>()?;
     let source = with_fields(&source, &fields)?;
     let job = Job::new(source, args.seed, args.epochs)?;
-    args.output.iter().try_for_each(|path| io::network::check_name(path))?;
+    args.output.iter().try_for_each(|path| NetworkFile::check_name(path))?;
     let weights = args.output.as_deref().map(job::weights_path);
     if args.output.as_deref().is_some_and(io::text::is_standard_stream) {
         return Err(Error::Usage("-o -: a trained model has weights, which need a file beside it".to_string()));

@@ -15,6 +15,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::convert::fine_tuning::FineTuneArgs;
 use crate::cli::output;
 use nsim_files as io;
+use nsim_files::network::NetworkFile;
 use nsim_report::convert::ConvertReport;
 use nsim_session::error::Error;
 use nsim_session::inputs;
@@ -70,7 +71,7 @@ pub struct Args {
 /// # Errors
 /// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    args.output.iter().try_for_each(|path| io::network::check_name(path))?;
+    args.output.iter().try_for_each(|path| NetworkFile::check_name(path))?;
     io::write::check_all_free(&args.output, context.force)?;
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();

@@ -17,7 +17,6 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use self::kinds::with_kinds;
-pub use self::write::check_name;
 use super::synapses::SynapseArrays;
 use nsim_ir::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};

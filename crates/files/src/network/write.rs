@@ -198,6 +198,23 @@ impl NetworkFile {
         Network::new(file, source, tensors.into_iter().map(array).collect())
     }
 
+    /// Checks that a model is not written under the ending of another format.
+    ///
+    /// # Errors
+    /// `write.ending`.
+    pub fn check_name(path: &Path) -> Result<()> {
+        let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+        match ending.filter(|ending| OTHERS.contains(&ending.as_str())) {
+            None => Ok(()),
+            Some(ending) => Err(Diagnostic::new(
+                "write.ending",
+                format!("a model is text, its arrays go into a .safetensors next to it, and files that end in .{ending} are others"),
+            )
+            .in_file(path)
+            .help(format!("name it {}", path.with_extension("ron").display()))),
+        }
+    }
+
     /// Writes the model, and its arrays as `STEM.safetensors` next to it; `-` writes the text
     /// alone.
     ///
@@ -212,7 +229,7 @@ impl NetworkFile {
     /// # Errors
     /// As [`Self::write`].
     pub fn write_under(&self, comment: &str, path: &Path, force: bool) -> Result<Vec<String>> {
-        check_name(path)?;
+        Self::check_name(path)?;
         let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
         let arrays = path.with_file_name(format!("{stem}.safetensors"));
         let name = arrays.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
@@ -260,23 +277,6 @@ const OTHERS: [&str; 16] = [
     "yml",
     "yaml",
 ];
-
-/// Checks that a model is not written under the ending of another format.
-///
-/// # Errors
-/// `write.ending`.
-pub fn check_name(path: &Path) -> Result<()> {
-    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
-    match ending.filter(|ending| OTHERS.contains(&ending.as_str())) {
-        None => Ok(()),
-        Some(ending) => Err(Diagnostic::new(
-            "write.ending",
-            format!("a model is text, its arrays go into a .safetensors next to it, and files that end in .{ending} are others"),
-        )
-        .in_file(path)
-        .help(format!("name it {}", path.with_extension("ron").display()))),
-    }
-}
 
 /// Tensors as the bytes of a safetensors file, each in the least type that holds its numbers
 /// exactly.
