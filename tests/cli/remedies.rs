@@ -212,6 +212,7 @@ fn each_change_that_was_tried_makes_it_fit() {
     let wide = Net { polarities: 1, side: 70, ..NET };
     let fan = Net { polarities: 1, side: 1, relayed: true, units: 9000, ..NET };
     let coarse = Net { delays: vec![9; 8], ..NET };
+    let many_cores = Net { polarities: 1, units: 1200, ..NET };
     let (one, many) = (["--target", "loihi1-chip"], ["--target", "loihi1-chip", "--copies", "200"]);
     let few = |limit| [&one[..], &["--set", limit]].concat();
     let mut kinds = std::collections::BTreeSet::new();
@@ -220,6 +221,7 @@ fn each_change_that_was_tried_makes_it_fit() {
         (Some(&fan), &few("target.limits.axons_out_per_compartment=4")),
         (Some(&coarse), &few("target.limits.synapse_words_per_axon=2")),
         (Some(&NET), &few("target.limits.axons_in=100")),
+        (Some(&many_cores), &few("target.limits.synapse_words=100")),
         (None, &many),
     ] {
         let written = |net: &Net| write(folder.path(), "n.ron", &net.text());
@@ -245,8 +247,21 @@ fn each_change_that_was_tried_makes_it_fit() {
             }
         }
     }
-    let known = ["copies", "limit", "relays", "target", "weight_bits"];
+    let known = ["copies", "doubled_limit", "limit", "relays", "target", "weight_bits"];
     assert!(known.iter().all(|kind| kinds.contains(*kind)), "{kinds:?}");
+}
+
+/// A mapping that takes too many cores is no bound, and says what fills them.
+#[test]
+fn a_mapping_of_too_many_cores_names_its_population_and_what_it_fills() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = write(folder.path(), "n.ron", &Net { polarities: 1, units: 1200, ..NET }.text());
+    let line = ["map", &model, "--target", "loihi1-chip", "--set", "target.limits.synapse_words=100"];
+    let (code, text, _) = said(&line);
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(code == 1 && text.contains("this mapping takes 200 cores") && !text.contains("at least"), "{text}");
+    assert!(text.contains("; out is on 200 of them, the fullest with 64 of 100 words;"), "{text}");
+    assert!(text.contains("use a larger board: --target "), "{text}");
 }
 
 /// The object of `nsim map`, whether or not the network fits.
@@ -380,7 +395,7 @@ fn what_is_printed_to_be_typed_is_typed() {
     assert_eq!(typed[0], "--strategy");
     assert_eq!(object_of(&[&line[..], &typed].concat())["fits"], true);
     // As many cores as are said to be needed.
-    let cores = number(refused["reasons"][0]["help"].as_str().unwrap(), "at least ");
+    let cores = number(refused["reasons"][0]["help"].as_str().unwrap(), "a target of ");
     let board = board_of(cores, folder.path());
     let line = ["map", &two, "--target", &board, "--set", "target.limits.axons_in=3", "--strategy", "sequential"];
     assert_eq!(object_of(&line)["fits"], true, "{cores} cores");

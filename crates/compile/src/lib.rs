@@ -30,7 +30,7 @@ pub use nsim_partition::form::Form;
 pub use nsim_partition::options::{
     CopyPlacement, DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy,
 };
-pub use nsim_partition::reason::Reason;
+pub use nsim_partition::reason::{Reason, Tightest};
 pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked};
 
 /// A mapping by one partition and one placement, for sources of one copy that spike this often.

@@ -3,10 +3,13 @@
 //! Input: what a population, a core or the whole network needs of a resource, and the limit.
 //! Output: a [`Reason`].
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use nsim_ir::base::id::{CoreId, PopulationId};
-use nsim_ir::hardware::Target;
+use nsim_ir::base::id::{CompartmentId, CoreId, PopulationId};
+use nsim_ir::hardware::constants::Status;
+use nsim_ir::hardware::{LimitSource, Target};
+use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Capacity, Limits, Resource};
 
@@ -25,8 +28,70 @@ pub struct Reason {
     pub need: u64,
     /// What there is.
     pub limit: u64,
+    /// Where the cores that one mapping takes go; `None` where `need` is a bound for all of them.
+    pub taken: Option<Taken>,
     /// What to change.
     pub help: String,
+}
+
+/// The cores that a mapping takes, which another may need fewer of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Taken {
+    /// What each holds was not counted.
+    Uncounted,
+    /// Most of them belong to one population.
+    Mostly(Tightest),
+}
+
+/// The population of a mapping with the most cores, and what fills them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Tightest {
+    /// Its name.
+    pub population: String,
+    /// Cores that hold some of it.
+    pub cores: u64,
+    /// What its fullest core uses most of.
+    pub resource: Capacity,
+    /// How much that core uses.
+    pub need: u64,
+    /// How much a core has.
+    pub limit: u64,
+    /// Whether no source gives the limit.
+    pub assumed: bool,
+}
+
+impl Tightest {
+    /// Of each population that has compartments, from what each core uses and holds.
+    #[must_use]
+    pub fn of_each<'a>(
+        network: &Quantised,
+        target: &Target,
+        cores: impl Iterator<Item = (&'a CoreUsage, &'a Vec<CompartmentId>)>,
+    ) -> BTreeMap<PopulationId, Self> {
+        let sources = &target.chip().limit_sources;
+        let mut all: BTreeMap<PopulationId, Self> = BTreeMap::new();
+        for (used, members) in cores {
+            let named = target.limits().against(used.of).filter(|(capacity, ..)| capacity.heading().is_some());
+            let Some(here) = named.reduce(tighter) else { continue };
+            let of = |id: &CompartmentId| network.population_of(CompartmentId(id.0 % network.compartments())).0;
+            for id in members.iter().map(of).collect::<BTreeSet<_>>() {
+                let before = all.remove(&id).map(|one| (one.cores, (one.resource, one.need, one.limit)));
+                let (cores, most) = before.unwrap_or_else(|| (0, here.clone()));
+                let (resource, need, limit) = tighter(most, here.clone());
+                let is_assumed =
+                    |one: &LimitSource| one.limit.value == resource.name() && one.status == Status::Assumed;
+                let (assumed, population) = (sources.iter().any(is_assumed), network.populations()[id].name.clone());
+                all.insert(id, Tightest { population, cores: cores + 1, resource, need, limit, assumed });
+            }
+        }
+        all
+    }
+}
+
+/// The use that takes more of its limit; the first of equals.
+#[must_use]
+pub fn tighter(a: (Capacity, u64, u64), b: (Capacity, u64, u64)) -> (Capacity, u64, u64) {
+    if b.1 * a.2.max(1) > a.1 * b.2.max(1) { b } else { a }
 }
 
 impl fmt::Display for Reason {
@@ -38,7 +103,19 @@ impl fmt::Display for Reason {
         }
         let Reason { need, limit, .. } = self;
         match (&self.resource, self.population.is_some()) {
-            (Capacity::Cores, _) => write!(f, "at least {need} cores are needed, the target has {limit}")?,
+            (Capacity::Cores, _) => {
+                let takes = if self.taken.is_some() { "this mapping takes" } else { "any mapping takes at least" };
+                write!(f, "{takes} {need} cores, the target has {limit}")?;
+                if let Some(Taken::Mostly(most)) = &self.taken {
+                    let Tightest { population, cores, resource, need, limit, assumed } = most;
+                    let assumed = if *assumed { " (assumed: no source gives it)" } else { "" };
+                    let what = resource.heading().unwrap_or_default();
+                    write!(
+                        f,
+                        "; {population} is on {cores} of them, the fullest with {need} of {limit} {what}{assumed}"
+                    )?;
+                }
+            }
             (Capacity::Resource(Resource::Compartments), false) if self.core.is_none() => {
                 write!(f, "{need} compartments are needed, the whole target has {limit}")?;
             }
@@ -58,7 +135,7 @@ const MERGE_INPUTS: &str = "every input channel that reaches a core takes one in
 
 impl Reason {
     fn new(resource: Capacity, need: u64, limit: u64, help: String) -> Self {
-        Reason { code: resource.code(), population: None, core: None, resource, need, limit, help }
+        Reason { code: resource.code(), population: None, core: None, resource, need, limit, taken: None, help }
     }
 
     /// A compartment of a population needs more than any core has.
@@ -87,7 +164,18 @@ impl Reason {
         Reason { core: Some(core), ..Reason::new(resource, need, limit, help) }
     }
 
-    /// More cores are needed than the target has.
+    /// A mapping takes more cores than the target has; another may take fewer. `of_each` is empty
+    /// where what the cores hold was not counted.
+    #[must_use]
+    pub fn of_mapping(target: &Target, copies: u32, cores: u64, of_each: BTreeMap<PopulationId, Tightest>) -> Self {
+        let most = of_each.into_values().max_by_key(|one| one.cores);
+        let taken = Some(most.map_or(Taken::Uncounted, Taken::Mostly));
+        let bound = Reason::of_cores(target, copies, cores);
+        let help = bound.help.replacen("with at least", "of", 1);
+        Reason { taken, help, ..bound }
+    }
+
+    /// Any mapping needs more cores than the target has.
     #[must_use]
     pub fn of_cores(target: &Target, copies: u32, need: u64) -> Self {
         Reason::new(Capacity::Cores, need, u64::from(target.cores()), larger(copies, need))

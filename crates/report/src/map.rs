@@ -13,13 +13,12 @@ use nsim_compile::explore::choice::{Found, front};
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
-use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, place};
+use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, Tightest, place};
 use nsim_files::table::{Column, cell, count, csv_text, shell_lines, table_of, three, wrapped};
-use nsim_ir::base::id::{CompartmentId, PopulationId};
+use nsim_ir::base::id::PopulationId;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::pruned::Row as PrunedRow;
-use nsim_ir::quantised::Population;
 use nsim_ir::resource::{Limits, Resource};
 
 /// What was asked.
@@ -350,65 +349,23 @@ pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
     format!("{model} does not fit on {}:\n{}", target.name(), listed(reasons))
 }
 
-/// A population on its cores, and the resource that is used most on one of them.
-struct Tightest {
-    population: String,
-    compartments: u32,
-    cores: usize,
-    resource: String,
-    need: u64,
-    limit: u64,
-}
-
-const TIGHTEST_COLUMNS: [Column<Tightest>; 7] = [
-    ("population", |row| row.population.clone()),
-    ("compartments", |row| row.compartments.to_string()),
-    ("cores", |row| row.cores.to_string()),
-    ("tightest resource", |row| row.resource.clone()),
-    ("fullest core", |row| row.need.to_string()),
-    ("limit", |row| row.limit.to_string()),
-    ("used", |row| format!("{:.0} %", 100.0 * row.share())),
+/// Of a population, what a table says: its compartments, its cores and their tightest resource.
+const TIGHTEST_COLUMNS: [Column<(u32, Tightest)>; 7] = [
+    ("population", |(_, row)| row.population.clone()),
+    ("compartments", |(compartments, _)| compartments.to_string()),
+    ("cores", |(_, row)| row.cores.to_string()),
+    ("tightest resource", |(_, row)| row.resource.heading().unwrap_or_default().to_string()),
+    ("fullest core", |(_, row)| row.need.to_string()),
+    ("limit", |(_, row)| row.limit.to_string()),
+    ("used", |(_, row)| format!("{:.0} %", 100.0 * row.need as f64 / row.limit.max(1) as f64)),
 ];
 
-impl Tightest {
-    fn share(&self) -> f64 {
-        self.need as f64 / self.limit.max(1) as f64
-    }
-}
-
 /// The tightest resource of each population that has compartments, all copies together.
-fn tightest(compiled: &Mapping, target: &Target) -> Vec<Tightest> {
-    let (one, usage) = (&compiled.one, compiled.partition.usage());
-    let row = |population: &Population| Tightest {
-        population: population.name.clone(),
-        compartments: population.shape.len() * compiled.options.copies,
-        cores: 0,
-        resource: String::new(),
-        need: 0,
-        limit: 0,
-    };
-    let mut rows: Vec<Tightest> = one.populations().iter().map(row).collect();
-    for (members, used) in compiled.partition.members().iter().zip(usage.iter()) {
-        let of = |id: &CompartmentId| one.population_of(CompartmentId(id.0 % one.compartments())).0;
-        let mut here: Vec<PopulationId> = members.iter().map(of).collect();
-        here.sort_unstable();
-        here.dedup();
-        let named = target
-            .limits()
-            .against(used.of)
-            .filter_map(|(capacity, need, limit)| Some((capacity.heading()?.to_string(), need, limit)));
-        let most = named.reduce(|a, b| if b.1 * a.2.max(1) > a.1 * b.2.max(1) { b } else { a });
-        let Some((resource, need, limit)) = most else { continue };
-        for id in here {
-            let row = &mut rows[id.0 as usize];
-            row.cores += 1;
-            if row.cores == 1 || need as f64 / limit.max(1) as f64 > row.share() {
-                (row.resource, row.need, row.limit) = (resource.clone(), need, limit);
-            }
-        }
-    }
-    rows.retain(|row| row.cores > 0);
-    rows
+fn tightest(compiled: &Mapping, target: &Target) -> Vec<(u32, Tightest)> {
+    let (one, partition) = (&compiled.one, &compiled.partition);
+    let of_each = Tightest::of_each(one, target, partition.usage().iter().zip(partition.members().iter()));
+    let size = |id: PopulationId| one.populations()[id].shape.len() * compiled.options.copies;
+    of_each.into_iter().map(|(id, tightest)| (size(id), tightest)).collect()
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@
 //! - fewer weight bits, each weight rounded to the coarser step, unless a projection then has no
 //!   weight but 0: whether the network still does its task is another question, which the remedy says;
 //! - the next larger shipped boards;
+//! - two to sixteen times the limit that fills the cores of a mapping;
 //! - the least limits of a core with which the network fits, for a chip of one's own.
 //!
 //! Not tried: what needs another model (merging polarities, pooling), which is advice in the reason
@@ -18,19 +19,24 @@
 
 use std::collections::BTreeMap;
 
-use crate::{AddedRelays, CompileError, DEFAULT_RATE, Effort, Front, Objective, Options, Reason, Strategy};
+use crate::{AddedRelays, CompileError, DEFAULT_RATE, Effort, Front, Objective, Options, Reason, Strategy, Tightest};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Capacity, Resource};
+use nsim_partition::reason::Taken;
 use nsim_quantise::prune::{Plan, prune};
 
 /// Synapses above which trying changes would take too long.
 const MOST_SYNAPSES: u64 = 10_000_000;
+/// Synapses up to which one larger board is tried all the same.
+const MOST_ON_BOARD: u64 = 30_000_000;
 /// Weight bits that are tried.
 const BITS: [u32; 3] = [6, 5, 4];
+/// Factors by which the limit is raised that fills the cores of a mapping.
+const DOUBLED: [u64; 4] = [2, 4, 8, 16];
 /// Rounds in which limits are raised: one that is met can uncover another.
 const MOST_RAISED: usize = 4;
 
@@ -41,8 +47,8 @@ pub type Changed<'a> = dyn Fn(&[String]) -> Option<(Front, Target)> + 'a;
 /// A change that makes the network fit.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Remedy {
-    /// A stable name for scripts: `strategy`, `prune`, `relays`, `copies`, `weight_bits`, `target`
-    /// or `limit`.
+    /// A stable name for scripts: `strategy`, `prune`, `relays`, `copies`, `weight_bits`, `target`,
+    /// `limit` or `doubled_limit`.
     pub kind: &'static str,
     /// What to change, in words, with what to type where there is something to type.
     pub change: String,
@@ -72,7 +78,9 @@ pub struct Refused<'a> {
 #[must_use]
 pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) -> Vec<Remedy> {
     let Refused { one, target, options, reasons, .. } = refused;
-    if one.synapses().saturating_mul(u64::from(options.copies)) > MOST_SYNAPSES {
+    let synapses = one.synapses().saturating_mul(u64::from(options.copies));
+    let few = synapses <= MOST_SYNAPSES;
+    if synapses > MOST_ON_BOARD {
         return Vec::new();
     }
     let quick = Options { effort: Effort::Work(0), objective: Objective::Cores, place: false, ..*options };
@@ -83,10 +91,21 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         Ok(Fitting { cores: made.partition.cores() as u32, copies })
     };
     let fits = |front: Front, target: &Target, copies: u32| tried(front, target, copies).ok();
+    // A board has the cores that are known to be taken; of a large network one alone is tried.
+    let taken = reasons.iter().filter(|reason| reason.resource == Capacity::Cores).map(|reason| reason.need).max();
+    let large_enough = boards.iter().filter(|board| u64::from(board.cores()) >= taken.unwrap_or(0));
+    let mut on_board = large_enough.take(if few { usize::MAX } else { 1 }).filter_map(|board| {
+        let fitting = fits(one.clone().into(), board, options.copies)?;
+        Some((format!("use a larger board: --target {}", board.name()), fitting))
+    });
     let mut found = Vec::new();
     let mut keep = |kind, change: String, Fitting { cores, copies }: Fitting| {
         found.push(Remedy { kind, change, cores, copies });
     };
+    if !few {
+        on_board.next().into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
+        return found;
+    }
     if options.strategy != Strategy::default() {
         let options = Options { effort: Options::default().effort, strategy: Strategy::default(), ..quick };
         let made = Front::from(one.clone()).partition(target, &options, &rates);
@@ -142,9 +161,18 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         keep("weight_bits", words, fitting);
         break;
     }
-    for board in boards {
-        if let Some(fitting) = fits(one.clone().into(), board, options.copies) {
-            keep("target", format!("use a larger board: --target {}", board.name()), fitting);
+    on_board.next().into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
+    let most = reasons.iter().find_map(|reason| match &reason.taken {
+        Some(Taken::Mostly(most)) => Some(most),
+        _ => None,
+    });
+    for factor in most.into_iter().flat_map(|_| DOUBLED) {
+        let Some(Tightest { resource, limit, .. }) = most else { break };
+        let changes = [format!("target.limits.{}={}", resource.name(), limit * factor)];
+        let Some((front, target)) = changed(&changes) else { break };
+        if let Some(fitting) = fits(front, &target, options.copies) {
+            let words = format!("change the chip, {factor} times the limit that is met: {}", typed(&changes));
+            keep("doubled_limit", words, fitting);
             break;
         }
     }

@@ -24,6 +24,8 @@ pub mod link_loads;
 pub mod nets;
 pub mod spread;
 
+use std::collections::BTreeMap;
+
 use crate::place::anneal::Search;
 use crate::place::nets::Nets;
 use nsim_ir::base::id::{CoreId, IdVec};
@@ -52,7 +54,7 @@ const MOST_MESSAGES: u64 = 20_000_000;
 /// A [`Reason`] when they are more than the target has.
 pub fn sequential(cores: usize, target: &Target) -> Result<Placement, Reason> {
     let mesh = Mesh::for_target(target);
-    let too_many = || Reason::of_cores(target, 1, cores as u64);
+    let too_many = || Reason::of_mapping(target, 1, cores as u64, BTreeMap::new());
     let sites: Option<IdVec<CoreId, Site>> = (0..cores as u32).map(|core| mesh.site(core)).collect();
     Placement::new(mesh, sites.ok_or_else(too_many)?).map_err(|_| too_many())
 }

@@ -3,6 +3,8 @@
 //! Input: the [`Layers`] of a network. Output: its [`Boxes`], the fewest that fit a target's limits
 //! or those of given lattices, in the order of populations and lattices.
 
+use std::collections::BTreeMap;
+
 use crate::error::CompileError;
 use crate::options::{Options, Strategy};
 use crate::reason::Reason;
@@ -126,7 +128,7 @@ impl Boxes {
             network.fewest(&most, limits, &mut cuts)?;
             let boxes: u64 = cuts.iter().flatten().map(|cut| u64::from(cut.lattice.boxes())).sum();
             if boxes > u64::from(target.cores()) {
-                return Err(Reason::of_cores(target, copies, boxes).into());
+                return Err(Reason::of_mapping(target, copies, boxes, BTreeMap::new()).into());
             }
             let found = Boxes::of_cuts(network, &cuts);
             let chips = row_of_chips(found.members.len(), target);

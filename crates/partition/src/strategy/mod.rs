@@ -33,12 +33,13 @@ pub mod sharing;
 pub mod structure;
 pub mod tiles;
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use crate::error::{CompileError, Result};
 use crate::form::Form;
 use crate::options::{Objective, Options, Strategy, is_over};
-use crate::reason::Reason;
+use crate::reason::{Reason, Tightest};
 use crate::resources::axon_sharing::Places;
 use crate::resources::even_draws;
 use crate::resources::exact::{usage, usage_with_fan_out, with_fan_out};
@@ -176,7 +177,10 @@ pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Sear
         return partition_copies(&filler, found.members, (all, copies), target, search);
     }
     if found.members.len() as u64 > u64::from(target.cores()) {
-        return Err(Reason::of_cores(target, copies, found.members.len() as u64).into());
+        let cores = found.members.len() as u64;
+        let uses = |all: &Partition| Tightest::of_each(one, target, all.usage().iter().zip(all.members().iter()));
+        let of_each = counted(all, found, target).map_or_else(|_| BTreeMap::new(), |all| uses(&all));
+        return Err(Reason::of_mapping(target, copies, cores, of_each).into());
     }
     counted(all, found, target).map_err(CompileError::fault)
 }
@@ -194,9 +198,12 @@ fn partition_copies(
         pattern.usage(target).ok_or_else(|| CompileError::fault("a group of copies has no seat for each compartment"))
     };
     let fits = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().all(|used| used.excesses(limits).next().is_none());
-    let on_board = |cores: usize| match cores as u64 > u64::from(target.cores()) {
-        true => Err(CompileError::from(Reason::of_cores(target, copies, cores as u64))),
-        false => Ok(()),
+    let on_board = |members: &Members, usage: &IdVec<CoreId, CoreUsage>| match members.len() as u64 {
+        cores if cores > u64::from(target.cores()) => {
+            let of_each = Tightest::of_each(one, target, usage.iter().zip(members.iter()));
+            Err(CompileError::from(Reason::of_mapping(target, copies, cores, of_each)))
+        }
+        _ => Ok(()),
     };
     let mut pattern = Pattern::repeated(one, members, copies);
     let mut usage = counted_once(&pattern)?;
@@ -217,13 +224,14 @@ fn partition_copies(
             {
                 // Output axons decide, which depend on the chips of all copies, or cores do not
                 // repeat copy by copy.
-                on_board(together.members.len())?;
-                return counted(all, together, target).map_err(CompileError::fault);
+                let together = counted(all, together, target).map_err(CompileError::fault)?;
+                return on_board(together.members(), together.usage()).map(|()| together);
             }
         }
     }
-    on_board(pattern.cores())?;
-    Partition::new(all.compartments(), pattern.members(), usage, limits).map_err(CompileError::fault)
+    let members = pattern.members();
+    on_board(&members, &usage)?;
+    Partition::new(all.compartments(), members, usage, limits).map_err(CompileError::fault)
 }
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
