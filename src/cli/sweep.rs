@@ -22,7 +22,7 @@ use nsim_files::write::journal::Journal;
 use nsim_report::charts::picture::FILE;
 use nsim_report::sweep as picture;
 use nsim_session::error::Error;
-use nsim_study::sweep::row::place;
+use nsim_study::sweep::row::{Cells, place};
 use nsim_study::sweep::table::{Table, checksum_column, from_line, line};
 use nsim_study::sweep::variants::Sweep;
 use nsim_study::sweep::work;
@@ -105,6 +105,8 @@ struct Done {
     run: u64,
     before: u64,
     wall_s: f64,
+    /// Variants on the front that equal another of it.
+    ties: usize,
 }
 
 /// Runs the command.
@@ -140,12 +142,19 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             }
         }
         table.check_whole()?;
-        (Done { run: 0, before: table.rows.len() as u64, wall_s: 0.0 }, None)
+        (Done { run: 0, before: table.rows.len() as u64, wall_s: 0.0, ties: 0 }, None)
     };
     let (done, journal) = done;
     let mut batch = io::write::Batch::new(all.force);
     if let (Some(Columns { x, y }), None) = (&args.axes, args.shard) {
         table.front = picture::front(&table, [x, y])?;
+        let aimless = picture::without_direction(&table, [x, y]);
+        if !aimless.is_empty() {
+            let columns = aimless.join(" and ");
+            tracing::warn!(
+                "no front: neither less nor more of {columns} is better; of costs and of target. paths less is"
+            );
+        }
     }
     if let (Some(Columns { x, y }), Some(path)) = (&args.axes, &args.plot) {
         let picture = output::picture_bytes(path, &picture::svg(&table, [x, y])?)?;
@@ -159,7 +168,11 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let Some(journal) = journal {
         journal.remove()?;
     }
-    let done = Done { wall_s: begin.elapsed().as_secs_f64(), ..done };
+    let ties = match &args.axes {
+        Some(Columns { x, y }) => picture::ties(&table, [x, y])?,
+        None => 0,
+    };
+    let done = Done { wall_s: begin.elapsed().as_secs_f64(), ties, ..done };
     say((&sweep, &table, checksums.as_deref()), &done, file, context)
 }
 
@@ -198,7 +211,7 @@ fn run_variants(
             Ok(())
         })
     })?;
-    Ok((Done { run, before, wall_s: 0.0 }, kept))
+    Ok((Done { run, before, wall_s: 0.0, ties: 0 }, kept))
 }
 
 /// The journal of a table.
@@ -263,13 +276,22 @@ fn say(
         return Ok(Answer::Yes);
     };
     let text = || {
-        let Done { run, before, wall_s } = done;
-        let mut text = format!("{}: {} variants", file.display(), table.rows.len());
+        let Done { run, before, wall_s, ties } = done;
+        let mut text = format!("{}: {}", file.display(), nsim_files::table::count(table.rows.len() as u64, "variant"));
         if *before > 0 {
             text += &format!(", {before} of them from before");
         }
         if errors > 0 {
             text += &format!("; {errors} could not be run, {refused} of them as they do not fit");
+        }
+        let broken = |cells: &&Cells| !cells[place("error")].is_empty() && cells[place("fits")] != "false";
+        if let Some(cells) = table.rows.values().find(broken) {
+            text += &format!("\nthe first: {}", cells[place("reason")]);
+        }
+        if let Some(front) = &table.front {
+            text += &format!("; {} on the front", front.len());
+            text +=
+                &if *ties > 0 { format!(", {ties} of them equal to another in both columns") } else { String::new() };
         }
         text += &format!("\n{run} run in {wall_s:.2} s, {} at a time\n", context.threads);
         text

@@ -191,7 +191,8 @@ fn threads_shards_and_kills_change_nothing() {
     }
     let (status, _, error) = said(folder, "sweep s.ron -o no.csv --merge 1.csv 2.csv");
     assert!(status == 3 && error.contains("variant 2 has no row"), "{error}");
-    ran(folder, "sweep s.ron -o p.csv --plot p.svg --axes populations.out.vth_mant,energy_uj");
+    let (_, _, warned) = said(folder, "sweep s.ron -o p.csv --plot p.svg --axes populations.out.vth_mant,energy_uj");
+    assert!(warned.contains("no front: neither less nor more of populations.out.vth_mant"), "{warned}");
     assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ)"));
     assert!(!std::fs::read_to_string(folder.join("p.csv")).unwrap().contains("front"), "no threshold is better");
 }
@@ -224,6 +225,24 @@ fn a_table_says_what_limits_and_what_is_on_the_front() {
     assert_eq!((cell(&found[0], "tightest"), cell(&found[0], "used_percent")), ("compartments 100 %", "100"));
     let picture = std::fs::read_to_string(folder.join("t.svg")).unwrap();
     assert!(picture.contains("on the front") && picture.contains("64, 4096"), "{picture}");
+    // Of what a chip has less is better; rows that are equal are counted.
+    let text = ran(folder, "sweep s.ron -o size.csv --axes compartments,axons");
+    assert!(text.contains("; 1 on the front"), "{text}");
+    let sized = rows(&std::fs::read_to_string(folder.join("size.csv")).unwrap());
+    let on: Vec<&str> = sized.iter().map(|row| cell(row, "front")).collect();
+    assert_eq!(on.iter().filter(|on| **on == "true").count(), 1, "{on:?}");
+    let text = ran(folder, "sweep s.ron -o none.csv --axes samples,chips");
+    assert!(!text.contains("front"), "{text}");
+    let text = ran(folder, "sweep s.ron -o ties.csv --axes chips,spikes");
+    assert!(text.contains(" on the front, 3 of them equal to another in both columns"), "{text}");
+    // A path that the target lacks says so on the screen.
+    let wrong = r#"Sweep(model: "slip-tactile", samples: "0..1", list: [{"target.limits.memry": 5}])"#;
+    std::fs::write(folder.join("wrong.ron"), wrong).unwrap();
+    let text = ran(folder, "sweep wrong.ron -o wrong.csv");
+    assert!(
+        text.contains("1 variant; 1 could not be run") && text.contains("\nthe first: ") && text.contains("memry"),
+        "{text}"
+    );
     // Words of a reason go through a journal and the tables of parts.
     for shard in 1..=2 {
         ran(folder, &format!("sweep s.ron -o {shard}.csv --shard {shard}/2"));

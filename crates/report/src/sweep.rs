@@ -44,8 +44,12 @@ pub fn check(columns: &[&str], name: &str) -> Result<usize> {
     })
 }
 
-/// By which factor a column is multiplied for less of it to be better, where one direction is.
-fn to_less(column: &str) -> Option<f64> {
+/// By which factor a column is multiplied for less of it to be better, where one direction is: of a
+/// chip's limits and sizes that are swept less is better.
+fn to_less(table: &Table<'_>, column: &str) -> Option<f64> {
+    if table.sweep().is_of_chip(column) {
+        return Some(1.0);
+    }
     let unit = column.rsplit('_').next().unwrap_or_default();
     match column {
         "accuracy" => Some(-1.0),
@@ -63,9 +67,26 @@ fn points(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<Vec<(u64, f64, f64)>> 
         Some((variant, number(&record, places[0])?, number(&record, places[1])?))
     };
     let mut points: Vec<_> = table.records().zip(table.places()).filter_map(point).collect();
-    let sign = to_less(x).unwrap_or(1.0);
+    let sign = to_less(table, x).unwrap_or(1.0);
     points.sort_by(|a, b| (sign * a.1).total_cmp(&(sign * b.1)));
     Ok(points)
+}
+
+/// The columns of these of which neither less nor more is better.
+#[must_use]
+pub fn without_direction<'a>(table: &Table<'_>, axes: [&'a str; 2]) -> Vec<&'a str> {
+    axes.into_iter().filter(|column| to_less(table, column).is_none()).collect()
+}
+
+/// How many variants on the front equal another of it in both columns.
+///
+/// # Errors
+/// `sweep.column`.
+pub fn ties(table: &Table<'_>, axes: [&str; 2]) -> Result<usize> {
+    let front = table.front.clone().unwrap_or_default();
+    let bits = points(table, axes)?.into_iter().filter(|point| front.contains(&point.0));
+    let bits: Vec<_> = bits.map(|(_, x, y)| (x.to_bits(), y.to_bits())).collect();
+    Ok(bits.iter().filter(|one| bits.iter().filter(|other| other == one).count() > 1).count())
 }
 
 /// The variants that no other is at least as good as in both columns, and better in one; none where
@@ -75,7 +96,7 @@ fn points(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<Vec<(u64, f64, f64)>> 
 /// `sweep.column`.
 pub fn front(table: &Table<'_>, axes: [&str; 2]) -> Result<Option<BTreeSet<u64>>> {
     let points = points(table, axes)?;
-    let [Some(x), Some(y)] = axes.map(to_less) else { return Ok(None) };
+    let [Some(x), Some(y)] = axes.map(|column| to_less(table, column)) else { return Ok(None) };
     let on = on_front(&points.iter().map(|point| (x * point.1, y * point.2)).collect::<Vec<_>>());
     Ok(Some(points.iter().zip(on).filter(|(_, on)| *on).map(|(point, _)| point.0).collect()))
 }

@@ -280,6 +280,7 @@ impl Runner {
         let case = Case {
             mode: job.mode,
             convention: job.convention,
+            accounting: job.accounting,
             steps_per_sample: steps_per_sample(&samples),
             ..Case::new(&activity, &meter, &deployment, compiled.one.parts().timestep_ms)
         };

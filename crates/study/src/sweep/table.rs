@@ -97,6 +97,11 @@ impl<'s> Table<'s> {
         Table { sweep, rows: BTreeMap::new(), front: None, column: None }
     }
 
+    /// The sweep that it is of.
+    pub fn sweep(&self) -> &'s Sweep {
+        self.sweep
+    }
+
     /// Names of the columns.
     pub fn columns(&self) -> Vec<&'s str> {
         std::iter::once("variant").chain(self.sweep.columns()).chain(FIGURES).collect()

@@ -12,7 +12,7 @@ use crate::sweep::file::{AxisDesc, SweepFile, ValueText};
 use nsim_compile::{CopyPlacement, Objective, Options, Strategy};
 use nsim_cost::Host;
 use nsim_cost::estimate::Convention;
-use nsim_cost::job::Mode;
+use nsim_cost::job::{Accounting, Mode};
 use nsim_files::changes::Change;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::names::did_you_mean;
@@ -53,7 +53,7 @@ const MOST_VARIANTS: u64 = 10_000_000;
 /// The most values of an axis that are said by a step.
 const MOST_STEPS: u64 = 1_000_000;
 /// Options that a path can name, behind `options.`.
-const OPTIONS: [&str; 11] = [
+const OPTIONS: [&str; 12] = [
     "copies",
     "strategy",
     "objective",
@@ -65,6 +65,7 @@ const OPTIONS: [&str; 11] = [
     "constants",
     "mode",
     "convention",
+    "accounting",
 ];
 /// What of the input a path can name, behind `input.`.
 const INPUTS: [&str; 2] = ["samples", "seed"];
@@ -111,6 +112,8 @@ pub struct Job {
     pub mode: Mode,
     /// How energy is computed.
     pub convention: Convention,
+    /// Which power counts.
+    pub accounting: Accounting,
     /// Changes of the model.
     pub of_model: Vec<Change>,
     /// Changes of the target and its constants.
@@ -211,6 +214,9 @@ impl Job {
             ("options", "mode") => named(&Mode::ALL, Mode::name, value).map(|mode| self.mode = mode),
             ("options", "convention") => {
                 named(&Convention::ALL, Convention::name, value).map(|convention| self.convention = convention)
+            }
+            ("options", "accounting") => {
+                named(&Accounting::ALL, Accounting::name, value).map(|accounting| self.accounting = accounting)
             }
             ("options" | "input", other) => {
                 let known: &[&str] = if first == "options" { &OPTIONS } else { &INPUTS };
@@ -368,6 +374,13 @@ impl Sweep {
     /// Names of what varies.
     pub fn columns(&self) -> Vec<&str> {
         self.listed.iter().map(String::as_str).chain(self.axes.iter().map(|axis| axis.name.as_str())).collect()
+    }
+
+    /// Whether a column is of limits and sizes of the chip alone.
+    pub fn is_of_chip(&self, column: &str) -> bool {
+        let of_chip = |path: &String| path.starts_with("target.");
+        let axis = self.axes.iter().find(|axis| axis.name == column);
+        axis.map_or(of_chip(&column.to_string()), |axis| axis.paths.iter().all(of_chip))
     }
 
     /// The list's entry of a variant, and the number of its value on each axis.
