@@ -17,7 +17,9 @@ fn a_row_is_what_energy_says_of_that_target() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(here, "m.ron", MODEL);
-    for options in ["", " --host none", " --relays --set target.limits.axons_in=2", " --prune static"] {
+    for options in
+        ["", " --host none", " --accounting rails", " --relays --set target.limits.axons_in=2", " --prune static"]
+    {
         rows_are_those_of_energy(here, options);
     }
 }
@@ -36,13 +38,12 @@ fn rows_are_those_of_energy(here: &std::path::Path, options: &str) {
             let ends = [("low", format!("{key}_low")), ("high", format!("{key}_high"))];
             ends.iter().for_each(|(end, own)| assert_eq!(row[own], total[end][key], "{name} {own}"));
             let low = row[format!("{key}_low")].as_f64();
-            assert!(low < row[key].as_f64() && low.is_none() == options.contains("target.limits"), "{name} {key}");
+            assert!(low < row[key].as_f64() && low.is_some(), "{name} {key}");
         }
         assert_eq!(row["cores_used"], energy["cores_used"]);
         // Bounds of modelled constants have no level.
         let modelled = energy["level"] == Value::Null;
-        // A chip that is changed has none.
-        let bounded = name == "oheo-gulch" && !options.contains("target.limits");
+        let bounded = name == "oheo-gulch";
         assert_eq!((row["intervals"] == "constants", bounded), (modelled, modelled));
     }
 }

@@ -39,6 +39,9 @@ fn other_hardware_stands_beside_the_chip_with_its_source() {
         object(&["energy", &model, "--input", "scene:noise?samples=1&steps=20", "--baseline", "rtx-2080-ti"], 0);
     assert_eq!(small["rows"].as_array().unwrap().len(), 3);
     assert!(small["notes"][0].as_str().unwrap().contains("--baseline gpu-roofline"), "{}", small["notes"]);
+    let (_, _, why) =
+        said(&["energy", &model, "--input", "scene:noise?samples=1&steps=20", "--baseline", "rtx-2080-ti"]);
+    assert!(why.contains("no row for"), "{why}");
     let input = "scene:noise?samples=1&steps=20";
     let small = object(&["energy", &model, "--input", input, "--baseline", "gpu-roofline"], 0);
     assert_eq!(small["rows"][3]["source"], "modelled");
@@ -67,10 +70,12 @@ fn an_early_exit_is_priced_with_the_accuracy_that_it_has() {
         let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let [then, end] = [early, &energy].map(|of| of["accuracy"].as_f64().unwrap());
         let wanted = format!(
-            "Right when decided: {then:.3} ({end:.3} at the end); median after step {} of the sample",
+            "Right when decided: {then:.3} ({end:.3} at the end); median after {} ms of the sample (step {} from 0)",
+            early["median_step"].as_u64().unwrap() + 1,
             early["median_step"]
         );
         assert!(text.contains(&wanted), "{wanted}: {text}");
+        assert!(text.contains("if the chip is off after the decision"), "{text}");
     }
     // Without labels nothing is right or wrong.
     let model = write(folder.path(), "small.ron", MODEL);
@@ -176,7 +181,7 @@ fn a_shipped_preset_is_for_every_target() {
 #[test]
 fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
     let folder = tempfile::tempdir().unwrap();
-    let target = "Target(base: \"loihi1-chip\", name: \"mine\", limits: (compartments: 2048))";
+    let target = "Target(base: \"loihi1-chip\", name: \"mine\", cores_per_tile: 8)";
     let target = write(folder.path(), "mine.ron", target);
     let energy = ["energy", "--samples", "0..1", "--baseline", "--target", &target];
     let noted = |line: &[&str]| {
@@ -200,7 +205,7 @@ fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
 #[test]
 fn figures_without_an_interval_are_named_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
-    let target = "Target(base: \"loihi1-chip\", name: \"mine\", limits: (compartments: 2048))";
+    let target = "Target(base: \"loihi1-chip\", name: \"mine\", cores_per_tile: 8)";
     let target = write(folder.path(), "mine.ron", target);
     let constants = "Constants(base: \"loihi1-evidence\", hop_ew_energy: (value: 2.0, unit: pJ, source: \"me\", \
                      status: assumed))";

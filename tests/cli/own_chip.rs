@@ -76,7 +76,56 @@ fn constants_that_are_not_given_are_no_assumptions_and_are_named_where_they_woul
         assert!(line.contains(named) && !line.contains(unnamed), "{more:?}: {line}");
     }
     let (_, full, _) = said(&[&PRICED[..], &["--target", &board, "--full"]].concat());
-    assert!(full.contains("18 assumed") && full.contains("20 not given"), "{full}");
+    assert!(full.contains("18 assumed") && full.contains("21 not given"), "{full}");
+}
+
+/// Leakage of a chip is in the static power of both accountings, in every command that prices.
+#[test]
+fn leakage_is_a_chip_s_and_counts_in_both_accountings() {
+    let (folder, board) = board();
+    let leaky = constants().replace("core_static_power: (value: 2,", "core_static_power: (value: 0,");
+    let given = "chip_static_power: (value: 5, unit: mW, source: \"me\", status: assumed))";
+    let leaky = format!("{}, {given}", leaky.strip_suffix(')').unwrap());
+    let leaky = write(folder.path(), "leaky.ron", &leaky.replace("\"synth\"", "\"leaky\""));
+    let sweep = format!(
+        "Sweep(model: \"slip-tactile\", target: {board:?}, samples: \"0..1\", set: {{\"options.constants\": {leaky:?}}},
+         grid: [(paths: [\"options.accounting\"], values: [\"profiler\", \"rails\"])])"
+    );
+    let sweep = write(folder.path(), "s.ron", &sweep);
+    let (_, table, error) = said(&["sweep", &sweep]);
+    for (place, accounting) in ["profiler", "rails"].into_iter().enumerate() {
+        let more = ["--target", &board, "--constants", &leaky, "--accounting", accounting];
+        let energy = object(&[&PRICED[..], &more].concat(), 0);
+        let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
+        assert_eq!(total["static_mw"], 5.0, "{accounting}: {total}");
+        assert!(!energy["notes"].to_string().contains("chip_static_power"), "{energy}");
+        let row = table.lines().nth(1 + place).unwrap_or_else(|| panic!("{error}"));
+        assert!(row.contains(&format!(",{},", total["energy_uj"])), "{accounting}: {row}");
+    }
+    // Without either of both leakage is absent, which is said.
+    let none = constants().replace("core_static_power: (value: 2,", "core_static_power: (value: 0,");
+    let none = write(folder.path(), "none.ron", &none);
+    assert!(notes(&["--target", &board, "--constants", &none]).contains("chip_static_power"));
+}
+
+/// What a preset states and this chip cannot use, and what it has of other hardware.
+#[test]
+fn constants_of_a_preset_that_are_not_charged_or_borrowed_are_named() {
+    let (folder, board) = board();
+    let given = "injection_time: (value: 0.05, unit: us, source: \"me\", status: assumed))";
+    let fed = format!("{}, {given}", constants().strip_suffix(')').unwrap());
+    let mix =
+        "Constants(base: \"loihi1-evidence\", hardware: \"tern\", spike_energy: (value: 4, unit: pJ, source: \"me\",
+        status: assumed))";
+    for (text, wanted) in [
+        (fed.as_str(), "injection_time is not charged: tern has no x86 core."),
+        (mix, " constants are those of loihi1-evidence; events cost most by "),
+    ] {
+        let preset = write(folder.path(), "preset.ron", text);
+        let notes = notes(&["--target", &board, "--constants", &preset]);
+        assert!(notes.contains(wanted), "{wanted}: {notes}");
+        assert_eq!(notes.contains("synapse_dense_energy 35.5 pJ"), text == mix, "{notes}");
+    }
 }
 
 #[test]
@@ -103,8 +152,9 @@ fn intervals_are_of_the_hardware_that_was_measured() {
     let half = write(folder.path(), "half.ron", half);
     for (more, hardware, whose) in [
         (&["slip-tactile", "--target", &board, "--constants", &mix][..], "tern", "the errors of preset mix"),
-        (&["--target", &half], "half", "the constants' errors on half"),
-        (&["--set", "target.limits.synapse_words=8192"], "loihi, changed", "the constants' errors on loihi, changed"),
+        (&["--target", &half], "half", ""),
+        (&["--set", "target.limits.synapse_words=8192"], "loihi, changed", ""),
+        (&["--set", "target.cores_per_tile=2"], "loihi, changed", "the constants' errors on loihi, changed"),
         (&["--set", "target.chips_x=4"], "loihi", ""),
     ] {
         let energy = object(&[&["energy"], more, &["--samples", "0..1", "--baseline"]].concat(), 0);
@@ -116,6 +166,16 @@ fn intervals_are_of_the_hardware_that_was_measured() {
         let paper = [&["energy", "--deployment", "paper"], more].concat();
         assert_eq!(said(&paper).0, 2, "{more:?}");
     }
+}
+
+#[test]
+fn a_constant_in_another_unit_is_refused_with_its_value_in_the_right_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let text =
+        "Constants(base: \"loihi1-evidence\", injection_time: (value: 50, unit: ns, source: \"me\", status: assumed))";
+    let preset = write(folder.path(), "preset.ron", text);
+    let refused = object(&["inspect", &preset], 3);
+    assert_eq!(refused["help"], "write value: 0.05, unit: us", "{refused}");
 }
 
 /// More cores in tiles that nobody sized make larger ones, which is said.
@@ -257,7 +317,7 @@ fn messages_of_chips_and_constants_name_what_to_write() {
         (&["inspect", &stem], "write the name without .ron: \\\"tern\\\""),
         (&["inspect", &field], "`spike_enrgy` in `Constants` (did you mean 'spike_energy'?), expected"),
         (&["inspect", &missing], "missing fields `synapse_formats`, `synapses_per_entry`, `packing`"),
-        (&["map", &kind, "--target", &board], "name Microcode in neuron_kinds of a chip of your own"),
+        (&["map", &kind, "--target", &board], "name it in a chip of your own, as neuron_kinds: [Microcode]"),
     ] {
         let refused = object(line, 3);
         let all = format!("{} {}", refused["message"], refused["help"]);

@@ -317,7 +317,8 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
                 target.name()
             );
             let family = kind.family().name();
-            let own = format!("name {family} in neuron_kinds of a chip of your own, or choose a target that has it");
+            let own =
+                format!("name it in a chip of your own, as neuron_kinds: [{family}], or choose a target that has it");
             let help = match kind {
                 NeuronKind::SoftReset => format!(
                     "train with a reset to zero (snnTorch: reset_mechanism='zero'), which needs no conversion; or nsim convert \

@@ -353,7 +353,8 @@ pub fn job_power(table: &CostTable, deployment: &Deployment, events_fj: f64, ste
     let (injecting, resetting) = x86_work(table, deployment);
     let known = (time_ps > 0).then_some(time_ps as f64);
     JobPower {
-        core_static: deployment.cores_used as f64 * table.core_static_power.milliwatts(),
+        core_static: deployment.cores_used as f64 * table.core_static_power.milliwatts()
+            + deployment.chips_used as f64 * table.chip_static_power.milliwatts(),
         // 1 fJ in 1 ps is 1 mW.
         core_dynamic: known.map(|time| events_fj / time),
         x86_static: deployment.x86_cores as f64 * table.x86_static_mw(),
@@ -362,7 +363,8 @@ pub fn job_power(table: &CostTable, deployment: &Deployment, events_fj: f64, ste
             true => known.map(|time| resetting * steps as f64 / time),
             false => Some(injecting),
         },
-        boot: deployment.board_chips as f64 * table.chip_boot_power.milliwatts(),
+        boot: deployment.board_chips as f64 * table.chip_boot_power.milliwatts()
+            + deployment.board_chips as f64 * table.chip_static_power.milliwatts(),
         x86_on: deployment.x86_cores as f64 * table.x86_on_power.milliwatts(),
     }
 }

@@ -2,10 +2,16 @@
 
 use crate::report::compared::{Comparison, PerDecision, per_sample, ratios};
 use crate::report::table::{EnergyReport, Saved, constant_entries};
+use std::cmp::Reverse;
+use std::collections::BTreeSet;
+
 use nsim_cost::charged::is_charged;
+use nsim_cost::constants::CostTable;
 use nsim_cost::estimate::{Bound, Case, EnergyRow, estimate, spent};
+use nsim_cost::model::energy;
+use nsim_files::shipped::{CONSTANTS, Shipped};
 use nsim_ir::hardware::Target;
-use nsim_ir::hardware::constants::{BARRIER, Constants, SET, Status};
+use nsim_ir::hardware::constants::{BARRIER, Constants, SET, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
 use nsim_session::{Outcome, median_decision};
@@ -18,13 +24,17 @@ pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
     let lane = &case.meter.lanes()[case.preset];
     let (whole, early) = (spent(case, &lane.whole), spent(case, &lane.until_decided));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
+    let time_saved_us = whole.time_us - early.time_us;
+    let standing_uj = case.price(&case.meter.tables()[case.preset]).always_mw * time_saved_us / 1e3;
+    let share = |uj: f64| (whole.energy_uj > 0.0).then(|| uj / whole.energy_uj);
     Saved {
         rule,
         decided: outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as u64,
         steps_saved: outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum(),
-        time_saved_us: whole.time_us - early.time_us,
+        time_saved_us,
         energy_saved_uj,
-        energy_saved_share: (whole.energy_uj > 0.0).then(|| energy_saved_uj / whole.energy_uj),
+        energy_saved_share: share(energy_saved_uj),
+        idle_saved_share: share((energy_saved_uj - standing_uj).max(0.0)),
     }
 }
 
@@ -41,6 +51,7 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], accuracy:
         early: decided / samples,
         accuracy,
         median_step: median_decision(outcomes),
+        timestep_ms: case.timestep.0 as f64 / 1e9,
     }
 }
 
@@ -49,15 +60,26 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], accuracy:
 pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<String> {
     let preset = &target.constants()[case.preset];
     let theirs = &preset.hardware;
-    let foreign = theirs != case.hardware && !theirs.is_empty();
+    let foreign = !target.is_measured_by(preset) && !theirs.is_empty();
     let inherited = foreign.then(|| format!("Priced with constants of {theirs}, static power too (--constants FILE)."));
     let absent = preset
         .list()
         .into_iter()
-        .filter(|(name, constant)| constant.status == Status::NotGiven && is_charged(case, name));
+        .filter(|(name, constant)| constant.status == Status::NotGiven && is_charged(case, name))
+        // Leakage is given by core or by chip.
+        .filter(|(name, _)| *name != "chip_static_power" || preset.core_static_power.value.value == 0.0);
     let absent: Vec<&str> = absent.map(|(name, _)| name).collect();
     let absent =
         (!absent.is_empty()).then(|| format!("Not given by {}, counted as 0: {}.", preset.name, absent.join(", ")));
+    let of_host =
+        |name: &str| name.starts_with("x86_") || ["injection_time", "turn_time", "reset_word_time"].contains(&name);
+    let shipped = Shipped::find(CONSTANTS, &preset.name).is_some();
+    let here = |name: &str| !shipped && !preset.stated_in.contains_key(name) && of_host(name);
+    let stated = preset.list().into_iter().filter(|(name, one)| here(name) && one.value.value != 0.0);
+    let stated: Vec<&str> = stated.map(|(name, _)| name).filter(|_| target.chip().x86_cores == 0).collect();
+    let is = if stated.len() == 1 { "is" } else { "are" };
+    let unused = (!stated.is_empty())
+        .then(|| format!("{} {is} not charged: {} has no x86 core.", stated.join(", "), target.chip().hardware()));
     let set = preset.stated_in.iter().filter(|(_, from)| *from == SET).map(|(name, _)| *name);
     let vain: Vec<&str> = set.filter(|name| !is_charged(case, name)).collect();
     let vain = (!vain.is_empty()).then(|| {
@@ -67,7 +89,39 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
         };
         format!("Without effect: {}. Nothing is counted that is charged so{why}.", vain.join(", "))
     });
-    [inherited, absent, vain, without_interval(target, preset, total)].into_iter().flatten().collect()
+    [inherited, borrowed(preset, case), absent, unused, vain, without_interval(target, preset, total)]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// Constants that are named of those that a base of other hardware gives.
+const NAMED: usize = 3;
+
+/// How many constants of a preset that is not shipped are of other hardware, and which of them
+/// events cost most by.
+fn borrowed(preset: &Constants, case: &Case<'_>) -> Option<String> {
+    if Shipped::find(CONSTANTS, &preset.name).is_some() {
+        return None;
+    }
+    let whose: BTreeSet<&str> =
+        preset.borrowed.iter().filter_map(|name| preset.stated_in.get(name)).map(String::as_str).collect();
+    let events = |constants: &Constants| Some(energy(case.activity, &CostTable::new(constants).ok()?).total().0);
+    let all = events(preset)?;
+    let weighed = |name: &&'static str| {
+        let mut without = preset.clone();
+        let constant = without.get_mut(name).filter(|constant| constant.unit == Unit::pJ)?;
+        let shown = format!("{name} {} pJ", constant.value.value);
+        constant.value = 0.0.into();
+        Some((all - events(&without)?, shown)).filter(|(weight, _)| *weight > 0)
+    };
+    let mut weighed: Vec<_> = preset.borrowed.iter().filter_map(weighed).collect();
+    weighed.sort_by_key(|(weight, _)| Reverse(*weight));
+    let named: Vec<String> = weighed.into_iter().take(NAMED).map(|(_, shown)| shown).collect();
+    let most = if named.is_empty() { String::new() } else { format!("; events cost most by {}", named.join(", ")) };
+    let (some, every) = (preset.borrowed.len(), Constants::NAMES.len());
+    let whose = whose.into_iter().collect::<Vec<_>>().join(" and ");
+    (some > 0).then(|| format!("{some} of {every} constants are those of {whose}{most}."))
 }
 
 /// Which figures of the `total` row have no interval, and why, where errors of constants are the
@@ -86,7 +140,7 @@ fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> O
     let is_changed = |name: &&str| preset.stated_in.get(name).map_or(has_base, |from| from == SET);
     let changed: Vec<&str> = Constants::NAMES.iter().copied().chain([BARRIER]).filter(is_changed).collect();
     let why = match changed.as_slice() {
-        _ if preset.hardware != hardware => format!("the constants' errors on {hardware} are unknown"),
+        _ if !target.is_measured_by(preset) => format!("the constants' errors on {hardware} are unknown"),
         _ if preset.errors.is_empty() => format!("the errors of preset {} are unknown", preset.name),
         [] => return None,
         [one] => format!("{one} is changed, and its error is unknown"),

@@ -242,6 +242,7 @@ pub fn constants(constants: &mut Constants) -> Result<()> {
         constant.value = number.into();
         (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
         constant.findings.clear();
+        constants.borrowed.retain(|name| *name != path);
         constants.stated_in.extend(Constants::NAMES.iter().find(|name| **name == path).map(|name| (*name, SET.into())));
         constants.forget_errors(classes_of(&path));
     }

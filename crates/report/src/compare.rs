@@ -142,19 +142,25 @@ pub fn csv_rows(found: &Comparison) -> String {
 /// For people.
 #[must_use]
 pub fn text(found: &Comparison) -> String {
-    let heads = FIGURES.map(|(_, heading, ..)| heading);
+    // The unit in which every energy is read easily.
+    let energies: Vec<f64> = found.targets.iter().filter_map(|one| one.found.as_ref().ok()?.row.energy_uj).collect();
+    let nano = !energies.is_empty() && energies.iter().all(|uj| *uj < 0.1);
+    let scale = |key: &str| if nano && key == "energy_uj" { 1e3 } else { 1.0 };
+    let heads = FIGURES.map(|(key, heading, ..)| if scale(key) > 1.0 { "nJ a step" } else { heading });
     let header = [&["target", "chips", "cores"][..], &heads].concat();
     let (mut lines, mut said, mut kinds) = (Vec::new(), String::new(), Vec::new());
     for ComparedTarget { target, constants, found, .. } in &found.targets {
         match found {
             Ok(priced) => {
                 said.extend(priced.of_constants.iter().map(|why| wrapped(&format!("{target}: {why}"))));
-                let figure = |(_, _, figure, _): &Figure| figure(&priced.row).map_or("-".to_string(), three);
+                let figure = |(key, _, figure, _): &Figure| {
+                    figure(&priced.row).map_or("-".to_string(), |x| three(x * scale(key)))
+                };
                 let counts = [target.clone(), priced.chips_used.to_string(), priced.cores_used.to_string()];
                 lines.push(counts.into_iter().chain(FIGURES.iter().map(figure)).collect());
                 if let (Some(low), Some(high), Some(intervals)) = (priced.row.low, priced.row.high, priced.intervals) {
-                    let range = |(.., end): &Figure| match (end(&low), end(&high)) {
-                        (Some(low), Some(high)) => format!("{}..{}", three(low), three(high)),
+                    let range = |(key, .., end): &Figure| match (end(&low), end(&high)) {
+                        (Some(low), Some(high)) => format!("{}..{}", three(low * scale(key)), three(high * scale(key))),
                         _ => String::new(),
                     };
                     let empty = [String::new(), String::new(), String::new()];

@@ -9,7 +9,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use nsim_cost::Host;
-use nsim_cost::job::Mode;
+use nsim_cost::job::{Accounting, Mode};
 use nsim_energy::evaluate;
 use nsim_energy::evaluate::Plan;
 use nsim_energy::options::CostOptions;
@@ -50,6 +50,9 @@ pub struct Args {
     /// x86 cores]
     #[arg(long, value_parser = one_of(&Host::ALL, Host::name))]
     host: Option<Host>,
+    /// What Intel's profiler attributes to the program, or the power of the whole board
+    #[arg(long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
+    accounting: Accounting,
 }
 
 /// Runs the command. The answer is no if no target can hold the network.
@@ -103,7 +106,8 @@ fn priced(
     };
     let workload = workload(&prepared, &args.input)?;
     let plan = Plan::new(&args.model, None, Some(1))?;
-    let options = CostOptions { mode: args.mode, host: args.host, ..CostOptions::usual(Some(&[]))? };
+    let options =
+        CostOptions { mode: args.mode, host: args.host, accounting: args.accounting, ..CostOptions::usual(Some(&[]))? };
     let evaluated = evaluate::evaluate(&plan, &workload, &options, None, |metered, watched| {
         simulate(&workload, metered, watched, true, context)
     })?;

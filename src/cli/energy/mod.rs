@@ -49,7 +49,13 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
             let csv = || if context.format == Format::Csv { energy.csv() } else { energy.paper_csv() };
             output::print(context.format, text, || energy.json(), csv)?;
         }
-        if context.format != Format::Text {
+        let paper = matches!(context.format, Format::Markdown | Format::Latex | Format::Csv);
+        if paper && energy.early_exit.is_some() {
+            tracing::warn!("the early exit is left out of this format; text and JSON have it");
+        }
+        // The headline has no notes, but who names a baseline is told why it has no row.
+        let named = args.cost.baseline.as_ref().is_some_and(|names| !names.is_empty());
+        if context.format != Format::Text || named && !args.full {
             energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
         }
         Ok(Answer::Yes)

@@ -147,7 +147,11 @@ fn find(name: &str) -> Result<&'static Shipped, Error> {
         [] => Err(Error::Usage(format!("no shipped file is called {name}; nsim show lists them"))),
         several => {
             let names: Vec<&str> = several.iter().map(|file| without_extension(file)).collect();
-            Err(Error::Usage(format!("{name} is the name of several files: {}", names.join(", "))))
+            Err(Error::Usage(format!(
+                "{name} is the name of several files; type one, as in nsim show {}: {}",
+                names[0],
+                names.join(", ")
+            )))
         }
     }
 }

@@ -52,6 +52,9 @@ pub struct PerDecision {
     pub accuracy: Option<f64>,
     /// The least step of the sample, from 0, by which half of those decided early were.
     pub median_step: Option<u32>,
+    /// Length of a timestep of the sample.
+    #[serde(skip)]
+    pub timestep_ms: f64,
 }
 
 /// Power times time of a row in uJ.
@@ -110,7 +113,15 @@ impl Comparison {
         let Some(decision) = &self.per_decision else { return String::new() };
         let right = decision.accuracy.zip(whole);
         let right = right.map(|(then, end)| format!("Right when decided: {then:.3} ({end:.3} at the end)"));
-        let step = decision.median_step.map(|step| format!("median after step {step} of the sample"));
+        // A step is at its end decided.
+        let after = |step: u32| {
+            let ms = (f64::from(step) + 1.0) * decision.timestep_ms;
+            format!(
+                "{} ms of the sample (step {step} from 0)",
+                if ms.fract() == 0.0 { format!("{ms}") } else { three(ms) }
+            )
+        };
+        let step = decision.median_step.map(|step| format!("median after {}", after(step)));
         let energy = Some(format!("{} uJ a decision", three(decision.energy_uj)));
         let said: Vec<String> = right.into_iter().chain(step).chain(energy).collect();
         said.join("; ") + "."

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::Comparison;
-use super::format::{brief, unknown};
+use super::format::{brief, readable, unknown};
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
@@ -18,7 +18,7 @@ use nsim_cost::job::Accounting;
 use nsim_cost::job::Mode;
 use nsim_cost::{Host, Transport};
 use nsim_files::shipped::{CONSTANTS, Shipped};
-use nsim_files::table::{count, csv, csv_text, table, three, wrapped};
+use nsim_files::table::{count, csv, csv_text, digits, table, three, wrapped};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
@@ -40,10 +40,12 @@ pub struct Saved {
     pub steps_saved: u64,
     /// Time that they took.
     pub time_saved_us: f64,
-    /// Energy that they cost, all power of the `total` row included.
+    /// Energy that they cost, all power of the `total` row included: the chip is off afterwards.
     pub energy_saved_uj: f64,
     /// That as a part of the energy of the whole run; `None` when that is zero.
     pub energy_saved_share: Option<f64>,
+    /// The same where the chip stays on and idles: of what it draws in any case nothing is saved.
+    pub idle_saved_share: Option<f64>,
 }
 
 fn spelled<S: serde::Serializer>(rule: &Rule, serializer: S) -> Result<S::Ok, S::Error> {
@@ -322,18 +324,14 @@ impl EnergyReport {
     }
 
     /// The units of the energy and of its product with the delay, and what a number in uJ and in
-    /// pJ s is multiplied by: those in which the chip's total is read easily.
+    /// pJ s is multiplied by: for the energy that in which the chip's total is read easily, for the
+    /// product always the same.
     fn units(&self) -> [(&'static str, f64); 2] {
         if self.convention() == Convention::Published {
             return [("(mW/steps)", 1.0), ("(pJ s)", 1.0)];
         }
-        let below = |figure: fn(&EnergyRow) -> Option<f64>, least: f64| {
-            self.total().and_then(figure).is_some_and(|figure| figure > 0.0 && figure < least)
-        };
-        [
-            if below(|row| row.energy_uj, 0.1) { ("(nJ/step)", 1e3) } else { ("(uJ/step)", 1.0) },
-            if below(|row| row.edp_pjs, 10.0) { ("(pJ s)", 1.0) } else { ("(nJ s)", 1e-3) },
-        ]
+        let small = self.total().and_then(|row| row.energy_uj).is_some_and(|uj| uj > 0.0 && uj < 0.1);
+        [if small { ("(nJ/step)", 1e3) } else { ("(uJ/step)", 1.0) }, ("(nJ s)", 1e-3)]
     }
 
     /// The cells of a row: static, dynamic and total power, latency, energy, energy-delay product.
@@ -345,7 +343,7 @@ impl EnergyReport {
         let cell = |figure: Option<f64>, exact: bool| match figure {
             None => String::new(),
             Some(figure) if exact => format!("{figure}"),
-            Some(figure) => three(figure),
+            Some(figure) => readable(figure),
         };
         let mark = if assumed { "?" } else { "" };
         let power = |figure: Option<f64>| cell(figure, printed) + mark;
@@ -592,8 +590,15 @@ impl EnergyReport {
             out += &wrapped(remark);
         }
         if let Some(saved) = self.early_exit {
-            let share =
-                saved.energy_saved_share.map_or(String::new(), |share| format!(", {:.0} % of energy", 100.0 * share));
+            let percent = |share: f64| digits(100.0 * share, 2);
+            let shares = saved.energy_saved_share.zip(saved.idle_saved_share);
+            let share = shares.map_or(String::new(), |(off, idle)| {
+                format!(
+                    ", and {} % of energy if the chip is off after the decision, {} % if it idles",
+                    percent(off),
+                    percent(idle)
+                )
+            });
             out += &wrapped(&format!(
                 "early exit {}: {} of {} samples decided early; saves {} of {} timesteps{share}. {}",
                 saved.rule,
@@ -614,8 +619,22 @@ impl EnergyReport {
         let edp = if physical { "EDP (nJ s)" } else { "EDP (pJ s)" };
         let header =
             ["Hardware", "Static (mW)", "Dynamic (mW)", "Total (mW)", "Latency (\u{b5}s)", energy, edp, "Source"];
+        // A mark goes with what it stands for.
+        let marked = |cells: &[String; 6], source: String| match cells.iter().any(|cell| cell.ends_with('*')) {
+            true => format!("{source}; * from its power x time"),
+            false => source,
+        };
+        // Without indents a line names the row that it belongs to.
+        let mut above = String::new();
         let row = |(name, cells, source): (String, [String; 6], String)| {
-            std::iter::once(name.trim_start().to_string()).chain(cells).chain([source]).collect()
+            let name = match name.strip_prefix("  ") {
+                Some(part) => format!("{above}: {part}"),
+                None => name,
+            };
+            if !name.contains(": ") {
+                above.clone_from(&name);
+            }
+            std::iter::once(name).chain(cells.clone()).chain([marked(&cells, source)]).collect()
         };
         csv_text(header.map(String::from).to_vec(), self.lines(false).into_iter().map(row))
     }
@@ -654,7 +673,10 @@ impl EnergyReport {
                 self.timesteps,
                 three(saved.time_saved_us),
                 three(saved.energy_saved_uj),
-                saved.energy_saved_share.map_or(String::new(), |share| format!(" ({:.1} %)", 100.0 * share)),
+                saved.energy_saved_share.map_or(String::new(), |share| format!(
+                    " ({:.1} %) if the chip is off after the decision",
+                    100.0 * share
+                )),
             ));
             out.push('\n');
         }

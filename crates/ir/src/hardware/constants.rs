@@ -4,7 +4,7 @@
 //! [`Constants::check`] holds units, signs and sources. What a constant is multiplied with is for
 //! `cost` to say.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -338,6 +338,9 @@ macro_rules! for_each_constant {
             x86_active_power: mW = "Constant::no_power",
             /// Share of a step in which an x86 core works that injects spikes.
             x86_injecting_share: ratio = "Constant::no_ratio",
+            /// Leakage of a powered chip, besides that of its cores: of chips in use as a profiler
+            /// counts, of all on the board on the rails.
+            chip_static_power: mW = "Constant::no_power",
             /// Power of a chip on the board before a program is loaded, as the rails show it.
             chip_boot_power: mW = "Constant::no_power",
             /// Power of an x86 core once a program is loaded, as the rails show it.
@@ -376,6 +379,9 @@ macro_rules! constants {
             /// `--set`.
             #[serde(skip)]
             pub stated_in: BTreeMap<&'static str, String>,
+            /// The constants that are of other hardware than the preset, which its base states.
+            #[serde(skip)]
+            pub borrowed: BTreeSet<&'static str>,
             $($(#[$doc])* $(#[serde(default = $default)])? pub $field: Constant,)*
         }
         /// A preset that says only what differs from another.
@@ -406,6 +412,8 @@ macro_rules! constants {
             #[must_use]
             pub fn applied(self, base: &Constants, name: String) -> Constants {
                 let mut made = Constants { name, notes: self.notes, ..base.clone() };
+                made.hardware = self.hardware.unwrap_or(made.hardware);
+                let foreign = made.hardware != base.hardware && !base.hardware.is_empty();
                 let inherited = |stated_in: &mut BTreeMap<_, _>, name| {
                     stated_in.entry(name).or_insert_with(|| base.name.clone());
                 };
@@ -421,12 +429,17 @@ macro_rules! constants {
                     Some(constant) => {
                         made.$field = constant;
                         made.stated_in.remove(stringify!($field));
+                        made.borrowed.remove(stringify!($field));
                         made.forget_errors(classes_of(stringify!($field)));
                     }
-                    None => inherited(&mut made.stated_in, stringify!($field)),
+                    None => {
+                        inherited(&mut made.stated_in, stringify!($field));
+                        if foreign && made.$field.status != Status::NotGiven {
+                            made.borrowed.insert(stringify!($field));
+                        }
+                    }
                 })*
                 made.step = self.step.unwrap_or(made.step);
-                made.hardware = self.hardware.unwrap_or(made.hardware);
                 if made.hardware != base.hardware {
                     made.errors.clear();
                 }
@@ -503,6 +516,7 @@ pub fn classes_of(constant: &str) -> &'static [FigureClass] {
     use FigureClass::{CoreDynamic, CoreEnergy, Rails, Static, Time, X86Dynamic};
     match constant {
         "core_static_power" | "x86_static_ratio" => &[Static],
+        "chip_static_power" => &[Static, Rails],
         "x86_clock_power" | "x86_active_power" | "x86_injecting_share" => &[X86Dynamic, Rails],
         "chip_boot_power" | "x86_on_power" => &[Rails],
         name if name.ends_with("_energy") => &[CoreEnergy, CoreDynamic, Rails],
@@ -519,7 +533,12 @@ fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Un
             .help("say where the figure is printed, what it was fitted to, or why it is assumed"));
     }
     if constant.unit != unit {
-        return Err(wrong("target.unit", format!("{name} needs {unit:?}, and the file has {:?}", constant.unit)));
+        let problem = wrong("target.unit", format!("{name} needs {unit:?}, and the file has {:?}", constant.unit));
+        let converted = unit.parsed(&format!("{value}{}", constant.unit.suffix()));
+        return Err(match converted {
+            Ok(converted) => problem.help(format!("write value: {converted}, unit: {unit:?}")),
+            Err(_) => problem,
+        });
     }
     if !(0.0..=1e9).contains(&value) {
         return Err(wrong("target.constant", format!("{name} {value} is outside 0..=1e9")));

@@ -61,6 +61,10 @@ pub struct Chip {
     /// By the name of a limit that this chip's file does not state, the chip whose file does.
     #[serde(skip)]
     pub stated_in: BTreeMap<&'static str, String>,
+    /// The hardware from which this chip differs in limits of a core alone: what an event costs
+    /// there it costs here.
+    #[serde(skip)]
+    pub measured_as: Option<String>,
 }
 
 /// Where a limit comes from.
@@ -236,6 +240,9 @@ impl TargetChanges {
         }
         let other = programmed || self.limits != LimitChanges::default();
         if other || sizes.iter().chain(&x86).any(Option::is_some) {
+            let of_limits = !programmed && sizes.iter().chain(&x86).all(Option::is_none);
+            let measured = chip.measured_as.unwrap_or_else(|| chip.hardware.unwrap_or(chip.name));
+            chip.measured_as = of_limits.then_some(measured);
             (chip.name, chip.hardware) = (name.to_string(), None);
         }
         chip.x86_cores = self.x86_cores.unwrap_or(chip.x86_cores);
@@ -377,7 +384,14 @@ impl Target {
     /// measured on other.
     #[must_use]
     pub fn errors<'c>(&self, preset: &'c Constants) -> &'c [ClassError] {
-        if preset.hardware == self.chip.hardware() { &preset.errors } else { &[] }
+        if self.is_measured_by(preset) { &preset.errors } else { &[] }
+    }
+
+    /// Whether a preset is of this chip, or of one that differs in limits of a core alone.
+    #[must_use]
+    pub fn is_measured_by(&self, preset: &Constants) -> bool {
+        let own = [Some(self.chip.hardware()), self.chip.measured_as.as_deref()];
+        own.contains(&Some(preset.hardware.as_str()))
     }
 
     /// Presets of constants; the first is the default.

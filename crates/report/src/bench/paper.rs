@@ -194,7 +194,7 @@ pub fn summary(rows: &[PaperRow]) -> String {
     out += &wrapped(
         "L: spike-count loss; L_w: weighted loss. chip: Loihi neurons on simulated cores; SRM: spike-response neurons, \
          as in the paper. Here scenes are synthetic unless --full says otherwise, and accuracies are means over folds; \
-         *: of one fold. epochs: of each sense; the paper has 500; with fewer, networks are undertrained (MLP-GRU on \
+         *: of one fold. epochs: of each sense; the paper has 500, networks with fewer are undertrained (MLP-GRU on \
          containers: chance, 0.05).",
     );
     out += &wrapped(
@@ -235,7 +235,12 @@ fn table_with_notes(rows: &[&PaperRow]) -> String {
     }
     let is_modelled = rows.iter().all(|row| ["offline", "realtime"].contains(&&*row.table));
     let here = if is_modelled { "modelled" } else { "measured" };
-    let mut out = table(&["cell", "quantity", "published", here, "95 % interval", "note"], &lines);
+    let mut heads = vec!["cell", "quantity", "published", here, "95 % interval", "note"];
+    if lines.iter().all(|line| line[4].is_empty()) {
+        heads.remove(4);
+        lines.iter_mut().for_each(|line| drop(line.remove(4)));
+    }
+    let mut out = table(&heads, &lines);
     for (number, note) in (1..).zip(notes).filter(|(_, note)| !note.is_empty()) {
         out += &wrapped(&format!("{number}: {note}"));
     }

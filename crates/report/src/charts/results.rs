@@ -35,7 +35,11 @@ fn parts(value: &Value) -> Vec<(String, f64)> {
 pub fn hardware(result: &Value) -> Option<String> {
     let totals: Vec<&Value> = rows(&result["rows"]).iter().filter(|row| row["unit"] == "total").collect();
     let name = |row: &&Value| {
-        let power = if row["power_source"] == "assumed" { ", power assumed" } else { "" };
+        let power = match (words(&row["power_source"]), words(&row["source"])) {
+            ("assumed", _) => ", power assumed",
+            (_, "published") if words(&result["convention"]) == "physical" => ": power x time",
+            _ => "",
+        };
         format!("{}\n({}{power})", words(&row["hardware"]), words(&row["source"]))
     };
     let names: Vec<String> = totals.iter().map(name).collect();
