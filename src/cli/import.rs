@@ -49,9 +49,9 @@ pub struct Args {
     /// Type and parameters of the neurons, where the file has none: a YAML file
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
-    /// What the voltage does at a spike (NIR), instead of what v_reset 0 of a file says: it returns to zero, as
-    /// on the chip; or the threshold is subtracted at the spike, or a step later as in snnTorch,
-    /// which only some targets can do
+    /// What the voltage does at a spike where a NIR file has no v_reset: it returns to zero, as on
+    /// the chip; or the threshold is subtracted at the spike, or a step later as in snnTorch, which
+    /// only some targets can do
     #[arg(long, value_name = "HOW", value_parser = one_of_named(&RESETS))]
     reset: Option<ResetMode>,
     /// What a step leaves of a state, where the file has time constants (NIR): 1 - dt / tau, as

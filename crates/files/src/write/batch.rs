@@ -24,6 +24,10 @@ pub(super) fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
 }
 
+/// Bytes that are collected before the system is asked to write: an array of a few MB takes some
+/// twenty calls.
+pub(crate) const BUFFER_BYTES: usize = 1 << 18;
+
 /// Opens a file for writing that keeps what it holds, and makes it when it is absent. A pipe is
 /// refused: opening it waits for a reader.
 pub(super) fn open_or_make(path: &Path) -> Result<File> {
@@ -106,7 +110,7 @@ impl Batch {
             _ => path.to_path_buf(),
         };
         let mut temporary = Temporary::new(&disk::folder_of(&real)).map_err(fail)?;
-        let mut out = BufWriter::with_capacity(super::BUFFER_BYTES, temporary.file.as_file_mut());
+        let mut out = BufWriter::with_capacity(BUFFER_BYTES, temporary.file.as_file_mut());
         let filled = fill(&mut out).map_err(fail)?;
         out.flush().and_then(|()| out.get_ref().sync_all()).map_err(fail)?;
         drop(out);

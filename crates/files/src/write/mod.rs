@@ -16,16 +16,13 @@ use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+pub(crate) use self::batch::BUFFER_BYTES;
 use self::batch::failed;
 pub use self::batch::{Batch, check_all_free, check_free};
 pub use self::folder::{Folder, is_unfinished};
 use super::text::is_standard_stream;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::names::printable;
-
-/// Bytes that are collected before the system is asked to write: an array of a few MB takes some
-/// twenty calls.
-pub(crate) const BUFFER_BYTES: usize = 1 << 18;
 
 /// Whether something has been, or is being, printed to stdout.
 static PRINTING: AtomicBool = AtomicBool::new(false);
