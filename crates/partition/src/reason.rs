@@ -40,7 +40,7 @@ pub enum Taken {
     /// What each holds was not counted.
     Uncounted,
     /// Most of them belong to one population.
-    Mostly(Tightest),
+    Mostly(Box<Tightest>),
 }
 
 /// The population of a mapping with the most cores, and what fills them.
@@ -107,7 +107,7 @@ impl fmt::Display for Reason {
                 let takes = if self.taken.is_some() { "this mapping takes" } else { "any mapping takes at least" };
                 write!(f, "{takes} {need} cores, the target has {limit}")?;
                 if let Some(Taken::Mostly(most)) = &self.taken {
-                    let Tightest { population, cores, resource, need, limit, assumed } = most;
+                    let Tightest { population, cores, resource, need, limit, assumed } = &**most;
                     let assumed = if *assumed { " (assumed: no source gives it)" } else { "" };
                     let what = resource.heading().unwrap_or_default();
                     write!(
@@ -169,7 +169,7 @@ impl Reason {
     #[must_use]
     pub fn of_mapping(target: &Target, copies: u32, cores: u64, of_each: BTreeMap<PopulationId, Tightest>) -> Self {
         let most = of_each.into_values().max_by_key(|one| one.cores);
-        let taken = Some(most.map_or(Taken::Uncounted, Taken::Mostly));
+        let taken = Some(most.map_or(Taken::Uncounted, |most| Taken::Mostly(Box::new(most))));
         let bound = Reason::of_cores(target, copies, cores);
         let help = bound.help.replacen("with at least", "of", 1);
         Reason { taken, help, ..bound }

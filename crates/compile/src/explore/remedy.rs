@@ -163,7 +163,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     }
     on_board.next().into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
     let most = reasons.iter().find_map(|reason| match &reason.taken {
-        Some(Taken::Mostly(most)) => Some(most),
+        Some(Taken::Mostly(most)) => Some(&**most),
         _ => None,
     });
     for factor in most.into_iter().flat_map(|_| DOUBLED) {
