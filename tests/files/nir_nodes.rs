@@ -223,7 +223,7 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
     // The command says it on stderr, and its reset is the one that was taken.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("net.nir");
-    std::fs::write(&path, hdf5::write(&said).unwrap()).unwrap();
+    std::fs::write(&path, hdf5::write(&unsaid).unwrap()).unwrap();
     for (words, taken, warns) in [(&[][..], "zero", true), (&["--reset", "subtract-later"], "subtract-later", false)] {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_nsim"));
         let import =
