@@ -178,7 +178,8 @@ pub type InMemory = fn(&Bound<'_, PyAny>) -> Option<Arc<Network>>;
 /// A network to compare with, what it is, and its integers.
 type Other = (Arc<Network>, &'static str, Quantised);
 
-/// An `nsim.Network`, that of an `nsim.Conversion`, or of a model file; none of a word that is neither.
+/// An `nsim.Network`, that of an `nsim.Conversion`, or of a model file; none of a word that is
+/// neither.
 fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyResult<Option<Other>> {
     let loaded = match (in_memory(given), given.extract::<PathBuf>()) {
         (Some(network), _) => network,

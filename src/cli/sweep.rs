@@ -284,14 +284,14 @@ fn say(
         if errors > 0 {
             text += &format!("; {errors} could not be run, {refused} of them as they do not fit");
         }
-        let broken = |cells: &&Cells| !cells[place("error")].is_empty() && cells[place("fits")] != "false";
-        if let Some(cells) = table.rows.values().find(broken) {
-            text += &format!("\nthe first: {}", cells[place("reason")]);
-        }
         if let Some(front) = &table.front {
             text += &format!("; {} on the front", front.len());
             text +=
                 &if *ties > 0 { format!(", {ties} of them equal to another in both columns") } else { String::new() };
+        }
+        let broken = |cells: &&Cells| !cells[place("error")].is_empty() && cells[place("fits")] != "false";
+        if let Some(cells) = table.rows.values().find(broken) {
+            text += &format!("\nthe first: {}", cells[place("reason")]);
         }
         text += &format!("\n{run} run in {wall_s:.2} s, {} at a time\n", context.threads);
         text

@@ -255,9 +255,9 @@ fn a_timestep_beyond_a_time_constant_that_decays_exponentially_is_told() {
         read(&root, &Options { dt_ms: Some(dt_ms), decay, reset, ..Options::default() }).unwrap().assumed
     };
     assert_eq!(assumed(1.0), None);
-    let told = assumed(6.0).unwrap();
-    assert!(["6 ms", "'tau_syn' of 4 ms", "nsim.from_torch"].iter().all(|word| told.contains(word)), "{told}");
-    assert!(!told.contains("tau_mem"), "{told}");
+    let warned = assumed(6.0).unwrap();
+    assert!(["6 ms", "'tau_syn' of 4 ms", "nsim.from_torch"].iter().all(|word| warned.contains(word)), "{warned}");
+    assert!(!warned.contains("tau_mem"), "{warned}");
 }
 
 #[test]

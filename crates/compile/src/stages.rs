@@ -321,8 +321,8 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
                 format!("name it in a chip of your own, as neuron_kinds: [{family}], or choose a target that has it");
             let help = match kind {
                 NeuronKind::SoftReset => format!(
-                    "train with a reset to zero (snnTorch: reset_mechanism='zero'), which needs no conversion; or nsim convert \
-                     makes it one and measures the loss, which may be large; or run it exactly: {own}"
+                    "train with a reset to zero (snnTorch: reset_mechanism='zero'), which needs no conversion; or \
+                     nsim convert makes it one and measures the loss, which may be large; or run it exactly: {own}"
                 ),
                 _ => own,
             };

@@ -91,7 +91,8 @@ impl Tightest {
 /// The use that takes more of its limit; the first of equals.
 #[must_use]
 pub fn tighter(a: (Capacity, u64, u64), b: (Capacity, u64, u64)) -> (Capacity, u64, u64) {
-    if b.1 * a.2.max(1) > a.1 * b.2.max(1) { b } else { a }
+    let times = |need: u64, limit: u64| u128::from(need) * u128::from(limit.max(1));
+    if times(b.1, a.2) > times(a.1, b.2) { b } else { a }
 }
 
 impl fmt::Display for Reason {

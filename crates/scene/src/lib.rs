@@ -122,7 +122,8 @@ impl Recorded {
         }
     }
 
-    /// What these senses record of a sample: a function of parameters, seed and the sample's number.
+    /// What these senses record of a sample: a function of parameters, seed and the number of the
+    /// sample.
     #[must_use]
     pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
         match &self.scene {

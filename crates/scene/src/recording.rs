@@ -8,8 +8,8 @@ use super::wire::Carried;
 /// The most samples of a scene.
 pub const MOST_SAMPLES: u32 = 100_000;
 
-/// The senses of which a sample is recorded. Neither depends on the other: the events of one are the
-/// same whether the other is recorded or not.
+/// The senses of which a sample is recorded. Neither depends on the other: the events of one are
+/// the same whether the other is recorded or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Senses {
     /// Two fingers.

@@ -51,9 +51,9 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         }
         let paper = matches!(context.format, Format::Markdown | Format::Latex | Format::Csv);
         if paper && energy.early_exit.is_some() {
-            tracing::warn!("the early exit is left out of this format; text and JSON have it");
+            tracing::warn!("this format has no early exit; text and JSON have it");
         }
-        // The headline has no notes, but who names a baseline is told why it has no row.
+        // The headline has no notes; a named baseline without a row needs its reason.
         let named = args.cost.baseline.as_ref().is_some_and(|names| !names.is_empty());
         if context.format != Format::Text || named && !args.full {
             energy.notes.iter().for_each(|note| tracing::warn!("{note}"));

@@ -9,7 +9,8 @@
 //! - relays, and sources that share input axons (`--relays`);
 //! - fewer copies: the most that fit;
 //! - fewer weight bits, each weight rounded to the coarser step, unless a projection then has no
-//!   weight but 0: whether the network still does its task is another question, which the remedy says;
+//!   weight but 0: whether the network still does its task is another question, which the remedy
+//!   says;
 //! - the next larger shipped boards;
 //! - two to sixteen times the limit that fills the cores of a mapping;
 //! - the least limits of a core with which the network fits, for a chip of one's own.
@@ -168,7 +169,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     });
     for factor in most.into_iter().flat_map(|_| DOUBLED) {
         let Some(Tightest { resource, limit, .. }) = most else { break };
-        let changes = [format!("target.limits.{}={}", resource.name(), limit * factor)];
+        let changes = [format!("target.limits.{}={}", resource.name(), limit.saturating_mul(factor))];
         let Some((front, target)) = changed(&changes) else { break };
         if let Some(fitting) = fits(front, &target, options.copies) {
             let words = format!("change the chip, {factor} times the limit that is met: {}", typed(&changes));

@@ -619,7 +619,7 @@ impl EnergyReport {
         let edp = if physical { "EDP (nJ s)" } else { "EDP (pJ s)" };
         let header =
             ["Hardware", "Static (mW)", "Dynamic (mW)", "Total (mW)", "Latency (\u{b5}s)", energy, edp, "Source"];
-        // A mark goes with what it stands for.
+        // A mark needs its footnote in the same row.
         let marked = |cells: &[String; 6], source: String| match cells.iter().any(|cell| cell.ends_with('*')) {
             true => format!("{source}; * from its power x time"),
             false => source,

@@ -208,7 +208,10 @@ impl NetworkFile {
             None => Ok(()),
             Some(ending) => Err(Diagnostic::new(
                 "write.ending",
-                format!("a model is text, its arrays go into a .safetensors next to it, and files that end in .{ending} are others"),
+                format!(
+                    "a model is text, its arrays go into a .safetensors next to it, and files that end in .{ending} \
+                     are others"
+                ),
             )
             .in_file(path)
             .help(format!("name it {}", path.with_extension("ron").display()))),

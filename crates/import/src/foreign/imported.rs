@@ -114,7 +114,8 @@ pub struct Imported {
     pub notes: Vec<String>,
     /// Of these notes what a user is told unasked: what the file may contradict, or what is lost.
     pub assumed: Option<String>,
-    /// What a spike does to v, as the file or an option says; `None` where the format leaves no choice.
+    /// What a spike does to v, as the file or an option says; `None` where the format leaves no
+    /// choice.
     pub reset: Option<ResetMode>,
     /// What became of the weights of each layer, for files whose weights are rounded.
     pub layers: Vec<LayerWeights>,

@@ -58,7 +58,7 @@ pub(super) struct Reader<'a> {
     /// Seconds of a timestep.
     pub(super) dt: f64,
     pub(super) listed: usize,
-    /// Notes that a user is told unasked.
+    /// Notes that are warnings.
     pub(super) assumed: Vec<String>,
 }
 
