@@ -222,7 +222,7 @@ fn json_has_the_keys_of_the_contract_and_nothing_unknown_is_zero() {
     assert_eq!(rows[3]["low"], serde_json::Value::Null);
     let parts: Vec<&String> = json["breakdown_pj_per_timestep"].as_object().unwrap().keys().collect();
     assert_eq!(parts, ["synapse", "dendrite", "compartment", "spike", "axon_out", "axon_in", "hop", "learning"]);
-    assert_eq!(json["constants"].as_array().unwrap().len(), 37 + 4);
+    assert_eq!(json["constants"].as_array().unwrap().len(), 38 + 4);
     assert_eq!(json["constants"][0]["status"], "calibrated");
     assert_eq!(json["constants"][0]["unit"], "pJ");
 }

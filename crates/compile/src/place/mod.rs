@@ -192,7 +192,7 @@ mod tests {
         assert_eq!(placement.site(CoreId(131)), Site { chip: 1, x: 0, y: 0, core: 3 });
         let reason = sequential(257, &target).unwrap_err();
         assert_eq!((reason.need, reason.limit), (257, 256));
-        assert!(reason.help.contains("at least 257 cores"), "{}", reason.help);
+        assert!(reason.help.contains("a target of 257 cores"), "{}", reason.help);
     }
 
     #[test]
