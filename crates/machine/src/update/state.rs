@@ -439,12 +439,14 @@ impl CompartmentState {
         if input.phase != Phase::Update {
             self.events_now = 0;
         }
-        if input.visit_all && input.phase != Phase::Update {
+        // Graded spikes mark where they arrive in any case: marks take them little time, and what they do
+        // not reach takes long to update.
+        let unmarked = input.visit_all && size_of::<C::Payload>() == 0;
+        if unmarked && input.phase != Phase::Update {
             // This step's spikes may arrive in any slot that a delay leads to.
             ring.mark_all();
         }
-        // Marks that are not looked at take graded spikes little time, and would double their code.
-        if input.visit_all && size_of::<C::Payload>() == 0 {
+        if unmarked {
             self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, cursor, input.left);
             self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, cursor, input.left);
         } else {
