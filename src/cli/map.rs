@@ -222,12 +222,13 @@ fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Resu
     Ok(firing_rates(network, stimulus.samples.iter().take(MOST_SAMPLES)))
 }
 
-/// Shipped targets of the same kinds of neurons with more cores than this one, ascending; without
+/// Shipped targets of the same neurons and limits with more cores than this one, ascending; without
 /// those to which the `--set` of this command cannot be applied.
 fn larger(target: &Target) -> Vec<Target> {
     let boards = shipped::TARGETS.iter().filter_map(|board| io::target::load_target(board.name).ok());
     let mut boards: Vec<Target> = boards
-        .filter(|board| board.cores() > target.cores() && board.chip().neuron_kinds == target.chip().neuron_kinds)
+        .filter(|board| board.cores() > target.cores() && board.limits() == target.limits())
+        .filter(|board| board.chip().neuron_kinds == target.chip().neuron_kinds)
         .collect();
     boards.sort_by_key(Target::cores);
     boards

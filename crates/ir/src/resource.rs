@@ -245,7 +245,8 @@ resources! {
          rounded up to a power of two";
     /// Synapses that a core stores where kernels are shared: of a convolution or a pool its kernel,
     /// once for each channel of targets; none of weight 0. Counted only where it is limited.
-    StoredSynapses, stored_synapses: "map.stored-synapses", None, "stored synapses of its core",
+    StoredSynapses, stored_synapses: "map.stored-synapses", Some("stored synapses"),
+        "stored synapses of its core",
         "use fewer synapses, or prune weights to 0, which take no memory";
 }
 

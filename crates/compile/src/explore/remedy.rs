@@ -11,7 +11,7 @@
 //! - fewer weight bits, each weight rounded to the coarser step, unless a projection then has no
 //!   weight but 0: whether the network still does its task is another question, which the remedy
 //!   says;
-//! - the next larger shipped boards;
+//! - the next larger shipped board, or more of the same chips;
 //! - two to sixteen times the limit that fills the cores of a mapping;
 //! - the least limits of a core with which the network fits, for a chip of one's own.
 //!
@@ -162,7 +162,13 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         keep("weight_bits", words, fitting);
         break;
     }
-    on_board.next().into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
+    let more_chips = || {
+        let of_a_column = u64::from(target.cores() / target.chips_x().max(1));
+        let changes = [format!("target.chips_x={}", taken?.div_ceil(of_a_column.max(1)))];
+        let (front, target) = changed(&changes)?;
+        Some((format!("use more chips: {}", typed(&changes)), fits(front, &target, options.copies)?))
+    };
+    on_board.next().or_else(more_chips).into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
     let most = reasons.iter().find_map(|reason| match &reason.taken {
         Some(Taken::Mostly(most)) => Some(&**most),
         _ => None,
