@@ -119,12 +119,16 @@ fn constants_of_a_preset_that_are_not_charged_or_borrowed_are_named() {
         status: assumed))";
     for (text, wanted) in [
         (fed.as_str(), "injection_time is not charged: tern has no x86 core."),
-        (mix, " constants are those of loihi1-evidence; events cost most by "),
+        (mix, " constants are those of loihi1-evidence; energy of events: "),
     ] {
         let preset = write(folder.path(), "preset.ron", text);
         let notes = notes(&["--target", &board, "--constants", &preset]);
         assert!(notes.contains(wanted), "{wanted}: {notes}");
-        assert_eq!(notes.contains("synapse_dense_energy 35.5 pJ"), text == mix, "{notes}");
+        for named in
+            ["synapse_dense_energy 35.5 pJ", "; time of a step: barrier ", "; power: core_static_power 0.6026 mW"]
+        {
+            assert_eq!(notes.contains(named), text == mix, "{named}: {notes}");
+        }
     }
 }
 
@@ -285,7 +289,7 @@ fn a_comparison_says_which_rows_hold_a_host_and_what_was_set() {
         assert_eq!(code, 0, "{stderr}");
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };
-    let host = "x86 cores that feed input are in loihi1-chip, and not in board: --host none omits them";
+    let host = " % of a step on loihi1-chip, none on board: --host none omits them";
     assert!(words(&[]).contains(host), "{}", words(&[]));
     let alone = words(&["--host", "none", "--set", "constants.spike_energy=1000pJ"]);
     assert!(!alone.contains("x86 cores that feed"), "{alone}");

@@ -14,7 +14,7 @@ use crate::job::Accounting;
 pub use crate::job::Convention;
 use crate::job::Mode;
 use crate::meter::{Distribution, Lane, StepMeter, StepPrice, StepSums};
-use crate::model::{StepTime, energy};
+use crate::model::{CORE_TIMES, StepTime, energy};
 use crate::quantiles::{Quantiles, Spread};
 use nsim_ir::activity::Activity;
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -192,8 +192,11 @@ impl EnergyRow {
 pub struct ByStatus {
     /// The preset by status, other energies 0: published, fitted, assumed.
     tables: [CostTable; 3],
-    /// The least trusted constant of each part of a step's time, as [`StepTime::parts`].
-    time: [Status; 6],
+    /// The least trusted constant of each part of a step's time, as [`StepTime::parts`]; of the
+    /// slowest core's each constant counts for itself.
+    time: [Option<Status>; 6],
+    /// The statuses of [`CORE_TIMES`].
+    core: [Status; 7],
 }
 
 impl ByStatus {
@@ -207,14 +210,13 @@ impl ByStatus {
             of.map(|(_, constant)| constant.status).max().unwrap_or(Status::Published)
         };
         let one = |name: &'static str| worst(&move |own: &str| own == name);
-        let core = ["synapse_", "dendrite_", "compartment_", "spike_", "axon_"];
-        let of_core = worst(&|name: &str| name.ends_with("_time") && core.iter().any(|of| name.starts_with(of)));
         let mesh = |name: &str| name.ends_with("hop_time") || name.starts_with("link_");
         let of_mesh = worst(&|name: &str| mesh(name) && (chips > 1 || !name.contains("chip")));
         let tiles = constants.barrier.iter().map(|entry| entry.time.status).max().unwrap_or(Status::Published);
         let barrier = if chips > 1 { tiles.max(one("chip_hop_time")) } else { tiles };
-        let time = [one("injection_time"), one("turn_time"), of_core, of_mesh, barrier, one("reset_word_time")];
-        Ok(ByStatus { tables: CostTable::by_status(constants)?, time })
+        let [injection, turn, reset] = ["injection_time", "turn_time", "reset_word_time"].map(one);
+        let time = [Some(injection), Some(turn), None, Some(of_mesh), Some(barrier), Some(reset)];
+        Ok(ByStatus { tables: CostTable::by_status(constants)?, time, core: CORE_TIMES.map(one) })
     }
 }
 
@@ -561,9 +563,15 @@ impl Case<'_> {
         let latency_us = self.latency_us(&lane.whole);
         let parts = [0, 1, 2].map(|of| self.rows(&self.job(&by_status.tables[of], &lane.whole), latency_us));
         let statuses = [Status::Published, Status::Calibrated, Status::Assumed];
+        let of_core = self.meter.core_time_shares();
         let of_time = |status: Status| {
-            let parts = lane.whole.parts.iter().zip(by_status.time).filter(|(_, own)| *own == status);
-            parts.map(|(part, _)| *part).sum::<u128>() as f64 / lane.whole.time.max(1) as f64
+            let sum = |parts: &[f64], own: &[Option<Status>]| -> f64 {
+                parts.iter().zip(own).filter(|(_, own)| **own == Some(status)).map(|(part, _)| part).sum()
+            };
+            let parts = lane.whole.parts.map(|part| part as f64);
+            let all =
+                sum(&parts, &by_status.time) + sum(&of_core, &by_status.core.map(Some)) * parts[StepTime::SLOWEST_CORE];
+            all / lane.whole.time.max(1) as f64
         };
         let [published, fitted, assumed] = statuses.map(of_time);
         let of_latency = (lane.whole.time > 0).then_some(StatusShare { published, fitted, assumed });

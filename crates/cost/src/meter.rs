@@ -12,7 +12,7 @@
 use std::sync::Arc;
 
 use crate::constants::CostTable;
-use crate::model::{StepTime, core_time, energy_of_counts};
+use crate::model::{StepTime, core_time, core_time_by_constant, energy_of_counts};
 use crate::quantiles::Quantiles;
 use crate::transport::{MessageRoutes, QueueMemory, Timing, Transport};
 use nsim_ir::activity::{HopCounts, StepActivity};
@@ -99,6 +99,9 @@ pub struct StepMeter {
     hops: HopCounts,
     /// Steps in which each core was the slowest, under the first preset.
     slowest: Vec<u64>,
+    /// Time of the slowest core of each step by constant, as [`core_time_by_constant`], in ps, under
+    /// the first preset.
+    core_time: [u128; 7],
     /// The time of the last step under the first preset.
     last_time: StepTime,
     memory: QueueMemory,
@@ -150,6 +153,7 @@ impl StepMeter {
             next: 0,
             hops: HopCounts::default(),
             slowest: Vec::new(),
+            core_time: [0; 7],
             last_time: StepTime::default(),
             memory: QueueMemory::default(),
         }
@@ -170,8 +174,12 @@ impl StepMeter {
         if let (Some(table), Some(time)) = (tables.first(), step_times.first()) {
             self.last_time = *time;
             self.slowest.resize(step.cores.len(), 0);
-            if let Some(steps) = self.slowest.get_mut(slowest(step, table)) {
+            let core = slowest(step, table);
+            if let (Some(steps), Some(counts)) = (self.slowest.get_mut(core), step.cores.as_slice().get(core)) {
                 *steps += u64::from(times);
+                for (sum, own) in self.core_time.iter_mut().zip(core_time_by_constant(counts, table)) {
+                    *sum += u128::from(own.0) * u128::from(times);
+                }
             }
         }
         for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
@@ -213,6 +221,7 @@ impl StepMeter {
         self.by_step.iter_mut().zip(&other.by_step).for_each(|(sums, more)| sums.merge(more));
         self.slowest.resize(self.slowest.len().max(other.slowest.len()), 0);
         self.slowest.iter_mut().zip(&other.slowest).for_each(|(sum, more)| *sum += more);
+        self.core_time.iter_mut().zip(other.core_time).for_each(|(sum, more)| *sum += more);
     }
 
     /// The conditions under which steps are metered.
@@ -243,6 +252,16 @@ impl StepMeter {
     #[must_use]
     pub fn lanes(&self) -> &[Lane] {
         &self.lanes
+    }
+
+    /// Which share of the slowest core's time each of [`CORE_TIMES`] has, under the first preset; all 0
+    /// where no core takes time.
+    ///
+    /// [`CORE_TIMES`]: crate::model::CORE_TIMES
+    #[must_use]
+    pub fn core_time_shares(&self) -> [f64; 7] {
+        let all = self.core_time.iter().sum::<u128>().max(1);
+        self.core_time.map(|own| own as f64 / all as f64)
     }
 
     /// How a step's energy is distributed; empty unless the settings ask for it.

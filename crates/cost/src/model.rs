@@ -4,6 +4,8 @@
 //! Energy is linear in the counts, so the energy of a run is the exact sum over its steps. Time is
 //! not linear (a step lasts as long as its slowest core) and needs the counts of each step.
 
+use std::ops::Range;
+
 use crate::constants::CostTable;
 use nsim_ir::activity::{Activity, CoreCounts, HopCounts, StepActivity};
 use nsim_ir::base::units::{Femtojoules, Picoseconds};
@@ -108,6 +110,9 @@ pub struct StepTime {
 }
 
 impl StepTime {
+    /// The place of the slowest core among the parts.
+    pub const SLOWEST_CORE: usize = 2;
+
     /// Name and time of every part, in a fixed order.
     #[must_use]
     pub fn parts(&self) -> [(&'static str, Picoseconds); 6] {
@@ -128,23 +133,56 @@ impl StepTime {
     }
 }
 
-/// Time of one core's delivery and update in a step: (9), their sum, or the core's terms of (21),
-/// of which the greatest counts.
-#[must_use]
-pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
-    let reads = [(table.axon_in_time, core.messages_in)];
-    let synapses = [(table.synapse_dense_time, core.events_dense), (table.synapse_sparse_time, core.events_sparse)];
-    let dendrites = [
+/// The constants of a core's time, in the order of [`core_time_by_constant`].
+pub const CORE_TIMES: [&str; 7] = [
+    "axon_in_time",
+    "synapse_dense_time",
+    "synapse_sparse_time",
+    "compartment_time",
+    "compartment_active_time",
+    "spike_time",
+    "axon_out_time",
+];
+
+/// The terms of a core's time, as [`CORE_TIMES`].
+fn core_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 7] {
+    [
+        (table.axon_in_time, core.messages_in),
+        (table.synapse_dense_time, core.events_dense),
+        (table.synapse_sparse_time, core.events_sparse),
         (table.compartment_time, core.visited),
         (table.compartment_active_time, core.active),
         (table.spike_time, core.spikes),
         (table.axon_out_time, core.messages_out),
-    ];
-    let terms = [times(&reads), times(&synapses), times(&dendrites)].into_iter();
+    ]
+}
+
+/// Reads, synapses and dendrites: places among the terms.
+const CORE_GROUPS: [Range<usize>; 3] = [0..1, 1..3, 3..7];
+
+/// Time of one core's delivery and update in a step: (9), their sum, or the core's terms of (21),
+/// of which the greatest counts.
+#[must_use]
+pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
+    let terms = core_terms(core, table);
+    let groups = CORE_GROUPS.into_iter().map(|group| times(&terms[group]));
     match table.step {
-        StepForm::Sum => Picoseconds(terms.fold(0, |sum: u64, term| sum.saturating_add(term.0))),
-        StepForm::Greatest => terms.max().unwrap_or_default(),
+        StepForm::Sum => Picoseconds(groups.fold(0, |sum: u64, group| sum.saturating_add(group.0))),
+        StepForm::Greatest => groups.max().unwrap_or_default(),
     }
+}
+
+/// [`core_time`] by the constant that it is owed to.
+#[must_use]
+pub fn core_time_by_constant(core: &CoreCounts, table: &CostTable) -> [Picoseconds; 7] {
+    let terms = core_terms(core, table);
+    let counted = match table.step {
+        StepForm::Sum => 0..terms.len(),
+        StepForm::Greatest => {
+            CORE_GROUPS.into_iter().max_by_key(|group| times(&terms[group.clone()])).unwrap_or_default()
+        }
+    };
+    std::array::from_fn(|place| times(&terms[place..=place][..usize::from(counted.contains(&place))]))
 }
 
 /// Time of a message's route through an empty mesh.

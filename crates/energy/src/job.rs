@@ -2,14 +2,14 @@
 
 use crate::report::compared::{Comparison, PerDecision, per_sample, ratios};
 use crate::report::table::{EnergyReport, Saved, constant_entries};
-use std::cmp::Reverse;
 use std::collections::BTreeSet;
 
 use nsim_cost::charged::is_charged;
 use nsim_cost::constants::CostTable;
 use nsim_cost::estimate::{Bound, Case, EnergyRow, estimate, spent};
-use nsim_cost::model::energy;
+use nsim_cost::model::{CORE_TIMES, StepTime, energy};
 use nsim_files::shipped::{CONSTANTS, Shipped};
+use nsim_files::table::three;
 use nsim_ir::hardware::Target;
 use nsim_ir::hardware::constants::{BARRIER, Constants, SET, Status, Unit};
 use nsim_session::decision::Rule;
@@ -95,13 +95,13 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
         .collect()
 }
 
-/// Constants that are named of those that a base of other hardware gives.
+/// Constants of a kind that are named of those that a base of other hardware gives.
 const NAMED: usize = 3;
 
 /// How many constants of a preset that is not shipped are of other hardware, and which of them
-/// events cost most by.
+/// energy, time and power are owed to most.
 fn borrowed(preset: &Constants, case: &Case<'_>) -> Option<String> {
-    if Shipped::find(CONSTANTS, &preset.name).is_some() {
+    if preset.borrowed.is_empty() || Shipped::find(CONSTANTS, &preset.name).is_some() {
         return None;
     }
     let whose: BTreeSet<&str> =
@@ -113,15 +113,37 @@ fn borrowed(preset: &Constants, case: &Case<'_>) -> Option<String> {
         let constant = without.get_mut(name).filter(|constant| constant.unit == Unit::pJ)?;
         let shown = format!("{name} {} pJ", constant.value.value);
         constant.value = 0.0.into();
-        Some((all - events(&without)?, shown)).filter(|(weight, _)| *weight > 0)
+        Some(((all - events(&without)?) as f64, shown))
     };
-    let mut weighed: Vec<_> = preset.borrowed.iter().filter_map(weighed).collect();
-    weighed.sort_by_key(|(weight, _)| Reverse(*weight));
-    let named: Vec<String> = weighed.into_iter().take(NAMED).map(|(_, shown)| shown).collect();
-    let most = if named.is_empty() { String::new() } else { format!("; events cost most by {}", named.join(", ")) };
+    let energies = most(preset.borrowed.iter().filter_map(weighed));
+    let sums = &case.meter.lanes()[case.preset].whole;
+    let parts = sums.parts.map(|part| part as f64 / 1e6 / sums.steps.max(1) as f64);
+    let of_core = case.meter.core_time_shares().map(|share| share * parts[StepTime::SLOWEST_CORE]);
+    let names = ["injection_time", "turn_time", "", "", BARRIER, "reset_word_time"];
+    let times = names.into_iter().zip(parts).chain(CORE_TIMES.into_iter().zip(of_core));
+    let is_theirs =
+        |name: &str| preset.borrowed.contains(name) || name == BARRIER && preset.stated_in.contains_key(name);
+    let shown = |(name, us): (&str, f64)| (us, format!("{name} {} us", three(us)));
+    let times = most(times.filter(|(name, _)| is_theirs(name)).map(shown));
+    let constants = preset.list().into_iter().filter(|(name, constant)| {
+        constant.unit == Unit::mW && preset.borrowed.contains(name) && is_charged(case, name)
+    });
+    let powers =
+        most(constants.map(|(name, constant)| (constant.value.value, format!("{name} {} mW", constant.value.value))));
+    let said = [("energy of events", energies), ("time of a step", times), ("power", powers)]
+        .map(|(what, named)| if named.is_empty() { String::new() } else { format!("; {what}: {}", named.join(", ")) });
     let (some, every) = (preset.borrowed.len(), Constants::NAMES.len());
     let whose = whose.into_iter().collect::<Vec<_>>().join(" and ");
-    (some > 0).then(|| format!("{some} of {every} constants are those of {whose}{most}."))
+    let twice = preset.chip_static_power.value.value > 0.0 && preset.borrowed.contains("core_static_power");
+    let twice = if twice { " Static power is that of cores and that of chips." } else { "" };
+    Some(format!("{some} of {every} constants are those of {whose}{}.{twice}", said.concat()))
+}
+
+/// The greatest of what has a weight, as shown.
+fn most(weighed: impl Iterator<Item = (f64, String)>) -> Vec<String> {
+    let mut weighed: Vec<_> = weighed.filter(|(weight, _)| *weight > 0.0).collect();
+    weighed.sort_by(|a, b| b.0.total_cmp(&a.0));
+    weighed.into_iter().take(NAMED).map(|(_, shown)| shown).collect()
 }
 
 /// Which figures of the `total` row have no interval, and why, where errors of constants are the

@@ -280,7 +280,7 @@ pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnost
     for name in names.iter().filter(|name| ![CPU, ROOFLINE].contains(&name.as_str())) {
         files.push(Baseline::shipped(name).map_err(|problem: Diagnostic| {
             let known: Vec<&str> = BASELINES.iter().map(|shipped| shipped.name).chain([CPU, ROOFLINE]).collect();
-            problem.help(format!("baselines are {}", known.join(", ")))
+            problem.help(format!("baselines are {}; --baseline without a name shows none", known.join(", ")))
         })?);
     }
     if roofline && files.is_empty() {

@@ -37,8 +37,8 @@ pub struct Priced {
     pub intervals: Option<Intervals>,
     /// What to know of its constants, as `nsim energy` says it.
     pub of_constants: Vec<String>,
-    /// Whether x86 cores feed it.
-    pub has_host: bool,
+    /// The share of a step in which x86 cores feed it; `None` without them.
+    pub x86_share: Option<f64>,
 }
 
 /// Where intervals come from.
@@ -179,16 +179,18 @@ pub fn text(found: &Comparison) -> String {
     let shown = if found.input.is_empty() { "its scene".to_string() } else { found.input.join(" ") };
     let mut out = wrapped(&format!("{}, one copy, shown {shown}", found.model));
     out += &format!("\n{}\n{said}", table(&header, &lines));
-    let priced = |fed| {
-        let targets = found.targets.iter().filter(|one| one.found.as_ref().is_ok_and(|priced| priced.has_host == fed));
-        targets.map(|one| one.target.as_str()).collect::<Vec<_>>().join(", ")
-    };
     if !found.set.is_empty() {
         out += &wrapped(&format!("--set changes every row: {}", found.set.join(", ")));
     }
-    let (fed, alone) = (priced(true), priced(false));
-    if !fed.is_empty() && !alone.is_empty() {
-        out += &wrapped(&format!("x86 cores that feed input are in {fed}, and not in {alone}: --host none omits them"));
+    let of_x86 = found.targets.iter().filter_map(|one| Some((&one.target, one.found.as_ref().ok()?.x86_share)));
+    let shares: Vec<(&String, Option<f64>)> = of_x86.collect();
+    if shares.iter().any(|(_, share)| share.is_some()) {
+        let said = |(target, share): &(&String, Option<f64>)| match share {
+            Some(share) => format!("{:.0} % of a step on {target}", 100.0 * share),
+            None => format!("none on {target}"),
+        };
+        let said = shares.iter().map(said).collect::<Vec<_>>().join(", ");
+        out += &wrapped(&format!("x86 cores that feed input take {said}: --host none omits them"));
     }
     kinds.dedup();
     for (constants, intervals) in kinds {

@@ -113,6 +113,11 @@ fn priced(
     })?;
     output::warn_all(&evaluated.energy.detail.warnings);
     (found.input, found.seed) = (evaluated.energy.input.clone(), evaluated.energy.seed);
+    let fed = |(part, _): &&(&str, f64)| ["injection", "turn", "reset"].contains(part);
+    let x86_share = evaluated.energy.estimate.time_us.filter(|_| evaluated.deployment.x86_cores > 0).map(|parts| {
+        let sum = |of: &mut dyn Iterator<Item = &(&str, f64)>| of.map(|(_, us)| us).sum::<f64>();
+        sum(&mut parts.iter().filter(fed)) / sum(&mut parts.iter()).max(f64::MIN_POSITIVE)
+    });
     let total = evaluated.energy.estimate.rows.into_iter().find(|row| row.unit == "total");
     let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;
     let errors = target.constants().first().map_or(&[][..], |preset| target.errors(preset));
@@ -122,6 +127,6 @@ fn priced(
         _ => Some(Intervals::Works),
     };
     let (chips_used, cores_used) = (evaluated.deployment.chips_used, evaluated.deployment.cores_used);
-    let (has_host, of_constants) = (evaluated.deployment.x86_cores > 0, evaluated.energy.of_constants);
-    Ok(Ok(Priced { chips_used, cores_used, row, intervals, of_constants, has_host }))
+    let of_constants = evaluated.energy.of_constants;
+    Ok(Ok(Priced { chips_used, cores_used, row, intervals, of_constants, x86_share }))
 }
