@@ -298,7 +298,7 @@ class Trained(unittest.TestCase):
             self.assertEqual(training.csv(), Path(folder, "a.csv").read_text())
             training.save(os.path.join(folder, "b.ron"))
             model, weights = contents(folder, "a")
-            self.assertEqual(contents(folder, "b"), [model.replace(b"a.safetensors", b"b.safetensors"), weights])
+            self.assertEqual(contents(folder, "b"), [model.replace(b"a.safetensors", b"b.safetensors").replace(b'name: "a"', b'name: "b"'), weights])
             with self.assertRaises(nsim.Error) as raised:
                 training.save(os.path.join(folder, "b.ron"))
             self.assertTrue(raised.exception.code.startswith("write."), raised.exception.code)

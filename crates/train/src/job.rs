@@ -243,7 +243,10 @@ impl Job {
         comment: &str,
         provenance: &str,
     ) -> Result<[PathBuf; 2]> {
-        self.model(weights, provenance)?.write_under(comment, path, force)?;
+        let mut model = self.model(weights, provenance)?;
+        // What was trained here is no network that others know by the training file's name.
+        model.name = path.file_stem().map_or(model.name, |stem| stem.to_string_lossy().into_owned());
+        model.write_under(comment, path, force)?;
         Ok([path.to_path_buf(), weights_path(path)])
     }
 
