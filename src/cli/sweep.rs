@@ -88,7 +88,7 @@ pub struct Args {
     /// Run only part I of N, whose table --merge takes
     #[arg(long, value_name = "I/N", conflicts_with = "merge")]
     shard: Option<Shard>,
-    /// Put tables of parts together instead of running
+    /// Put tables of parts together, or draw a whole one, instead of running
     #[arg(long, value_name = "FILE.csv", num_args = 1..)]
     merge: Vec<PathBuf>,
     /// Draw the column that --axes names second over the first

@@ -193,7 +193,7 @@ fn threads_shards_and_kills_change_nothing() {
     assert!(status == 3 && error.contains("variant 2 has no row"), "{error}");
     let (_, _, warned) = said(folder, "sweep s.ron -o p.csv --plot p.svg --axes populations.out.vth_mant,energy_uj");
     assert!(warned.contains("no front: neither less nor more of populations.out.vth_mant"), "{warned}");
-    assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ)"));
+    assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ a timestep)"));
     assert!(!std::fs::read_to_string(folder.join("p.csv")).unwrap().contains("front"), "no threshold is better");
 }
 
@@ -208,6 +208,13 @@ fn a_table_says_what_limits_and_what_is_on_the_front() {
     std::fs::write(folder.join("s.ron"), text).unwrap();
     ran(folder, "sweep s.ron -o t.csv --plot t.svg --axes cores,latency_us");
     let table = std::fs::read_to_string(folder.join("t.csv")).unwrap();
+    // A whole table is drawn again without a run, over these columns or others.
+    for (axes, same) in [("cores,latency_us", true), ("latency_us,accuracy", false)] {
+        ran(folder, &format!("sweep s.ron --merge t.csv -o again.csv --plot again.svg --axes {axes} --force"));
+        let [first, again] = ["t.svg", "again.svg"].map(|name| std::fs::read_to_string(folder.join(name)).unwrap());
+        assert_eq!(first == again, same, "{axes}");
+        assert_eq!(again.contains("interval of 95 %"), !same, "{again}");
+    }
     let found = rows(&table);
     // Each row is on the front unless another has at most as many cores and is as fast.
     let figure = |row: &[(String, String)], column: &str| cell(row, column).parse::<f64>().ok();

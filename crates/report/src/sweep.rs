@@ -14,20 +14,23 @@ use nsim_study::pareto::on_front;
 use nsim_study::sweep::table::Table;
 use nsim_study::sweep::variants::FIGURES;
 
-/// Columns whose unit is not in their name.
+/// A column's figure and its unit, of those whose name ends in one.
+fn figure(column: &str) -> (&str, Option<&str>) {
+    let units = [("_uj", "uJ"), ("_us", "us"), ("_mw", "mW"), ("_pjs", "pJ s")];
+    let found = units.into_iter().find_map(|(end, unit)| Some((column.strip_suffix(end)?, Some(unit))));
+    found.unwrap_or((column, None))
+}
+
+/// A column in a title.
+fn spoken(column: &str) -> String {
+    figure(column).0.replace('_', " ")
+}
+
+/// A column at its axis: energies and times are those of a timestep.
 fn label(column: &str) -> String {
-    match column.rsplit_once('_') {
-        Some((name, unit @ ("uj" | "us" | "mw"))) => format!(
-            "{name} ({})",
-            if unit == "mw" {
-                "mW"
-            } else if unit == "uj" {
-                "uJ"
-            } else {
-                unit
-            }
-        ),
-        Some((name, "pjs")) => format!("{name} (pJ s)"),
+    match (column, figure(column)) {
+        ("energy_uj" | "latency_us", (name, Some(unit))) => format!("{name} ({unit} a timestep)"),
+        (_, (_, Some(unit))) => format!("{} ({unit})", spoken(column)),
         _ => column.to_string(),
     }
 }
@@ -101,6 +104,14 @@ pub fn front(table: &Table<'_>, axes: [&str; 2]) -> Result<Option<BTreeSet<u64>>
     Ok(Some(points.iter().zip(on).filter(|(_, on)| *on).map(|(point, _)| point.0).collect()))
 }
 
+/// The Wilson intervals of the accuracy, over a column.
+fn intervals(table: &Table<'_>, x: &str) -> Result<Vec<(f64, f64, f64)>> {
+    let [low, high] = ["accuracy_low", "accuracy_high"].map(|end| points(table, [x, end]));
+    let high: HashMap<u64, f64> = high?.into_iter().map(|(variant, _, high)| (variant, high)).collect();
+    let both = |(variant, x, low): (u64, f64, f64)| Some((x, low, *high.get(&variant)?));
+    Ok(low?.into_iter().filter_map(both).collect())
+}
+
 /// The picture of a column over another: the front of the table, and each point with its values on
 /// the axes of the sweep.
 ///
@@ -117,11 +128,18 @@ pub fn svg(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<String> {
     if points.is_empty() {
         return Err(Diagnostic::new("sweep.column", format!("no row has a number under both {x} and {y}")));
     }
-    let (title, x, y) = (format!("{y} over {x}"), Axis::linear(label(x)), Axis::linear(label(y)));
-    if table.front.is_some() {
-        return Ok(plot::front(&title, &x, &y, points.into_iter()));
+    let title = format!("{} over {}", spoken(y), spoken(x));
+    let intervals = if y == "accuracy" { intervals(table, x)? } else { Vec::new() };
+    let mut series = match table.front {
+        Some(_) => plot::front_series(points.into_iter()),
+        None => {
+            let name = format!("{} variants", points.len());
+            let points = points.into_iter().map(|(point, _)| point).collect();
+            vec![Series::Points { name, points, joined: false }]
+        }
+    };
+    if !intervals.is_empty() {
+        series.push(Series::Intervals { name: "interval of 95 %".to_string(), points: intervals });
     }
-    let name = format!("{} variants", points.len());
-    let points = points.into_iter().map(|(point, _)| point).collect();
-    Ok(plot::chart(&title, &x, &y, &[Series::Points { name, points, joined: false }]))
+    Ok(plot::chart(&title, &Axis::linear(label(x)), &Axis::linear(label(y)), &series))
 }

@@ -96,16 +96,20 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
 
 /// A chart of points, each with words and whether it is on the front; the best x is first.
 pub fn front(title: &str, x: &Axis, y: &Axis, points: impl Iterator<Item = ((f64, f64, String), bool)>) -> String {
+    chart(title, x, y, &front_series(points))
+}
+
+/// Points on a front, joined, and those behind it.
+pub fn front_series(points: impl Iterator<Item = ((f64, f64, String), bool)>) -> Vec<Series> {
     let (front, others): (Vec<_>, Vec<_>) = points.partition(|(_, on_front)| *on_front);
     let series = [("on the front", front, true), ("behind it", others, false)];
     let shown = series.into_iter().filter(|(_, points, joined)| *joined || !points.is_empty());
-    let shown: Vec<Series> = shown
+    shown
         .map(|(name, points, joined)| {
             let points = points.into_iter().map(|(point, _)| point).collect();
             Series::Points { name: name.to_string(), points, joined }
         })
-        .collect();
-    chart(title, x, y, &shown)
+        .collect()
 }
 
 /// A chart of bars: one group a category, one bar a series in it.

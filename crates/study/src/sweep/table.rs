@@ -150,7 +150,10 @@ impl<'s> Table<'s> {
         let columns: Vec<String> = self.columns().into_iter().map(str::to_string).collect();
         let head: Vec<String> = next()?.iter().flatten().map(str::to_string).collect();
         let column = head.last().filter(|name| head.len() > columns.len() && name.starts_with(CHECKSUM)).cloned();
-        if head.len() - usize::from(column.is_some()) != columns.len() || !head.starts_with(&columns) {
+        // A whole table was drawn; its front is found again.
+        let drawn = head.get(columns.len()).is_some_and(|name| name == FRONT);
+        let others = usize::from(column.is_some()) + usize::from(drawn);
+        if head.len() != columns.len() + others || !head.starts_with(&columns) {
             return Err(wrong("its columns are not those of this sweep"));
         }
         if *self.column.get_or_insert_with(|| column.clone()) != column {
@@ -162,6 +165,9 @@ impl<'s> Table<'s> {
             let mut record: Vec<String> = record.iter().map(str::to_string).collect();
             let name = record.first().cloned().unwrap_or_default();
             let sum = column.as_ref().and_then(|_| record.pop());
+            if drawn {
+                record.pop();
+            }
             let variant = name.parse().unwrap_or(u64::MAX);
             if variant >= self.sweep.len() || record.len() != columns.len() {
                 return Err(wrong(format!("{name} is no variant of this sweep")));
