@@ -289,6 +289,11 @@ mod tests {
         let boards = [target(2, 1, limits()), target(4, 1, limits())];
         // 200 copies of 3,366 input axons need 200 cores of which a chip has 128.
         assert_eq!(tried(&slip(3150), limits(), 200, &boards, &|_| None), [("copies", 128), ("target", 200)]);
+        // Without a board that ships, more of the same chips.
+        let changed = |changes: &[String]| {
+            (*changes == ["target.chips_x=2"]).then(|| (slip(3150).into(), target(2, 1, limits())))
+        };
+        assert_eq!(tried(&slip(3150), limits(), 200, &[], &changed), [("copies", 128), ("target", 200)]);
     }
 
     /// 30 sources and 4 compartments, of a weight for each pair.
