@@ -5,7 +5,7 @@
 
 use crate::bits::ones;
 use crate::deliver::accumulate::Accumulate;
-use crate::deliver::prefetch::prefetch;
+use crate::deliver::rows::RowScratch;
 use std::ops::Range;
 
 use crate::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
@@ -13,7 +13,6 @@ use crate::layout::fan_out::FanOuts;
 use crate::layout::lists::{ADDRESSED, ListForm, ListTable};
 use crate::layout::shard::SKIP_BLOCK;
 use crate::layout::store::Aligned;
-use crate::layout::weight_rows::{RowPlace, RowTable, UNCHECKED};
 use crate::update::kernel::{LANES, Sum};
 use nsim_ir::spikes::Spike;
 
@@ -21,9 +20,9 @@ use nsim_ir::spikes::Spike;
 #[derive(Debug)]
 pub(crate) struct DelayRing<S> {
     /// Lanes of the shard, whole skip blocks.
-    lanes: usize,
+    pub(super) lanes: usize,
     /// Sums in units of 64, slot by slot.
-    sums: Aligned<S>,
+    pub(super) sums: Aligned<S>,
     /// Skip blocks with arrivals, slot by slot: 1, else 0. Bytes, since marks within a word would
     /// wait for each other.
     marks: Vec<u8>,
@@ -31,7 +30,7 @@ pub(crate) struct DelayRing<S> {
     marked: Vec<bool>,
     /// Scratch memory.
     queue: Vec<u32>,
-    row_queue: Vec<RowPlace>,
+    pub(super) rows: RowScratch,
 }
 
 impl<S: Sum> Clone for DelayRing<S> {
@@ -72,7 +71,7 @@ impl<S: Sum> DelayRing<S> {
         let all = self.lanes * self.slots();
         sums[..all].iter_mut().zip(&self.sums[..all]).for_each(|(to, &sum)| *to = sum.into());
         let (marks, marked) = (self.marks.clone(), self.marked.clone());
-        DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), row_queue: Vec::new() }
+        DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), rows: RowScratch::default() }
     }
 
     /// An empty ring of this many lanes and slots; `compact` if a list of the shard is.
@@ -86,7 +85,7 @@ impl<S: Sum> DelayRing<S> {
             marks: vec![0; lanes / SKIP_BLOCK * slots],
             marked: vec![false; slots],
             queue: Vec::new(),
-            row_queue: Vec::new(),
+            rows: RowScratch::default(),
         }
     }
 
@@ -101,7 +100,7 @@ impl<S: Sum> DelayRing<S> {
         size_of::<S>() * self.lanes * self.slots()
             + self.marks.len()
             + 4 * self.queue.capacity()
-            + size_of::<RowPlace>() * self.row_queue.capacity()
+            + self.rows.bytes()
     }
 
     /// Empties the ring.
@@ -144,7 +143,7 @@ impl<S: Sum> DelayRing<S> {
 
     /// Marks the skip blocks of these lanes of a slot.
     #[inline(always)]
-    fn mark(&mut self, slot: usize, lanes: Range<usize>) {
+    pub(super) fn mark(&mut self, slot: usize, lanes: Range<usize>) {
         self.marks[(slot + lanes.start) / SKIP_BLOCK..(slot + lanes.end).div_ceil(SKIP_BLOCK)].fill(1);
     }
 
@@ -323,49 +322,6 @@ impl<S: Sum> DelayRing<S> {
         delivered
     }
 
-    /// Adds the rows of weights of each spike.
-    #[inline(always)]
-    fn deliver_rows<const MARK: bool, P: Spike>(&mut self, table: &RowTable, spikes: &[P], slot: usize) -> u64
-    where
-        S: Accumulate<P::Payload>,
-    {
-        let (mut queue, mut payloads) = (std::mem::take(&mut self.row_queue), Vec::new());
-        let mut events = 0;
-        // A loop over the few rows of each spike would end in a mispredicted branch, so rows of
-        // many spikes are queued.
-        for spikes in spikes.chunks(QUEUED_SPIKES) {
-            let (rows, synapses) = enqueue_rows(table, spikes, (&mut queue, &mut payloads));
-            events += synapses;
-            for (place, payload) in queue[..rows].iter().zip(&payloads) {
-                self.add_row::<MARK, P>(table, *place, *payload, slot);
-            }
-        }
-        self.row_queue = queue;
-        events
-    }
-
-    #[inline(always)]
-    fn add_row<const MARK: bool, P: Spike>(
-        &mut self,
-        table: &RowTable,
-        place: RowPlace,
-        payload: P::Payload,
-        slot: usize,
-    ) where
-        S: Accumulate<P::Payload>,
-    {
-        let (lane, weights) = (place.lane(), table.rows.weights(place.row()));
-        let end = lane + weights.len() * LANES;
-        let (sums, _) = self.sums[slot + lane..slot + end].as_chunks_mut::<LANES>();
-        for (sums, weights) in sums.iter_mut().zip(weights) {
-            add_weights(std::array::from_mut(sums), std::array::from_ref(weights), payload);
-        }
-        if MARK {
-            // Zeros beyond the last lane may lie in a skip block that does not exist.
-            self.mark(slot, lane..end.min(self.lanes));
-        }
-    }
-
     /// As [`DelayRing::deliver_lists`], not compiled again for each processor's vectors: it is a
     /// third of the code of a step.
     #[inline(never)]
@@ -416,59 +372,6 @@ impl<S: Sum> DelayRing<S> {
             }
         }
     }
-}
-
-/// Spikes whose rows are queued at a time.
-const QUEUED_SPIKES: usize = 512;
-
-/// Spikes between the prefetch of a source's origin, of its stencil, of the stencil's rows, and
-/// their use: each tells where the next is.
-const PREFETCH_SPIKES: [usize; 3] = [24, 16, 8];
-
-/// Queues the rows of these spikes and what each carries; returns their number and that of the
-/// synapses in them.
-#[inline(always)]
-fn enqueue_rows<P: Spike>(
-    table: &RowTable,
-    spikes: &[P],
-    (queue, payloads): (&mut Vec<RowPlace>, &mut Vec<P::Payload>),
-) -> (usize, u64) {
-    let (mut end, mut events) = (0, 0);
-    payloads.resize(queue.len(), spikes[0].payload());
-    for (index, spike) in spikes.iter().enumerate() {
-        let far = PREFETCH_SPIKES.map(|ahead| spikes.get(index + ahead));
-        if let Some(spike) = far[0] {
-            prefetch(&table.origins, spike.source());
-        }
-        if let Some(spike) = far[1] {
-            table.prefetch_stencil(table.origins[spike.source()]);
-        }
-        if let Some(spike) = far[2] {
-            table.prefetch_rows(table.origins[spike.source()]);
-        }
-        let origin = table.origins[spike.source()];
-        let (stencil, places, rows) = table.stencil(origin);
-        events += u64::from(stencil.synapses);
-        if queue.len() < end + places.len() {
-            queue.resize(2 * (end + places.len()), places[0]);
-            payloads.resize(queue.len(), spike.payload());
-        }
-        if let (Some(queued), Some(unchecked)) =
-            (queue[end..].first_chunk_mut::<UNCHECKED>(), places.first_chunk::<UNCHECKED>())
-        {
-            *queued = unchecked.map(|place| place.after(origin.lane));
-        }
-        if let Some(payloads) = payloads[end..].first_chunk_mut::<UNCHECKED>() {
-            *payloads = [spike.payload(); UNCHECKED];
-        }
-        if rows > UNCHECKED {
-            let others = queue[end + UNCHECKED..end + rows].iter_mut().zip(&places[UNCHECKED..]);
-            others.for_each(|(queued, place)| *queued = place.after(origin.lane));
-            payloads[end + UNCHECKED..end + rows].fill(spike.payload());
-        }
-        end += rows;
-    }
-    (end, events)
 }
 
 /// Adds to the sum of a target, and marks its skip block; targets are counted from `slot` on, around
@@ -581,7 +484,7 @@ fn add_source<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: u
 
 /// Adds chunks of weights to as many chunks of sums.
 #[inline(always)]
-fn add_weights<S: Accumulate<Y>, Y: Copy, const N: usize>(
+pub(super) fn add_weights<S: Accumulate<Y>, Y: Copy, const N: usize>(
     sums: &mut [[S; LANES]; N],
     weights: &[[i16; LANES]; N],
     payload: Y,

@@ -11,7 +11,7 @@
 //! so that their weights stay in the cache and are added as vectors. The lanes of a core have
 //! channels innermost (`lane_order`), so what a row of the kernel reaches are lanes side by side.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -31,7 +31,9 @@ const BRIDGED: u16 = LANES as u16;
 /// Synapses of a row on average.
 const SHORTEST: usize = 2;
 /// How often rows must be used on average: rows of one source each belong to dense blocks.
-const USES: usize = 3;
+const USES: usize = 2;
+/// Input axons of a core of which either all are delivered by rows or none.
+const TOGETHER: usize = 64;
 /// Synapses of a program from which on rows that only other cores use too are shared: the weights
 /// of fewer fit a cache, where dense blocks are faster.
 const MANY: u64 = 1 << 22;
@@ -182,10 +184,8 @@ impl ProgramRows {
                 }
             }
         }
-        let shared = |found: &Option<CoreRows>| found.as_ref().is_some_and(|found| found.is_shared(&uses));
-        let shared: Vec<bool> = found.iter().map(shared).collect();
-        let of_shared = |(found, shared): (Option<CoreRows>, bool)| found.filter(|_| shared);
-        let found: Vec<Option<CoreRows>> = found.into_iter().zip(shared).map(of_shared).collect();
+        let shared = |found: &Option<CoreRows>| found.as_ref().and_then(|found| found.shared(&uses));
+        let found: Vec<Option<CoreRows>> = found.par_iter().map(shared).collect();
         let mut numbers: HashMap<&Content, usize> = HashMap::new();
         let mut contents = Vec::new();
         for content in found.iter().flatten().flat_map(|found| &found.contents) {
@@ -264,10 +264,36 @@ impl CoreRows {
         (!contents.is_empty()).then_some(CoreRows { contents, axons })
     }
 
-    /// Whether the rows are used often enough: by the core's own axons, or by those of all cores.
-    fn is_shared(&self, uses: &HashMap<&Content, usize>) -> bool {
-        let by_all: usize = self.contents.iter().filter_map(|content| uses.get(content)).sum();
-        self.axons.items().len().max(by_all) >= USES * self.contents.len()
+    /// What is left with the axons alone that are side by side with others of rows that are used often
+    /// enough on average: by the core's own axons, or by those of all cores. A kernel's rows that the
+    /// border cuts are used seldom, but beside others.
+    fn shared(&self, uses: &HashMap<&Content, usize>) -> Option<Self> {
+        let mut all = vec![0; self.contents.len()];
+        self.axons.items().iter().for_each(|(_, _, number)| all[*number as usize] += 1);
+        for (all, content) in all.iter_mut().zip(&self.contents) {
+            *all = uses.get(content).copied().unwrap_or_default().max(*all);
+        }
+        let (mut places, mut contents) = (vec![None; all.len()], Vec::new());
+        let mut axons = Csr::with_capacity(self.axons.len(), self.axons.items().len());
+        for first in (0..self.axons.len()).step_by(TOGETHER) {
+            let run = first..self.axons.len().min(first + TOGETHER);
+            let numbers = || run.clone().flat_map(|axon| self.axons.get(axon)).map(|item| item.2 as usize);
+            let distinct: BTreeSet<usize> = numbers().collect();
+            let shared = distinct.iter().map(|&number| all[number]).sum::<usize>() >= USES * distinct.len();
+            for axon in run.clone() {
+                if shared {
+                    axons.extend_last(self.axons.get(axon).iter().map(|&(rank, delay, number)| {
+                        let place = places[number as usize].get_or_insert_with(|| {
+                            contents.push(self.contents[number as usize].clone());
+                            contents.len() as u32 - 1
+                        });
+                        (rank, delay, *place)
+                    }));
+                }
+                axons.end();
+            }
+        }
+        (!contents.is_empty()).then_some(CoreRows { contents, axons })
     }
 }
 
@@ -357,10 +383,10 @@ pub(crate) const UNCHECKED: usize = 8;
 /// The rows that a source adds, which others add from another lane on.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stencil {
-    /// Its first row.
-    first: u32,
+    /// The place of its first row.
+    pub first: u32,
     /// Rows.
-    rows: u32,
+    pub rows: u32,
     /// Synapses in all of them.
     pub synapses: u32,
 }
@@ -372,6 +398,8 @@ pub(crate) struct Origin {
     pub lane: u32,
     /// The stencil.
     pub stencil: u32,
+    /// Sources of a group have rows of the same lengths at the same lanes.
+    pub group: u32,
 }
 
 /// The rows of each source, of one delay, into one shard. Sources of a convolution have few
@@ -380,9 +408,11 @@ pub(crate) struct Origin {
 pub(crate) struct RowTable {
     /// By source.
     pub origins: Vec<Origin>,
-    stencils: Vec<Stencil>,
+    pub stencils: Vec<Stencil>,
     /// The rows of all stencils, and [`UNCHECKED`] more.
-    places: Vec<RowPlace>,
+    pub places: Vec<RowPlace>,
+    /// Groups of sources whose rows are as long and reach the same lanes.
+    pub groups: usize,
     /// The rows.
     pub rows: Arc<WeightRows>,
 }
@@ -394,6 +424,13 @@ impl RowTable {
         let stencil = self.stencils[origin.stencil as usize];
         let (first, rows) = (stencil.first as usize, stencil.rows as usize);
         (stencil, &self.places[first..first + rows.max(UNCHECKED)], rows)
+    }
+
+    /// Chunks of a row from one of them on; the row has as many.
+    #[inline(always)]
+    pub fn weights<const N: usize>(&self, place: usize, chunk: usize) -> &[[i16; LANES]; N] {
+        let first = self.places[place].row().first() + chunk;
+        self.rows.weights[first..].first_chunk().expect("rows of a group are as long")
     }
 
     /// Prefetches a source's stencil.
@@ -442,13 +479,13 @@ impl RowBuilder {
             let of_source;
             (of_source, places) = places.split_at(rows as usize);
             let Some(lane) = of_source.iter().map(|place| place.lane() as u32).min() else {
-                self.origins.push(Origin { lane: 0, stencil: 0 });
+                self.origins.push(Origin { lane: 0, stencil: 0, group: 0 });
                 continue;
             };
             own.clear();
             own.extend(of_source.iter().map(|place| place.before(lane)));
             let stencil = self.stencil(&own, synapses);
-            self.origins.push(Origin { lane, stencil });
+            self.origins.push(Origin { lane, stencil, group: 0 });
         }
     }
 
@@ -500,9 +537,50 @@ impl RowBuilder {
         self.places.shrink_to_fit();
         self.stencils.shrink_to_fit();
         self.origins.shrink_to_fit();
-        let RowBuilder { origins, stencils, places, .. } = self;
-        Ok(Some(RowTable { origins, stencils, places, rows: Arc::clone(rows) }))
+        let RowBuilder { mut origins, stencils, places, .. } = self;
+        let mut shapes: HashMap<Vec<_>, u32> = HashMap::new();
+        let shapes: Vec<u32> = stencils
+            .iter()
+            .map(|&Stencil { first, rows, .. }| {
+                let rows = &places[first as usize..(first + rows) as usize];
+                let next = shapes.len() as u32;
+                *shapes.entry(rows.iter().map(|row| (row.lane(), row.row().chunks())).collect()).or_insert(next)
+            })
+            .collect();
+        // Shape of each group, and the group before it at the same lane. The one of sources without
+        // rows comes first, before all others.
+        let mut groups: Vec<(u32, u32)> = vec![(0, 0)];
+        let lanes = origins.iter().map(|origin| origin.lane as usize + 1).max().unwrap_or(0);
+        let mut last_of_lane = vec![0; lanes];
+        for origin in origins.iter_mut().filter(|origin| origin.stencil > 0) {
+            let (shape, last) = (shapes[origin.stencil as usize], &mut last_of_lane[origin.lane as usize]);
+            let mut group = *last;
+            while group > 0 && groups[group as usize].0 != shape {
+                group = groups[group as usize].1;
+            }
+            if group == 0 {
+                group = groups.len() as u32;
+                groups.push((shape, *last));
+                *last = group;
+            }
+            origin.group = group;
+        }
+        Ok(Some(RowTable { origins, stencils, places, groups: groups.len(), rows: Arc::clone(rows) }))
     }
+}
+
+/// A table of these rows: by source, which row begins at which lane.
+#[cfg(test)]
+pub(crate) fn table(rows: &[Vec<i16>], sources: &[Vec<(usize, u32)>]) -> RowTable {
+    let content = |weights: &Vec<i16>| Content { weights: weights.clone(), synapses: weights.len() as u32 };
+    let (stored, places) = WeightRows::with(&rows.iter().map(content).collect::<Vec<_>>());
+    let mut builder = RowBuilder::new();
+    for source in sources {
+        let synapses: usize = source.iter().map(|&(row, _)| rows[row].len()).sum();
+        let place = |&(row, lane): &(usize, u32)| RowPlace::new(lane, places[row].unwrap());
+        builder.append(&[(source.len() as u32, synapses as u32)], &source.iter().map(place).collect::<Vec<_>>());
+    }
+    builder.finish(&Arc::new(stored)).unwrap().unwrap()
 }
 
 #[cfg(test)]

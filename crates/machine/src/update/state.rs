@@ -590,18 +590,27 @@ impl CompartmentState {
                 }
                 let (arrived, shift) = (&mut arrived[port.index()], if apart.is_some() { own } else { *shift });
                 for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags) {
+                    // Copies, one result a loop and one width throughout: what compilers make vectors of.
+                    let own = *sums;
+                    let (mut shifted, mut of_chunk) = ([0; CHUNK], [0u32; CHUNK]);
                     for lane in 0..CHUNK {
-                        let (sum, leaves) = sums[lane].shifted(shift);
-                        arrived[lane] = sum;
-                        flags[lane] |= u8::from(sums[lane] != S::default()) | u8::from(leaves) << 1;
+                        shifted[lane] = own[lane].shifted(shift).0;
+                    }
+                    for lane in 0..CHUNK {
+                        of_chunk[lane] = u32::from(own[lane] != S::default());
+                    }
+                    if own.iter().fold(false, |any, sum| any | sum.shifted(shift).1) {
+                        of_chunk.iter_mut().zip(own).for_each(|(of, sum)| *of |= u32::from(sum.shifted(shift).1) << 1);
                     }
                     if apart.is_some_and(|apart| apart.wraps) {
                         for lane in 0..CHUNK {
-                            let kept = arrived[lane] << (31 - UV_BITS) >> (31 - UV_BITS);
-                            flags[lane] |= u8::from(kept != arrived[lane]) << 1;
-                            arrived[lane] = kept;
+                            let kept = shifted[lane] << (31 - UV_BITS) >> (31 - UV_BITS);
+                            of_chunk[lane] |= u32::from(kept != shifted[lane]) << 1;
+                            shifted[lane] = kept;
                         }
                     }
+                    *arrived = shifted;
+                    flags.iter_mut().zip(of_chunk).for_each(|(flags, of_chunk)| *flags |= of_chunk as u8);
                     *sums = [S::default(); CHUNK];
                 }
             }
@@ -617,13 +626,12 @@ impl CompartmentState {
             // Each message counts as 1.
             self.sent[start..start + lanes].fill(1);
         } else if *bits > 0 && *bits < 32 {
-            let sent = self.sent[start..start + chunks * CHUNK].as_chunks::<CHUNK>().0;
-            for (values, flags) in sent.iter().zip(&mut flags) {
-                for (leaves, &value) in flags.iter_mut().zip(values) {
-                    *leaves = u8::from(value << (32 - bits) >> (32 - bits) != value);
-                }
+            let sent = &self.sent[start..start + lanes];
+            let cut = |value: i32| (value << (32 - bits) >> (32 - bits)) ^ value;
+            if sent.iter().fold(0, |any, &value| any | cut(value)) != 0 {
+                let wide = |set: u64, &value: &i32| set << 1 | u64::from(cut(value) != 0);
+                too_wide = sent.iter().rev().fold(0, wide) & effects.emitted;
             }
-            too_wide = lanes_with::<1>(&flags)[0] & effects.emitted;
         }
         let (clips, wraps) = (effects.clipped, effects.wrapped | too_wide);
         let mut reported = narrowed | wraps | clips;
