@@ -97,10 +97,7 @@ impl<S: Sum> DelayRing<S> {
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        size_of::<S>() * self.lanes * self.slots()
-            + self.marks.len()
-            + 4 * self.queue.capacity()
-            + self.rows.bytes()
+        size_of::<S>() * self.lanes * self.slots() + self.marks.len() + 4 * self.queue.capacity() + self.rows.bytes()
     }
 
     /// Empties the ring.

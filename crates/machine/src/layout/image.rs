@@ -6,6 +6,7 @@
 //!
 //! Compartments are laid out core by core (`lane_order`).
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -22,6 +23,7 @@ use crate::layout::weight_rows::{ProgramRows, WeightRows};
 use crate::update::kernel::{LANES, Shared};
 use nsim_dynamics as neuron;
 use nsim_dynamics::Fields;
+use nsim_dynamics::kinds::Updater;
 use nsim_dynamics::{arithmetic, kinds};
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
@@ -33,6 +35,9 @@ use nsim_ir::spikes::Message;
 
 /// The lane of a compartment that another process holds.
 pub(crate) const ELSEWHERE: u32 = u32::MAX;
+
+/// The updates of blocks, by the parameters of their compartments.
+type Updaters = HashMap<Vec<u32>, Arc<dyn Updater>>;
 
 /// The shortest run of equal parameters that gets a core block of its own.
 const SHORTEST_RUN: usize = 8;
@@ -238,7 +243,7 @@ impl Image {
     /// Lays compartments out in lanes over all shards and returns their blocks.
     fn lay_out(&mut self, sums: &Sums) -> Vec<CoreBlock> {
         let parts = self.program.parts();
-        let mut known = std::collections::HashMap::new();
+        let mut known = HashMap::new();
         let (mut blocks, mut lane) = (Vec::new(), 0u32);
         // Parameters and population of the last block, if it is updated as vectors.
         let mut last: Option<(u32, usize)> = None;
@@ -368,7 +373,7 @@ impl Image {
     fn split_into_shards(&mut self, blocks: Vec<CoreBlock>, sums: &Sums, shards: usize) {
         let skip_blocks = blocks.last().map_or(0, |block| block.start as usize / SKIP_BLOCK + 1);
         let size = skip_blocks.div_ceil(shards.max(1)).max(1);
-        let mut current: Option<(usize, Shard)> = None;
+        let (mut current, mut updaters): (Option<(usize, Shard)>, _) = (None, Updaters::new());
         for mut block in blocks {
             let skip_block = block.start as usize / SKIP_BLOCK;
             let shard = skip_block / size;
@@ -382,7 +387,7 @@ impl Image {
             let vector = self.vector(block.fields);
             let mask = u64::MAX >> (SKIP_BLOCK as u32 - block.length);
             let mut end = (block.start + block.length).next_multiple_of(LANES as u32);
-            let words = self.words(&block, sums, &shard.words);
+            let words = self.words(&block, sums, &shard.words, &mut updaters);
             if words.as_ref().is_some_and(|words| words.sums.len() > 1) {
                 end = block.start + SKIP_BLOCK as u32;
             }
@@ -450,13 +455,21 @@ impl Image {
     }
 
     /// A block whose state is words, behind those before it in its shard.
-    fn words(&self, block: &CoreBlock, sums: &Sums, before: &[WordBlock]) -> Option<WordBlock> {
+    /// Blocks with the same parameters share their update: it takes less of the cache.
+    fn words(&self, block: &CoreBlock, sums: &Sums, before: &[WordBlock], known: &mut Updaters) -> Option<WordBlock> {
         let BlockFields::Each(first) = block.fields else { return None };
         let fields = &self.field_of[first as usize..(first + block.length) as usize];
         let field = |index: u32| &self.fields[index as usize];
         let kind = field(fields[0]).neuron.kind;
-        let rows: Vec<Row> = fields.iter().map(|&index| field(index).neuron.row).collect();
-        let updater = kinds::updater(kind, &rows)?;
+        let updater = match known.get(fields) {
+            Some(updater) => Arc::clone(updater),
+            None => {
+                let rows: Vec<Row> = fields.iter().map(|&index| field(index).neuron.row).collect();
+                let updater: Arc<dyn Updater> = kinds::updater(kind, &rows)?.into();
+                known.insert(fields.to_vec(), Arc::clone(&updater));
+                updater
+            }
+        };
         let first = before.last().map_or(0, |last| last.first + last.chunks() * last.updater.words());
         let (resets_from, sums) = (field(fields[0]).resets_from, sums.get(block.sums).to_vec());
         let shift = field(fields[0]).neuron.shift;

@@ -7,6 +7,8 @@
 //! dense blocks are padded with zeros to whole chunks, so what they add to padding or to a
 //! neighbour changes nothing.
 
+use std::sync::Arc;
+
 use crate::deliver::sums::Sum;
 use crate::layout::fan_out::FanOuts;
 use nsim_dynamics::kinds::{CHUNK, Updater};
@@ -23,7 +25,7 @@ pub(crate) struct WordBlock {
     /// Where its words begin among those of the shard, in chunks.
     pub first: usize,
     /// Its update.
-    pub updater: Box<dyn Updater>,
+    pub updater: Arc<dyn Updater>,
     /// The bits of what each of its messages carries; 0 where it always is the same.
     pub bits: u32,
     /// Bits by which what arrives in a step is shifted.
