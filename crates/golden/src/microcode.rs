@@ -206,7 +206,12 @@ mod tests {
                 row.0[2] = texts.bits() as i32 >> texts.below(32);
                 row
             };
-            let rows: Vec<Row> = (0..lanes).map(|_| row(&mut texts)).collect();
+            let mut rows: Vec<Row> = (0..lanes).map(|_| row(&mut texts)).collect();
+            // Parameters that all neurons share, 0 among them, leave instructions out.
+            for place in 0..3 {
+                let shared = [None, Some(0), Some(1), Some(rows[0].0[place])][texts.below(4) as usize];
+                rows.iter_mut().for_each(|row| row.0[place] = shared.unwrap_or(row.0[place]));
+            }
             let fast = updater(NeuronKind::Microcode(kind), &rows).expect("its state is words");
             let chunks = lanes.div_ceil(CHUNK);
             let (mut columns, mut sent) = (vec![[0; CHUNK]; 3 * chunks], vec![[0; CHUNK]; chunks]);

@@ -59,21 +59,24 @@ impl Effects {
 #[inline(always)]
 #[must_use]
 pub fn lanes_with<const N: usize>(flags: &Flags) -> [u64; N] {
-    let (mut any, mut all) = (0, u8::MAX);
-    for byte in flags.as_flattened() {
-        (any, all) = (any | byte, all & byte);
+    /// The lowest bit of each byte.
+    const LOWEST: u64 = 0x0101_0101_0101_0101;
+    let bytes = flags.as_flattened().as_chunks().0;
+    let (mut any, mut all) = (0, u64::MAX);
+    for eight in bytes {
+        (any, all) = (any | u64::from_le_bytes(*eight), all & u64::from_le_bytes(*eight));
     }
     let mut of_bits = [0; N];
     for (bit, set) in of_bits.iter_mut().enumerate() {
-        if any >> bit & 1 == 0 {
+        if any >> bit & LOWEST == 0 {
             continue;
         }
-        if all >> bit & 1 == 1 {
+        if all >> bit & LOWEST == LOWEST {
             *set = u64::MAX;
             continue;
         }
-        for (lane, bytes) in (0..).step_by(8).zip(flags.as_flattened().as_chunks().0) {
-            let ones = u64::from_le_bytes(*bytes) >> bit & 0x0101_0101_0101_0101;
+        for (lane, eight) in (0..).step_by(8).zip(bytes) {
+            let ones = u64::from_le_bytes(*eight) >> bit & LOWEST;
             // The highest byte of the product has the lowest bit of each byte, in order.
             *set |= (ones.wrapping_mul(0x0102_0408_1020_4080) >> 56) << lane;
         }

@@ -1,7 +1,8 @@
 //! Neurons whose rule a model file states: their tree as instructions for registers of 64 lanes.
 //!
 //! Input: a checked tree ([`Microcode`]) and the parameters of at most 64 neurons. Output: an
-//! [`Updater`]. `compile` makes the instructions, once for each kind; `run` executes them.
+//! [`Updater`]. `compile` makes the instructions, once for each kind; `specialise` leaves out those
+//! that the parameters make copies; `run` executes them.
 //!
 //! A register holds one value for each lane, in 32 bits where the interval of the value fits, in 64
 //! otherwise. What depends on parameters alone is computed when the updater is made. An update
@@ -10,6 +11,7 @@
 
 mod compile;
 mod run;
+mod specialise;
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -25,7 +27,7 @@ use super::neuron::CHUNK;
 /// The update of neurons of one kind.
 #[derive(Debug)]
 struct Programmed {
-    code: Arc<Code>,
+    code: Code,
     lanes: usize,
     /// Whether messages carry what the rule computes.
     computes: bool,
@@ -55,6 +57,7 @@ pub(super) fn updater(kind: MicrocodeKind, rows: &[Row]) -> Box<dyn Updater> {
         }
     }
     run::fix(&code, &mut fixed);
+    let code = code.specialised(&fixed.narrow, rows.len());
     let computes = NeuronKind::Microcode(kind).table().emits == Emits::Values;
     Box::new(Programmed { code, lanes: rows.len(), computes, fixed })
 }

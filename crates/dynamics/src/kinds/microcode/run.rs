@@ -369,23 +369,31 @@ impl pulp::NullaryFnOnce for Step<'_> {
         }
         let register = |place: Place| at(&fixed.narrow, &registers.narrow, place);
         let (sends, message) = (register(code.sent), code.message.map(register));
-        let mut flags = Flags::default();
-        for (chunk, values) in sent.iter_mut().enumerate() {
-            let (sends, [wrapped, clipped]) = (sends[chunk], [left[0][chunk], left[1][chunk]]);
-            let mut moved = sends;
-            for arrived in &registers.narrow[..code.ports] {
-                let arrived = arrived[chunk];
-                moved = chunk_of(|lane| moved[lane] | arrived[lane]);
+        // Loop after loop over registers, not chunk by chunk: a chunk kept from loop to loop is no vector.
+        let mut moved = *sends;
+        for arrived in &registers.narrow[..code.ports] {
+            for (moved, arrived) in moved.iter_mut().zip(arrived) {
+                let before = *moved;
+                *moved = chunk_of(|lane| before[lane] | arrived[lane]);
             }
-            for (word, place) in code.state.iter().enumerate() {
-                let (before, after) = (registers.narrow[WORDS + word][chunk], register(*place)[chunk]);
-                moved = chunk_of(|lane| moved[lane] | before[lane] ^ after[lane]);
+        }
+        for (word, place) in code.state.iter().enumerate() {
+            let (before, after) = (&registers.narrow[WORDS + word], register(*place));
+            for chunk in 0..chunks {
+                let (so_far, before, after) = (moved[chunk], before[chunk], after[chunk]);
+                moved[chunk] = chunk_of(|lane| so_far[lane] | before[lane] ^ after[lane]);
                 columns[chunk * words + word] = after;
             }
-            if let Some(message) = message {
-                let (message, before) = (message[chunk], *values);
+        }
+        if let Some(message) = message {
+            for ((values, message), sends) in sent.iter_mut().zip(message).zip(sends) {
+                let before = *values;
                 *values = chunk_of(|lane| if sends[lane] != 0 { message[lane] } else { before[lane] });
             }
+        }
+        let mut flags = Flags::default();
+        for chunk in 0..chunks {
+            let (sends, moved, [wrapped, clipped]) = (sends[chunk], moved[chunk], [left[0][chunk], left[1][chunk]]);
             let of_chunk = chunk_of(|lane| {
                 let (wraps, clips) = (wrapped[lane] < 0, clipped[lane] < 0);
                 let active = (moved[lane] != 0) | wraps | clips;

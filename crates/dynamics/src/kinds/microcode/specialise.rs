@@ -1,0 +1,120 @@
+//! Instructions for neurons whose parameters are known.
+//!
+//! Input: the instructions of a kind, and the registers that depend on parameters alone. Output:
+//! the instructions without those that copy a register to another, since a condition is the same
+//! for all neurons or a number is 0, and without those whose result nothing reads.
+
+use nsim_ir::microcode::Operation;
+
+use super::super::neuron::CHUNK;
+use super::compile::{Action, Code, FIXED, Instruction, NONE, Place, Section};
+use super::run::CHUNKS;
+
+/// Whether a register has 64 bits, and its number.
+type Register = (bool, Place);
+
+impl Instruction {
+    /// The registers that it reads.
+    fn reads(&self) -> impl Iterator<Item = Register> {
+        // Conditions have 32 bits.
+        let wide = match self.action {
+            Action::Narrow => [true; 3],
+            Action::Widen | Action::Product => [false; 3],
+            Action::Select => [false, self.wide, self.wide],
+            _ => [self.wide, self.wide, false],
+        };
+        wide.into_iter().zip(self.operands).filter(|&(_, place)| place != NONE)
+    }
+
+    /// The register that it writes, if it does.
+    fn writes(&self) -> Option<Register> {
+        match self.action {
+            Action::Report(_) => None,
+            Action::Widen | Action::Product => Some((true, self.out)),
+            Action::Narrow | Action::Comparison(_) => Some((false, self.out)),
+            _ => Some((self.wide, self.out)),
+        }
+    }
+
+    /// Whether it says that a word leaves its bits.
+    fn reports(&self) -> bool {
+        matches!(self.action, Action::AddWord | Action::SubtractWord | Action::Report(_))
+    }
+
+    /// The register of 32 bits that it copies, if it does no more.
+    fn copies(&self, value: impl Fn(Place) -> Option<i32>) -> Option<Place> {
+        let [a, b, c] = self.operands;
+        if self.wide {
+            return None;
+        }
+        match self.action {
+            Action::Select => match value(a) {
+                Some(0) => Some(c),
+                Some(_) => Some(b),
+                None => Some(b).filter(|_| b == c),
+            },
+            // 0 and 1 are all that these have.
+            Action::Arithmetic(Operation::Or) => match (value(a), value(b)) {
+                (Some(0), _) | (_, Some(1)) => Some(b),
+                (_, Some(0)) | (Some(1), _) => Some(a),
+                _ => None,
+            },
+            Action::Arithmetic(Operation::And) => match (value(a), value(b)) {
+                (Some(1), _) | (_, Some(0)) => Some(b),
+                (_, Some(1)) | (Some(0), _) => Some(a),
+                _ => None,
+            },
+            // Without a change nothing wraps.
+            Action::AddWord | Action::Arithmetic(Operation::Add) => match (value(a), value(b)) {
+                (_, Some(0)) => Some(a),
+                (Some(0), _) => Some(b),
+                _ => None,
+            },
+            Action::SubtractWord
+            | Action::Arithmetic(
+                Operation::Subtract | Operation::ShiftLeft | Operation::ShiftRight | Operation::TowardZero,
+            ) => Some(a).filter(|_| value(b) == Some(0)),
+            _ => None,
+        }
+    }
+}
+
+impl Code {
+    /// The instructions for neurons with these registers of what depends on parameters alone.
+    pub(super) fn specialised(&self, fixed: &[[[i32; CHUNK]; CHUNKS]], lanes: usize) -> Code {
+        let value = |place: Place| {
+            let register = fixed.get(usize::from(place & !FIXED)).filter(|_| place != NONE && place & FIXED != 0)?;
+            let (first, others) = register.as_flattened()[..lanes].split_first()?;
+            Some(*first).filter(|first| others.iter().all(|other| other == first))
+        };
+        // What each register of 32 bits is the same as.
+        let mut same: Vec<Place> = (0..self.step.narrow).collect();
+        let found = |same: &[Place], place: Place| if place & FIXED == 0 { same[usize::from(place)] } else { place };
+        let mut instructions: Vec<Instruction> = Vec::new();
+        for instruction in &self.step.instructions {
+            let mut new = *instruction;
+            for ((wide, _), place) in instruction.reads().zip(&mut new.operands) {
+                *place = if wide { *place } else { found(&same, *place) };
+            }
+            match new.copies(value) {
+                Some(place) => same[usize::from(new.out)] = place,
+                None => instructions.push(new),
+            }
+        }
+        let (sent, message) = (found(&same, self.sent), self.message.map(|place| found(&same, place)));
+        let state: Vec<Place> = self.state.iter().map(|&place| found(&same, place)).collect();
+        let mut read: Vec<Register> =
+            state.iter().copied().chain([sent]).chain(message).map(|at| (false, at)).collect();
+        let mut needed = Vec::new();
+        for instruction in instructions.into_iter().rev() {
+            if instruction.reports() || instruction.writes().is_some_and(|register| read.contains(&register)) {
+                read.extend(instruction.reads());
+                needed.push(instruction);
+            }
+        }
+        needed.reverse();
+        let &Code { parameters, words, ports, .. } = self;
+        let step = Section { instructions: needed, ..self.step };
+        Code { parameters, words, ports, fixed: Section::default(), step, state, sent, message }
+    }
+}
