@@ -264,9 +264,9 @@ impl CoreRows {
         (!contents.is_empty()).then_some(CoreRows { contents, axons })
     }
 
-    /// What is left with the axons alone that are side by side with others of rows that are used often
-    /// enough on average: by the core's own axons, or by those of all cores. A kernel's rows that the
-    /// border cuts are used seldom, but beside others.
+    /// What is left with the axons alone that lie beside others whose rows are used often enough on
+    /// average: by the core's own axons, or by those of all cores. A kernel's rows that the border
+    /// cuts are used seldom, but lie beside others.
     fn shared(&self, uses: &HashMap<&Content, usize>) -> Option<Self> {
         let mut all = vec![0; self.contents.len()];
         self.axons.items().iter().for_each(|(_, _, number)| all[*number as usize] += 1);

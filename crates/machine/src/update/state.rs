@@ -590,7 +590,7 @@ impl CompartmentState {
                 }
                 let (arrived, shift) = (&mut arrived[port.index()], if apart.is_some() { own } else { *shift });
                 for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags) {
-                    // Copies, one result a loop and one width throughout: what compilers make vectors of.
+                    // Compilers make vectors of copies, with one result a loop.
                     let own = *sums;
                     let (mut shifted, mut of_chunk) = ([0; CHUNK], [0u32; CHUNK]);
                     for lane in 0..CHUNK {

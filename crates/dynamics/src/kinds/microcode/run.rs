@@ -369,7 +369,7 @@ impl pulp::NullaryFnOnce for Step<'_> {
         }
         let register = |place: Place| at(&fixed.narrow, &registers.narrow, place);
         let (sends, message) = (register(code.sent), code.message.map(register));
-        // Loop after loop over registers, not chunk by chunk: a chunk kept from loop to loop is no vector.
+        // Loop after loop over registers, since a chunk that is kept from loop to loop is no vector.
         let mut moved = *sends;
         for arrived in &registers.narrow[..code.ports] {
             for (moved, arrived) in moved.iter_mut().zip(arrived) {
