@@ -4,7 +4,7 @@
 //! in 64 from then on: a product of a weight and a payload has up to 47 bits. The payload is a
 //! type, so that delivery of binary spikes has no multiplication and no look-up.
 
-use crate::update::kernel::Sum;
+use crate::update::kernel::{LANES, Sum};
 
 /// A sum to which spikes with this payload can add.
 pub(crate) trait Accumulate<P>: Sum {
@@ -65,6 +65,20 @@ impl Sum for i64 {
     #[inline(always)]
     fn whole(self) -> i64 {
         self
+    }
+}
+
+/// Adds chunks of weights to as many chunks of sums.
+#[inline(always)]
+pub(crate) fn add_weights<S: Accumulate<Y>, Y: Copy, const N: usize>(
+    sums: &mut [[S; LANES]; N],
+    weights: &[[i16; LANES]; N],
+    payload: Y,
+) {
+    for chunk in 0..N {
+        for lane in 0..LANES {
+            sums[chunk][lane] = sums[chunk][lane].accumulate(weights[chunk][lane], payload);
+        }
     }
 }
 

@@ -4,8 +4,8 @@
 //! units of 64, the skip blocks that they lie in, and the number of synaptic events.
 
 use crate::bits::ones;
-use crate::deliver::accumulate::Accumulate;
-use crate::deliver::rows::RowScratch;
+use crate::deliver::accumulate::{Accumulate, add_weights};
+use crate::deliver::rows::{RowScratch, RowSums};
 use std::ops::Range;
 
 use crate::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
@@ -20,9 +20,9 @@ use nsim_ir::spikes::Spike;
 #[derive(Debug)]
 pub(crate) struct DelayRing<S> {
     /// Lanes of the shard, whole skip blocks.
-    pub(super) lanes: usize,
+    lanes: usize,
     /// Sums in units of 64, slot by slot.
-    pub(super) sums: Aligned<S>,
+    sums: Aligned<S>,
     /// Skip blocks with arrivals, slot by slot: 1, else 0. Bytes, since marks within a word would
     /// wait for each other.
     marks: Vec<u8>,
@@ -30,7 +30,7 @@ pub(crate) struct DelayRing<S> {
     marked: Vec<bool>,
     /// Scratch memory.
     queue: Vec<u32>,
-    pub(super) rows: RowScratch,
+    rows: RowScratch,
 }
 
 impl<S: Sum> Clone for DelayRing<S> {
@@ -140,7 +140,7 @@ impl<S: Sum> DelayRing<S> {
 
     /// Marks the skip blocks of these lanes of a slot.
     #[inline(always)]
-    pub(super) fn mark(&mut self, slot: usize, lanes: Range<usize>) {
+    fn mark(&mut self, slot: usize, lanes: Range<usize>) {
         self.marks[(slot + lanes.start) / SKIP_BLOCK..(slot + lanes.end).div_ceil(SKIP_BLOCK)].fill(1);
     }
 
@@ -172,7 +172,9 @@ impl<S: Sum> DelayRing<S> {
                 synapses += self.deliver_dense::<MARK, P>(&fan_out.dense, (spikes, &mut *counts), slot);
             }
             if let Some(rows) = &fan_out.rows {
-                synapses += self.deliver_rows::<MARK, P>(rows, spikes, slot);
+                let DelayRing { lanes, sums, marks, rows: scratch, .. } = self;
+                let (sums, marks) = (&mut sums[slot..], &mut marks[slot / SKIP_BLOCK..]);
+                synapses += RowSums { lanes: *lanes, sums, marks }.deliver::<MARK, P>(rows, spikes, scratch);
             }
             events += if arrives { synapses } else { 0 };
         }
@@ -477,20 +479,6 @@ fn add_source<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: u
         counts[source] += 1;
     }
     true
-}
-
-/// Adds chunks of weights to as many chunks of sums.
-#[inline(always)]
-pub(super) fn add_weights<S: Accumulate<Y>, Y: Copy, const N: usize>(
-    sums: &mut [[S; LANES]; N],
-    weights: &[[i16; LANES]; N],
-    payload: Y,
-) {
-    for chunk in 0..N {
-        for lane in 0..LANES {
-            sums[chunk][lane] = sums[chunk][lane].accumulate(weights[chunk][lane], payload);
-        }
-    }
 }
 
 #[cfg(test)]

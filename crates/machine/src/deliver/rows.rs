@@ -7,9 +7,9 @@
 //! Where a step has several spikes a position, their sums stay in registers while the weights of
 //! all of them are added; else each row is added for itself.
 
-use crate::deliver::accumulate::Accumulate;
-use crate::deliver::delay_ring::{DelayRing, add_weights};
+use crate::deliver::accumulate::{Accumulate, add_weights};
 use crate::deliver::prefetch::prefetch;
+use crate::layout::shard::SKIP_BLOCK;
 use crate::layout::weight_rows::{Origin, RowPlace, RowTable, Stencil, UNCHECKED};
 use crate::update::kernel::{LANES, Sum};
 use nsim_ir::spikes::Spike;
@@ -95,43 +95,53 @@ impl Groups {
     }
 }
 
-impl<S: Sum> DelayRing<S> {
+/// The sums and marked skip blocks that rows of one delay add to.
+#[derive(Debug)]
+pub(crate) struct RowSums<'r, S> {
+    /// Lanes of the shard.
+    pub lanes: usize,
+    /// By lane, and beyond: the last chunk of a row may reach there, where it adds zeros.
+    pub sums: &'r mut [S],
+    /// By skip block: 1 with arrivals.
+    pub marks: &'r mut [u8],
+}
+
+impl<S: Sum> RowSums<'_, S> {
+    /// Marks the skip blocks of these lanes.
+    #[inline(always)]
+    fn mark(&mut self, lanes: std::ops::Range<usize>) {
+        // Zeros beyond the last lane may lie in a skip block that does not exist.
+        self.marks[lanes.start / SKIP_BLOCK..lanes.end.min(self.lanes).div_ceil(SKIP_BLOCK)].fill(1);
+    }
+
     /// Adds the rows of weights of each spike.
     #[inline(always)]
-    pub(super) fn deliver_rows<const MARK: bool, P: Spike>(
+    pub fn deliver<const MARK: bool, P: Spike>(
         &mut self,
         table: &RowTable,
         spikes: &[P],
-        slot: usize,
+        scratch: &mut RowScratch,
     ) -> u64
     where
         S: Accumulate<P::Payload>,
     {
         // Adding few binary spikes takes less time than finding their groups.
         if P::BINARY && spikes.len() < TOGETHER * table.groups {
-            return self.deliver_queued::<MARK, P>(table, spikes, slot);
+            return self.deliver_queued::<MARK, P>(table, spikes, &mut scratch.queue);
         }
-        let mut groups = std::mem::take(&mut self.rows.groups);
-        let events = match groups.find(table, spikes) {
+        match scratch.groups.find(table, spikes) {
             Some(synapses) => {
-                self.deliver_together::<MARK, P>(table, spikes, &mut groups, slot);
+                self.deliver_together::<MARK, P>(table, spikes, &mut scratch.groups);
                 synapses
             }
-            None => self.deliver_queued::<MARK, P>(table, spikes, slot),
-        };
-        self.rows.groups = groups;
-        events
+            None => self.deliver_queued::<MARK, P>(table, spikes, &mut scratch.queue),
+        }
     }
 
     /// Adds the rows of spikes group by group.
     #[inline(always)]
-    fn deliver_together<const MARK: bool, P: Spike>(
-        &mut self,
-        table: &RowTable,
-        spikes: &[P],
-        groups: &mut Groups,
-        slot: usize,
-    ) where
+    fn deliver_together<const MARK: bool, P: Spike>(&mut self, table: &RowTable, spikes: &[P], groups: &mut Groups)
+    where
         S: Accumulate<P::Payload>,
     {
         let Groups { counts, found, members } = groups;
@@ -143,7 +153,7 @@ impl<S: Sum> DelayRing<S> {
             let Stencil { first: stencil, rows, .. } = table.stencils[origin.stencil as usize];
             for row in 0..rows {
                 let place = table.places[(stencil + row) as usize];
-                let (lane, chunks) = (slot + origin.lane as usize + place.lane(), place.row().chunks());
+                let (lane, chunks) = (origin.lane as usize + place.lane(), place.row().chunks());
                 for done in (0..chunks).step_by(8) {
                     let of_row = (row, done);
                     match chunks - done {
@@ -158,9 +168,7 @@ impl<S: Sum> DelayRing<S> {
                     }
                 }
                 if MARK {
-                    let lanes = lane - slot..lane - slot + chunks * LANES;
-                    // Zeros beyond the last lane may lie in a skip block that does not exist.
-                    self.mark(slot, lanes.start..lanes.end.min(self.lanes));
+                    self.mark(lane..lane + chunks * LANES);
                 }
             }
         }
@@ -189,44 +197,41 @@ impl<S: Sum> DelayRing<S> {
 
     /// Adds the rows of each spike for itself.
     #[inline(always)]
-    fn deliver_queued<const MARK: bool, P: Spike>(&mut self, table: &RowTable, spikes: &[P], slot: usize) -> u64
+    fn deliver_queued<const MARK: bool, P: Spike>(
+        &mut self,
+        table: &RowTable,
+        spikes: &[P],
+        queue: &mut Vec<RowPlace>,
+    ) -> u64
     where
         S: Accumulate<P::Payload>,
     {
-        let (mut queue, mut payloads) = (std::mem::take(&mut self.rows.queue), Vec::new());
-        let mut events = 0;
+        let (mut payloads, mut events) = (Vec::new(), 0);
         // A loop over the few rows of each spike would end in a mispredicted branch, so rows of
         // many spikes are queued.
         for spikes in spikes.chunks(QUEUED_SPIKES) {
-            let (rows, synapses) = enqueue_rows(table, spikes, (&mut queue, &mut payloads));
+            let (rows, synapses) = enqueue_rows(table, spikes, (queue, &mut payloads));
             events += synapses;
             for (place, payload) in queue[..rows].iter().zip(&payloads) {
-                self.add_row::<MARK, P>(table, *place, *payload, slot);
+                self.add_row::<MARK, P>(table, *place, *payload);
             }
         }
-        self.rows.queue = queue;
         events
     }
 
     #[inline(always)]
-    fn add_row<const MARK: bool, P: Spike>(
-        &mut self,
-        table: &RowTable,
-        place: RowPlace,
-        payload: P::Payload,
-        slot: usize,
-    ) where
+    fn add_row<const MARK: bool, P: Spike>(&mut self, table: &RowTable, place: RowPlace, payload: P::Payload)
+    where
         S: Accumulate<P::Payload>,
     {
         let (lane, weights) = (place.lane(), table.rows.weights(place.row()));
         let end = lane + weights.len() * LANES;
-        let (sums, _) = self.sums[slot + lane..slot + end].as_chunks_mut::<LANES>();
+        let (sums, _) = self.sums[lane..end].as_chunks_mut::<LANES>();
         for (sums, weights) in sums.iter_mut().zip(weights) {
             add_weights(std::array::from_mut(sums), std::array::from_ref(weights), payload);
         }
         if MARK {
-            // Zeros beyond the last lane may lie in a skip block that does not exist.
-            self.mark(slot, lane..end.min(self.lanes));
+            self.mark(lane..end);
         }
     }
 }
@@ -298,7 +303,7 @@ mod tests {
     /// Sums, marks and synapses of spikes in groups are those of each row for itself, and of every
     /// synapse for itself.
     fn compare<P: Spike, S: Sum + Accumulate<P::Payload>>(spike: impl Fn(usize) -> P) {
-        let lanes = 64 * 20;
+        let lanes = 64 * 24;
         // A channel's rows have its own weights, and begin two chunks later at each position. Every
         // fifth channel's second row is shorter, so that it is of another group.
         let weight = |row: u64, at| rng::below(255, 1, row, at) as i16 - 127;
@@ -320,35 +325,37 @@ mod tests {
         for every in [1, 2, 7] {
             let numbers: Vec<usize> = (0..sources.len()).step_by(every).collect();
             let spikes: Vec<P> = numbers.iter().map(|&source| spike(source)).collect();
-            let mut rings = [(); 3].map(|()| DelayRing::<S>::new(lanes, false, 2));
-            let [together, queued, obvious] = &mut rings;
-            let mut groups = Groups::default();
+            let mut sums = [(); 3].map(|()| vec![S::default(); lanes + LANES]);
+            let mut marks = [(); 3].map(|()| vec![0; lanes / SKIP_BLOCK]);
+            let [mut together, mut queued, obvious] =
+                sums.each_mut().map(|sums| RowSums { lanes, sums, marks: &mut [] });
+            let [of_together, of_queued, _] = &mut marks;
+            (together.marks, queued.marks) = (of_together, of_queued);
+            let (mut groups, mut queue) = (Groups::default(), Vec::new());
             let found = groups.find(&table, &spikes);
             assert_eq!(found.is_some(), every < 7, "every {every}");
             if found.is_some() {
-                together.deliver_together::<true, P>(&table, &spikes, &mut groups, lanes);
+                together.deliver_together::<true, P>(&table, &spikes, &mut groups);
             } else {
-                together.deliver_queued::<true, P>(&table, &spikes, lanes);
+                together.deliver_queued::<true, P>(&table, &spikes, &mut queue);
             }
             assert!(groups.counts.iter().all(|&count| count == 0));
-            let synapses = queued.deliver_queued::<true, P>(&table, &spikes, lanes);
+            let synapses = queued.deliver_queued::<true, P>(&table, &spikes, &mut queue);
             assert_eq!(found.unwrap_or(synapses), synapses);
             let mut count = 0;
             for (spike, &source) in spikes.iter().zip(&numbers) {
                 for &(row, lane) in &sources[source] {
-                    for (at, &weight) in (lanes + lane as usize..).zip(&rows[row]) {
-                        obvious.sums[at] = obvious.sums[at].accumulate(weight, spike.payload());
+                    for (sum, &weight) in obvious.sums[lane as usize..].iter_mut().zip(&rows[row]) {
+                        *sum = sum.accumulate(weight, spike.payload());
                         count += 1;
                     }
                 }
             }
             assert_eq!(count, synapses);
-            let sums = |ring: &DelayRing<S>| ring.sums.iter().map(|sum| sum.whole()).collect::<Vec<_>>();
-            assert!(sums(obvious).iter().any(|&sum| sum != 0));
-            assert_eq!(sums(together), sums(obvious));
-            assert_eq!(sums(queued), sums(obvious));
-            let marked = |ring: &mut DelayRing<S>| (0..1).map(|word| ring.take(1).1.take(word)).collect::<Vec<_>>();
-            assert_eq!(marked(together), marked(queued));
+            let [together, queued, obvious] = sums;
+            assert!(obvious.iter().any(|sum| *sum != S::default()));
+            assert!(together == obvious && queued == obvious);
+            assert!(marks[0] == marks[1] && marks[0].contains(&1) && marks[0].contains(&0));
         }
     }
 
