@@ -265,13 +265,10 @@ impl Machine {
             }
             self.payloads.extend_from_slice(&state.payloads);
         }
-        match (image.sorts_spikes, image.payloads.is_empty()) {
-            (true, true) => exchange::sort(&mut self.spikes, &mut self.marks, image.lanes.len()),
-            (true, false) => {
-                let spikes = (&mut self.spikes, self.payloads.as_mut_slice());
-                exchange::sort_graded(spikes, &mut self.marks, &mut self.by_id, image.lanes.len());
-            }
-            (false, _) => {}
+        if let Some(from) = image.sorts_from {
+            let range = from..CompartmentId::new(image.compartments());
+            let spikes = (&mut self.spikes, self.payloads.as_mut_slice());
+            exchange::sort(spikes, range, &mut self.marks, &mut self.by_id);
         }
         if let Some(others) = &mut self.others {
             others.post(&self.spikes);

@@ -5,7 +5,7 @@
 
 use crate::bits::ones;
 use crate::deliver::accumulate::{Accumulate, add_weights};
-use crate::deliver::rows::{RowScratch, RowSums};
+use crate::deliver::rows::RowDelivery;
 use std::ops::Range;
 
 use crate::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
@@ -13,6 +13,7 @@ use crate::layout::fan_out::FanOuts;
 use crate::layout::lists::{ADDRESSED, ListForm, ListTable};
 use crate::layout::shard::SKIP_BLOCK;
 use crate::layout::store::Aligned;
+use crate::layout::weight_rows::RowPlace;
 use crate::update::kernel::{LANES, Sum};
 use nsim_ir::spikes::Spike;
 
@@ -30,7 +31,7 @@ pub(crate) struct DelayRing<S> {
     marked: Vec<bool>,
     /// Scratch memory.
     queue: Vec<u32>,
-    rows: RowScratch,
+    rows: Vec<RowPlace>,
 }
 
 impl<S: Sum> Clone for DelayRing<S> {
@@ -71,7 +72,7 @@ impl<S: Sum> DelayRing<S> {
         let all = self.lanes * self.slots();
         sums[..all].iter_mut().zip(&self.sums[..all]).for_each(|(to, &sum)| *to = sum.into());
         let (marks, marked) = (self.marks.clone(), self.marked.clone());
-        DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), rows: RowScratch::default() }
+        DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), rows: Vec::new() }
     }
 
     /// An empty ring of this many lanes and slots; `compact` if a list of the shard is.
@@ -85,7 +86,7 @@ impl<S: Sum> DelayRing<S> {
             marks: vec![0; lanes / SKIP_BLOCK * slots],
             marked: vec![false; slots],
             queue: Vec::new(),
-            rows: RowScratch::default(),
+            rows: Vec::new(),
         }
     }
 
@@ -97,7 +98,10 @@ impl<S: Sum> DelayRing<S> {
 
     /// Bytes of memory that it holds.
     pub fn bytes(&self) -> usize {
-        size_of::<S>() * self.lanes * self.slots() + self.marks.len() + 4 * self.queue.capacity() + self.rows.bytes()
+        size_of::<S>() * self.lanes * self.slots()
+            + self.marks.len()
+            + 4 * self.queue.capacity()
+            + size_of::<RowPlace>() * self.rows.capacity()
     }
 
     /// Empties the ring.
@@ -153,8 +157,8 @@ impl<S: Sum> DelayRing<S> {
         &mut self,
         fan_outs: &FanOuts,
         (spikes, counts): (&[P], &mut [u32]),
-        cursor: usize,
-        left: u32,
+        (cursor, left): (usize, u32),
+        arch: pulp::Arch,
     ) -> u64
     where
         S: Accumulate<P::Payload>,
@@ -171,14 +175,16 @@ impl<S: Sum> DelayRing<S> {
             if !fan_out.dense.blocks.is_empty() {
                 synapses += self.deliver_dense::<MARK, P>(&fan_out.dense, (spikes, &mut *counts), slot);
             }
-            if let Some(rows) = &fan_out.rows {
-                let DelayRing { lanes, sums, marks, rows: scratch, .. } = self;
-                let (sums, marks) = (&mut sums[slot..], &mut marks[slot / SKIP_BLOCK..]);
-                synapses += RowSums { lanes: *lanes, sums, marks }.deliver::<MARK, P>(rows, spikes, scratch);
+            if let Some(table) = &fan_out.rows {
+                let DelayRing { lanes, sums, marks, rows: queue, .. } = self;
+                let (sums, marks) = (&mut sums[slot..], if MARK { &mut marks[slot / SKIP_BLOCK..] } else { &mut [] });
+                synapses += RowDelivery { lanes: *lanes, sums, marks, table, spikes, queue }.run(arch);
             }
             events += if arrives { synapses } else { 0 };
         }
         if let Some(lists) = fan_outs.lists.as_ref().filter(|lists| u32::from(lists.shortest) < left) {
+            let some = lists.few.as_ref().map(|few| with_list(few, spikes));
+            let spikes = some.as_deref().unwrap_or(spikes);
             events += match size_of::<P::Payload>() {
                 0 => self.deliver_lists::<MARK, P>(lists, spikes, cursor, left),
                 _ => self.deliver_graded_lists::<MARK, P>(lists, spikes, cursor, left),
@@ -361,6 +367,9 @@ impl<S: Sum> DelayRing<S> {
             ListForm::PackedSixteens(runs) => {
                 runs.deliver(places, spikes, queue, add_to::<MARK, S, _>(sums, marks, (slot, end)))
             }
+            ListForm::Singles(singles) => {
+                singles.deliver(spikes, below, add_to::<MARK, S, _>(sums, marks, (slot, end)))
+            }
             ListForm::Split(lists) => {
                 lists.deliver(places, spikes, below, add_to::<MARK, S, _>(sums, marks, (slot, end)))
             }
@@ -407,6 +416,13 @@ fn add_compact<const MARK: bool, S: Accumulate<Y>, Y>(
             marks[target / SKIP_BLOCK] = 1;
         }
     }
+}
+
+/// The spikes of sources that have a bit.
+#[inline(never)]
+fn with_list<P: Spike>(few: &[u64], spikes: &[P]) -> Vec<P> {
+    let has_list = |spike: &&P| few[spike.source() / 64] >> (spike.source() % 64) & 1 == 1;
+    spikes.iter().filter(has_list).copied().collect()
 }
 
 /// Up to this many spikes are counted faster than searched.
@@ -507,6 +523,7 @@ mod tests {
         let fan_outs = flattened(&sources, lanes);
         let lanes = lanes.next_multiple_of(SKIP_BLOCK);
         let compact = fan_outs.lists.as_ref().is_some_and(|table| table.synapses.is_compact());
+        let arch = pulp::Arch::new();
         for every in [1, 3, 50] {
             let ids: Vec<ChannelId> = (0..300).step_by(every).map(ChannelId::new).collect();
             let (mut sums, mut marked) = (vec![0; lanes], vec![0; lanes / SKIP_BLOCK]);
@@ -518,17 +535,17 @@ mod tests {
             let [quiet, marking] = &mut rings;
             let events = ids.len() as u64 * synapses;
             let mut counts = vec![0; 300];
-            assert_eq!(quiet.deliver::<false, _>(&fan_outs, (&ids, &mut counts), 1, 2), events);
+            assert_eq!(quiet.deliver::<false, _>(&fan_outs, (&ids, &mut counts), (1, 2), arch), events);
             let is_counted = |source: usize| {
                 let holds = |block: &DenseBlock| block.first as usize <= source && source < block.end as usize;
                 let mut blocks = fan_outs.by_delay.iter().flat_map(|fan_out| &fan_out.dense.blocks);
                 source.is_multiple_of(every) && blocks.any(|block| holds(block) && block.narrow().is_some())
             };
             assert!(counts.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
-            assert_eq!(marking.deliver::<true, _>(&fan_outs, (&ids, &mut []), 1, 2), events);
+            assert_eq!(marking.deliver::<true, _>(&fan_outs, (&ids, &mut []), (1, 2), arch), events);
             // What would arrive after the last step is no event and is not delivered.
             let mut ended = DelayRing::<S>::new(lanes, compact, 2);
-            assert_eq!(ended.deliver::<true, _>(&fan_outs, (&ids, &mut []), 1, 1), 0);
+            assert_eq!(ended.deliver::<true, _>(&fan_outs, (&ids, &mut []), (1, 1), arch), 0);
             assert!(ended.is_empty() && ended.sums.iter().all(|sum| sum.value() == 0));
             for ring in &rings {
                 assert!(ring.sums[..lanes].iter().map(|sum| sum.value()).eq(sums.iter().copied()));
@@ -545,7 +562,7 @@ mod tests {
     #[test]
     fn delays_lead_around_the_ring_and_not_beyond_the_end() {
         const SLOTS: usize = 8;
-        let (lanes, delays) = (20_032, [2u8, 3, 7]);
+        let (lanes, delays, arch) = (20_032, [2u8, 3, 7], pulp::Arch::new());
         for heaviest in [100, 30_000] {
             let of = |delay: u8, source: u64, index| {
                 let weight = (rng::below(2 * heaviest, 2, source, index) as i64 - heaviest as i64) as i16;
@@ -578,7 +595,7 @@ mod tests {
                         events += 1;
                     }
                 }
-                assert_eq!(ring.deliver::<true, _>(&fan_outs, (&ids, &mut []), cursor, left), events);
+                assert_eq!(ring.deliver::<true, _>(&fan_outs, (&ids, &mut []), (cursor, left), arch), events);
                 assert_eq!(&ring.sums[..lanes * SLOTS], &sums);
                 let reached = |block: &[i32]| u8::from(block.iter().any(|&sum| sum != 0));
                 assert!(sums.chunks(SKIP_BLOCK).map(reached).zip(&ring.marks).all(|(sum, &mark)| sum <= mark));

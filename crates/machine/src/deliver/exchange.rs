@@ -1,44 +1,90 @@
 //! Exchange: the spikes of all shards in one list.
 //!
-//! Input: spikes by shard. Output: all spikes, ascending if asked for. Why not always ascending:
-//! sorting costs time, and only dense blocks need the order.
+//! Input: spikes by shard. Output: all spikes, of which those that reach dense blocks come last and
+//! ascending. Why not all ascending: sorting costs time, and only dense blocks need the order.
+
+use std::ops::Range;
 
 use crate::bits::{UNCHECKED, write_ones};
 use nsim_ir::base::id::{CompartmentId, Id};
 
-/// Sorts distinct ids below `count`. With more than an eighth as many ids as words of marks, a bit
-/// set is less work than sorting. `marks` is scratch memory, all zeros before and after.
-pub(crate) fn sort(ids: &mut Vec<CompartmentId>, marks: &mut Vec<u64>, count: usize) {
-    let words = count.div_ceil(64);
-    if ids.len() * 8 < words {
-        ids.sort_unstable();
-        return;
-    }
-    marks.resize(words, 0);
-    for id in ids.iter() {
-        marks[id.index() / 64] |= 1 << (id.0 % 64);
-    }
-    let (total, mut end) = (ids.len(), 0);
-    ids.resize(total + UNCHECKED, CompartmentId(0));
-    for (first, marks) in (0u32..).step_by(64).zip(marks) {
-        end = write_ones(ids, end, std::mem::take(marks), |bit| CompartmentId(first.wrapping_add(bit)));
-    }
-    ids.truncate(total);
-}
-
-/// Sorts distinct ids below `count` and what the spike of each carries; `by_id` is scratch memory.
-pub(crate) fn sort_graded(
+/// Moves ids in the upper range behind all others and sorts them; payloads, if there are any, move
+/// with their ids. Ids are distinct and below the end of the range. With more than an eighth as
+/// many ids as words of marks, a bit set is less work than sorting. `marks` is scratch memory, all
+/// zeros before and after, as is `by_id`, of any content.
+pub(crate) fn sort(
     (ids, payloads): (&mut Vec<CompartmentId>, &mut [i32]),
+    range: Range<CompartmentId>,
     marks: &mut Vec<u64>,
     by_id: &mut Vec<i32>,
-    count: usize,
 ) {
-    by_id.resize(count, 0);
-    for (id, &payload) in ids.iter().zip(&*payloads) {
-        by_id[id.index()] = payload;
+    let (first, count) = (range.start, range.end.index() - range.start.index());
+    // Mostly a few at the end are to be sorted.
+    let kept = ids.iter().position(|&id| id >= first).unwrap_or(ids.len());
+    let mut begin = kept;
+    for at in kept..ids.len() {
+        if ids[at] < first {
+            ids.swap(begin, at);
+            if !payloads.is_empty() {
+                payloads.swap(begin, at);
+            }
+            begin += 1;
+        }
     }
-    sort(ids, marks, count);
-    for (id, payload) in ids.iter().zip(payloads) {
-        *payload = by_id[id.index()];
+    let place = |id: CompartmentId| id.index() - first.index();
+    by_id.resize(if payloads.is_empty() { 0 } else { count }, 0);
+    let (total, words) = (ids.len(), count.div_ceil(64));
+    for (&id, &payload) in ids[begin..].iter().zip(payloads.iter().skip(begin)) {
+        by_id[place(id)] = payload;
+    }
+    if (total - begin) * 8 < words {
+        ids[begin..].sort_unstable();
+    } else {
+        marks.resize(words, 0);
+        for &id in &ids[begin..] {
+            marks[place(id) / 64] |= 1 << (place(id) % 64);
+        }
+        ids.resize(total + UNCHECKED, CompartmentId(0));
+        let mut end = begin;
+        for (first, marks) in (first.0..).step_by(64).zip(marks) {
+            end = write_ones(ids, end, std::mem::take(marks), |bit| CompartmentId(first.wrapping_add(bit)));
+        }
+        ids.truncate(total);
+    }
+    for (&id, payload) in ids[begin..].iter().zip(payloads.iter_mut().skip(begin)) {
+        *payload = by_id[place(id)];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::base::rng;
+
+    /// By a bit set and without, with payloads and without.
+    #[test]
+    fn ids_of_the_range_come_last_and_ascending() {
+        const COUNT: usize = 3_000;
+        for (seed, every) in [(1, 2), (2, 700)] {
+            let mut order: Vec<usize> = (0..COUNT).step_by(every).collect();
+            order.sort_by_key(|&id| rng::bits(seed, id as u64, 0));
+            for first in [0, 1_000, COUNT] {
+                for graded in [false, true] {
+                    let mut ids: Vec<CompartmentId> = order.iter().map(|&id| CompartmentId::new(id)).collect();
+                    let payload = |id: &CompartmentId| 7 * id.0 as i32 - 100;
+                    let mut payloads: Vec<i32> = if graded { ids.iter().map(payload).collect() } else { Vec::new() };
+                    let (mut marks, mut by_id) = (Vec::new(), Vec::new());
+                    let range = CompartmentId::new(first)..CompartmentId::new(COUNT);
+                    sort((&mut ids, &mut payloads), range, &mut marks, &mut by_id);
+                    let (before, sorted) = ids.split_at(ids.partition_point(|id| id.index() < first));
+                    assert!(sorted.is_sorted() && sorted.iter().all(|id| id.index() >= first));
+                    assert!(!graded || payloads.iter().copied().eq(ids.iter().map(payload)));
+                    let mut all: Vec<usize> = before.iter().chain(sorted).map(|id| id.index()).collect();
+                    all.sort_unstable();
+                    assert!(all.into_iter().eq((0..COUNT).step_by(every)));
+                    assert!(marks.iter().all(|&word| word == 0));
+                }
+            }
+        }
     }
 }

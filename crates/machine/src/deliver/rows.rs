@@ -10,234 +10,167 @@
 use crate::deliver::accumulate::{Accumulate, add_weights};
 use crate::deliver::prefetch::prefetch;
 use crate::layout::shard::SKIP_BLOCK;
-use crate::layout::weight_rows::{Origin, RowPlace, RowTable, Stencil, UNCHECKED};
-use crate::update::kernel::{LANES, Sum};
+use crate::layout::weight_rows::{RowPlace, RowTable, Stencil, UNCHECKED};
+use crate::update::kernel::LANES;
 use nsim_ir::spikes::Spike;
 
-/// Scratch memory.
-#[derive(Debug, Default)]
-pub(crate) struct RowScratch {
-    queue: Vec<RowPlace>,
-    groups: Groups,
-}
-
-impl RowScratch {
-    /// Bytes of memory that it holds.
-    pub fn bytes(&self) -> usize {
-        let Groups { counts, found, members } = &self.groups;
-        let groups = 4 * (counts.capacity() + found.capacity()) + size_of::<Member>() * members.capacity();
-        size_of::<RowPlace>() * self.queue.capacity() + groups
-    }
-}
-
-/// Spikes by the group of their source.
-#[derive(Debug, Default)]
-struct Groups {
-    /// By group, its spikes; all 0 between deliveries.
-    counts: Vec<u32>,
-    /// Groups with spikes.
-    found: Vec<u32>,
-    /// Spikes, group by group.
-    members: Vec<Member>,
-}
-
-/// A spike of a group.
-#[derive(Debug, Clone, Copy, Default)]
-struct Member {
-    /// The place of its first row.
-    row: u32,
-    /// Its number.
-    spike: u32,
-}
-
 /// Spikes a group on average from which on they are added together.
-const TOGETHER: usize = 3;
+const TOGETHER: usize = 2;
 
-impl Groups {
-    /// Finds the groups of these spikes, and sorts the spikes by group if that pays. Returns
-    /// whether, and the number of their synapses.
-    #[inline(always)]
-    fn find<P: Spike>(&mut self, table: &RowTable, spikes: &[P]) -> Option<u64> {
-        let Groups { counts, found, members } = self;
-        if counts.len() < table.groups {
-            counts.resize(table.groups, 0);
-        }
-        found.clear();
-        for spike in spikes {
-            let group = table.origins[spike.source()].group;
-            let count = &mut counts[group as usize];
-            if *count == 0 {
-                found.push(group);
-            }
-            *count += 1;
-        }
-        if found.len() * TOGETHER > spikes.len() {
-            found.iter().for_each(|&group| counts[group as usize] = 0);
-            return None;
-        }
-        // Where the next spike of each group comes.
-        let mut end = 0;
-        for &group in found.iter() {
-            let count = &mut counts[group as usize];
-            end += std::mem::replace(count, end);
-        }
-        members.resize(spikes.len(), Member::default());
-        let mut synapses = 0;
-        for (spike, number) in spikes.iter().zip(0..) {
-            let Origin { stencil, group, .. } = table.origins[spike.source()];
-            let stencil = table.stencils[stencil as usize];
-            let next = &mut counts[group as usize];
-            members[*next as usize] = Member { row: stencil.first, spike: number };
-            *next += 1;
-            synapses += u64::from(stencil.synapses);
-        }
-        Some(synapses)
-    }
-}
-
-/// The sums and marked skip blocks that rows of one delay add to.
+/// Delivery of spikes by rows of one delay.
 #[derive(Debug)]
-pub(crate) struct RowSums<'r, S> {
+pub(crate) struct RowDelivery<'a, S, P> {
     /// Lanes of the shard.
     pub lanes: usize,
     /// By lane, and beyond: the last chunk of a row may reach there, where it adds zeros.
-    pub sums: &'r mut [S],
-    /// By skip block: 1 with arrivals.
-    pub marks: &'r mut [u8],
+    pub sums: &'a mut [S],
+    /// By skip block: 1 with arrivals; empty if they are not marked.
+    pub marks: &'a mut [u8],
+    /// The rows of each source.
+    pub table: &'a RowTable,
+    /// The spikes.
+    pub spikes: &'a [P],
+    /// Scratch memory.
+    pub queue: &'a mut Vec<RowPlace>,
 }
 
-impl<S: Sum> RowSums<'_, S> {
-    /// Marks the skip blocks of these lanes.
-    #[inline(always)]
-    fn mark(&mut self, lanes: std::ops::Range<usize>) {
-        // Zeros beyond the last lane may lie in a skip block that does not exist.
-        self.marks[lanes.start / SKIP_BLOCK..lanes.end.min(self.lanes).div_ceil(SKIP_BLOCK)].fill(1);
+impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
+    /// Adds the rows of weights of each spike; returns the number of their synapses.
+    pub fn run(self, arch: pulp::Arch) -> u64 {
+        arch.dispatch(Dispatched(self))
     }
+}
 
-    /// Adds the rows of weights of each spike.
-    #[inline(always)]
-    pub fn deliver<const MARK: bool, P: Spike>(
-        &mut self,
-        table: &RowTable,
-        spikes: &[P],
-        scratch: &mut RowScratch,
-    ) -> u64
-    where
-        S: Accumulate<P::Payload>,
-    {
-        // Adding few binary spikes takes less time than finding their groups.
-        if P::BINARY && spikes.len() < TOGETHER * table.groups {
-            return self.deliver_queued::<MARK, P>(table, spikes, &mut scratch.queue);
-        }
-        match scratch.groups.find(table, spikes) {
-            Some(synapses) => {
-                self.deliver_together::<MARK, P>(table, spikes, &mut scratch.groups);
-                synapses
-            }
-            None => self.deliver_queued::<MARK, P>(table, spikes, &mut scratch.queue),
-        }
-    }
+/// A delivery in the form in which `pulp` runs it with the processor's vectors: a function of its
+/// own, so that the compiled step has nothing of it.
+struct Dispatched<'a, S, P>(RowDelivery<'a, S, P>);
 
-    /// Adds the rows of spikes group by group.
-    #[inline(always)]
-    fn deliver_together<const MARK: bool, P: Spike>(&mut self, table: &RowTable, spikes: &[P], groups: &mut Groups)
-    where
-        S: Accumulate<P::Payload>,
-    {
-        let Groups { counts, found, members } = groups;
-        let mut first = 0;
-        for &group in found.iter() {
-            let end = std::mem::take(&mut counts[group as usize]) as usize;
-            let members = &members[std::mem::replace(&mut first, end)..end];
-            let origin = table.origins[spikes[members[0].spike as usize].source()];
-            let Stencil { first: stencil, rows, .. } = table.stencils[origin.stencil as usize];
-            for row in 0..rows {
-                let place = table.places[(stencil + row) as usize];
-                let (lane, chunks) = (origin.lane as usize + place.lane(), place.row().chunks());
-                for done in (0..chunks).step_by(8) {
-                    let of_row = (row, done);
-                    match chunks - done {
-                        1 => self.add_members::<P, 1>(table, (spikes, members), of_row, lane),
-                        2 => self.add_members::<P, 2>(table, (spikes, members), of_row, lane),
-                        3 => self.add_members::<P, 3>(table, (spikes, members), of_row, lane),
-                        4 => self.add_members::<P, 4>(table, (spikes, members), of_row, lane),
-                        5 => self.add_members::<P, 5>(table, (spikes, members), of_row, lane),
-                        6 => self.add_members::<P, 6>(table, (spikes, members), of_row, lane),
-                        7 => self.add_members::<P, 7>(table, (spikes, members), of_row, lane),
-                        _ => self.add_members::<P, 8>(table, (spikes, members), of_row, lane),
-                    }
-                }
-                if MARK {
-                    self.mark(lane..lane + chunks * LANES);
-                }
-            }
-        }
-    }
+impl<S: Accumulate<P::Payload>, P: Spike> pulp::NullaryFnOnce for Dispatched<'_, S, P> {
+    type Output = u64;
 
-    /// Adds chunks of a row of each of these stencils.
     #[inline(always)]
-    fn add_members<P: Spike, const N: usize>(
-        &mut self,
-        table: &RowTable,
-        (spikes, members): (&[P], &[Member]),
-        (row, done): (u32, usize),
-        lane: usize,
-    ) where
-        S: Accumulate<P::Payload>,
-    {
-        let (sums, _) = self.sums[lane + done * LANES..].as_chunks_mut::<LANES>();
-        let Some(sums) = sums.first_chunk_mut::<N>() else { return };
-        let mut kept = *sums;
-        for member in members {
-            let payload = spikes[member.spike as usize].payload();
-            add_weights(&mut kept, table.weights::<N>((member.row + row) as usize, done), payload);
-        }
-        *sums = kept;
-    }
-
-    /// Adds the rows of each spike for itself.
-    #[inline(always)]
-    fn deliver_queued<const MARK: bool, P: Spike>(
-        &mut self,
-        table: &RowTable,
-        spikes: &[P],
-        queue: &mut Vec<RowPlace>,
-    ) -> u64
-    where
-        S: Accumulate<P::Payload>,
-    {
-        let (mut payloads, mut events) = (Vec::new(), 0);
-        // A loop over the few rows of each spike would end in a mispredicted branch, so rows of
-        // many spikes are queued.
-        for spikes in spikes.chunks(QUEUED_SPIKES) {
-            let (rows, synapses) = enqueue_rows(table, spikes, (queue, &mut payloads));
-            events += synapses;
-            for (place, payload) in queue[..rows].iter().zip(&payloads) {
-                self.add_row::<MARK, P>(table, *place, *payload);
-            }
+    fn call(self) -> u64 {
+        let (Dispatched(mut delivery), mut payloads) = (self, Vec::new());
+        let (mut events, mut groups) = (0, [0; AT_A_TIME]);
+        let RowDelivery { table, spikes, .. } = delivery;
+        for spikes in spikes.chunks(AT_A_TIME) {
+            let groups = &mut groups[..spikes.len()];
+            events += match find_groups(table, spikes, groups) * TOGETHER <= spikes.len() {
+                true => delivery.deliver_together(spikes, groups),
+                false => delivery.deliver_queued(spikes, &mut payloads),
+            };
         }
         events
     }
+}
+
+impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
+    /// Marks the skip blocks of these lanes.
+    #[inline(always)]
+    fn mark(&mut self, lanes: std::ops::Range<usize>) {
+        if !self.marks.is_empty() {
+            // Zeros beyond the last lane may lie in a skip block that does not exist.
+            self.marks[lanes.start / SKIP_BLOCK..lanes.end.min(self.lanes).div_ceil(SKIP_BLOCK)].fill(1);
+        }
+    }
+
+    /// Adds the rows of each spike for itself.
+    // A loop over the few rows of each spike would end in a mispredicted branch, so rows of many
+    // spikes are queued.
+    #[inline(always)]
+    fn deliver_queued(&mut self, spikes: &[P], payloads: &mut Vec<P::Payload>) -> u64 {
+        let (rows, synapses) = enqueue_rows(self.table, spikes, (self.queue, payloads));
+        for (at, &payload) in payloads[..rows].iter().enumerate() {
+            self.add_row(self.queue[at], payload);
+        }
+        synapses
+    }
 
     #[inline(always)]
-    fn add_row<const MARK: bool, P: Spike>(&mut self, table: &RowTable, place: RowPlace, payload: P::Payload)
-    where
-        S: Accumulate<P::Payload>,
-    {
-        let (lane, weights) = (place.lane(), table.rows.weights(place.row()));
+    fn add_row(&mut self, place: RowPlace, payload: P::Payload) {
+        let (lane, weights) = (place.lane(), self.table.rows.weights(place.row()));
         let end = lane + weights.len() * LANES;
         let (sums, _) = self.sums[lane..end].as_chunks_mut::<LANES>();
         for (sums, weights) in sums.iter_mut().zip(weights) {
             add_weights(std::array::from_mut(sums), std::array::from_ref(weights), payload);
         }
-        if MARK {
-            self.mark(lane..end);
+        self.mark(lane..end);
+    }
+
+    /// Adds the rows of these spikes, [`AT_A_TIME`] at most, group by group.
+    #[inline(always)]
+    fn deliver_together(&mut self, spikes: &[P], groups: &[u32]) -> u64 {
+        let (table, mut firsts, mut events) = (self.table, [0; AT_A_TIME], 0);
+        for (first, spike) in firsts.iter_mut().zip(spikes) {
+            let stencil = table.stencils[table.origins[spike.source()].stencil as usize];
+            *first = stencil.first;
+            events += u64::from(stencil.synapses);
         }
+        let mut first = 0;
+        for group in groups.chunk_by(|a, b| a == b) {
+            let of_group = first..first + group.len();
+            first = of_group.end;
+            let origin = table.origins[spikes[of_group.start].source()];
+            let spikes = (&firsts[of_group.clone()], &spikes[of_group]);
+            let Stencil { first: stencil, rows, .. } = table.stencils[origin.stencil as usize];
+            for row in 0..rows as usize {
+                let place = table.places[stencil as usize + row];
+                let (lane, chunks) = (origin.lane as usize + place.lane(), place.row().range().len());
+                for done in (0..chunks).step_by(8) {
+                    let at = (lane + done * LANES, row, done);
+                    match chunks - done {
+                        1 => self.add_together::<1>(spikes, at),
+                        2 => self.add_together::<2>(spikes, at),
+                        3 => self.add_together::<3>(spikes, at),
+                        4 => self.add_together::<4>(spikes, at),
+                        5 => self.add_together::<5>(spikes, at),
+                        6 => self.add_together::<6>(spikes, at),
+                        7 => self.add_together::<7>(spikes, at),
+                        _ => self.add_together::<8>(spikes, at),
+                    }
+                }
+                self.mark(lane..lane + chunks * LANES);
+            }
+        }
+        events
+    }
+
+    /// Adds to the lanes from one on the chunks of a row of each of these spikes, from one on.
+    #[inline(always)]
+    fn add_together<const N: usize>(
+        &mut self,
+        (firsts, spikes): (&[u32], &[P]),
+        (lane, row, done): (usize, usize, usize),
+    ) {
+        let Some(sums) = self.sums[lane..].as_chunks_mut::<LANES>().0.first_chunk_mut::<N>() else { return };
+        let (places, weights) = (&self.table.places[row..], &self.table.rows.all()[done..]);
+        let mut kept = *sums;
+        for (&first, spike) in firsts.iter().zip(spikes) {
+            let row = places[first as usize].row().range();
+            let weights = weights[row.start..].first_chunk::<N>().expect("rows of a group are as long");
+            add_weights(&mut kept, weights, spike.payload());
+        }
+        *sums = kept;
     }
 }
 
-/// Spikes whose rows are queued at a time.
-const QUEUED_SPIKES: usize = 512;
+/// Finds the group of each of these spikes; returns how many groups follow each other.
+#[inline(always)]
+fn find_groups<P: Spike>(table: &RowTable, spikes: &[P], groups: &mut [u32]) -> usize {
+    let (mut count, mut last) = (0, None);
+    for (index, (spike, group)) in spikes.iter().zip(groups).enumerate() {
+        if let Some(spike) = spikes.get(index + PREFETCH_SPIKES[0]) {
+            prefetch(&table.origins, spike.source());
+        }
+        *group = table.origins[spike.source()].group;
+        count += usize::from(Some(*group) != last);
+        last = Some(*group);
+    }
+    count
+}
+
+/// Spikes whose rows are delivered at a time.
+const AT_A_TIME: usize = 512;
 
 /// Spikes between the prefetch of a source's origin, of its stencil, of the stencil's rows, and
 /// their use: each tells where the next is.
@@ -293,6 +226,7 @@ fn enqueue_rows<P: Spike>(
 mod tests {
     use super::*;
     use crate::layout::weight_rows::table;
+    use crate::update::kernel::Sum;
     use nsim_ir::base::id::{ChannelId, Id};
     use nsim_ir::base::rng;
     use nsim_ir::spikes::GradedSpike;
@@ -318,44 +252,49 @@ mod tests {
                 let (channel, position) = ((source / POSITIONS) as usize, (source % POSITIONS) as u32);
                 let first = 33 * position;
                 let all = [(2 * channel, first), (2 * channel + 1, first + 100)];
-                all[..if position == 7 { 0 } else { 1 + channel % 2 }].to_vec()
+                all[..if position == 7 { 0 } else { 1 + 2 * channel / CHANNELS as usize }].to_vec()
             })
             .collect();
         let table = table(&rows, &sources);
-        for every in [1, 2, 7] {
-            let numbers: Vec<usize> = (0..sources.len()).step_by(every).collect();
+        let of_positions = |sources: std::ops::Range<u64>| {
+            let number = |at| (at % CHANNELS * POSITIONS + at / CHANNELS) as usize;
+            sources.map(number).collect::<Vec<usize>>()
+        };
+        let all = CHANNELS * POSITIONS;
+        for (numbers, are_long) in [
+            (of_positions(0..all), true),
+            (of_positions(all / 2..all), true),
+            ((0..all as usize).collect(), false),
+            ((0..all as usize).step_by(7).collect(), false),
+        ] {
             let spikes: Vec<P> = numbers.iter().map(|&source| spike(source)).collect();
-            let mut sums = [(); 3].map(|()| vec![S::default(); lanes + LANES]);
-            let mut marks = [(); 3].map(|()| vec![0; lanes / SKIP_BLOCK]);
-            let [mut together, mut queued, obvious] =
-                sums.each_mut().map(|sums| RowSums { lanes, sums, marks: &mut [] });
-            let [of_together, of_queued, _] = &mut marks;
-            (together.marks, queued.marks) = (of_together, of_queued);
-            let (mut groups, mut queue) = (Groups::default(), Vec::new());
-            let found = groups.find(&table, &spikes);
-            assert_eq!(found.is_some(), every < 7, "every {every}");
-            if found.is_some() {
-                together.deliver_together::<true, P>(&table, &spikes, &mut groups);
-            } else {
-                together.deliver_queued::<true, P>(&table, &spikes, &mut queue);
-            }
-            assert!(groups.counts.iter().all(|&count| count == 0));
-            let synapses = queued.deliver_queued::<true, P>(&table, &spikes, &mut queue);
-            assert_eq!(found.unwrap_or(synapses), synapses);
+            let mut groups = vec![0; spikes.len()];
+            assert_eq!(find_groups(&table, &spikes, &mut groups) * TOGETHER <= spikes.len(), are_long);
+            let mut sums = [(); 4].map(|()| vec![S::default(); lanes + LANES]);
+            let mut marks = [(); 4].map(|()| vec![0; lanes / SKIP_BLOCK]);
+            let [together, queued, delivered, obvious] = sums.each_mut().map(Vec::as_mut_slice);
+            let [of_together, of_queued, of_delivered, _] = marks.each_mut().map(Vec::as_mut_slice);
+            let (mut queues, table) = ([(); 3].map(|()| Vec::new()), &table);
+            let [queue, of_queue, last] = &mut queues;
+            let spikes = spikes.as_slice();
+            let delivery = |sums, marks, queue| RowDelivery { lanes, sums, marks, table, spikes, queue };
+            let synapses = delivery(delivered, of_delivered, queue).run(pulp::Arch::new());
+            assert_eq!(delivery(together, of_together, of_queue).deliver_together(spikes, &groups), synapses);
+            assert_eq!(delivery(queued, of_queued, last).deliver_queued(spikes, &mut Vec::new()), synapses);
             let mut count = 0;
             for (spike, &source) in spikes.iter().zip(&numbers) {
                 for &(row, lane) in &sources[source] {
-                    for (sum, &weight) in obvious.sums[lane as usize..].iter_mut().zip(&rows[row]) {
+                    for (sum, &weight) in obvious[lane as usize..].iter_mut().zip(&rows[row]) {
                         *sum = sum.accumulate(weight, spike.payload());
                         count += 1;
                     }
                 }
             }
             assert_eq!(count, synapses);
-            let [together, queued, obvious] = sums;
+            let obvious = &sums[3];
             assert!(obvious.iter().any(|sum| *sum != S::default()));
-            assert!(together == obvious && queued == obvious);
-            assert!(marks[0] == marks[1] && marks[0].contains(&1) && marks[0].contains(&0));
+            assert!(sums.iter().all(|sums| sums == obvious));
+            assert!(marks[..3].iter().all(|of| *of == marks[0]) && marks[0].contains(&1) && marks[0].contains(&0));
         }
     }
 

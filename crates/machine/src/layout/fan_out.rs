@@ -102,7 +102,7 @@ impl FanOut {
             for spike in spikes {
                 let (_, places, rows) = table.stencil(table.origins[spike.index()]);
                 parts.row += rows;
-                parts.row_chunk += places[..rows].iter().map(|place| place.row().chunks()).sum::<usize>();
+                parts.row_chunk += places[..rows].iter().map(|place| place.row().range().len()).sum::<usize>();
             }
         }
         for block in &self.dense.blocks {

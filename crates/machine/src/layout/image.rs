@@ -71,9 +71,9 @@ pub struct Image {
     pub(crate) fields: Vec<Fields>,
     pub(crate) shared: Vec<Shared>,
     pub(crate) field_of: Vec<u32>,
-    /// Whether each step sorts its spikes: dense blocks are found in ascending order, and lanes are
-    /// not in that order.
-    pub(crate) sorts_spikes: bool,
+    /// From which compartment on each step sorts its spikes: those that reach dense blocks are
+    /// found in ascending order, and lanes are not in that order.
+    pub(crate) sorts_from: Option<CompartmentId>,
     /// Lane of each compartment of the network over all shards; [`ELSEWHERE`] where another process
     /// holds it.
     pub(crate) lanes: Vec<u32>,
@@ -126,7 +126,7 @@ impl Image {
             fields: Vec::new(),
             shared: Vec::new(),
             field_of: Vec::new(),
-            sorts_spikes: false,
+            sorts_from: None,
             lanes: vec![ELSEWHERE; program.compartments() as usize],
             held: 0,
             counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
@@ -153,10 +153,11 @@ impl Image {
         image.split_into_shards(blocks, &sums, shards);
         image.name();
         image.connect(&sums)?;
-        let mut from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments.by_delay);
-        image.has_blocks = from_compartments.any(|fan_out| !fan_out.dense.blocks.is_empty());
-        let held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE);
-        image.sorts_spikes = image.has_blocks && !held.is_sorted();
+        let from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments.by_delay);
+        let first = from_compartments.flat_map(|fan_out| &fan_out.dense.blocks).map(|block| block.first).min();
+        image.has_blocks = first.is_some();
+        let in_order = image.lanes.iter().filter(|lane| **lane != ELSEWHERE).is_sorted();
+        image.sorts_from = first.filter(|_| !in_order).map(CompartmentId);
         image.delivery_counts_channels = matches!(image.shards.as_slice(), [shard]
             if shard.from_channels.is_narrow(image.channels));
         image.residual = image.replace_by_means();

@@ -23,6 +23,8 @@ pub(crate) struct ListTable {
     pub longest: u8,
     /// Where each source's list is.
     pub places: Vec<ListPlace>,
+    /// A bit for each source that has one, if few have: places of the others are not looked up.
+    pub few: Option<Vec<u64>>,
     /// The synapses.
     pub synapses: ListForm,
 }
@@ -40,12 +42,17 @@ pub(crate) enum ListForm {
     Packed(PaddedRuns<Packing, 4>),
     /// The same.
     PackedSixteens(PaddedRuns<Packing, 16>),
+    /// Lists of one synapse at most.
+    Singles(Singles),
     /// Targets and weights in arrays of their own.
     Split(Split),
 }
 
 /// Lanes that 16 bits can address.
 pub(crate) const ADDRESSED: usize = 1 << 16;
+
+/// Sources with a list are few if they are at most one in this many.
+const FEW: usize = 8;
 
 /// The fewest lanes of a shard whose lists are compact: smaller shards fit the cache anyway, and
 /// would need many times their own number of sums.
@@ -55,6 +62,49 @@ impl ListForm {
     /// Whether lanes have 16 bits.
     pub fn is_compact(&self) -> bool {
         matches!(self, ListForm::Fours(_) | ListForm::Eights(_) | ListForm::Sixteens(_))
+    }
+}
+
+/// One synapse a source, or none: what a layer that passes its input on consists of. Neither place
+/// nor length of a list is looked up.
+#[derive(Debug)]
+pub(crate) struct Singles(Vec<Single>);
+
+/// The synapse of a source, if there is one.
+#[derive(Debug, Clone, Copy, Default)]
+struct Single {
+    target: u32,
+    weight: i16,
+    /// 0 or 1.
+    synapses: u16,
+}
+
+impl Singles {
+    /// The synapses of lists of one at most.
+    fn new(lists: impl Iterator<Item = Range<usize>>, mut synapses: impl Iterator<Item = (usize, i16)>) -> Self {
+        let single = |list: Range<usize>| match list.is_empty() {
+            true => Single::default(),
+            false => synapses.next().map_or(Single::default(), |(target, weight)| Single {
+                target: target as u32,
+                weight,
+                synapses: 1,
+            }),
+        };
+        Singles(lists.map(single).collect())
+    }
+
+    /// As [`PaddedRuns::deliver`].
+    #[inline(always)]
+    pub fn deliver<P: Spike>(&self, spikes: &[P], below: usize, mut add: impl FnMut(usize, i16, P::Payload)) -> u64 {
+        let mut events = 0;
+        for spike in spikes {
+            let Single { target, weight, synapses } = self.0[spike.source()];
+            if synapses > 0 && (target as usize) < below {
+                events += 1;
+                add(target as usize, weight, spike.payload());
+            }
+        }
+        events
     }
 }
 
@@ -114,8 +164,12 @@ impl ListTable {
                 all
             }
         };
-        all.finish(shortest == longest)
-            .map(|(places, synapses)| Some(ListTable { shortest, longest, places, synapses }))
+        let (places, synapses) = all.finish(shortest == longest)?;
+        let few = places.iter().filter(|place| place.len() > 0).count() * FEW < places.len();
+        let bits =
+            |places: &[ListPlace]| places.iter().rev().fold(0, |bits, place| bits << 1 | u64::from(place.len() > 0));
+        let few = few.then(|| places.chunks(64).map(bits).collect());
+        Ok(Some(ListTable { shortest, longest, places, few, synapses }))
     }
 
     /// Bytes of memory that it holds.
@@ -126,9 +180,10 @@ impl ListTable {
             ListForm::Sixteens(runs) => runs.bytes(),
             ListForm::Packed(runs) => runs.bytes(),
             ListForm::PackedSixteens(runs) => runs.bytes(),
+            ListForm::Singles(singles) => size_of_val(singles.0.as_slice()),
             ListForm::Split(split) => 6 * split.targets.len(),
         };
-        size_of_val(self.places.as_slice()) + synapses
+        size_of_val(self.places.as_slice()) + self.few.as_ref().map_or(0, |few| size_of_val(few.as_slice())) + synapses
     }
 }
 
@@ -276,6 +331,12 @@ impl ListBuilder {
             one_delay && lanes >= COMPACT_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
         let lengths = lists().map(|list| list.len());
         match words {
+            Words::Packed(words) if lists().all(|list| list.len() <= 1) => {
+                let singles = Singles::new(lists(), words.iter().map(|&word| packing.unpack(word)));
+                let place = |list: Range<usize>| ListPlace::new(list.start, list.len());
+                let places: Option<_> = lists().map(place).collect();
+                places.map(|places| (places, ListForm::Singles(singles)))
+            }
             Words::Packed(words) => {
                 let synapses = words.iter().map(|&word| packing.unpack(word));
                 let cost = |size| padded_runs::cost(size, lengths.clone());
@@ -319,6 +380,7 @@ impl ListTable {
             ListForm::Sixteens(runs) => runs.deliver(&self.places, &ids, (usize::MAX, &mut queue), push),
             ListForm::Packed(runs) => runs.deliver(&self.places, &ids, (usize::MAX, &mut queue), push),
             ListForm::PackedSixteens(runs) => runs.deliver(&self.places, &ids, (usize::MAX, &mut queue), push),
+            ListForm::Singles(singles) => singles.deliver(&ids, usize::MAX, push),
             ListForm::Split(lists) => lists.deliver(&self.places, &ids, usize::MAX, push),
         };
         // Padding comes last.
@@ -396,6 +458,18 @@ mod tests {
                 lists[source].iter().map(move |&(lane, weight)| (lane + after(delay), weight))
             });
             assert_eq!(table.list(source), of.collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn lists_of_one_synapse_are_held_without_places() {
+        let lists: Vec<Vec<LaneWeight>> = (0..300u32)
+            .map(|source| (0..u32::from(source % 7 > 0)).map(|_| (299 - source, source as i16 - 100)).collect())
+            .collect();
+        for lanes in [300, 5_000] {
+            let (out, table) = read(&lists, lanes);
+            assert_eq!(out, lists);
+            assert!(matches!(table.synapses, ListForm::Singles(_)));
         }
     }
 

@@ -53,15 +53,11 @@ impl WeightRow {
         Some(WeightRow(first << CHUNK_BITS | count))
     }
 
-    /// How many chunks.
+    /// Its chunks among those of all rows.
     #[inline(always)]
-    pub fn chunks(self) -> usize {
-        (self.0 & ((1 << CHUNK_BITS) - 1)) as usize
-    }
-
-    #[inline(always)]
-    fn first(self) -> usize {
-        (self.0 >> CHUNK_BITS) as usize
+    pub fn range(self) -> Range<usize> {
+        let (first, count) = ((self.0 >> CHUNK_BITS) as usize, (self.0 & ((1 << CHUNK_BITS) - 1)) as usize);
+        first..first + count
     }
 }
 
@@ -75,7 +71,13 @@ impl WeightRows {
     /// The weights of a row.
     #[inline(always)]
     pub fn weights(&self, row: WeightRow) -> &[[i16; LANES]] {
-        &self.weights[row.first()..row.first() + row.chunks()]
+        &self.weights[row.range()]
+    }
+
+    /// The weights of all rows, chunk after chunk.
+    #[inline(always)]
+    pub fn all(&self) -> &[[i16; LANES]] {
+        &self.weights
     }
 
     /// Chunks of all rows.
@@ -213,7 +215,7 @@ impl ProgramRows {
             place_of.push(stored.is_some().then_some(axons.len() as u32));
             axons.extend(stored);
         }
-        tracing::debug!("{} rows of weights in {} chunks", contents.len(), rows.weights.len());
+        tracing::debug!("{} rows of weights in {} chunks", contents.len(), rows.chunks());
         ProgramRows { places: same.into_iter().map(|first| place_of[first]).collect(), axons, rows: Arc::new(rows) }
     }
 
@@ -411,8 +413,6 @@ pub(crate) struct RowTable {
     pub stencils: Vec<Stencil>,
     /// The rows of all stencils, and [`UNCHECKED`] more.
     pub places: Vec<RowPlace>,
-    /// Groups of sources whose rows are as long and reach the same lanes.
-    pub groups: usize,
     /// The rows.
     pub rows: Arc<WeightRows>,
 }
@@ -424,13 +424,6 @@ impl RowTable {
         let stencil = self.stencils[origin.stencil as usize];
         let (first, rows) = (stencil.first as usize, stencil.rows as usize);
         (stencil, &self.places[first..first + rows.max(UNCHECKED)], rows)
-    }
-
-    /// Chunks of a row from one of them on; the row has as many.
-    #[inline(always)]
-    pub fn weights<const N: usize>(&self, place: usize, chunk: usize) -> &[[i16; LANES]; N] {
-        let first = self.places[place].row().first() + chunk;
-        self.rows.weights[first..].first_chunk().expect("rows of a group are as long")
     }
 
     /// Prefetches a source's stencil.
@@ -518,7 +511,7 @@ impl RowBuilder {
             let Stencil { first, rows: count, .. } = self.stencils[origin.stencil as usize];
             for place in &self.places[first as usize..(first + count) as usize] {
                 let place = place.after(origin.lane);
-                let weights = rows.weights(place.row()).iter().flatten();
+                let weights = rows.weights(place.row()).as_flattened();
                 let of_row = (place.lane() as u32..).zip(weights).filter(|(_, weight)| **weight != 0);
                 synapses.extend(of_row.map(|(lane, &weight)| (source, lane, weight)));
             }
@@ -544,7 +537,7 @@ impl RowBuilder {
             .map(|&Stencil { first, rows, .. }| {
                 let rows = &places[first as usize..(first + rows) as usize];
                 let next = shapes.len() as u32;
-                *shapes.entry(rows.iter().map(|row| (row.lane(), row.row().chunks())).collect()).or_insert(next)
+                *shapes.entry(rows.iter().map(|row| (row.lane(), row.row().range().len())).collect()).or_insert(next)
             })
             .collect();
         // Shape of each group, and the group before it at the same lane. The one of sources without
@@ -565,7 +558,7 @@ impl RowBuilder {
             }
             origin.group = group;
         }
-        Ok(Some(RowTable { origins, stencils, places, groups: groups.len(), rows: Arc::clone(rows) }))
+        Ok(Some(RowTable { origins, stencils, places, rows: Arc::clone(rows) }))
     }
 }
 
@@ -649,7 +642,7 @@ mod tests {
         let (rows, places) = WeightRows::with(&contents);
         assert_eq!(rows.chunks(), 4 + 2 + 1);
         for (content, place) in contents.iter().zip(places) {
-            let held: Vec<i16> = rows.weights(place.unwrap()).iter().flatten().copied().collect();
+            let held = rows.weights(place.unwrap()).as_flattened();
             let (own, padding) = held.split_at(content.weights.len());
             assert!(own == content.weights && padding.len() < LANES && padding.iter().all(|&weight| weight == 0));
         }

@@ -85,10 +85,11 @@ impl Step<'_> {
         let Step { state: ShardState { state, rings }, image, shard, input, channel_counts } = self;
         let graded = (!image.payloads.is_empty()).then(|| messages(image, input));
         if let (Rings::Bits32(ring), Some((channels, carried))) = (&*rings, &graded) {
+            let is_large = |payload: i32| payload.unsigned_abs() > image.exact_up_to;
             // What reaches nothing, such as a sum that is read out, may be large.
-            let carried = carried.iter().filter(|spike| image.has_synapses[spike.id.index()]);
-            let payloads = channels.iter().map(|spike| spike.payload).chain(carried.map(|spike| spike.payload));
-            if payloads.fold(0, |most, payload| most.max(payload.unsigned_abs())) > image.exact_up_to {
+            let of_carried =
+                |spike: &GradedSpike<CompartmentId>| is_large(spike.payload) && image.has_synapses[spike.id.index()];
+            if channels.iter().any(|spike| is_large(spike.payload)) || carried.iter().any(of_carried) {
                 *rings = Rings::Bits64(ring.in_type());
             }
         }
@@ -436,6 +437,7 @@ impl CompartmentState {
     {
         let (channels, carried) = ((channels, channel_counts), (carried, &mut [][..]));
         let cursor = input.step as usize % ring.slots();
+        let at = (cursor, input.left);
         if input.phase != Phase::Update {
             self.events_now = 0;
         }
@@ -447,11 +449,11 @@ impl CompartmentState {
             ring.mark_all();
         }
         if unmarked {
-            self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, cursor, input.left);
-            self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, cursor, input.left);
+            self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, at, input.arch);
+            self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, at, input.arch);
         } else {
-            self.events_now += ring.deliver::<true, _>(&shard.from_channels, channels, cursor, input.left);
-            self.events_now += ring.deliver::<true, _>(&shard.from_compartments, carried, cursor, input.left);
+            self.events_now += ring.deliver::<true, _>(&shard.from_channels, channels, at, input.arch);
+            self.events_now += ring.deliver::<true, _>(&shard.from_compartments, carried, at, input.arch);
         }
         if input.phase == Phase::Deliver {
             return;
