@@ -21,14 +21,25 @@ pub(super) enum Action {
     Arithmetic(Operation),
     /// An operation whose result is 0 or 1.
     Comparison(Operation),
+    /// 1 where a is at most b or b is at most c, else 0.
+    Outside,
     /// b where a is not 0, else c.
     Select,
     /// `a + b` in 32 bits, which is reported where it wraps and c holds.
     AddWord,
     /// `a - b` so.
     SubtractWord,
+    /// `a << b` so; b is at most 31.
+    ShiftWord,
     /// Reports where a is not b and c holds; it writes nothing.
     Report(Overflow),
+}
+
+impl Action {
+    /// Whether it says that a word leaves its bits.
+    pub(super) fn reports(self) -> bool {
+        matches!(self, Action::AddWord | Action::SubtractWord | Action::ShiftWord | Action::Report(_))
+    }
 }
 
 /// An instruction.
@@ -73,7 +84,7 @@ pub(super) struct Code {
     pub step: Section,
     /// The next words of state.
     pub state: Vec<Place>,
-    /// 1 where something is sent, else 0.
+    /// Not 0 where something is sent.
     pub sent: Place,
     /// The integer that is sent.
     pub message: Option<Place>,
@@ -158,8 +169,7 @@ impl Code {
 impl Compiler<'_> {
     /// Adds an instruction, unless an equal one is there.
     fn emit(&mut self, action: Action, wide: bool, operands: &[Value], interval: Interval) -> Value {
-        let reports = matches!(action, Action::AddWord | Action::SubtractWord | Action::Report(_));
-        let fixed = !reports && operands.iter().all(|operand| operand.fixed);
+        let fixed = !action.reports() && operands.iter().all(|operand| operand.fixed);
         let mut places = [NONE; 3];
         for (place, operand) in places.iter_mut().zip(operands) {
             *place = if fixed { operand.register } else { operand.place() };
@@ -329,6 +339,7 @@ impl Compiler<'_> {
         let action = match &value.node {
             Node::Apply(Operation::Add, of) => Some((Action::AddWord, of)),
             Node::Apply(Operation::Subtract, of) => Some((Action::SubtractWord, of)),
+            Node::Apply(Operation::ShiftLeft, of) if of[1].interval.high <= 31 => Some((Action::ShiftWord, of)),
             _ => None,
         };
         if let Some((action, of)) = action.filter(|_| word.bits == 32 && word.overflow == Overflow::Wrap)

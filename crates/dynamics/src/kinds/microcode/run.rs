@@ -174,21 +174,20 @@ fn report<T: Copy, const N: usize>(
     }
 }
 
-/// A sum or, with `MINUS`, a difference in 32 bits; marks lanes where it wraps and a guard holds.
+/// A result in 32 bits; marks lanes where it wraps, by the sign of what `leaves` says of the
+/// operands and the result, and a guard holds.
 #[inline(always)]
-fn word<const MINUS: bool, const N: usize>(
+fn word<const N: usize>(
     out: &mut Register<i32>,
     left: &mut Register<i32>,
-    (a, b): (&Register<i32>, &Register<i32>),
-    guard: Option<&Register<i32>>,
+    (a, b, guard): (&Register<i32>, &Register<i32>, Option<&Register<i32>>),
+    f: impl Fn(i32, i32) -> i32,
+    leaves: impl Fn(i32, i32, i32) -> i32,
 ) {
     for chunk in 0..N {
         let (before, a, b) = (left[chunk], a[chunk], b[chunk]);
-        let whole = chunk_of(|lane| if MINUS { a[lane].minus(b[lane]) } else { a[lane].plus(b[lane]) });
-        let leaves = chunk_of(|lane| {
-            let other = if MINUS { a[lane] ^ b[lane] } else { b[lane] ^ whole[lane] };
-            (a[lane] ^ whole[lane]) & other
-        });
+        let whole = chunk_of(|lane| f(a[lane], b[lane]));
+        let leaves = chunk_of(|lane| leaves(a[lane], b[lane], whole[lane]));
         out[chunk] = whole;
         left[chunk] = match guard {
             Some(guard) => {
@@ -250,6 +249,14 @@ fn comparison<T: Lane, const N: usize>(
 }
 
 #[inline(always)]
+fn outside<const N: usize>(out: &mut Register<i32>, [a, b, c]: [&Register<i32>; 3]) {
+    for chunk in 0..N {
+        let (a, b, c) = (a[chunk], b[chunk], c[chunk]);
+        out[chunk] = chunk_of(|lane| i32::from((a[lane] <= b[lane]) | (b[lane] <= c[lane])));
+    }
+}
+
+#[inline(always)]
 fn select<T: Copy + Default, const N: usize>(
     out: &mut Register<T>,
     condition: &Register<i32>,
@@ -295,6 +302,11 @@ fn execute<const N: usize>(
                 let of = (at(&fixed.wide, wide, a), at(&fixed.wide, wide, b));
                 comparison::<_, N>(operation, &mut narrow[index], of);
             }
+            (Action::Outside, _) => {
+                let (before, out) = split(narrow, out);
+                let of = [a, b, c].map(|place| at(&fixed.narrow, before, place));
+                outside::<N>(out, of);
+            }
             (Action::Select, false) => {
                 let (before, out) = split(narrow, out);
                 let of = (at(&fixed.narrow, before, b), at(&fixed.narrow, before, c));
@@ -305,13 +317,14 @@ fn execute<const N: usize>(
                 let of = (at(&fixed.wide, before, b), at(&fixed.wide, before, c));
                 select::<_, N>(out, at(&fixed.narrow, narrow, a), of);
             }
-            (Action::AddWord | Action::SubtractWord, _) => {
-                let (before, out) = split(narrow, out);
-                let of = (at(&fixed.narrow, before, a), at(&fixed.narrow, before, b));
+            (Action::AddWord | Action::SubtractWord | Action::ShiftWord, _) => {
+                let ((before, out), left) = (split(narrow, out), &mut left[0]);
                 let guard = if c == NONE { None } else { Some(at(&fixed.narrow, before, c)) };
+                let of = (at(&fixed.narrow, before, a), at(&fixed.narrow, before, b), guard);
                 match action {
-                    Action::AddWord => word::<false, N>(out, &mut left[0], of, guard),
-                    _ => word::<true, N>(out, &mut left[0], of, guard),
+                    Action::AddWord => word::<N>(out, left, of, i32::plus, |a, b, x| (a ^ x) & (b ^ x)),
+                    Action::SubtractWord => word::<N>(out, left, of, i32::minus, |a, b, x| (a ^ x) & (a ^ b)),
+                    _ => word::<N>(out, left, of, i32::shifted_left, |a, b, x| mask(x.shifted_right(b) != a)),
                 }
             }
             (Action::Report(overflow), of_64) => {
@@ -351,53 +364,88 @@ impl pulp::NullaryFnOnce for Step<'_> {
 
     #[inline(always)]
     fn call(self) -> Effects {
+        match self.sent.len() {
+            HALF => self.run::<HALF>(),
+            CHUNKS => self.run::<CHUNKS>(),
+            ..HALF => self.padded::<HALF>(),
+            _ => self.padded::<CHUNKS>(),
+        }
+    }
+}
+
+impl Step<'_> {
+    /// As [`Step::run`], of fewer chunks.
+    #[inline(always)]
+    fn padded<const N: usize>(self) -> Effects {
+        let Step { columns, arrived, sent, .. } = self;
+        let mut padded_columns = vec![[0; CHUNK]; N * self.code.words];
+        let (mut padded_arrived, mut padded_sent) = ([[[0; CHUNK]; N]; 2], [[0; CHUNK]; N]);
+        padded_columns[..columns.len()].copy_from_slice(columns);
+        padded_sent[..sent.len()].copy_from_slice(sent);
+        for (padded, arrived) in padded_arrived.iter_mut().zip(arrived) {
+            padded[..sent.len()].copy_from_slice(&arrived[..sent.len()]);
+        }
+        let padded = Step {
+            columns: &mut padded_columns,
+            arrived: padded_arrived.each_ref().map(|arrived| &arrived[..]),
+            sent: &mut padded_sent,
+            ..self
+        };
+        let effects = padded.run::<N>();
+        columns.copy_from_slice(&padded_columns[..columns.len()]);
+        sent.copy_from_slice(&padded_sent[..sent.len()]);
+        effects
+    }
+
+    /// A step of N chunks: one length for all loops, which have no calls then.
+    #[inline(always)]
+    fn run<const N: usize>(self) -> Effects {
         let Step { code, lanes, fixed, registers, columns, arrived, sent } = self;
-        let (chunks, words) = (sent.len(), code.words);
+        let words = code.words;
         for (register, arrived) in registers.narrow.iter_mut().zip(arrived).take(code.ports) {
-            register[..chunks].copy_from_slice(&arrived[..chunks]);
+            register[..N].copy_from_slice(&arrived[..N]);
         }
         for (word, register) in registers.narrow[WORDS..WORDS + words].iter_mut().enumerate() {
-            for chunk in 0..chunks {
+            for chunk in 0..N {
                 register[chunk] = columns[chunk * words + word];
             }
         }
         let mut left: [Register<i32>; 2] = Default::default();
-        // Lanes without a neuron are computed too: one length for all loops.
-        match chunks {
-            ..=HALF => execute::<HALF>(&code.step.instructions, fixed, registers, &mut left),
-            _ => execute::<CHUNKS>(&code.step.instructions, fixed, registers, &mut left),
-        }
+        execute::<N>(&code.step.instructions, fixed, registers, &mut left);
         let register = |place: Place| at(&fixed.narrow, &registers.narrow, place);
         let (sends, message) = (register(code.sent), code.message.map(register));
         // Loop after loop over registers, since a chunk that is kept from loop to loop is no vector.
-        let mut moved = *sends;
-        for arrived in &registers.narrow[..code.ports] {
-            for (moved, arrived) in moved.iter_mut().zip(arrived) {
+        let mut moved = Register::<i32>::default();
+        for (moved, (sends, arrived)) in moved.iter_mut().zip(sends.iter().zip(&registers.narrow[0])).take(N) {
+            *moved = chunk_of(|lane| sends[lane] | arrived[lane]);
+        }
+        if code.ports > 1 {
+            for (moved, arrived) in moved.iter_mut().zip(&registers.narrow[1]).take(N) {
                 let before = *moved;
                 *moved = chunk_of(|lane| before[lane] | arrived[lane]);
             }
         }
         for (word, place) in code.state.iter().enumerate() {
             let (before, after) = (&registers.narrow[WORDS + word], register(*place));
-            for chunk in 0..chunks {
+            for chunk in 0..N {
                 let (so_far, before, after) = (moved[chunk], before[chunk], after[chunk]);
                 moved[chunk] = chunk_of(|lane| so_far[lane] | before[lane] ^ after[lane]);
                 columns[chunk * words + word] = after;
             }
         }
         if let Some(message) = message {
-            for ((values, message), sends) in sent.iter_mut().zip(message).zip(sends) {
-                let before = *values;
-                *values = chunk_of(|lane| if sends[lane] != 0 { message[lane] } else { before[lane] });
+            for chunk in 0..N {
+                let (before, message, sends) = (sent[chunk], message[chunk], sends[chunk]);
+                sent[chunk] = chunk_of(|lane| if sends[lane] != 0 { message[lane] } else { before[lane] });
             }
         }
         let mut flags = Flags::default();
-        for chunk in 0..chunks {
+        for chunk in 0..N {
             let (sends, moved, [wrapped, clipped]) = (sends[chunk], moved[chunk], [left[0][chunk], left[1][chunk]]);
             let of_chunk = chunk_of(|lane| {
                 let (wraps, clips) = (wrapped[lane] < 0, clipped[lane] < 0);
                 let active = (moved[lane] != 0) | wraps | clips;
-                sends[lane] as u32 | u32::from(active) << 1 | u32::from(wraps) << 2 | u32::from(clips) << 3
+                u32::from(sends[lane] != 0) | u32::from(active) << 1 | u32::from(wraps) << 2 | u32::from(clips) << 3
             });
             flags[chunk] = chunk_of(|lane| of_chunk[lane] as u8);
         }

@@ -2,7 +2,8 @@
 //!
 //! Input: the instructions of a kind, and the registers that depend on parameters alone. Output:
 //! the instructions without those that copy a register to another, since a condition is the same
-//! for all neurons or a number is 0, and without those whose result nothing reads.
+//! for all neurons or a number is 0, without those whose result nothing reads, and with fewer where
+//! one does what several did: each takes as long as storing a register and reading it again.
 
 use nsim_ir::microcode::Operation;
 
@@ -36,9 +37,34 @@ impl Instruction {
         }
     }
 
-    /// Whether it says that a word leaves its bits.
-    fn reports(&self) -> bool {
-        matches!(self.action, Action::AddWord | Action::SubtractWord | Action::Report(_))
+    /// Its operand of which only matters whether it is 0, if it has one.
+    fn condition(&mut self) -> Option<&mut Place> {
+        let [a, _, c] = &mut self.operands;
+        match self.action {
+            Action::Select => Some(a),
+            action if action.reports() => Some(c).filter(|place| **place != NONE),
+            _ => None,
+        }
+    }
+
+    /// As one instruction, if it joins two comparisons of a number with limits on both sides.
+    fn outside(&self, before: &[Instruction]) -> Option<Instruction> {
+        let compares = |place: Place| {
+            let is = |other: &&Instruction| {
+                other.writes() == Some((false, place))
+                    && other.action == Action::Comparison(Operation::LessOrEqual)
+                    && !other.wide
+            };
+            before.iter().find(is).map(|found| found.operands)
+        };
+        let Action::Arithmetic(Operation::Or) = self.action else { return None };
+        let ([a, b, _], [c, d, _]) = (compares(self.operands[0])?, compares(self.operands[1])?);
+        let operands = match (b == c, d == a) {
+            (true, _) => [a, b, d],
+            (_, true) => [c, d, b],
+            _ => return None,
+        };
+        Some(Instruction { action: Action::Outside, operands, ..*self })
     }
 
     /// The register of 32 bits that it copies, if it does no more.
@@ -71,6 +97,7 @@ impl Instruction {
                 _ => None,
             },
             Action::SubtractWord
+            | Action::ShiftWord
             | Action::Arithmetic(
                 Operation::Subtract | Operation::ShiftLeft | Operation::ShiftRight | Operation::TowardZero,
             ) => Some(a).filter(|_| value(b) == Some(0)),
@@ -87,7 +114,8 @@ impl Code {
             let (first, others) = register.as_flattened()[..lanes].split_first()?;
             Some(*first).filter(|first| others.iter().all(|other| other == first))
         };
-        // What each register of 32 bits is the same as.
+        // What each register of 32 bits is the same as, and what is 0 where it is.
+        let mut tested: Vec<Place> = (0..self.step.narrow).collect();
         let mut same: Vec<Place> = (0..self.step.narrow).collect();
         let found = |same: &[Place], place: Place| if place & FIXED == 0 { same[usize::from(place)] } else { place };
         let mut instructions: Vec<Instruction> = Vec::new();
@@ -96,18 +124,26 @@ impl Code {
             for ((wide, _), place) in instruction.reads().zip(&mut new.operands) {
                 *place = if wide { *place } else { found(&same, *place) };
             }
-            match new.copies(value) {
-                Some(place) => same[usize::from(new.out)] = place,
-                None => instructions.push(new),
+            if let Some(condition) = new.condition() {
+                *condition = found(&tested, *condition);
             }
+            if let Some(place) = new.copies(value) {
+                same[usize::from(new.out)] = place;
+                continue;
+            }
+            if new.action == Action::Comparison(Operation::NotEqual) && !new.wide && value(new.operands[1]) == Some(0) {
+                tested[usize::from(new.out)] = found(&tested, new.operands[0]);
+            }
+            instructions.push(new.outside(&instructions).unwrap_or(new));
         }
-        let (sent, message) = (found(&same, self.sent), self.message.map(|place| found(&same, place)));
+        let message = self.message.map(|place| found(&same, place));
+        let sent = found(&tested, found(&same, self.sent));
         let state: Vec<Place> = self.state.iter().map(|&place| found(&same, place)).collect();
         let mut read: Vec<Register> =
             state.iter().copied().chain([sent]).chain(message).map(|at| (false, at)).collect();
         let mut needed = Vec::new();
         for instruction in instructions.into_iter().rev() {
-            if instruction.reports() || instruction.writes().is_some_and(|register| read.contains(&register)) {
+            if instruction.action.reports() || instruction.writes().is_some_and(|register| read.contains(&register)) {
                 read.extend(instruction.reads());
                 needed.push(instruction);
             }
