@@ -3,9 +3,10 @@
 //! Input: spikes, and the rows of their sources. Output: sums of weights, the skip blocks that they
 //! lie in, and the number of synaptic events.
 //!
-//! Spikes of one position, from channel to channel, add rows of the same lengths to the same lanes.
-//! Where a step has several spikes a position, their sums stay in registers while the weights of
-//! all of them are added; else each row is added for itself.
+//! Spikes of one position, from channel to channel, add rows of the same lengths to the same lanes:
+//! they are a *group*. In the order of lanes they follow each other. Where a step has several
+//! spikes a group, their sums stay in registers while the weights of all of them are added; else
+//! each row is added for itself.
 
 use crate::deliver::accumulate::{Accumulate, add_weights};
 use crate::deliver::prefetch::prefetch;
