@@ -71,7 +71,12 @@ impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
     fn mark(&mut self, lanes: std::ops::Range<usize>) {
         if !self.marks.is_empty() {
             // Zeros beyond the last lane may lie in a skip block that does not exist.
-            self.marks[lanes.start / SKIP_BLOCK..lanes.end.min(self.lanes).div_ceil(SKIP_BLOCK)].fill(1);
+            let (first, last) = (lanes.start / SKIP_BLOCK, (lanes.end.min(self.lanes) - 1) / SKIP_BLOCK);
+            (self.marks[first], self.marks[last]) = (1, 1);
+            // Most rows lie in two, which need no call.
+            if last > first + 1 {
+                self.marks[first + 1..last].fill(1);
+            }
         }
     }
 
@@ -186,7 +191,6 @@ fn enqueue_rows<P: Spike>(
     (queue, payloads): (&mut Vec<RowPlace>, &mut Vec<P::Payload>),
 ) -> (usize, u64) {
     let (mut end, mut events) = (0, 0);
-    payloads.resize(queue.len(), spikes[0].payload());
     for (index, spike) in spikes.iter().enumerate() {
         let far = PREFETCH_SPIKES.map(|ahead| spikes.get(index + ahead));
         if let Some(spike) = far[0] {
@@ -203,7 +207,9 @@ fn enqueue_rows<P: Spike>(
         events += u64::from(stencil.synapses);
         if queue.len() < end + places.len() {
             queue.resize(2 * (end + places.len()), places[0]);
-            payloads.resize(queue.len(), spike.payload());
+        }
+        if payloads.len() < end + places.len() {
+            payloads.resize(2 * (end + places.len()), spike.payload());
         }
         if let (Some(queued), Some(unchecked)) =
             (queue[end..].first_chunk_mut::<UNCHECKED>(), places.first_chunk::<UNCHECKED>())

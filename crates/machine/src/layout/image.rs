@@ -93,6 +93,8 @@ pub struct Image {
     /// What a message of each source carries, channels first, 1 for binary spikes, and `None` where
     /// that differs from message to message; empty if sums of 32 bits do.
     pub(crate) payloads: Vec<Option<i32>>,
+    /// Whether each input spike carries an integer of its own.
+    pub(crate) channels_carry: bool,
     /// Whether each compartment reaches any; empty as `payloads`.
     pub(crate) has_synapses: Vec<bool>,
     /// Whether a message carries anything.
@@ -136,6 +138,7 @@ impl Image {
             narrow_sums: true,
             exact_up_to: 1,
             payloads: payloads(program),
+            channels_carry: false,
             has_synapses: Vec::new(),
             graded: !parts.graded.is_empty(),
             channels: program.channels(),
@@ -144,6 +147,8 @@ impl Image {
             skip_blocks: 0,
             rows: Arc::default(),
         };
+        let of_channels = image.payloads.get(..image.channels as usize);
+        image.channels_carry = of_channels.is_some_and(|payloads| payloads.iter().all(Option::is_none));
         let sums = Sums::new(program, &LaneOrder::new(program)).map_err(ImageError::Sums)?;
         let blocks = image.lay_out(&sums);
         image.held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE).count();

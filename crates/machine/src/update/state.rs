@@ -85,11 +85,17 @@ impl Step<'_> {
         let Step { state: ShardState { state, rings }, image, shard, input, channel_counts } = self;
         let graded = (!image.payloads.is_empty()).then(|| messages(image, input));
         if let (Rings::Bits32(ring), Some((channels, carried))) = (&*rings, &graded) {
+            // The bits of all magnitudes together are found without a branch.
+            let bits = |all: u32, payload: i32| all | (payload ^ payload >> 31) as u32;
+            let all = channels.iter().fold(0, |all, spike| bits(all, spike.payload));
+            let all = carried.iter().fold(all, |all, spike| bits(all, spike.payload));
             let is_large = |payload: i32| payload.unsigned_abs() > image.exact_up_to;
             // What reaches nothing, such as a sum that is read out, may be large.
             let of_carried =
                 |spike: &GradedSpike<CompartmentId>| is_large(spike.payload) && image.has_synapses[spike.id.index()];
-            if channels.iter().any(|spike| is_large(spike.payload)) || carried.iter().any(of_carried) {
+            if all >= image.exact_up_to
+                && (channels.iter().any(|spike| is_large(spike.payload)) || carried.iter().any(of_carried))
+            {
                 *rings = Rings::Bits64(ring.in_type());
             }
         }
@@ -194,12 +200,17 @@ mod large {
 
 /// The messages of a step and what each carries.
 fn messages(image: &Image, input: &StepInput) -> (Vec<GradedSpike<ChannelId>>, Vec<GradedSpike<CompartmentId>>) {
-    let mut given = input.channel_values.iter().copied();
-    let graded = |&id: &ChannelId| {
-        let given = given.next().unwrap_or(1);
-        GradedSpike { id, payload: image.payloads[id.index()].unwrap_or(given) }
+    let given = input.channels.iter().zip(input.channel_values);
+    let channels = if image.channels_carry && input.channel_values.len() == input.channels.len() {
+        given.map(|(&id, &payload)| GradedSpike { id, payload }).collect()
+    } else {
+        let mut given = input.channel_values.iter().copied();
+        let graded = |&id: &ChannelId| {
+            let given = given.next().unwrap_or(1);
+            GradedSpike { id, payload: image.payloads[id.index()].unwrap_or(given) }
+        };
+        input.channels.iter().map(graded).collect()
     };
-    let channels = input.channels.iter().map(graded).collect();
     let carried = input.carried.iter().zip(input.carried_payloads);
     (channels, carried.map(|(&id, &payload)| GradedSpike { id, payload }).collect())
 }
