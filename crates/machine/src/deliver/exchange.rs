@@ -10,8 +10,8 @@ use nsim_ir::base::id::{CompartmentId, Id};
 
 /// Moves ids in the upper range behind all others and sorts them; payloads, if there are any, move
 /// with their ids. Ids are distinct and below the end of the range. With more than an eighth as
-/// many ids as words of marks, a bit set is less work than sorting. `marks` is scratch memory, all
-/// zeros before and after, as is `by_id`, of any content.
+/// many ids as words of marks, a bit set is less work than sorting. `marks` and `by_id` are scratch
+/// memory; `marks` is all zeros before and after.
 pub(crate) fn sort(
     (ids, payloads): (&mut Vec<CompartmentId>, &mut [i32]),
     range: Range<CompartmentId>,
