@@ -32,7 +32,7 @@ use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::spikes::{Shown, sources};
 use crate::value::to_python;
-use crate::work::{detached, work};
+use crate::work::{tried, work};
 
 /// Where and why two networks disagree.
 #[pyclass(frozen, module = "nsim")]
@@ -59,7 +59,7 @@ impl Agreement {
         keywords: &Keywords<'_>,
         in_memory: InMemory,
     ) -> PyResult<Self> {
-        let (graph, written) = detached(py, || real_and_integers(network)).map_err(|problem| raised(py, problem))?;
+        let (graph, written) = tried(py, || real_and_integers(network))?;
         Form::require_written("agree", &written, 1).map_err(|problem| raised(py, problem))?;
         let against: Option<Bound<'_, PyAny>> = keywords.take("against")?;
         let other = against.as_ref().map(|given| model(py, given, in_memory)).transpose()?.flatten();
@@ -83,10 +83,12 @@ impl Agreement {
             }
             Some(other) => {
                 let message = format!("against is '{other}', which is no word that is known and no model file");
-                return Err(usage(message, "against is one of srm, cuba, golden, a model file, an nsim.Network or an nsim.Conversion"));
+                let help = "against is one of srm, cuba, golden, a model file, an nsim.Network or an nsim.Conversion";
+                return Err(usage(message, help));
             }
         };
-        if keywords.only("conversion")?.take::<Bound<'_, PyAny>>("conversion")?.is_some_and(|given| in_memory(&given).is_some()) {
+        let given: Option<Bound<'_, PyAny>> = keywords.only("conversion")?.take("conversion")?;
+        if given.is_some_and(|given| in_memory(&given).is_some()) {
             let message = "conversion is a network, and says how spike response neurons become integers".to_string();
             return Err(usage(message, "give the network or the nsim.Conversion as against="));
         }
@@ -147,15 +149,15 @@ impl Agreement {
             let attribution =
                 (against.is_real() && most > 0).then(|| attribute(&ladder, &output_layer(ladder.deployed()), some));
             let next = attribution.as_ref().and_then(|attribution| in_python(attribution, typed.as_deref()));
+            let trained = converted_from(&graph).filter(|_| matches!(against, Counterpart::Cuba));
+            let closer = "network.agree(spikes, against=conversion), of the network that was converted";
             let report = AgreeReport {
                 found: integers.found.as_ref(),
                 fits: &named_fits(&graph, fits),
                 attribution: attribution.as_ref(),
                 attribution_samples: some.len(),
                 next: next.as_ref(),
-                source: converted_from(&graph)
-                    .filter(|_| matches!(against, Counterpart::Cuba))
-                    .map(|trained| (trained, "network.agree(spikes, against=conversion), of the network that was converted".to_string())),
+                source: trained.map(|trained| (trained, closer.to_string())),
                 ..AgreeReport::of_one((name, against.name()), seen, &agreement)
             };
             done(report, &agreement.layers)
@@ -185,7 +187,7 @@ fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyRes
         (Some(network), _) => network,
         (_, Ok(path)) if path.exists() || shipped::MODELS.iter().any(|known| Path::new(known.name) == path) => {
             let name = path.to_string_lossy().into_owned();
-            Arc::new(detached(py, || nsim::load_model(&name)).map_err(|problem| raised(py, problem))?)
+            Arc::new(tried(py, || nsim::load_model(&name))?)
         }
         (_, Ok(_)) => return Ok(None),
         (_, Err(_)) => {
@@ -193,7 +195,7 @@ fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyRes
             return Err(usage(message, "give srm, cuba, golden, a model file, an nsim.Network or an nsim.Conversion"));
         }
     };
-    let (graph, integers) = detached(py, || real_and_integers(&loaded)).map_err(|problem| raised(py, problem))?;
+    let (graph, integers) = tried(py, || real_and_integers(&loaded))?;
     Ok(Some((loaded, role(&graph), integers)))
 }
 

@@ -6,17 +6,17 @@
 use std::time::Duration;
 
 use nsim::energy::measure::{Budget, StepTiming, measure};
+use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::machine::{Machine, Settings};
 use nsim::session::samples::{Division, laid_out};
 use pyo3::prelude::*;
 use serde_json::json;
 
-use crate::error::raised;
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
 use crate::spikes::Shown;
 use crate::value::to_python;
-use crate::work::detached;
+use crate::work::tried;
 
 /// The longest measurement.
 const MOST_SECONDS: f64 = 3600.0;
@@ -42,7 +42,7 @@ pub fn bench<'py>(
     };
     let period = sample.copies(compiled.options.copies, compiled.one.channels());
     let division = Division { shards: 1, in_turn: true };
-    let timing = detached(py, || {
+    let timing = tried::<StepTiming, Diagnostic>(py, || {
         let own;
         let image = match mapping.image(division) {
             Some(image) => image,
@@ -53,8 +53,7 @@ pub fn bench<'py>(
         };
         let mut machine = Machine::new(image, Settings { skip, per_step: false });
         Ok(measure(&mut machine, &period, Budget::Time(Duration::from_secs_f64(seconds))))
-    });
-    let timing: StepTiming = timing.map_err(|problem: nsim::ir::base::diagnostic::Diagnostic| raised(py, problem))?;
+    })?;
     let per_step = |count| timing.per_step(count);
     to_python(
         py,

@@ -21,7 +21,7 @@ use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::spikes::{Shown, sources};
 use crate::value::to_python;
-use crate::work::{detached, work};
+use crate::work::{tried, work};
 
 /// The greatest number of epochs of fine-tuning, as on the command line.
 const MOST_EPOCHS: u32 = 100_000;
@@ -47,7 +47,7 @@ impl Conversion {
         built: impl FnOnce(&NetworkFile) -> PyResult<Py<PyAny>>,
     ) -> PyResult<Self> {
         let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
-        let job = detached(py, || Job::new(network, &target)).map_err(|problem| raised(py, problem))?;
+        let job = tried(py, || Job::new(network, &target))?;
         let calibrate: Option<Bound<'_, PyAny>> = keywords.take("calibrate")?;
         let layout = keywords.only("time_first")?;
         let searched = |given| Ok::<_, PyErr>(Shown::new(&job.integers, None, Some(given), &layout)?.stimulus);
@@ -133,7 +133,7 @@ impl Conversion {
     /// Gives the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
-        detached(py, || self.model.write(&path, force)).map_err(|problem| raised(py, problem))
+        tried(py, || self.model.write(&path, force))
     }
 
     /// The stages as a data frame of pandas, or of polars where only that is installed.

@@ -26,7 +26,7 @@ use crate::run::{is_long, rule};
 use crate::shared::Shared;
 use crate::spikes::Shown;
 use crate::value::to_python;
-use crate::work::{detached, work};
+use crate::work::{tried, work};
 
 /// The deployment that `deployment` names.
 pub fn plan(py: Python<'_>, model: &str, keywords: &Keywords<'_>, copies: Option<u32>) -> PyResult<Plan> {
@@ -36,25 +36,19 @@ pub fn plan(py: Python<'_>, model: &str, keywords: &Keywords<'_>, copies: Option
 
 fn options(py: Python<'_>, keywords: &Keywords<'_>) -> PyResult<CostOptions> {
     let baselines: Vec<String> = keywords.take("baselines")?.unwrap_or_default();
-    let mut options = CostOptions::usual(Some(&baselines)).map_err(|problem| raised(py, problem))?;
-    if let Some(mode) = keywords.one_of("mode", &Mode::ALL, Mode::name)? {
-        options.mode = mode;
-    }
-    if let Some(convention) = keywords.one_of("convention", &Convention::ALL, Convention::name)? {
-        options.convention = convention;
-    }
-    if let Some(transport) = keywords.one_of("transport", &Transport::ALL, Transport::name)? {
-        options.transport = transport;
-    }
-    options.host = keywords.one_of("host", &Host::ALL, Host::name)?;
-    options.streams = keywords.one_of("streams", &Streams::ALL, Streams::name)?.unwrap_or_default();
-    options.reset_words = keywords.take("reset_words")?.unwrap_or(0);
-    if let Some(accounting) = keywords.one_of("accounting", &Accounting::ALL, Accounting::name)? {
-        options.accounting = accounting;
-    }
-    options.constants = keywords.path("constants")?;
-    options.early_exit = rule(keywords)?;
-    Ok(options)
+    let usual = CostOptions::usual(Some(&baselines)).map_err(|problem| raised(py, problem))?;
+    Ok(CostOptions {
+        mode: keywords.one_of("mode", &Mode::ALL, Mode::name)?.unwrap_or(usual.mode),
+        convention: keywords.one_of("convention", &Convention::ALL, Convention::name)?.unwrap_or(usual.convention),
+        transport: keywords.one_of("transport", &Transport::ALL, Transport::name)?.unwrap_or(usual.transport),
+        host: keywords.one_of("host", &Host::ALL, Host::name)?,
+        streams: keywords.one_of("streams", &Streams::ALL, Streams::name)?.unwrap_or_default(),
+        reset_words: keywords.take("reset_words")?.unwrap_or(0),
+        accounting: keywords.one_of("accounting", &Accounting::ALL, Accounting::name)?.unwrap_or(usual.accounting),
+        constants: keywords.path("constants")?,
+        early_exit: rule(keywords)?,
+        ..usual
+    })
 }
 
 /// Power, latency and energy of one copy.
@@ -125,7 +119,7 @@ pub fn report(
         let command = format!("report, nsim {} for Python", env!("CARGO_PKG_VERSION"));
         Ok(html(&title, &sections, &Provenance { command, origins }))
     })?;
-    detached(py, || write::text(&path, force, &page)).map_err(|problem| raised(py, problem))?;
+    tried(py, || write::text(&path, force, &page))?;
     Ok(path)
 }
 

@@ -15,8 +15,7 @@ pyo3::create_exception!(
     Error,
     PyException,
     "What nsim cannot do: `code` names the problem, `place` is FILE:LINE:COLUMN or None, `help` says what to change \
-     or is None; \
-     `reasons` has a dictionary for each problem."
+     or is None; `reasons` has a dictionary for each problem."
 );
 
 pyo3::create_exception!(

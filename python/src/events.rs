@@ -144,15 +144,7 @@ impl Events {
             Given::Records(records) => return Ok(vec![records.recording(py, population, dt_ms)?]),
         };
         let units = population.shape.len();
-        let silent = PopulationSpikes {
-            units: Some(units.into()),
-            steps,
-            label: None,
-            events: Vec::new(),
-            values: Vec::new(),
-            name: "events".to_string(),
-        };
-        let mut recordings = vec![silent; samples as usize];
+        let mut recordings = PopulationSpikes::silent(samples as usize, units.into(), steps, "events".to_string());
         for (number, &[sample, step, channel]) in rows.iter().enumerate() {
             if channel >= units {
                 let message = format!("event {number}: channel {channel} is not below {units}");

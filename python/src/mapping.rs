@@ -7,6 +7,7 @@ use std::sync::Arc;
 use nsim::compile::{self, CopyPlacement, Objective, Options, Strategy};
 use nsim::files::mapping::mapping_text;
 use nsim::files::network::Network;
+use nsim::files::table::count;
 use nsim::ir::graph::Shape;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Population;
@@ -26,7 +27,7 @@ use crate::run::Run;
 use crate::session::Session;
 use crate::shared::Shared;
 use crate::spikes::Shown;
-use crate::work::detached;
+use crate::work::tried;
 
 /// The target when none is named.
 pub use nsim::files::network::USUAL_TARGET as TARGET;
@@ -79,11 +80,8 @@ pub struct Mapping(Arc<Shared>);
 impl Mapping {
     /// Maps a network.
     pub fn new(py: Python<'_>, model: &str, network: &Arc<Network>, request: &MappingRequest) -> PyResult<Self> {
-        let made = detached(py, || {
-            let (compiled, target) = request.obtained(model, network)?;
-            Ok(Shared::new(model, network, compiled, target))
-        });
-        made.map(|shared| Mapping(Arc::new(shared))).map_err(|problem: nsim::Error| raised(py, problem))
+        let shared = |(compiled, target)| Shared::new(model, network, compiled, target);
+        tried(py, || request.obtained(model, network).map(shared)).map(|shared| Mapping(Arc::new(shared)))
     }
 
     /// What runs and energies share.
@@ -193,8 +191,7 @@ impl Mapping {
     #[pyo3(
         signature = (spikes=None, **options),
         text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, \
-                          early_exit=None, \
-                          probe=())"
+                          early_exit=None, probe=())"
     )]
     fn run(
         &self,
@@ -223,10 +220,9 @@ impl Mapping {
     #[pyo3(
         signature = (spikes=None, **options),
         text_signature = "($self, spikes=None, *, deployment=None, mode='offline', convention='physical', \
-                          constants=None, \
-                          transport='queued', host=None, streams='one', reset_words=0, accounting='profiler', \
-                          early_exit=None, baselines=(), labels=None, \
-                          samples=None, repeat=1, seed=None, time_first=False)"
+                          constants=None, transport='queued', host=None, streams='one', reset_words=0, \
+                          accounting='profiler', early_exit=None, baselines=(), labels=None, samples=None, repeat=1, \
+                          seed=None, time_first=False)"
     )]
     fn energy(
         &self,
@@ -290,14 +286,8 @@ impl Mapping {
     fn __repr__(&self) -> String {
         let (copies, cores, chips) = (self.copies(), self.cores(), self.chips());
         let copies = if copies == 1 { String::new() } else { format!("{copies} copies of ") };
-        let plural = |count: usize| if count == 1 { "" } else { "s" };
-        format!(
-            "<nsim.Mapping {copies}{} on {}: {cores} core{}, {chips} chip{}>",
-            self.model(),
-            self.target(),
-            plural(cores),
-            plural(chips)
-        )
+        let (cores, chips) = (count(cores as u64, "core"), count(chips as u64, "chip"));
+        format!("<nsim.Mapping {copies}{} on {}: {cores}, {chips}>", self.model(), self.target())
     }
 
     /// The populations as a table for notebooks.

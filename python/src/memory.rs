@@ -24,9 +24,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{Array, Counted};
-use crate::error::{raised, warn_of, worded};
+use crate::error::{warn_of, worded};
 use crate::keywords::{Keywords, usage, whole};
-use crate::work::detached;
+use crate::work::tried;
 
 /// The most numbers of an array of weights or parameters, 8 bytes each.
 const MOST_NUMBERS: usize = 1 << 27;
@@ -244,27 +244,18 @@ pub fn built(
 
 /// The options of an import that Python has.
 pub fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
-    let decays = |decay: DecayRule| match decay {
-        DecayRule::Euler => "euler",
-        DecayRule::Exponential => "exponential",
-    };
-    let tests = |test: ThresholdTest| match test {
-        ThresholdTest::Strict => "strict",
-        ThresholdTest::Inclusive => "inclusive",
-    };
     let decisions = |decision: ReadOut| match decision {
         ReadOut::Spikes => "Spikes",
         ReadOut::GreatestV => "GreatestV",
         ReadOut::SumOfV => "SumOfV",
         ReadOut::LastV => "LastV",
     };
-    let read_outs = [ReadOut::Spikes, ReadOut::GreatestV, ReadOut::SumOfV, ReadOut::LastV];
     let options = Options {
-        decision: keywords.one_of("decision", &read_outs, decisions)?,
+        decision: keywords.one_of("decision", &ReadOut::ALL, decisions)?,
         dt_ms: keywords.take("dt_ms")?,
         reset: keywords.one_of("reset", &ResetMode::ALL, ResetMode::name)?,
-        decay: keywords.one_of("decay", &[DecayRule::Euler, DecayRule::Exponential], decays)?,
-        threshold: keywords.one_of("threshold", &[ThresholdTest::Strict, ThresholdTest::Inclusive], tests)?,
+        decay: keywords.one_of("decay", &DecayRule::ALL, DecayRule::name)?,
+        threshold: keywords.one_of("threshold", &ThresholdTest::ALL, ThresholdTest::name)?,
         input_shape: keywords.take("input_shape")?,
         neuron: keywords.path("neuron")?.map(Into::into),
         ..Options::default()
@@ -279,11 +270,10 @@ fn built_of(
     name: &str,
     imported: impl FnOnce() -> Result<Imported, Diagnostic> + Send,
 ) -> PyResult<(Network, Vec<String>)> {
-    let read = detached(py, || {
+    let (network, notes, assumed) = tried::<_, Diagnostic>(py, || {
         let imported = imported()?;
         Ok((imported.model.build(Path::new(&place(name)))?, imported.notes, imported.assumed))
-    });
-    let (network, notes, assumed) = read.map_err(|problem: Diagnostic| raised(py, problem))?;
+    })?;
     if let Some(assumed) = assumed {
         warn_of(py, &worded(&assumed))?;
     }

@@ -17,13 +17,13 @@ use pyo3::types::PyDict;
 use crate::agree::Agreement;
 use crate::convert::Conversion;
 use crate::energy::{self, Energy};
-use crate::error::{raised, warn_of, worded};
+use crate::error::{warn_of, worded};
 use crate::html::populations;
 use crate::keywords::{Keywords, whole};
 use crate::mapping::{Mapping, MappingRequest, TARGET};
 use crate::memory;
 use crate::spikes::Shown;
-use crate::work::{detached, work};
+use crate::work::{tried, work};
 
 /// Loads a model.
 ///
@@ -36,7 +36,7 @@ pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>)
     let model = model.to_string_lossy().into_owned();
     let given = options.filter(|given| !given.is_empty());
     let options = given.map(|given| memory::options(&Keywords::new(Some(given))?)).transpose()?;
-    let loaded = detached(py, || {
+    let network = tried(py, || {
         let path = Path::new(&model);
         let network = match &options {
             None => nsim::load_model(&model)?,
@@ -47,9 +47,8 @@ pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>)
             }
         };
         real_and_integers(&network)?;
-        Ok(network)
-    });
-    let network = loaded.map_err(|error: Diagnostic| raised(py, error))?;
+        Ok::<_, Diagnostic>(network)
+    })?;
     Network::loaded(py, model, network)
 }
 
@@ -92,7 +91,7 @@ pub fn real_spikes<'py>(
     spikes: &Bound<'py, PyAny>,
 ) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
     let file = network.network.file();
-    let (graph, integers) = detached(py, || real_and_integers(&network.network)).map_err(|why| raised(py, why))?;
+    let (graph, integers) = tried(py, || real_and_integers(&network.network))?;
     let shown = Shown::new(&integers, None, Some(spikes), &Keywords::new(None)?)?;
     let traces = work(py, true, |progress| {
         let trace = real_trace(&graph, &integers)?;
@@ -124,7 +123,7 @@ impl Network {
     /// The network that a written model would give.
     pub fn built(py: Python<'_>, model: &NetworkFile) -> PyResult<Self> {
         let place = PathBuf::from(memory::place(&model.name));
-        let network = detached(py, || model.build(&place)).map_err(|problem| raised(py, problem))?;
+        let network = tried(py, || model.build(&place))?;
         Network::checked(py, network, Vec::new())
     }
 
@@ -156,7 +155,7 @@ impl Network {
 
     /// A network that has no file.
     pub fn checked(py: Python<'_>, network: nsim::files::network::Network, notes: Vec<String>) -> PyResult<Self> {
-        detached(py, || real_and_integers(&network)).map_err(|problem| raised(py, problem))?;
+        tried(py, || real_and_integers(&network))?;
         Ok(Network { model: memory::place(&network.file().name), network: Arc::new(network), notes })
     }
 }
@@ -183,8 +182,7 @@ impl Network {
         classes: Vec<String>,
     ) -> PyResult<Self> {
         let model = memory::built(name, &populations, &projections, output, timestep_ms, classes)?;
-        let network = detached(py, || model.build(Path::new(&memory::place(name))));
-        Network::checked(py, network.map_err(|problem| raised(py, problem))?, Vec::new())
+        Network::built(py, &model)
     }
 
     /// By which conventions another tool's network was read, and what was changed.
@@ -247,11 +245,9 @@ impl Network {
     #[pyo3(
         signature = (spikes=None, *, target=None, copies=None, **options),
         text_signature = "($self, spikes=None, *, target='nahuku-32', copies=None, deployment='spread', \
-                          mode='offline', \
-                          convention='physical', constants=None, transport='queued', host=None, streams='one', \
-                          reset_words=0, \
-                          accounting='profiler', early_exit=None, baselines=(), labels=None, samples=None, repeat=1, \
-                          seed=None, time_first=False)"
+                          mode='offline', convention='physical', constants=None, transport='queued', host=None, \
+                          streams='one', reset_words=0, accounting='profiler', early_exit=None, baselines=(), \
+                          labels=None, samples=None, repeat=1, seed=None, time_first=False)"
     )]
     fn energy(
         &self,
@@ -332,9 +328,8 @@ impl Network {
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
         text_signature = "($self, spikes=None, *, target='nahuku-32', calibrate=None, calibration_samples=60, \
-                          delayed_copies=None, \
-                          fine_tune=0, training=None, train=None, labels=None, samples=None, repeat=1, seed=None, \
-                          time_first=False)"
+                          delayed_copies=None, fine_tune=0, training=None, train=None, labels=None, \
+                          samples=None, repeat=1, seed=None, time_first=False)"
     )]
     fn convert(
         &self,
@@ -354,8 +349,7 @@ impl Network {
     /// Gives the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
-        let written = detached(py, || self.network.resolved()?.write(&path, force));
-        written.map_err(|problem: Diagnostic| raised(py, problem))
+        tried(py, || self.network.resolved()?.write(&path, force))
     }
 
     fn __repr__(&self) -> String {

@@ -143,10 +143,6 @@ impl Run {
         Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings: found, ranks: Vec::new() }
     }
 
-    fn labels(&self) -> Vec<Option<u32>> {
-        self.shown.samples().iter().map(|sample| sample.label()).collect()
-    }
-
     fn with_report<T>(&self, detail: &Detail, read: impl FnOnce(&RunReport<'_>) -> T) -> T {
         let labels = self.labels();
         read(&RunReport {
@@ -202,9 +198,9 @@ impl Run {
     }
 
     /// The class that each sample shows, None where it is not known.
-    #[getter(labels)]
-    fn given_labels(&self) -> Vec<Option<u32>> {
-        self.labels()
+    #[getter]
+    fn labels(&self) -> Vec<Option<u32>> {
+        self.shown.samples().iter().map(|sample| sample.label()).collect()
     }
 
     /// The share of the samples whose class was predicted; None unless all have one.

@@ -20,7 +20,7 @@ use crate::energy::{self, Energy};
 use crate::error::raised;
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
-use crate::work::detached;
+use crate::work::tried;
 
 /// A mapping after some timestep; `Mapping.session()` opens one.
 ///
@@ -50,15 +50,14 @@ impl Session {
     /// A session before its first step.
     pub fn new(py: Python<'_>, mapping: &Arc<Shared>) -> PyResult<Self> {
         let compiled = mapping.compiled();
-        let opened = detached(py, || {
+        let stepped = tried(py, || {
             let division = Division::new(&compiled.program, 1);
             let image = match mapping.image(division) {
                 Some(image) => image.clone(),
                 None => laid_out(&compiled.program, division)?,
             };
-            Ok(Stepped::open(&image, &compiled.one, compiled.options.copies))
-        });
-        let stepped = opened.map_err(|problem: Diagnostic| raised(py, problem))?;
+            Ok::<_, Diagnostic>(Stepped::open(&image, &compiled.one, compiled.options.copies))
+        })?;
         Ok(Session { mapping: mapping.clone(), stepped: Some(stepped) })
     }
 
@@ -191,7 +190,7 @@ impl Session {
             }
         }
         let stepped = self.stepped.as_mut().ok_or_else(closed)?;
-        detached(py, || stepped.step(spiking)).map_err(|problem| raised(py, problem))
+        tried(py, || stepped.step(spiking))
     }
 
     /// Timesteps since the session was opened or reset.

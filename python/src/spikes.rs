@@ -20,7 +20,7 @@ use crate::arrays::{Array, Counted, is_of};
 use crate::error::{raised, warn_of};
 use crate::events::{Events, Records};
 use crate::keywords::{Keywords, usage};
-use crate::work::detached;
+use crate::work::tried;
 
 /// The most numbers of an array: some seconds of reading.
 const MOST_NUMBERS: usize = 1 << 34;
@@ -124,7 +124,7 @@ impl Shown {
 }
 
 fn named(network: &Quantised, sources: &[String], scene: Option<&str>, seed: Option<u64>) -> PyResult<Stimulus> {
-    Python::attach(|py| detached(py, || stimulus(network, sources, scene, seed)).map_err(|error| raised(py, error)))
+    Python::attach(|py| tried(py, || stimulus(network, sources, scene, seed)))
 }
 
 /// Sources as `--input` takes them: one, a list of them, or none.
@@ -268,15 +268,7 @@ fn read(
         let message = format!("{name} has {samples} samples of {steps} timesteps, too many for one call");
         return Err(too_long(message, "give some samples at a time: array[FIRST:END]"));
     }
-    let silent = PopulationSpikes {
-        units: Some(units as u64),
-        steps: steps as u32,
-        label: None,
-        events: Vec::new(),
-        values: Vec::new(),
-        name: "array".to_string(),
-    };
-    let mut recordings = vec![silent; samples];
+    let mut recordings = PopulationSpikes::silent(samples, units as u64, steps as u32, "array".to_string());
     // Rows of an array: the steps of a channel, or the channels of a step.
     let (width, rows) = if time_first { (units, steps) } else { (steps, units) };
     let (mut spikes, mut sample, mut row, mut begin) = (0, 0, 0, 0);

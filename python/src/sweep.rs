@@ -14,7 +14,7 @@ use pyo3::prelude::*;
 
 use crate::error::raised;
 use crate::keywords::{usage, whole};
-use crate::work::{detached, work};
+use crate::work::{tried, work};
 
 /// The most threads, as on the command line.
 const MOST_THREADS: u64 = 1024;
@@ -60,11 +60,10 @@ pub fn sweep_part(
 #[pyfunction]
 pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<String>) -> PyResult<String> {
     let sweep = parsed(py, path, text)?;
-    let merged = detached(py, || {
+    tried(py, || {
         let mut whole = Table::new(&sweep);
         tables.iter().try_for_each(|table| whole.add_csv(table).map(drop))?;
         whole.check_whole()?;
         Ok::<_, nsim::Error>(whole.csv(None))
-    });
-    merged.map_err(|error| raised(py, error))
+    })
 }

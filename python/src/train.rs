@@ -20,11 +20,11 @@ use crate::memory;
 use crate::network::Network;
 use crate::spikes::{Shown, sources};
 use crate::value::to_python;
-use crate::work::{detached, work};
+use crate::work::{tried, work};
 
 /// Bounds of the command line.
-const MOST_EPOCHS: u32 = 1_000_000;
-const MOST_FOLDS: u32 = 100;
+const MOST_EPOCHS: u64 = 1_000_000;
+const MOST_FOLDS: u64 = 100;
 
 /// A trained network.
 #[pyclass(frozen, module = "nsim")]
@@ -53,17 +53,12 @@ fn given(py: Python<'_>, job: &Job, keywords: &Keywords<'_>, key: &str, time_fir
     let options = PyDict::new(py);
     options.set_item("labels", pair.get_item(1)?)?;
     options.set_item("time_first", time_first)?;
-    let network = detached(py, || job.inputs()).map_err(|problem| raised(py, problem))?;
+    let network = tried(py, || job.inputs())?;
     // Which classes there are is for the job to say.
     let options = Keywords::new(Some(&options))?;
     let shown = Shown::of_classes(1 << 32, &network, None, Some(&pair.get_item(0)?), &options)?;
     let what = if key == "test" { "test" } else { "training" };
-    let examples = detached(py, || job.examples(&network, &shown.stimulus.samples, what));
-    examples.map(Given::Arrays).map_err(|problem| raised(py, problem))
-}
-
-fn bounded(keywords: &Keywords<'_>, name: &str, least: u32, most: u32) -> PyResult<Option<u32>> {
-    Ok(keywords.whole(name, least.into()..=most.into())?.map(|number| number as u32))
+    tried(py, || job.examples(&network, &shown.stimulus.samples, what)).map(Given::Arrays)
 }
 
 /// Trains a network with SLAYER: `nsim train`.
@@ -95,12 +90,11 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
     }
     let changes: Vec<(&str, &str)> = fields.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect();
     let seed = keywords.take("seed")?;
-    let epochs = bounded(&keywords, "epochs", 0, MOST_EPOCHS)?;
-    let folds = bounded(&keywords, "folds", 2, MOST_FOLDS)?;
+    let epochs = keywords.whole("epochs", 0..=MOST_EPOCHS)?.map(|epochs| epochs as u32);
+    let folds = keywords.whole("folds", 2..=MOST_FOLDS)?.map(|folds| folds as u32);
     let checkpoint: Option<PathBuf> = keywords.take("checkpoint")?;
     let time_first = keywords.take("time_first")?.unwrap_or(false);
-    let job = detached(py, || with_fields(&source, &changes).and_then(|source| Job::new(source, seed, epochs)));
-    let job = job.map_err(|problem| raised(py, problem))?;
+    let job = tried(py, || with_fields(&source, &changes).and_then(|source| Job::new(source, seed, epochs)))?;
     let (train, test) =
         (given(py, &job, &keywords, "train", time_first)?, given(py, &job, &keywords, "test", time_first)?);
     keywords.none_left()?;
@@ -199,8 +193,7 @@ impl Training {
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<[PathBuf; 2]> {
         let (comment, provenance) = (self.report().provenance(&self.changed), self.report().summary());
         let weights = self.job.plan.result(&self.trained.state);
-        let written = detached(py, || self.job.write((&path, force), weights, &comment, &provenance));
-        written.map_err(|problem| raised(py, problem))
+        tried(py, || self.job.write((&path, force), weights, &comment, &provenance))
     }
 
     /// The epochs as a data frame of pandas, or of polars where only that is installed.
@@ -228,8 +221,7 @@ impl Training {
 
     /// The epochs as a table for notebooks.
     fn _repr_html_(&self) -> String {
-        let row = |&(epoch, loss, accuracy): &(u32, f64, f64)| serde_json::json!({ "epoch": epoch, "loss": loss, "accuracy": accuracy });
-        let rows: Vec<_> = self.history().iter().map(row).collect();
+        let rows = self.epochs();
         table(&self.__repr__().replace(['<', '>'], ""), &columns(&rows), &rows)
     }
 }

@@ -68,6 +68,14 @@ pub fn detached<T: Send>(py: Python<'_>, job: impl FnOnce() -> T + Send) -> T {
     py.detach(|| on_own_threads(job))
 }
 
+/// Does short work of the library that may fail.
+pub fn tried<T: Send, E: Into<nsim::Error> + Send>(
+    py: Python<'_>,
+    job: impl FnOnce() -> Result<T, E> + Send,
+) -> PyResult<T> {
+    detached(py, job).map_err(|problem| raised(py, problem))
+}
+
 /// Does the work; `long` says whether it may take more than the blink of an eye.
 pub fn work<T: Send>(
     py: Python<'_>,
@@ -75,7 +83,7 @@ pub fn work<T: Send>(
     job: impl FnOnce(Progress<'_>) -> Result<T, nsim::Error> + Send,
 ) -> PyResult<T> {
     if !long {
-        return detached(py, || job(&|| ())).map_err(|error| raised(py, error));
+        return tried(py, || job(&|| ()));
     }
     let done = py.detach(|| watched(job))?;
     done.map_err(|error| raised(py, error))

@@ -14,7 +14,6 @@ use nsim_ir::base::names::{is_unprintable, printable};
 use nsim_session::error::Error;
 
 /// Prints an error and returns its exit status.
-#[must_use]
 pub fn report(error: &Error, format: Format) -> ExitCode {
     ranks::before_failing();
     match format {
@@ -35,19 +34,16 @@ pub fn say(text: &str) {
 }
 
 /// Whether stderr is a terminal that moves its cursor and shows colours.
-#[must_use]
 pub fn on_terminal() -> bool {
     std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|kind| kind != "dumb")
 }
 
 /// Whether stderr shows colours, and its user wants them (<https://no-color.org>).
-#[must_use]
 pub fn colour() -> bool {
     on_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
 /// The format that a command line asks for, whether or not the rest of it makes sense.
-#[must_use]
 pub fn format_asked() -> Format {
     let words: Vec<_> = std::env::args_os().collect();
     let apart = words.windows(2).any(|pair| pair[0] == "--format" && pair[1] == "json");
@@ -56,7 +52,6 @@ pub fn format_asked() -> Format {
 
 /// Says what clap says of a command line, as an object when that is the format that it asks for;
 /// returns the exit status.
-#[must_use]
 pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
     // Help and version are answers; anything else is wrong usage.
     if !error.use_stderr() {

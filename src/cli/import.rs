@@ -4,16 +4,17 @@
 //! `-o` the model as RON with its arrays beside it. The model is lowered before it is written: what
 //! cannot be one is refused here.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde_json::json;
 
 use crate::cli::args::timestep::TimestepArgs;
-use crate::cli::args::values::one_of_named;
+use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
+use crate::cli::inspect::network::kind_and_parameters;
 use crate::cli::output;
 use nsim_files::changes;
-use nsim_files::network::{NetworkFile, Parameter, ProjectionKind};
+use nsim_files::network::{NetworkFile, ProjectionKind};
 use nsim_import::foreign;
 use nsim_import::foreign::imported::DecayRule;
 use nsim_import::foreign::{Imported, Options, ResetMode};
@@ -21,17 +22,6 @@ use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::inspect::{Findings, FindingsTable};
 use nsim_session::error::Error;
-
-/// What decides, by its name.
-static DECISIONS: [(&str, ReadOut); 4] = [
-    (ReadOut::Spikes.name(), ReadOut::Spikes),
-    (ReadOut::GreatestV.name(), ReadOut::GreatestV),
-    (ReadOut::SumOfV.name(), ReadOut::SumOfV),
-    (ReadOut::LastV.name(), ReadOut::LastV),
-];
-
-/// The rules by which states decay, by their names.
-static DECAYS: [(&str, DecayRule); 2] = [("euler", DecayRule::Euler), ("exponential", DecayRule::Exponential)];
 
 /// What was typed.
 #[derive(Debug, Clone, clap::Args)]
@@ -52,23 +42,20 @@ pub struct Args {
     /// What the voltage does at a spike where a NIR file has no v_reset: it returns to zero, as on
     /// the chip; or the threshold is subtracted at the spike, or a step later as in snnTorch, which
     /// only some targets can do
-    #[arg(long, value_name = "HOW", value_parser = one_of_named(&RESETS))]
+    #[arg(long, value_name = "HOW", value_parser = one_of(&ResetMode::ALL, ResetMode::name))]
     reset: Option<ResetMode>,
     /// What a step leaves of a state, where the file has time constants (NIR): 1 - dt / tau, as
     /// snnTorch and Norse (euler), or exp(-dt / tau), as sinabs and Rockpool (exponential)
     /// [default: euler]
-    #[arg(long, value_name = "HOW", value_parser = one_of_named(&DECAYS))]
+    #[arg(long, value_name = "HOW", value_parser = one_of(&DecayRule::ALL, DecayRule::name))]
     decay: Option<DecayRule>,
     /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it
     /// (inclusive, as in SLAYER 2)
-    #[arg(
-        long, value_name = "HOW",
-        value_parser = one_of_named(&[("strict", ThresholdTest::Strict), ("inclusive", ThresholdTest::Inclusive)])
-    )]
+    #[arg(long, value_name = "HOW", value_parser = one_of(&ThresholdTest::ALL, ThresholdTest::name))]
     threshold: Option<ThresholdTest>,
     /// What of the output decides: spikes, or its potential, the greatest, the sum or the last
     /// [default: spikes, or the potential of an output that never spikes]
-    #[arg(long, value_name = "HOW", value_parser = one_of_named(&DECISIONS))]
+    #[arg(long, value_name = "HOW", value_parser = one_of(&ReadOut::ALL, ReadOut::name))]
     decision: Option<ReadOut>,
     /// An image as .npy, 0 to 1 or 8 bits, that drives the bias of an input layer with neurons
     #[arg(long, value_name = "FILE")]
@@ -96,12 +83,6 @@ pub struct Args {
     #[arg(short, long, value_name = "MODEL.ron")]
     output: Option<PathBuf>,
 }
-
-/// The resets that can be asked for.
-static RESETS: [(&str, ResetMode); 3] = {
-    let [zero, subtract, later] = ResetMode::ALL;
-    [(zero.name(), zero), (subtract.name(), subtract), (later.name(), later)]
-};
 
 impl Args {
     fn options(&self) -> Result<Options, Error> {
@@ -142,7 +123,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         tracing::warn!("{}: {assumed}", args.file.display());
     }
     let shown = args.output.as_deref().unwrap_or(&args.file);
-    nsim_session::front::check(&imported.model.build(shown)?).map_err(in_the_file(&args.file))?;
+    // An error of the model is one of the foreign file: the user did not write the model's text.
+    let in_the_file = |mut problem: Diagnostic| {
+        problem.place = None;
+        problem.in_file(&args.file)
+    };
+    nsim_session::front::check(&imported.model.build(shown)?).map_err(in_the_file)?;
     let files = match &args.output {
         Some(path) => imported.model.write(path, context.force)?,
         None => Vec::new(),
@@ -153,15 +139,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         output::print(context.format, || found.text(&file), || found.json("nsim.import/1", &file), || found.csv())?;
     }
     Ok(Answer::Yes)
-}
-
-/// Places an error of the imported model in the foreign file: the user did not write the text of
-/// the model.
-fn in_the_file(path: &Path) -> impl FnOnce(Diagnostic) -> Diagnostic + '_ {
-    move |mut problem| {
-        problem.place = None;
-        problem.in_file(path)
-    }
 }
 
 /// What was imported, for people and scripts.
@@ -182,13 +159,7 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
     let every = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
     let reset = every.or(imported.reset.map(|reset| reset.name().to_string()));
     let populations = populations.iter().map(|population| {
-        let real = population.srm.into_iter().flatten().map(|(key, value)| format!("{key} {value}"));
-        let parameters = population.loihi.iter().flatten().map(|(key, value)| match value {
-            Parameter::Same(value) => format!("{key} {value}"),
-            Parameter::Each(_) | Parameter::From(_) => format!("{key} each"),
-        });
-        let kind = population.kind_name().to_lowercase();
-        let parameters = parameters.chain(real).collect::<Vec<_>>().join(", ");
+        let (kind, parameters) = kind_and_parameters(population);
         json!([population.name, kind, population.shape, population.start_step, parameters])
     });
     let projections = projections.iter().map(|projection| {

@@ -242,10 +242,7 @@ fn options(args: &MapArgs) -> Options {
         objective: args.objective,
         seed: args.seed,
         place: !args.unplaced,
-        effort: match args.time_budget {
-            Some(budget_ms) => Effort::within_ms(budget_ms),
-            None => Options::default().effort,
-        },
+        effort: args.time_budget.map_or(Options::default().effort, Effort::within_ms),
         ..Options::default()
     }
 }
@@ -255,7 +252,6 @@ mod tests {
     use clap::Parser;
 
     use crate::cli::map::*;
-    use nsim_ir::resource::Resource;
 
     #[derive(Parser)]
     struct Typed {
@@ -280,22 +276,5 @@ mod tests {
         }
         let said = typed(&["--objective", "speed"]).unwrap_err().to_string();
         assert!(said.contains("cores, energy, energy:chip, latency"), "{said}");
-    }
-
-    #[test]
-    fn the_shipped_model_fits_a_core_and_too_many_copies_say_why_not() {
-        let network = nsim_import::model::load_model("vtsnn-slip").unwrap();
-        let asked = |target: &str, copies: u32| {
-            let copies = copies.to_string();
-            let args = typed(&["vtsnn-slip", "--target", target, "--copies", &copies]).unwrap();
-            let integers = |network: &Network| integers(network, 1);
-            obtain::obtain(&Request { copies: args.copies, ..args.job.request(&network, &integers) })
-        };
-        let cores = |job: obtain::Job| job.mapped().unwrap().0.partition.usage().as_slice().to_vec();
-        let used = cores(asked("nahuku-32", 1).unwrap());
-        assert_eq!((used.len(), used[0][Resource::AxonsIn], used[0][Resource::SynapseWords]), (1, 3_366, 7_452));
-        assert_eq!(cores(asked("nahuku-32", 32).unwrap()).len(), 32);
-        let Err(Error::DoesNotFit(reasons)) = asked("tiny", 4096) else { panic!("it fits") };
-        assert!(reasons.iter().any(|r| r.population.is_some()) && reasons.iter().any(|r| r.population.is_none()));
     }
 }

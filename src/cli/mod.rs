@@ -214,14 +214,12 @@ fn completions(shell: clap_complete::Shell) -> String {
 }
 
 /// Runs the command line of this process and returns its exit status.
-#[must_use]
 pub fn main() -> ExitCode {
     run_line(std::env::args_os())
 }
 
 /// Runs one command, the program's name before it, and returns its exit status. Threads, log and
 /// signals are the process's, so that a process can run one command only.
-#[must_use]
 pub fn run_line(line: impl IntoIterator<Item = OsString>) -> ExitCode {
     let (line, asked): (Vec<OsString>, _) = (line.into_iter().collect(), diagnostics::format_asked());
     match panics::guarded(|| Ok(command(&line, asked))) {
@@ -298,14 +296,5 @@ mod tests {
             "{fish}"
         );
         assert!(!script.contains(":(vtsnn-slip"), "a list that leaves no room for files");
-    }
-
-    #[test]
-    fn the_command_line_is_well_formed_and_every_command_has_examples() {
-        Cli::command().debug_assert();
-        for command in Cli::command().get_subcommands() {
-            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
-            assert!(help.contains("EXAMPLES"), "{} has no examples", command.get_name());
-        }
     }
 }

@@ -19,7 +19,6 @@ use nsim_session::warnings::Warning;
 
 /// The words behind `nsim` on the command line, without the number of threads, on which no result
 /// depends.
-#[must_use]
 pub fn typed() -> Vec<String> {
     let mut words = std::env::args().skip(1);
     let mut typed = Vec::new();
@@ -136,7 +135,6 @@ pub fn allow_busy(shown: bool) {
 pub struct Busy(ProgressBar);
 
 /// Begins a stage; where a bar or another stage is shown, that stays.
-#[must_use]
 pub fn busy(what: &'static str) -> Busy {
     let alone = UNDER_WAY.fetch_add(1, Ordering::Relaxed) == 0;
     if !alone || !BUSY_IS_SHOWN.load(Ordering::Relaxed) {
@@ -192,7 +190,6 @@ pub fn with_progress<T>(
 }
 
 /// A progress bar on stderr that appears after a second, or none.
-#[must_use]
 pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBar {
     if !context.progress {
         return ProgressBar::hidden();

@@ -62,7 +62,6 @@ enum Source {
 
 impl NamedProbe {
     /// What the engine records for it; none for an input.
-    #[must_use]
     pub fn engine(&self) -> Option<Probe> {
         match self.source {
             Source::Engine(probe) => Some(probe),
@@ -116,14 +115,6 @@ pub enum Recorded<'a> {
 }
 
 impl Recorded<'_> {
-    /// Samples, and numbers of a sample of a probe.
-    fn size(&self, probe: usize) -> (usize, usize) {
-        match self {
-            Recorded::Integers(outcomes) => (outcomes.len(), outcomes.first().map_or(0, |o| o.probes[probe].len())),
-            Recorded::Reals(traces) => (traces.len(), traces.first().map_or(0, |sample| sample[probe].len())),
-        }
-    }
-
     /// All samples of a probe, `[compartments][steps]` each; every integer is exact in an f64.
     fn numbers(&self, probe: usize) -> Box<dyn Iterator<Item = f64> + '_> {
         match self {
@@ -140,7 +131,6 @@ const MOST_PROBED: u64 = 1 << 30;
 
 impl ProbeArgs {
     /// Patterns of the populations that are named, which pruning leaves whole.
-    #[must_use]
     pub fn populations(&self) -> Vec<&str> {
         self.probe.iter().map(|text| parts(text).0).collect()
     }
@@ -165,7 +155,6 @@ impl ProbeArgs {
     }
 
     /// The file of a probe.
-    #[must_use]
     pub fn path(&self, named: &NamedProbe) -> PathBuf {
         let folder = self.output.as_deref().unwrap_or(Path::new("."));
         let format = self.probe_format.to_possible_value();
@@ -186,25 +175,22 @@ impl ProbeArgs {
         batch: &mut io::write::Batch,
     ) -> Result<Vec<String>> {
         let mut files = Vec::new();
+        // Probes are of samples of one length.
+        let steps = given.first().map_or(0, |sample| sample.steps() as usize);
+        let kept = steps.saturating_sub(drain as usize);
         let mut of_engine = 0;
         for named in probes {
-            let (path, count) = (self.path(named), named.count() as usize);
-            let (samples, length, numbers): (_, _, Box<dyn Iterator<Item = f64> + '_>) = match named.source {
+            let path = self.path(named);
+            let numbers: Box<dyn Iterator<Item = f64> + '_> = match named.source {
                 Source::Engine(_) => {
-                    let (samples, length) = recorded.size(of_engine);
                     of_engine += 1;
-                    (samples, length, recorded.numbers(of_engine - 1))
+                    recorded.numbers(of_engine - 1)
                 }
-                Source::Input(first, channels, message) => {
-                    let length = given.first().map_or(0, |sample| sample.steps() as usize * count);
-                    (given.len(), length, Box::new(input_numbers(given, (first, channels, message))))
-                }
+                Source::Input(first, channels, message) => Box::new(input_numbers(given, (first, channels, message))),
             };
-            let steps = length / count.max(1);
-            let kept = steps.saturating_sub(drain as usize);
             let of_input = move |(place, number): (usize, f64)| (place % steps.max(1) < kept).then_some(number);
             let numbers = numbers.enumerate().filter_map(of_input);
-            let shape = [samples, count, kept];
+            let shape = [given.len(), named.count() as usize, kept];
             let (population, register) = named.name.rsplit_once('.').unwrap_or((&named.name, ""));
             let trace = Trace { population, register, shape, dt_s: dt_ms / 1e3 };
             match self.probe_format {

@@ -7,14 +7,12 @@ use crate::cli::args::jobs;
 use crate::cli::args::jobs::Prepared;
 use crate::cli::args::steps;
 use crate::cli::args::steps::recorded;
-use crate::cli::args::values::{Switch, one_of_named};
+use crate::cli::args::values::{Switch, one_of};
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::probes::{NamedProbe, ProbeArgs, Recorded};
 use crate::cli::process::ranks;
 use nsim_files as io;
-use nsim_ir::activity::Activity;
-use nsim_ir::source_counts::SourceCounts;
 use nsim_ir::spikes::Sample;
 use nsim_reference as reference;
 use nsim_reference::{Kernel, Model};
@@ -27,11 +25,10 @@ use nsim_session::neurobench::NeuroBench;
 use nsim_session::obtain::{Job, Wanted};
 use nsim_session::populations::ByPopulation;
 use nsim_session::priced::Metered;
-use nsim_session::ranks::RankRow;
 use nsim_session::samples;
 use nsim_session::samples::{Progress, Run, Running, Traces, fast, golden};
 use nsim_session::warnings::{Finished, Ran, warnings};
-use nsim_session::{Keep, Outcome, Quantity, inputs};
+use nsim_session::{Keep, Quantity, inputs};
 
 /// Which engine runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -83,10 +80,7 @@ pub struct Args {
     engine: Option<EngineChoice>,
     /// Whether the reference engine uses exact spike response kernels, or truncates them as SLAYER
     /// does
-    #[arg(
-        long, default_value = "exact",
-        value_parser = one_of_named(&[("exact", Kernel::Exact), ("truncated", Kernel::Truncated)])
-    )]
+    #[arg(long, default_value = "exact", value_parser = one_of(&Kernel::ALL, Kernel::name))]
     kernel: Kernel,
     /// Skip work that cannot change the result
     #[arg(long, value_enum, default_value = "on")]
@@ -136,7 +130,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)),
     };
     let mut batch = io::write::Batch::new(context.force);
-    let Done { engine, outcomes, traces, activity, counts, skipped_updates, wall_s, ranks: rows } =
+    let Run { outcomes, activity, counts, meter: traces, skipped_updates, wall_s, ranks: rows } =
         output::with_progress(context, samples.len(), "samples", |done| {
             ran(args, &job, &samples, &keep, &mut batch, done)
         })?;
@@ -149,28 +143,26 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     files.extend(args.steps.iter().map(|path| path.display().to_string()));
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let sums = ByPopulation::new(network, &counts);
-    let engine_ran = match &job {
+    let (engine, ran) = match &job {
         // The interpreter has all compartments, and finds the same potentials.
-        Job::Mapped(..) if ranks::several().is_some() => Ran::Integers,
-        Job::Mapped(compiled, ..) => Ran::Program(&compiled.program),
-        Job::Quantised(..) => Ran::Integers,
-        Job::Real(..) => Ran::Reals,
+        Job::Mapped(..) if ranks::several().is_some() => ("fast", Ran::Integers),
+        Job::Mapped(compiled, ..) => ("fast", Ran::Program(&compiled.program)),
+        Job::Quantised(..) => ("golden", Ran::Integers),
+        Job::Real(..) => ("reference", Ran::Reals),
     };
-    let finished = Finished { network, ran: engine_ran, sums: &sums, samples: &samples, outcomes: &outcomes };
-    let warnings = warnings(finished);
-    let cores = job.program().zip(activity.as_ref());
-    let cores = cores.map_or_else(Vec::new, |(program, activity)| core_rows(program, activity, None));
+    let warnings = warnings(Finished { network, ran, sums: &sums, samples: &samples, outcomes: &outcomes });
+    let cores = job.program().map_or_else(Vec::new, |program| core_rows(program, &activity, None));
     let detail = Detail { sums, cores, warnings, ranks: ranks::rows(&rows, job.program().map(|program| &**program)) };
     output::warn_all(&detail.warnings);
     let report = RunReport {
         network,
-        target: job.program().map(|_| job.target_name()),
+        target: job.mapped().map(|(_, target)| target.name()),
         engine,
         input: &stimulus.origin,
         seed: stimulus.seed,
         outcomes: &outcomes,
         labels: &labels,
-        activity: activity.as_ref(),
+        activity: job.program().map(|_| &activity),
         skipped_updates,
         early_exit: args.early_exit,
         wall_s,
@@ -207,45 +199,14 @@ const SHORT_S: f64 = 0.5;
 fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &jobs::JobArgs) {
     let seconds: f64 = stages.iter().filter(|(stage, _)| ["partition", "place"].contains(stage)).map(|(_, s)| s).sum();
     if seconds > wall_s.max(SHORT_S) {
-        tracing::warn!(
-            "mapping took {seconds:.1} s and running {wall_s:.1} s: nsim map {}{} -o FILE keeps the mapping, --mapping \
-             FILE takes it",
-            job.model,
-            job.target.as_ref().map_or(String::new(), |target| format!(" --target {target}"))
-        );
+        let target = job.target.as_ref().map_or(String::new(), |target| format!(" --target {target}"));
+        let help = format!("nsim map {}{target} -o FILE keeps the mapping, --mapping FILE takes it", job.model);
+        tracing::warn!("mapping took {seconds:.1} s and running {wall_s:.1} s: {help}");
     }
 }
 
-/// What an engine did with the samples.
-struct Done {
-    engine: &'static str,
-    outcomes: Vec<Outcome>,
-    /// Probes of the reference engine.
-    traces: Option<Vec<Traces>>,
-    /// Counts of the machine.
-    activity: Option<Activity>,
-    counts: SourceCounts,
-    skipped_updates: u64,
-    wall_s: f64,
-    ranks: Vec<RankRow>,
-}
-
-impl<M> From<Run<M>> for Done {
-    fn from(run: Run<M>) -> Self {
-        Done {
-            engine: "fast",
-            outcomes: run.outcomes,
-            traces: None,
-            activity: Some(run.activity),
-            counts: run.counts,
-            skipped_updates: run.skipped_updates,
-            wall_s: run.wall_s,
-            ranks: run.ranks,
-        }
-    }
-}
-
-/// Runs the samples on the engine that the job is ready for.
+/// Runs the samples on the engine that the job is ready for; probes of the reference engine come in
+/// the place of a meter.
 fn ran(
     args: &Args,
     job: &Job,
@@ -253,7 +214,7 @@ fn ran(
     keep: &Keep,
     batch: &mut io::write::Batch,
     progress: Progress<'_>,
-) -> Result<Done, Error> {
+) -> Result<Run<Option<Vec<Traces>>>, Error> {
     if args.steps.is_some() && job.mapped().is_none() {
         let message = "--steps says what cores do: it needs --engine fast";
         return Err(Error::Usage(message.to_string()));
@@ -276,14 +237,13 @@ fn ran(
                 Some(path) => {
                     let metered = Metered::new(compiled);
                     let (settings, _) = metered.offline(target)?;
-                    recorded((path, batch), &compiled.one, &metered, settings, samples, running)?.into()
+                    let run = recorded((path, batch), &compiled.one, &metered, settings, samples, running)?;
+                    run.map_meter(|_| None)
                 }
-                None => fast(&compiled.program, samples, running, || ())?.into(),
+                None => fast(&compiled.program, samples, running, || ())?.map_meter(|()| None),
             }
         }
-        Job::Quantised(quantised, _) => {
-            Done { engine: "golden", activity: None, ..golden(quantised, samples, keep, progress).into() }
-        }
+        Job::Quantised(quantised, _) => golden(quantised, samples, keep, progress).map_meter(|()| None),
         Job::Real(graph, quantised, _) => {
             let registers = [Quantity::VRegister, Quantity::Message];
             if keep.probes.iter().any(|probe| registers.contains(&probe.quantity)) {
@@ -292,9 +252,7 @@ fn ran(
             }
             let model = Model::<f64>::new(graph, reference::Options { kernel: args.kernel })?;
             let units = (quantised.channels(), quantised.compartments());
-            let mut run = samples::reference(&model, units, samples, keep, progress);
-            let traces = Some(std::mem::take(&mut run.meter));
-            Done { engine: "reference", activity: None, traces, ..run.into() }
+            samples::reference(&model, units, samples, keep, progress).map_meter(Some)
         }
     })
 }

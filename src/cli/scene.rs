@@ -133,6 +133,7 @@ fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
     let recording = scene.recording(sample, Senses::BOTH);
     let class = scene.classes.get(recording.label as usize).cloned().unwrap_or_default();
     let (rises, falls) = recording.touch.iter().copied().partition(|&(_, channel)| channel % 2 == 1);
+    let touch = vec![("taxel, rise".to_string(), rises), ("taxel, fall".to_string(), falls)];
     Panels {
         what: String::new(),
         title: format!("{}, sample {sample}: {class}", argument.spelled()),
@@ -140,14 +141,7 @@ fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
         timestep_ms: scene.timestep_ms,
         onset_ms: recording.onset_ms,
         panels: vec![
-            Panel {
-                label: "touch channel".to_string(),
-                share: 0.45,
-                content: Content::Spikes(
-                    TOUCH.1,
-                    vec![("taxel, rise".to_string(), rises), ("taxel, fall".to_string(), falls)],
-                ),
-            },
+            Panel { label: "touch channel".to_string(), share: 0.45, content: Content::Spikes(TOUCH.1, touch) },
             Panel {
                 label: "pooled pixel".to_string(),
                 share: 0.55,
@@ -184,13 +178,9 @@ fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
         let others: Vec<PathBuf> =
             listed.into_iter().map(|(_, _, file)| file).filter(|file| !written.contains(file)).collect();
         if let Some(first) = others.first() {
-            tracing::warn!(
-                "{}: {} recordings are not of this scene, {} the first; --input {} would show them too: remove them",
-                population.display(),
-                others.len(),
-                first.display(),
-                population.display()
-            );
+            let (folder, count, first) = (population.display(), others.len(), first.display());
+            let what = format!("{count} recordings are not of this scene, {first} the first");
+            tracing::warn!("{folder}: {what}; --input {folder} would show them too: remove them");
         }
     }
 }

@@ -39,12 +39,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let cases: Vec<&Case> = if args.case.is_empty() { CASES.iter().collect() } else { args.case.clone() };
     let target = io::target::load_target("loihi1-chip")?;
     let verdicts: Vec<Verdict> = output::with_progress(context, cases.len(), "cases", |done| {
-        let verdict = |case: &&Case| {
-            let verdict = case.run(&target);
-            done();
-            verdict
-        };
-        cases.par_iter().with_max_len(1).map(verdict).collect()
+        cases.par_iter().with_max_len(1).map(|case| case.run(&target)).inspect(|_| done()).collect()
     });
     output::print(context.format, || report::text(&verdicts), || report::json(&verdicts), || report::csv(&verdicts))?;
     Ok(if verdicts.iter().all(|verdict| verdict.pass) { Answer::Yes } else { Answer::No })

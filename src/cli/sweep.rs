@@ -4,7 +4,6 @@
 //! ended goes on where it was.
 
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Instant, UNIX_EPOCH};
@@ -41,33 +40,19 @@ struct Shard {
     of: u64,
 }
 
-impl FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parts = text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
-        match parts {
-            Some((number, of)) if (1..=of).contains(&number) => Ok(Shard { number, of }),
-            _ => Err(format!("'{text}' is not a part such as 3/8, counted from 1")),
-        }
+fn shard(text: &str) -> Result<Shard, String> {
+    let parts = text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
+    match parts {
+        Some((number, of)) if (1..=of).contains(&number) => Ok(Shard { number, of }),
+        _ => Err(format!("'{text}' is not a part such as 3/8, counted from 1")),
     }
 }
 
 /// `--axes`
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Columns {
-    x: String,
-    y: String,
-}
-
-impl FromStr for Columns {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.split_once(',') {
-            Some((x, y)) if !x.is_empty() && !y.is_empty() => Ok(Columns { x: x.to_string(), y: y.to_string() }),
-            _ => Err(format!("'{text}' is not two columns such as energy_uj,accuracy")),
-        }
+fn columns(text: &str) -> Result<[String; 2], String> {
+    match text.split_once(',') {
+        Some((x, y)) if !x.is_empty() && !y.is_empty() => Ok([x.to_string(), y.to_string()]),
+        _ => Err(format!("'{text}' is not two columns such as energy_uj,accuracy")),
     }
 }
 
@@ -86,7 +71,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE.csv")]
     output: Option<PathBuf>,
     /// Run only part I of N, whose table --merge takes
-    #[arg(long, value_name = "I/N", conflicts_with = "merge")]
+    #[arg(long, value_name = "I/N", value_parser = shard, conflicts_with = "merge")]
     shard: Option<Shard>,
     /// Put tables of parts together, or draw a whole one, instead of running
     #[arg(long, value_name = "FILE.csv", num_args = 1..)]
@@ -96,8 +81,8 @@ pub struct Args {
     plot: Option<PathBuf>,
     /// Two columns; the table of a whole sweep gets a column that says which rows are on their
     /// front
-    #[arg(long, value_name = "X,Y")]
-    axes: Option<Columns>,
+    #[arg(long, value_name = "X,Y", value_parser = columns)]
+    axes: Option<[String; 2]>,
 }
 
 /// What a summary says.
@@ -115,24 +100,25 @@ struct Done {
 /// [`Error`] when an input cannot be used or a file cannot be written.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let MappingArgs { relays, prune, copies } = &args.anew;
-    let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?.with_timestep(args.timestep.dt_ms).mapped_with(
-        *relays,
-        prune,
-        copies.most(),
-    );
+    let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?;
+    let sweep = sweep.with(args.timestep.dt_ms, *relays, prune, copies.most());
     let mut table = Table::new(&sweep);
-    if let Some(Columns { x, y }) = &args.axes {
-        let columns = table.columns();
-        picture::check(&columns, x).and_then(|_| picture::check(&columns, y)).map_err(Error::from)?;
+    let axes = args.axes.as_ref().map(|[x, y]| [x.as_str(), y.as_str()]);
+    for axis in axes.into_iter().flatten() {
+        picture::check(&table.columns(), axis)?;
     }
     let file = args.output.as_deref().filter(|path| !io::text::is_standard_stream(path));
-    let journal_path = file.map(journal_beside);
+    let journal_path = file.map(|path| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(".journal");
+        PathBuf::from(name)
+    });
     // A table beside its journal is one whose sweep was ended while it cleaned up.
     let goes_on = journal_path.as_deref().is_some_and(|path| io::disk::exists(path).unwrap_or(false));
     let all = Context { force: context.force || goes_on, ..context };
     output::check_files(args.output.as_ref().filter(|_| file.is_some()), &args.plot, all)?;
     let begin = Instant::now();
-    let done = if args.merge.is_empty() {
+    let (done, journal) = if args.merge.is_empty() {
         run_variants(args, &sweep, &mut table, journal_path.as_deref(), context)?
     } else {
         for path in &args.merge {
@@ -144,11 +130,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         table.check_whole()?;
         (Done { run: 0, before: table.rows.len() as u64, wall_s: 0.0, ties: 0 }, None)
     };
-    let (done, journal) = done;
     let mut batch = io::write::Batch::new(all.force);
-    if let (Some(Columns { x, y }), None) = (&args.axes, args.shard) {
-        table.front = picture::front(&table, [x, y])?;
-        let aimless = picture::without_direction(&table, [x, y]);
+    if let (Some(axes), None) = (axes, args.shard) {
+        table.front = picture::front(&table, axes)?;
+        let aimless = picture::without_direction(&table, axes);
         if !aimless.is_empty() {
             let columns = aimless.join(" and ");
             tracing::warn!(
@@ -156,8 +141,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             );
         }
     }
-    if let (Some(Columns { x, y }), Some(path)) = (&args.axes, &args.plot) {
-        let picture = output::picture_bytes(path, &picture::svg(&table, [x, y])?)?;
+    if let (Some(axes), Some(path)) = (axes, &args.plot) {
+        let picture = output::picture_bytes(path, &picture::svg(&table, axes)?)?;
         batch.add(path, |out| out.write_all(&picture))?;
     }
     let checksums = args.shard.map(|_| checksum_column(&work(args, &sweep)));
@@ -168,10 +153,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let Some(journal) = journal {
         journal.remove()?;
     }
-    let ties = match &args.axes {
-        Some(Columns { x, y }) => picture::ties(&table, [x, y])?,
-        None => 0,
-    };
+    let ties = axes.map_or(Ok(0), |axes| picture::ties(&table, axes))?;
     let done = Done { wall_s: begin.elapsed().as_secs_f64(), ties, ..done };
     say((&sweep, &table, checksums.as_deref()), &done, file, context)
 }
@@ -214,13 +196,6 @@ fn run_variants(
     Ok((Done { run, before, wall_s: 0.0, ties: 0 }, kept))
 }
 
-/// The journal of a table.
-fn journal_beside(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".journal");
-    name.into()
-}
-
 /// What is typed that changes variants.
 fn typed(args: &Args) -> impl std::fmt::Debug {
     (args.timestep.dt_ms, &args.anew)
@@ -234,11 +209,8 @@ fn head(args: &Args, sweep: &Sweep) -> String {
         let time = found.as_ref().and_then(|found| found.modified().ok()?.duration_since(UNIX_EPOCH).ok());
         format!("{:?} {time:?}", found.as_ref().map(std::fs::Metadata::len))
     };
-    format!(
-        "nsim sweep {} {}",
-        env!("CARGO_PKG_VERSION"),
-        digest(&format!("{:?}", (args.shard, typed(args))), sweep, of_file)
-    )
+    let digest = digest(&format!("{:?}", (args.shard, typed(args))), sweep, of_file);
+    format!("nsim sweep {} {digest}", env!("CARGO_PKG_VERSION"))
 }
 
 /// What identifies the work of all parts, on every machine: the program's version, the sweep, and
@@ -286,8 +258,9 @@ fn say(
         }
         if let Some(front) = &table.front {
             text += &format!("; {} on the front", front.len());
-            text +=
-                &if *ties > 0 { format!(", {ties} of them equal to another in both columns") } else { String::new() };
+            if *ties > 0 {
+                text += &format!(", {ties} of them equal to another in both columns");
+            }
         }
         let broken = |cells: &&Cells| !cells[place("error")].is_empty() && cells[place("fits")] != "false";
         if let Some(cells) = table.rows.values().find(broken) {

@@ -88,13 +88,10 @@ fn data(job: &Job, args: &Args) -> Result<Data> {
 /// Keeps the last finished epoch of a training that a signal ends.
 fn keep(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs: u32) -> Option<String> {
     let state = finished.lock().ok()?.take()?;
+    let (epoch, path) = (state.epoch, checkpoint.path().display());
     Some(match checkpoint.save(&state) {
-        Ok(()) => format!(
-            "{} of {epochs} epochs are kept in {}, and the same command goes on from there",
-            state.epoch,
-            checkpoint.path().display()
-        ),
-        Err(error) => format!("epoch {} could not be kept: {error}", state.epoch),
+        Ok(()) => format!("{epoch} of {epochs} epochs are kept in {path}, and the same command goes on from there"),
+        Err(error) => format!("epoch {epoch} could not be kept: {error}"),
     })
 }
 
@@ -124,22 +121,15 @@ pub(in crate::cli) fn train(
     done
 }
 
-fn folds(args: &Args, examples: &[Example]) -> Vec<Vec<usize>> {
-    args.folds.map_or_else(Vec::new, |k| Job::folds(examples, k))
-}
-
 /// Runs the command.
 ///
 /// # Errors
 /// [`Error`] when the training file or a source cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let source = training_text(&args.config)?;
-    let fields = args
-        .set
-        .iter()
-        .map(|text| text.split_once('=').ok_or_else(|| Error::Usage(format!("--set {text}: write FIELD=VALUE"))));
-    let fields = fields.collect::<Result<Vec<_>, _>>()?;
-    let source = with_fields(&source, &fields)?;
+    let wrong = |text: &String| Error::Usage(format!("--set {text}: write FIELD=VALUE"));
+    let fields = args.set.iter().map(|text| text.split_once('=').ok_or_else(|| wrong(text)));
+    let source = with_fields(&source, &fields.collect::<Result<Vec<_>, _>>()?)?;
     let job = Job::new(source, args.seed, args.epochs)?;
     args.output.iter().try_for_each(|path| NetworkFile::check_name(path))?;
     let weights = args.output.as_deref().map(job::weights_path);
@@ -150,7 +140,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let data = data(&job, args)?;
     let state = train(&job.plan, &data.train, args.checkpoint.as_deref(), context)?;
     let each = |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0);
-    let trained = job.trained(state, &data, &folds(args, &data.train), each)?;
+    let folds = args.folds.map_or_else(Vec::new, |k| Job::folds(&data.train, k));
+    let trained = job.trained(state, &data, &folds, each)?;
     let report = TrainReport { job: &job, trained: &trained, model: args.output.as_deref() };
     if let Some(path) = &args.log {
         io::write::text(path, context.force, &history_csv(&trained.state.history))?;

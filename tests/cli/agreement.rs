@@ -1,6 +1,6 @@
 //! `nsim agree`.
 
-use crate::{MODEL, SRM, has_keys, nsim, object, said, write};
+use crate::{MODEL, SRM, has_keys, nsim, object, said, succeeds, write};
 
 #[test]
 fn agreement_says_what_each_layer_loses_and_draws_where_spikes_part() {
@@ -75,8 +75,7 @@ fn a_conversion_is_not_taken_for_the_trained_network() {
     let trained = write(folder.path(), "srm.ron", SRM);
     let converted = folder.path().join("c.ron").display().to_string();
     let scene = ["--input", "scene:noise?samples=4&steps=20&rate=0.3"];
-    let (code, text, stderr) = said(&[&["convert", &trained, "-o", &converted][..], &scene].concat());
-    assert_eq!(code, 0, "{stderr}");
+    let text = succeeds(&[&["convert", &trained, "-o", &converted][..], &scene].concat());
     // What it says of samples that were held out comes first.
     assert!(text.find("held-out").unwrap() < text.find("stage").unwrap(), "{text}");
     let (_, text, _) = said(&[&["agree", &converted][..], &scene].concat());

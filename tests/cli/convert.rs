@@ -227,13 +227,8 @@ fn fine_tuning_refuses_what_the_training_file_does_not_describe() {
 
 /// 20 seeded inputs of 15 %, as [samples, channels, steps] of bytes.
 fn write_noise(path: &Path) {
-    let shape = "{'descr': '|u1', 'fortran_order': False, 'shape': (20, 12, 256), }";
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    let header = format!("{shape:<117}\n");
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.bytes());
-    bytes.extend((0..20 * 12 * 256u64).map(|i| u8::from(rng::unit(5, 0, i) < 0.15)));
-    std::fs::write(path, bytes).unwrap();
+    let spikes = (0..20 * 12 * 256).map(|i| u8::from(rng::unit(5, 0, i) < 0.15));
+    nsim::files::npy::write(std::fs::File::create(path).unwrap(), &[20, 12, 256], spikes).unwrap();
 }
 
 #[test]

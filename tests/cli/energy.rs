@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::{MODEL, has_keys, nsim, object, said, write};
+use crate::{MODEL, has_keys, nsim, object, said, succeeds, write};
 
 #[test]
 fn other_hardware_stands_beside_the_chip_with_its_source() {
@@ -159,8 +159,7 @@ fn relays_of_the_measured_job_are_not_the_networks() {
     let rows = energy["rows"].as_array().unwrap();
     assert!(rows.iter().any(|row| row["hardware"] == "RTX 2080 Ti"), "{rows:?}");
     let page = folder.path().join("paper.html").display().to_string();
-    let (status, _, error) = said(&[&["report", "-o", &page, "--baseline"], &paper[..]].concat());
-    assert_eq!(status, 0, "{error}");
+    succeeds(&[&["report", "-o", &page, "--baseline"], &paper[..]].concat());
     assert!(std::fs::read_to_string(&page).unwrap().contains("the trained network"));
     let (status, _, error) = said(&["energy", "--deployment", "papper"]);
     assert!(status == 3 && error.contains("--deployment is spread, packed, paper"), "{error}");
@@ -185,8 +184,7 @@ fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
     let target = write(folder.path(), "mine.ron", target);
     let energy = ["energy", "--samples", "0..1", "--baseline", "--target", &target];
     let noted = |line: &[&str]| {
-        let (code, text, stderr) = said(line);
-        assert_eq!(code, 0, "{stderr}");
+        let text = succeeds(line);
         text.split_whitespace()
             .collect::<Vec<_>>()
             .join(" ")

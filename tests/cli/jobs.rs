@@ -206,21 +206,10 @@ fn kernel() -> String {
 fn every_kind_of_projection_is_dealt_out() {
     let Some((folder, _alone)) = ready() else { return };
     std::fs::write(folder.path().join("mixed.ron"), mixed()).unwrap();
-    let line = [
-        "run",
-        "mixed.ron",
-        "--target",
-        "nahuku-32",
-        "--threads",
-        "1",
-        "--input",
-        SHORT,
-        "--set",
-        "target.limits.compartments=16",
-        "--format",
-        "json",
-    ];
-    let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(line).output().unwrap();
+    let limit = "--set target.limits.compartments=16";
+    let line = format!("run mixed.ron --target nahuku-32 --threads 1 --input {SHORT} {limit} --format json");
+    let line: Vec<&str> = line.split(' ').collect();
+    let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(&line).output().unwrap();
     let alone = json(&alone);
     assert!(alone["activity"]["spikes"].as_u64().unwrap() > 1_000, "{}", alone["activity"]);
     for ranks in 2..=5 {

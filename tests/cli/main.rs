@@ -43,6 +43,11 @@ fn said(arguments: &[&str]) -> (i32, String, String) {
     command::said(Path::new("."), arguments)
 }
 
+/// What a command prints that has to succeed.
+fn succeeds(arguments: &[&str]) -> String {
+    command::succeeds(Path::new("."), arguments)
+}
+
 /// The result object of a command that should end with this status.
 fn object(arguments: &[&str], status: i32) -> Value {
     command::object(Path::new("."), arguments, status)

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::{object, said, write};
+use crate::{object, said, succeeds, write};
 
 const CHIP: &str = "Chip(name: \"tern\", notes: \"\", width: 4, height: 4, cores_per_tile: 1, cores: 16, x86_cores: 0,
   x86_cores_in_use: 0, limits: (compartments: 256, axons_in: 1024, axons_out: 1024, axon_out_slots: 1,
@@ -227,8 +227,7 @@ fn a_memory_is_set_and_swept_by_its_name() {
     let (folder, board) = board();
     let line = ["map", "slip-tactile", "--target", &board, "--format", "csv"];
     let use_of = |more: &[&str]| {
-        let (code, csv, stderr) = said(&[&line[..], more].concat());
-        assert_eq!(code, 0, "{stderr}");
+        let csv = succeeds(&[&line[..], more].concat());
         csv.lines().map(|row| row.split(',').map(str::to_string).collect::<Vec<_>>()).collect::<Vec<_>>()
     };
     let whole = use_of(&[]);
@@ -244,8 +243,7 @@ fn a_memory_is_set_and_swept_by_its_name() {
     );
     let sweep = write(folder.path(), "sweep.ron", &sweep);
     let out = folder.path().join("out.csv").display().to_string();
-    let (code, _, stderr) = said(&["sweep", &sweep, "-o", &out]);
-    assert_eq!(code, 0, "{stderr}");
+    succeeds(&["sweep", &sweep, "-o", &out]);
     let rows = std::fs::read_to_string(&out).unwrap();
     assert!(rows.lines().nth(1).unwrap().contains("3000") && rows.lines().count() == 3, "{rows}");
     let inspected = object(&["inspect", &board], 0)["limits"].to_string();
@@ -285,8 +283,7 @@ fn a_comparison_says_which_rows_hold_a_host_and_what_was_set() {
     let targets = format!("loihi1-chip,{board}");
     let line = ["compare", "slip-tactile", "--targets", &targets, "--samples", "0..1"];
     let words = |more: &[&str]| {
-        let (code, text, stderr) = said(&[&line[..], more].concat());
-        assert_eq!(code, 0, "{stderr}");
+        let text = succeeds(&[&line[..], more].concat());
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     let host = " % of a step on loihi1-chip, none on board: --host none omits them";

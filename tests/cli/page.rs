@@ -6,7 +6,7 @@
 //! page is still tested.
 
 use crate::common;
-use crate::common::command::{nsim, object, said};
+use crate::common::command::{nsim, object, said, succeeds};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -14,8 +14,7 @@ use serde_json::Value;
 
 fn page(folder: &Path, name: &str, line: &[&str]) -> PathBuf {
     let path = folder.join(name);
-    let (status, _, error) = said(folder, &[&["report"], line, &["-o", name, "--force"]].concat());
-    assert_eq!(status, 0, "{line:?}: {error}");
+    succeeds(folder, &[&["report"], line, &["-o", name, "--force"]].concat());
     path
 }
 
@@ -57,8 +56,7 @@ fn pages(folder: &Path) -> Vec<(&'static str, PathBuf)> {
     let slip = page(folder, "slip.html", &["vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti"]);
     let trained = page(folder, "trained.html", &["vtsnn-slip-srm", "--samples", "0..4", "--baseline"]);
     std::fs::write(folder.join("conv.ron"), convolutions()).unwrap();
-    let (status, _, err) = said(folder, &["export", "conv.ron", "-o", "conv.nir"]);
-    assert_eq!(status, 0, "{err}");
+    succeeds(folder, &["export", "conv.ron", "-o", "conv.nir"]);
     let noise = "scene:noise?samples=2&steps=60&seed=2&rate=0.1";
     let conv = page(folder, "conv.html", &["conv.nir", "--input", noise, "--baseline"]);
     let many = ["vtsnn-slip", "--copies", "1024", "--target", "pohoiki-springs", "--samples", "0..2", "--baseline"];
@@ -297,20 +295,9 @@ fn a_browser_draws_every_section_without_an_error_or_a_network() {
         std::fs::write(&path, text).unwrap();
         let profile = here.join(format!("profile-{name}"));
         let output = Command::new(browser)
-            .args([
-                "--headless",
-                "--no-sandbox",
-                "--disable-gpu",
-                "--disable-dev-shm-usage",
-                "--hide-scrollbars",
-                "--enable-logging=stderr",
-            ])
-            .args([
-                "--window-size=1280,900",
-                "--virtual-time-budget=60000",
-                "--host-resolver-rules=MAP * ~NOTFOUND",
-                "--dump-dom",
-            ])
+            .args("--headless --no-sandbox --disable-gpu --disable-dev-shm-usage --hide-scrollbars".split(' '))
+            .args("--enable-logging=stderr --window-size=1280,900 --virtual-time-budget=60000".split(' '))
+            .args(["--host-resolver-rules=MAP * ~NOTFOUND", "--dump-dom"])
             .arg(format!("--user-data-dir={}", profile.display()))
             .arg(format!("file://{}", path.display()))
             .output()

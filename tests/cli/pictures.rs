@@ -1,7 +1,7 @@
 //! Pictures as the command line draws them: each kind in each format, from models and from saved
 //! results.
 
-use crate::common::command::said;
+use crate::common::command::{said, succeeds};
 
 const MODEL: &str = "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]),
     Loihi(name: \"hidden\", shape: [5], du: 2048, dv: 512, vth_mant: 8),
@@ -85,8 +85,7 @@ fn saved_results_are_drawn_as_the_commands_draw_them() {
     let folder = folder();
     let here = folder.path();
     let save = |line: &str, name: &str| {
-        let (status, printed, error) = said(here, line);
-        assert_eq!(status, 0, "{line}: {error}");
+        let printed = succeeds(here, line);
         std::fs::write(here.join(name), printed).unwrap();
     };
     save(&format!("energy m.ron --baseline --input {INPUT} --plot own.svg --format json"), "e.json");
@@ -95,8 +94,7 @@ fn saved_results_are_drawn_as_the_commands_draw_them() {
     for (what, json, own) in
         [("hardware", "e.json", "own.svg"), ("pareto", "m.json", "front.svg"), ("agreement", "a.json", "causes.svg")]
     {
-        let (status, _, error) = said(here, &format!("plot {what} {json} -o again-{own}"));
-        assert_eq!(status, 0, "{what}: {error}");
+        succeeds(here, &format!("plot {what} {json} -o again-{own}"));
         let read = |name: &str| std::fs::read_to_string(here.join(name)).unwrap();
         assert!(read(own) == read(&format!("again-{own}")), "{what}");
     }

@@ -37,19 +37,8 @@ fn every_command_prints_its_object() {
     let keys = ["synapse", "dendrite", "compartment", "spike", "axon_out", "axon_in", "hop", "learning"];
     has_keys(&energy["breakdown_pj_per_timestep"], &keys);
     has_keys(&energy["per_timestep_uj"], &["min", "p50", "p99", "max"]);
-    let keys = [
-        "hardware",
-        "unit",
-        "static_mw",
-        "dynamic_mw",
-        "total_mw",
-        "latency_us",
-        "energy_uj",
-        "edp_pjs",
-        "low",
-        "high",
-    ];
-    has_keys(&energy["rows"][0], &keys);
+    has_keys(&energy["rows"][0], &["hardware", "unit", "static_mw", "dynamic_mw", "total_mw", "latency_us"]);
+    has_keys(&energy["rows"][0], &["energy_uj", "edp_pjs", "low", "high"]);
 
     assert_eq!(object(&["inspect", "vtsnn-slip"], 0)["schema"], "nsim.inspect/1");
 

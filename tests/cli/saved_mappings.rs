@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::common::{Builder, format, neuron};
 use nsim::compile::explore::traffic::traffic;
-use nsim::compile::{CopyPlacement, Effort, Mapping, Objective, Options, Strategy, compile, compile_saved};
+use nsim::compile::{CopyPlacement, Effort, Mapping, Objective, Options, Strategy, compile, load};
 use nsim::dynamics::synapses::Enumerate;
 use nsim::files::mapping::load_mapping;
 use nsim::files::target::load_target;
@@ -79,8 +79,7 @@ fn the_saved_mapping_of_32_copies_passes_the_checker_on_32_cores() {
     let file = load_mapping(&path).unwrap();
     let network = load_model("vtsnn-slip").unwrap();
     let options = Options { copies: 32, placement: CopyPlacement::Packed, ..Options::default() };
-    let compiled =
-        compile_saved(front(&network).unwrap(), &load_target("nahuku-32").unwrap(), &options, &file).unwrap();
+    let compiled = load(front(&network).unwrap(), &load_target("nahuku-32").unwrap(), &options, &file).unwrap();
     assert_eq!((compiled.partition.cores(), compiled.placement.chips_used(), compiled.placed), (32, 1, "saved"));
 }
 

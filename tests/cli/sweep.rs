@@ -1,18 +1,10 @@
 //! `nsim sweep`: its rows are those of the single commands, and ending it at any moment changes
 //! nothing.
 
-use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::common::command::{object, said};
-
-/// What a command prints.
-fn ran(folder: &Path, line: &str) -> String {
-    let (status, out, err) = said(folder, line);
-    assert_eq!(status, 0, "{line}: {err}");
-    out
-}
+use crate::common::command::{object, said, succeeds as ran};
 
 /// The rows of a table, by column.
 fn rows(text: &str) -> Vec<Vec<(String, String)>> {

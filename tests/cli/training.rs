@@ -32,8 +32,9 @@ const CONFIG: &str = r#"Training(
     test: ["FOLDER/set.ron"],
 )"#;
 
-/// Three classes of 24 samples: each fires its own third of the channels more often.
-fn samples(folder: &Path) {
+/// Three classes of 24 samples: each fires its own third of the channels more often. Returns the
+/// text of config.ron, which trains on them.
+fn samples(folder: &Path) -> String {
     let mut entries = String::new();
     for sample in 0..24u64 {
         let label = sample % 3;
@@ -56,7 +57,9 @@ fn samples(folder: &Path) {
         "DataSet(name: \"set\", populations: {{\"t\": \"touch\", \"s\": \"sight\"}}, steps: 40, samples: [{entries}])"
     );
     std::fs::write(folder.join("set.ron"), set).unwrap();
-    std::fs::write(folder.join("config.ron"), CONFIG.replace("FOLDER", folder.to_str().unwrap())).unwrap();
+    let config = CONFIG.replace("FOLDER", folder.to_str().unwrap());
+    std::fs::write(folder.join("config.ron"), &config).unwrap();
+    config
 }
 
 fn nsim(folder: &Path, arguments: &[&str]) -> Value {
@@ -139,20 +142,25 @@ fn a_damaged_checkpoint_is_refused() {
     }
 }
 
+/// Trains by this text: the network learns, and m.ron decides as it did, spike by spike.
+fn decides_as_trained(folder: &Path, config: &str, epochs: &str) {
+    std::fs::write(folder.join("trained.ron"), config).unwrap();
+    let trained = nsim(folder, &["train", "trained.ron", "--epochs", epochs, "-o", "m.ron", "--force"]);
+    for engine in ["fast", "golden"] {
+        let run = nsim(folder, &["run", "m.ron", "--input", "set.ron", "--engine", engine]);
+        let [ran, wanted] = [&run["accuracy"], &trained["test_accuracy"]].map(|one| one.as_f64().unwrap());
+        // Six digits are printed.
+        assert!((ran - wanted).abs() < 1e-6, "{config}, {engine}: {ran}, {wanted}");
+        assert_eq!(run["digest"], trained["digest"], "{config}, {engine}");
+    }
+    assert!(trained["test_accuracy"].as_f64().unwrap() > 0.8, "{config}: {trained}");
+}
+
 #[test]
 fn the_deployed_network_decides_as_the_trained_one() {
     let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    samples(folder);
-    let trained = nsim(folder, &["train", "config.ron", "--epochs", "40", "-o", "m.ron"]);
-    for engine in ["fast", "golden"] {
-        let run = nsim(folder, &["run", "m.ron", "--input", "set.ron", "--engine", engine]);
-        assert_eq!(run["accuracy"], trained["test_accuracy"]);
-    }
-    assert!(trained["test_accuracy"].as_f64().unwrap() > 0.8, "{trained}");
-    // Spike by spike.
-    let run = nsim(folder, &["run", "m.ron", "--input", "set.ron"]);
-    assert_eq!(trained["digest"], run["digest"]);
+    let config = samples(folder.path());
+    decides_as_trained(folder.path(), &config, "40");
 }
 
 const OUTPUT: &str =
@@ -162,19 +170,12 @@ const OUTPUT: &str =
 fn outputs_are_read_out_by_their_potential_as_they_were_trained() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    samples(folder);
-    let config = std::fs::read_to_string(folder.join("config.ron")).unwrap().replace("size: 3", OUTPUT);
+    let config = samples(folder).replace("size: 3", OUTPUT);
     for (decision, temperature) in [("GreatestV", 5), ("SumOfV", 50), ("LastV", 5)] {
         let loss = format!("Potential(decision: {decision}, temperature: {temperature})");
-        std::fs::write(folder.join("v.ron"), config.replace("SpikeCount(right: 12, wrong: 2)", &loss)).unwrap();
-        let trained = nsim(folder, &["train", "v.ron", "--epochs", "30", "-o", "m.ron", "--force"]);
+        decides_as_trained(folder, &config.replace("SpikeCount(right: 12, wrong: 2)", &loss), "30");
         let model = std::fs::read_to_string(folder.join("m.ron")).unwrap();
         assert!(model.contains(&format!("decision: {decision}")), "{model}");
-        for engine in ["fast", "golden"] {
-            let run = nsim(folder, &["run", "m.ron", "--input", "set.ron", "--engine", engine]);
-            assert_eq!(run["accuracy"], trained["test_accuracy"], "{decision}, {engine}");
-        }
-        assert!(trained["test_accuracy"].as_f64().unwrap() > 0.8, "{decision}: {trained}");
     }
 }
 
@@ -182,10 +183,9 @@ fn outputs_are_read_out_by_their_potential_as_they_were_trained() {
 fn neurons_of_loihi_2_decide_as_they_were_trained() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    samples(folder);
+    let config = samples(folder);
     let neuron = "Loihi(tau_u_ms: Same(5), tau_v_ms: Spread(4, 12, 3), weight_scale: 16, theta: 10, refractory: 2, \
                   credit: UpToReset)";
-    let config = std::fs::read_to_string(folder.join("config.ron")).unwrap();
     assert!(config.contains(neuron));
     let count = "SpikeCount(right: 12, wrong: 2)";
     let potential = |temperature: u32| format!("Potential(decision: LastV, temperature: {temperature})");
@@ -197,16 +197,7 @@ fn neurons_of_loihi_2_decide_as_they_were_trained() {
     ] {
         let text = config.replace(neuron, hidden).replace("size: 3", output).replace(count, &loss);
         let text = text.replace("size: 8", "size: 8, initial: 5.0").replace("size: 4", "size: 4, initial: 5.0");
-        std::fs::write(folder.join("n.ron"), text).unwrap();
-        let trained = nsim(folder, &["train", "n.ron", "--epochs", "60", "-o", "m.ron", "--force"]);
-        for engine in ["fast", "golden"] {
-            let run = nsim(folder, &["run", "m.ron", "--input", "set.ron", "--engine", engine]);
-            let [ran, wanted] = [&run["accuracy"], &trained["test_accuracy"]].map(|one| one.as_f64().unwrap());
-            // Six digits are printed.
-            assert!((ran - wanted).abs() < 1e-6, "{hidden}, {engine}: {ran}, {wanted}");
-            assert_eq!(run["digest"], trained["digest"], "{hidden}, {engine}");
-        }
-        assert!(trained["test_accuracy"].as_f64().unwrap() > 0.8, "{hidden}: {trained}");
+        decides_as_trained(folder, &text, "60");
     }
     let changes = config.replace(neuron, "SigmaDelta(weight_scale: 16, theta: 0.5)");
     assert!(refused(folder, &changes).contains("layer 'out' sends changes"));
@@ -224,8 +215,7 @@ fn refused(folder: &Path, config: &str) -> String {
 fn potentials_decide_where_the_output_never_spikes_and_nowhere_else() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    samples(folder);
-    let spiking = std::fs::read_to_string(folder.join("config.ron")).unwrap();
+    let spiking = samples(folder);
     let count = "SpikeCount(right: 12, wrong: 2)";
     let by = |text: &str, loss: &str| text.replace(count, loss);
     let silent = spiking.replace("size: 3", OUTPUT);

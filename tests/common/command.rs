@@ -54,6 +54,15 @@ pub fn said(folder: &Path, line: impl Words) -> (i32, String, String) {
     (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
 }
 
+/// What a command prints that has to succeed.
+pub fn succeeds(folder: &Path, line: impl Words) -> String {
+    let words = line.words();
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let (status, out, err) = said(folder, &words);
+    assert_eq!(status, 0, "{words:?}: {err}");
+    out
+}
+
 /// The result object of a command that ends with this status.
 pub fn object(folder: &Path, line: impl Words, status: i32) -> Value {
     let words = line.words();

@@ -3,9 +3,9 @@
 
 use std::process::Command;
 
-use crate::common::command::{object, said};
+use crate::common::command::{object, said, succeeds};
 use crate::common::{data, noise};
-use nsim::agree::attribution::{as_trained, attribute, distances};
+use nsim::agree::attribution::{Distance, as_trained, attribute, measured};
 use nsim::agree::causes::{Cause, Rung};
 use nsim::agree::ladder::{Ladder, layers};
 use nsim::agree::trace::{Layer, Trace};
@@ -80,6 +80,11 @@ fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
 
 fn borrowed(samples: &[Sample]) -> Vec<&Sample> {
     samples.iter().collect()
+}
+
+/// How far a rung of a ladder is from another.
+fn distance(ladder: &Ladder, (from, to): (Rung, Rung), output: &Layer, samples: &[&Sample]) -> Distance {
+    measured((ladder, from), &[(ladder, to)], output, samples)[0].distance
 }
 
 /// Fits with every free integer away from the analytic start.
@@ -247,7 +252,7 @@ fn every_rung_is_real() {
     let mut rung = ladder.trained();
     for cause in of_srm() {
         let next = rung.with(cause);
-        let away = distances(&ladder, rung, &[next], &output, &samples)[0];
+        let away = distance(&ladder, (rung, next), &output, &samples);
         // With equal decays the kernel is the alpha kernel itself: that rung shows in time alone.
         match cause {
             Cause::Kernel => {
@@ -260,12 +265,12 @@ fn every_rung_is_real() {
         rung = next;
     }
     // Against the trained network, taking the hard reset or the decays away changes the figure.
-    let all = distances(&ladder, ladder.trained(), &[Rung::MACHINE], &output, &samples)[0];
+    let all = distance(&ladder, (ladder.trained(), Rung::MACHINE), &output, &samples);
     // Decaying current and voltage have no end, so that nothing is left to truncate once they are
     // there.
     for missing in of_srm().filter(|&cause| cause != Cause::Untruncated) {
         let without = Cause::ALL.into_iter().filter(|&c| c != missing).fold(Rung::TRAINED, Rung::with);
-        let away = distances(&ladder, ladder.trained(), &[without], &output, &samples)[0];
+        let away = distance(&ladder, (ladder.trained(), without), &output, &samples);
         assert_ne!(away, all, "{}", missing.name());
     }
 }
@@ -288,8 +293,7 @@ fn shares_add_up_to_the_disagreement() {
     assert!(attribution.disagreement > 0.01);
     assert_eq!(attribution.shares.last().unwrap().rung.class_agreement, {
         let trained = as_trained(&ladder, &output, &borrowed(&samples));
-        let far = distances(&ladder, trained, &[Rung::MACHINE], &output, &borrowed(&samples));
-        far[0].class_agreement
+        distance(&ladder, (trained, Rung::MACHINE), &output, &borrowed(&samples)).class_agreement
     });
 }
 
@@ -304,7 +308,7 @@ fn the_search_comes_nearer_than_the_analytic_start() {
     let trained = Rung::TRAINED.with(Cause::Untruncated);
     let on_unseen = |fits: &[Option<Fit>]| {
         let ladder = Ladder::new(&graph, fits).unwrap();
-        distances(&ladder, trained, &[Rung::MACHINE], &output, &borrowed(&unseen))[0]
+        distance(&ladder, (trained, Rung::MACHINE), &output, &borrowed(&unseen))
     };
     let (start, end) = (on_unseen(&analytic::starts(&graph)), on_unseen(&found.conversion.fits));
     assert!(end.coincidence > start.coincidence + 0.5, "{start:?} {end:?}");
@@ -394,8 +398,7 @@ fn each_command_that_is_named_does_what_it_says() {
         let what = format!("{name} {options:?}: {before:#}");
         assert!(cause.is_none_or(|cause| before["next"]["cause"] == cause), "{what}");
         let words = next_words(&before);
-        let (status, out, error) = said(folder, &words.join(" "));
-        assert_eq!(status, 0, "{words:?}: {error}");
+        let out = succeeds(folder, &words.join(" "));
         let after: serde_json::Value = serde_json::from_str(&out).unwrap();
         assert!(disagreement(&after) < disagreement(&before) - 0.005, "{words:?}: {what}");
         // The picture is drawn where no option helps.

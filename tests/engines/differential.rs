@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 
 use crate::common::compare::{Trace, assert_on_machine, roomy, trace};
 use crate::common::{Builder, format, neuron, random};
-use nsim::compile::{DEFAULT_RATE, Form, Front, Mapping, Options, compile, compile_saved};
+use nsim::compile::{DEFAULT_RATE, Form, Front, Mapping, Options, compile, load};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::import::model::load_model;
@@ -46,7 +46,7 @@ fn partitions(network: &Quantised, few: u32, seed: u64) -> Vec<(&'static str, Ma
     // More might be dealt to one core than it holds.
     if network.compartments() <= CHIP.limits()[Resource::Compartments] {
         let mapping = random::mapping(network, &Mesh::for_target(&CHIP), seed);
-        compiled.push(("dealt out", compile_saved(network.clone(), &CHIP, &options, &mapping)));
+        compiled.push(("dealt out", load(network.clone(), &CHIP, &options, &mapping)));
     }
     compiled.into_iter().map(|(name, result)| (name, result.unwrap_or_else(|e| panic!("{seed} {name}: {e}")))).collect()
 }

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::common::compare::{assert_on_machine, roomy, small_cores, trace};
+use crate::common::compare::{assert_on_machine, roomy, small_cores, trace, with_neurons};
 use crate::common::random::{self, Draw};
 use nsim::compile::{Options, compile};
 use nsim::files::lower::lower;
@@ -23,18 +23,6 @@ use nsim::session::Probe;
 use nsim_testing::kinds::stated;
 use rayon::prelude::*;
 
-/// The network with every kind stated that there is a text for.
-fn stated_network(network: &Quantised) -> Quantised {
-    let mut parts = network.parts().clone();
-    for population in parts.populations.iter_mut() {
-        if let Units::Compartments { neurons, .. } = &mut population.units {
-            let own = |_, neuron: Neuron| Ok::<_, ()>(Neuron { kind: stated(neuron.kind), ..neuron });
-            *neurons = neurons.try_map(own).unwrap();
-        }
-    }
-    Quantised::new(parts).unwrap()
-}
-
 #[test]
 fn stated_kinds_are_the_same_as_those_that_nsim_has() {
     let targets = [("roomy", roomy("oheo-gulch")), ("small cores", small_cores("oheo-gulch", 7))];
@@ -42,7 +30,8 @@ fn stated_kinds_are_the_same_as_those_that_nsim_has() {
         .into_par_iter()
         .map(|seed| {
             let network = random::mixed(seed);
-            let own = stated_network(&network);
+            // With every kind stated that there is a text for.
+            let own = with_neurons(&network, |neuron| Neuron { kind: stated(neuron.kind), ..neuron });
             if own == network {
                 return (false, false, false);
             }

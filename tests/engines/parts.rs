@@ -89,7 +89,6 @@ fn compare(compiled: &Mapping, target: &Target, samples: &[&Sample], expected: &
         timing,
         timestep: Picoseconds::from_milliseconds(1.0),
         distribution: None,
-        by_step: None,
     };
     let run = metered.run(settings, samples, Running::new(&Keep::new(program.output()))).unwrap();
     let rows = ByPopulation::of_copies(&compiled.one, &run.counts, compiled.options.copies);

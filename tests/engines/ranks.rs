@@ -114,7 +114,6 @@ impl Case {
                 timing: deployment.timing(Transport::Queued, self.copies),
                 timestep: Picoseconds::from_milliseconds(1.0),
                 distribution: None,
-                by_step: None,
             };
             let early_exit = Some(match rule {
                 Some(rule) => EarlyExit::new(rule, &compiled.one),

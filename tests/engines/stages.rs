@@ -4,7 +4,7 @@
 use std::fmt::Debug;
 
 use crate::common::random::{self, Draw};
-use nsim::compile::{Options, compile_saved};
+use nsim::compile::{Options, load};
 use nsim::files::mapping::pretty;
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
@@ -49,7 +49,7 @@ fn the_text_of_each_stage_reads_back_as_the_stage() {
             text(&prune(&network, &Plan::fixed()).unwrap(), 3);
         }
         let written = text(&network, 3);
-        let Ok(compiled) = compile_saved(network.clone(), &target, &Options::default(), &file) else { return };
+        let Ok(compiled) = load(network.clone(), &target, &Options::default(), &file) else { return };
         text(&compiled.partition, 2);
         text(&compiled.placement, 2);
         let program = text(&*compiled.program, 5);

@@ -17,7 +17,7 @@ use nsim::import::foreign::hdf5::{Item, Numbers};
 use nsim::import::foreign::{Options, nir_export};
 use nsim::import::fuzz_entry;
 use nsim::import::model::load_model;
-use nsim::import::spikes::events::event::{Event, Sink};
+use nsim::import::spikes::events::event::{Counts, Event, Sink};
 use nsim::import::spikes::events::{nir_data, read as events};
 use nsim::import::spikes::{EventFormat, EventOptions, Expected, read_source, read_spikes};
 use nsim::ir::arithmetic::{ResetDesc, Semantics, ThresholdTest};
@@ -137,7 +137,7 @@ fn a_small_file_that_claims_much_is_refused_before_it_is_unpacked() {
 
 /// Keeps every event.
 #[derive(Default)]
-struct All(Vec<(i64, u32, u32, bool)>);
+struct All(Vec<(i64, u32, u32, bool)>, Counts);
 
 impl Sink for All {
     fn size(&mut self, columns: u32, rows: u32) {
@@ -147,6 +147,10 @@ impl Sink for All {
     fn event(&mut self, event: Event) -> Result<(), nsim::ir::base::diagnostic::Diagnostic> {
         self.0.push((event.t_us, event.x, event.y, event.on));
         Ok(())
+    }
+
+    fn counts(&mut self) -> &mut Counts {
+        &mut self.1
     }
 }
 

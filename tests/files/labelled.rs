@@ -1,10 +1,10 @@
 //! Recordings as people have them: arrays with labels beside them, archives, event lists with a
 //! header.
 
-use std::io::Write;
 use std::path::Path;
 
-use assert_cmd::Command;
+use crate::common::command::said;
+use crate::recordings::npz;
 use serde_json::Value;
 
 const MODEL: &str = "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [2, 2, 3]),
@@ -13,9 +13,8 @@ const MODEL: &str = "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(
                                \"out\")";
 
 fn run(folder: &Path, args: &[&str]) -> (i32, Value) {
-    let line = [&["run", "m.ron", "--format", "json"], args].concat();
-    let output = Command::cargo_bin("nsim").unwrap().current_dir(folder).args(line).output().unwrap();
-    (output.status.code().unwrap(), serde_json::from_slice(&output.stdout).unwrap())
+    let (status, printed, _) = said(folder, &[&["run", "m.ron", "--format", "json"], args].concat());
+    (status, serde_json::from_str(&printed).unwrap())
 }
 
 fn npy(shape: &[u64], numbers: &[u8]) -> Vec<u8> {
@@ -34,13 +33,7 @@ fn labels_lie_beside_an_array_or_within_an_archive() {
     put("x.npy", &npy(&[3, 12, 5], &spikes));
     put("y.npy", &npy(&[3], &[1, 0, 1]));
     put("short.npy", &npy(&[2], &[1, 0]));
-    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-    for (name, array) in [("x.npy", npy(&[3, 12, 5], &spikes)), ("y.npy", npy(&[3], &[1, 0, 1]))] {
-        let packed = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Deflated);
-        zip.start_file(name, packed).unwrap();
-        zip.write_all(&array).unwrap();
-    }
-    put("both.npz", &zip.finish().unwrap().into_inner());
+    put("both.npz", &npz(&[("x.npy", &npy(&[3, 12, 5], &spikes)), ("y.npy", &npy(&[3], &[1, 0, 1]))]));
     let (status, plain) = run(here, &["--input", "x.npy"]);
     assert_eq!((status, &plain["labels"]), (0, &Value::Null));
     for input in [

@@ -3,11 +3,11 @@
 //! last step of the input.
 
 use crate::common;
+use crate::common::command::{object, said as nsim, succeeds};
 use crate::tree::{self, ints, nir, typed};
 use std::path::Path;
 
 use crate::common::random;
-use assert_cmd::Command;
 use nsim::files::npy;
 use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::Numbers;
@@ -78,18 +78,6 @@ fn every_engine_decides_by_the_potentials_that_a_probe_reads() {
     assert!(decided > 100, "{decided} decided");
 }
 
-fn nsim(folder: &Path, line: &str) -> (i32, String, String) {
-    let output = Command::cargo_bin("nsim").unwrap().current_dir(folder).args(line.split(' ')).output().unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
-}
-
-fn object(folder: &Path, line: &str, status: i32) -> Value {
-    let (code, stdout, stderr) = nsim(folder, &format!("{line} --format json"));
-    assert_eq!(code, status, "{line}: {stderr}");
-    serde_json::from_str(&stdout).unwrap_or_else(|error| panic!("{line}: {error}: {stdout}"))
-}
-
 const STEPS: usize = 40;
 const SAMPLES: usize = 6;
 const CHANNELS: usize = 4;
@@ -158,8 +146,7 @@ fn an_output_that_never_spikes_is_read_out_by_its_potential() {
         (None, ("output", 1), ReadOut::SumOfV, "sum_of_v"),
     ] {
         write_nir(folder, node);
-        let (code, text, stderr) = nsim(folder, "import net.nir --dt 1 -o m.ron --force");
-        assert_eq!(code, 0, "{stderr}");
+        let text = succeeds(folder, "import net.nir --dt 1 -o m.ron --force");
         let unwrapped = text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(unwrapped.contains("its potential decides"), "{text}");
         let run = object(folder, "run m.ron --input in.npy", 0);
@@ -322,8 +309,7 @@ fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained
     for more in [&[][..], &[(2, 2)], &[(0, 3), (1, 3)], &[(0, 2), (3, 3), (1, 1), (1, 3)]] {
         let ways = [&chain[..], more].concat();
         write_layered(folder, &ways);
-        let (code, _, stderr) = nsim(folder, "import net.nir -o m.ron --force");
-        assert_eq!(code, 0, "{ways:?}: {stderr}");
+        succeeds(folder, "import net.nir -o m.ron --force");
         let run = object(folder, "run m.ron --input in.npy --engine reference", 0);
         let counts: Vec<Vec<u64>> = serde_json::from_value(run["output_counts"].clone()).unwrap();
         assert_eq!(counts, counted(&input, &ways), "{ways:?}");

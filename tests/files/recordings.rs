@@ -95,7 +95,7 @@ fn words<const N: usize>(header: &str, words: &[[u8; N]]) -> Vec<u8> {
 }
 
 /// An archive of these files.
-fn npz(files: &[(&str, &[u8])]) -> Vec<u8> {
+pub fn npz(files: &[(&str, &[u8])]) -> Vec<u8> {
     let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for (name, bytes) in files {
         let packed = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Deflated);
@@ -168,47 +168,37 @@ fn formats() -> Vec<Format> {
     let file =
         |header: &str, kind: [u8; 2], last: Vec<u8>| [header.as_bytes(), &kind, &event(9, 1, 2, 1), &last].concat();
     let dat = file(header, [12, 8], event(3000, 3, 4, 0));
-    add(
-        "dat",
-        "dat",
-        &dat,
-        "",
-        vec![
-            ("Version", replaced(&dat, "Version 2", "Version 1")),
-            ("Width, Height", replaced(&dat, "Width 16", "Width 32")),
-            ("other lines", replaced(&dat, "Date 2020", "Date 2021")),
-            ("event type", file(header, [14, 8], event(3000, 3, 4, 0))),
-            ("event size", file(header, [12, 16], event(3000, 3, 4, 0))),
-            ("time", file(header, [12, 8], event(6000, 3, 4, 0))),
-            ("x", file(header, [12, 8], event(3000, 5, 4, 0))),
-            ("y", file(header, [12, 8], event(3000, 3, 5, 0))),
-            ("polarity", file(header, [12, 8], event(3000, 3, 4, 1))),
-            ("polarity above 1", file(header, [12, 8], event(3000, 3, 4, 2))),
-        ],
-    );
+    let fields = vec![
+        ("Version", replaced(&dat, "Version 2", "Version 1")),
+        ("Width, Height", replaced(&dat, "Width 16", "Width 32")),
+        ("other lines", replaced(&dat, "Date 2020", "Date 2021")),
+        ("event type", file(header, [14, 8], event(3000, 3, 4, 0))),
+        ("event size", file(header, [12, 16], event(3000, 3, 4, 0))),
+        ("time", file(header, [12, 8], event(6000, 3, 4, 0))),
+        ("x", file(header, [12, 8], event(3000, 5, 4, 0))),
+        ("y", file(header, [12, 8], event(3000, 3, 5, 0))),
+        ("polarity", file(header, [12, 8], event(3000, 3, 4, 1))),
+        ("polarity above 1", file(header, [12, 8], event(3000, 3, 4, 2))),
+    ];
+    add("dat", "dat", &dat, "", fields);
 
     let header = "% date 2020\n% evt 2.0\n% format EVT2;height=16;width=16\n% geometry 16x16\n";
     let event = |kind: u32, low: u32, x: u32, y: u32| (kind << 28 | low << 22 | x << 11 | y).to_le_bytes();
     let high = |time: u32| (8 << 28 | time).to_le_bytes();
     let raw = |high: [u8; 4], last: [u8; 4]| words(header, &[high, event(1, 9, 1, 2), last]);
     let evt2 = raw(high(1), event(0, 40, 3, 4));
-    add(
-        "raw, EVT2",
-        "raw",
-        &evt2,
-        "bin_ms=0.01",
-        vec![
-            ("evt, format", replaced(&evt2, "evt 2.0", "evt 3.0")),
-            ("geometry, width, height", replaced(&evt2, "16x16", "32x16")),
-            ("other lines", replaced(&evt2, "date 2020", "date 2021")),
-            ("word type", raw(high(1), event(10, 40, 3, 4))),
-            ("time high", raw((9u32 << 28).to_le_bytes(), event(0, 40, 3, 4))),
-            ("time low", raw(high(1), event(0, 60, 3, 4))),
-            ("x", raw(high(1), event(0, 40, 5, 4))),
-            ("y", raw(high(1), event(0, 40, 3, 5))),
-            ("polarity", raw(high(1), event(1, 40, 3, 4))),
-        ],
-    );
+    let fields = vec![
+        ("evt, format", replaced(&evt2, "evt 2.0", "evt 3.0")),
+        ("geometry, width, height", replaced(&evt2, "16x16", "32x16")),
+        ("other lines", replaced(&evt2, "date 2020", "date 2021")),
+        ("word type", raw(high(1), event(10, 40, 3, 4))),
+        ("time high", raw((9u32 << 28).to_le_bytes(), event(0, 40, 3, 4))),
+        ("time low", raw(high(1), event(0, 60, 3, 4))),
+        ("x", raw(high(1), event(0, 40, 5, 4))),
+        ("y", raw(high(1), event(0, 40, 3, 5))),
+        ("polarity", raw(high(1), event(1, 40, 3, 4))),
+    ];
+    add("raw, EVT2", "raw", &evt2, "bin_ms=0.01", fields);
     let other = replaced(&replaced(&evt2, "evt 2.0", "evt 2.1"), "EVT2;", "EVT21;");
     add("raw, EVT2.1", "raw", &evt2, "bin_ms=0.01", vec![("evt, format", other)]);
 
@@ -220,29 +210,24 @@ fn formats() -> Vec<Format> {
         words(header, &base.map(u16::to_le_bytes))
     };
     let whole = evt3(0, base[0]);
-    add(
-        "raw, EVT3",
-        "raw",
-        &whole,
-        "bin_ms=0.01",
-        vec![
-            ("evt, format", replaced(&whole, "EVT3", "EVT2")),
-            ("geometry, width, height", replaced(&whole, "width=16", "width=32")),
-            ("other lines", replaced(&whole, "date 2020", "date 2021")),
-            ("word type", evt3(3, 0xa801)),
-            ("time high", evt3(0, 0x9001)),
-            ("time low", evt3(7, 0x6300)),
-            ("row", evt3(8, 0x0005)),
-            ("camera", evt3(8, 0x0804)),
-            ("x", evt3(9, 0x2005)),
-            ("polarity", evt3(9, 0x2803)),
-            ("vector's base", evt3(4, 0x3804)),
-            ("vector's polarity", evt3(4, 0x3003)),
-            ("vector's bits", evt3(5, 0x4007)),
-            ("bits 8 to 11 of a vector of 8", evt3(6, 0x5f01)),
-            ("content of triggers", evt3(10, 0xa002)),
-        ],
-    );
+    let fields = vec![
+        ("evt, format", replaced(&whole, "EVT3", "EVT2")),
+        ("geometry, width, height", replaced(&whole, "width=16", "width=32")),
+        ("other lines", replaced(&whole, "date 2020", "date 2021")),
+        ("word type", evt3(3, 0xa801)),
+        ("time high", evt3(0, 0x9001)),
+        ("time low", evt3(7, 0x6300)),
+        ("row", evt3(8, 0x0005)),
+        ("camera", evt3(8, 0x0804)),
+        ("x", evt3(9, 0x2005)),
+        ("polarity", evt3(9, 0x2803)),
+        ("vector's base", evt3(4, 0x3804)),
+        ("vector's polarity", evt3(4, 0x3003)),
+        ("vector's bits", evt3(5, 0x4007)),
+        ("bits 8 to 11 of a vector of 8", evt3(6, 0x5f01)),
+        ("content of triggers", evt3(10, 0xa002)),
+    ];
+    add("raw, EVT3", "raw", &whole, "bin_ms=0.01", fields);
 
     let stream = |number: u32, kind: &str, columns: u32| {
         format!(
@@ -261,75 +246,55 @@ fn formats() -> Vec<Format> {
     let packet = file.len() - 72;
     assert_eq!(&file[packet..packet + 4], &[1, 0, 0, 0], "the packet's stream");
     let short = |size: u8| [&file[..packet + 4], &[size, 0, 0, 0], &file[packet + 8..]].concat();
-    add(
-        "aedat4",
-        "aedat4",
-        &file,
-        "",
-        vec![
-            ("version", replaced(&file, "DAT4.0", "DAT3.1")),
-            ("compression", with(&file, 18 + 28, &[1])),
-            ("dataTablePosition", aedat4(10, &usual)),
-            ("infoNode: streams, their types", two),
-            ("infoNode: sizeX, sizeY", aedat4(-1, &description(&format!("{frames}{}", stream(1, "EVTS", 32))))),
-            ("infoNode: source and others", replaced(&file, "CAM", "DVS")),
-            ("packet's stream", with(&file, packet, &[0])),
-            ("packet's size", short(80)),
-            ("identifier", replaced(&file, "EVTS\0\0\x06", "TRIG\0\0\x06")),
-            ("timestamp", with(&file, first + 17, &[0x17])),
-            ("x", with(&file, first + 8, &[5])),
-            ("y", with(&file, first + 10, &[5])),
-            ("polarity", with(&file, first + 12, &[0])),
-            ("three bytes after it", with(&file, first + 13, &[1, 1, 1])),
-        ],
-    );
+    let fields = vec![
+        ("version", replaced(&file, "DAT4.0", "DAT3.1")),
+        ("compression", with(&file, 18 + 28, &[1])),
+        ("dataTablePosition", aedat4(10, &usual)),
+        ("infoNode: streams, their types", two),
+        ("infoNode: sizeX, sizeY", aedat4(-1, &description(&format!("{frames}{}", stream(1, "EVTS", 32))))),
+        ("infoNode: source and others", replaced(&file, "CAM", "DVS")),
+        ("packet's stream", with(&file, packet, &[0])),
+        ("packet's size", short(80)),
+        ("identifier", replaced(&file, "EVTS\0\0\x06", "TRIG\0\0\x06")),
+        ("timestamp", with(&file, first + 17, &[0x17])),
+        ("x", with(&file, first + 8, &[5])),
+        ("y", with(&file, first + 10, &[5])),
+        ("polarity", with(&file, first + 12, &[0])),
+        ("three bytes after it", with(&file, first + 13, &[1, 1, 1])),
+    ];
+    add("aedat4", "aedat4", &file, "", fields);
 
     let tact = |text: &str| text.as_bytes().to_vec();
     let row = |text: &str| tact(&format!("# a\n1 2 0.001\n{text}\n"));
-    add(
-        "tact",
-        "tact",
-        &row("0 3 0.003"),
-        "",
-        vec![
-            ("polarity", row("1 3 0.003")),
-            ("cell", row("0 4 0.003")),
-            ("cells 17 and 49", row("0 17 0.003")),
-            ("seconds", row("0 3 0.004")),
-            ("nanoseconds", row("0 3 0.003 2000000")),
-            ("lines of #", tact("# b\n1 2 0.001\n0 3 0.003\n")),
-        ],
-    );
+    let fields = vec![
+        ("polarity", row("1 3 0.003")),
+        ("cell", row("0 4 0.003")),
+        ("cells 17 and 49", row("0 17 0.003")),
+        ("seconds", row("0 3 0.004")),
+        ("nanoseconds", row("0 3 0.003 2000000")),
+        ("lines of #", tact("# b\n1 2 0.001\n0 3 0.003\n")),
+    ];
+    add("tact", "tact", &row("0 3 0.003"), "", fields);
     let rows = |header: &str, row: &str| format!("{header}\n1000,1,2,1,0\n{row}\n").into_bytes();
-    add(
-        "events as text",
-        "csv",
-        &rows("t_us,x,y,p,more", "3000,3,4,0,0"),
-        "size=16,16",
-        vec![
-            ("unit of the time", rows("t_ns,x,y,p,more", "3000,3,4,0,0")),
-            ("time", rows("t_us,x,y,p,more", "6000,3,4,0,0")),
-            ("x", rows("t_us,x,y,p,more", "3000,5,4,0,0")),
-            ("y", rows("t_us,x,y,p,more", "3000,3,5,0,0")),
-            ("p", rows("t_us,x,y,p,more", "3000,3,4,1,0")),
-            ("sample, label, camera, stream, sensor, trigger", rows("t_us,x,y,p,camera", "3000,3,4,0,1")),
-            ("other columns, lines of #", rows("t_us,x,y,p,more", "3000,3,4,0,1")),
-        ],
-    );
+    let fields = vec![
+        ("unit of the time", rows("t_ns,x,y,p,more", "3000,3,4,0,0")),
+        ("time", rows("t_us,x,y,p,more", "6000,3,4,0,0")),
+        ("x", rows("t_us,x,y,p,more", "3000,5,4,0,0")),
+        ("y", rows("t_us,x,y,p,more", "3000,3,5,0,0")),
+        ("p", rows("t_us,x,y,p,more", "3000,3,4,1,0")),
+        ("sample, label, camera, stream, sensor, trigger", rows("t_us,x,y,p,camera", "3000,3,4,0,1")),
+        ("other columns, lines of #", rows("t_us,x,y,p,more", "3000,3,4,0,1")),
+    ];
+    add("events as text", "csv", &rows("t_us,x,y,p,more", "3000,3,4,0,0"), "size=16,16", fields);
     let list = |text: &str| text.as_bytes().to_vec();
-    add(
-        "spikes as text",
-        "csv",
-        &list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n0,3,4\n"),
-        "",
-        vec![
-            ("timestep", list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n0,4,4\n")),
-            ("channel", list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n0,3,5\n")),
-            ("sample", list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n1,3,4\n")),
-            ("# steps", list("# steps: 8\n# label: 1\nsample,timestep,channel\n0,1,2\n0,3,4\n")),
-            ("# label", list("# steps: 9\n# label: 2\nsample,timestep,channel\n0,1,2\n0,3,4\n")),
-        ],
-    );
+    let fields = vec![
+        ("timestep", list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n0,4,4\n")),
+        ("channel", list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n0,3,5\n")),
+        ("sample", list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n1,3,4\n")),
+        ("# steps", list("# steps: 8\n# label: 1\nsample,timestep,channel\n0,1,2\n0,3,4\n")),
+        ("# label", list("# steps: 9\n# label: 2\nsample,timestep,channel\n0,1,2\n0,3,4\n")),
+    ];
+    add("spikes as text", "csv", &list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n0,3,4\n"), "", fields);
 
     let array = |descr: &str, order: &str, shape: &str, at: usize| {
         let header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}\n");
@@ -340,19 +305,14 @@ fn formats() -> Vec<Format> {
         file
     };
     let usual = array("|u1", "False", "(512, 4)", 99);
-    add(
-        "spikes as npy",
-        "npy",
-        &usual,
-        "",
-        vec![
-            ("version", with(&usual, 6, &[9])),
-            ("descr", array("<u2", "False", "(512, 4)", 99)),
-            ("fortran_order", array("|u1", "True ", "(512, 4)", 99)),
-            ("shape", array("|u1", "False", "(4, 512)", 99)),
-            ("values", array("|u1", "False", "(512, 4)", 98)),
-        ],
-    );
+    let fields = vec![
+        ("version", with(&usual, 6, &[9])),
+        ("descr", array("<u2", "False", "(512, 4)", 99)),
+        ("fortran_order", array("|u1", "True ", "(512, 4)", 99)),
+        ("shape", array("|u1", "False", "(4, 512)", 99)),
+        ("values", array("|u1", "False", "(512, 4)", 98)),
+    ];
+    add("spikes as npy", "npy", &usual, "", fields);
 
     let silent = replaced(&array("|u1", "False", "(512, 4)", 5), "\x01", "\0");
     let labels = |class: u8| {
@@ -370,19 +330,14 @@ fn formats() -> Vec<Format> {
     let more = |name: &str, array: &[u8]| {
         npz(&[("spikes.npy", &usual), ("y.npy", &labels(1)), ("more.npy", &silent), (name, array)])
     };
-    add(
-        "spikes as npz",
-        "npz",
-        &zipped,
-        "",
-        vec![
-            ("compression", bzip2),
-            ("array named like the population", more("in.npy", &silent)),
-            ("labels, y, targets", npz(&[("spikes.npy", &usual), ("y.npy", &labels(2)), ("more.npy", &silent)])),
-            ("x beside t", npz(&[("x.npy", &labels(1)), ("y.npy", &labels(1)), ("t.npy", &labels(1))])),
-            ("other arrays", npz(&[("spikes.npy", &usual), ("y.npy", &labels(1)), ("more.npy", &usual)])),
-        ],
-    );
+    let fields = vec![
+        ("compression", bzip2),
+        ("array named like the population", more("in.npy", &silent)),
+        ("labels, y, targets", npz(&[("spikes.npy", &usual), ("y.npy", &labels(2)), ("more.npy", &silent)])),
+        ("x beside t", npz(&[("x.npy", &labels(1)), ("y.npy", &labels(1)), ("t.npy", &labels(1))])),
+        ("other arrays", npz(&[("spikes.npy", &usual), ("y.npy", &labels(1)), ("more.npy", &usual)])),
+    ];
+    add("spikes as npz", "npz", &zipped, "", fields);
 
     let nir_data = |kind: &str, numbers: &[(&str, f64)], arrays: &[(&str, hdf5::Numbers)]| {
         let mut group = hdf5::Group::default();
@@ -404,20 +359,15 @@ fn formats() -> Vec<Format> {
         nir_data(kind, &[("n_neurons", neurons), ("t_max", end)], &arrays)
     };
     let kind = "ValuedEventData";
-    add(
-        "NIR data, events",
-        "nir",
-        &valued(2, 0.003, 1.0, 512.0, 0.01, kind),
-        "",
-        vec![
-            ("__type__", valued(2, 0.003, 1.0, 512.0, 0.01, "OtherData")),
-            ("idx", valued(3, 0.003, 1.0, 512.0, 0.01, kind)),
-            ("time", valued(2, 0.004, 1.0, 512.0, 0.01, kind)),
-            ("value", valued(2, 0.003, 0.5, 512.0, 0.01, kind)),
-            ("n_neurons", valued(2, 0.003, 1.0, 16.0, 0.01, kind)),
-            ("t_max", valued(2, 0.003, 1.0, 512.0, 0.02, kind)),
-        ],
-    );
+    let fields = vec![
+        ("__type__", valued(2, 0.003, 1.0, 512.0, 0.01, "OtherData")),
+        ("idx", valued(3, 0.003, 1.0, 512.0, 0.01, kind)),
+        ("time", valued(2, 0.004, 1.0, 512.0, 0.01, kind)),
+        ("value", valued(2, 0.003, 0.5, 512.0, 0.01, kind)),
+        ("n_neurons", valued(2, 0.003, 1.0, 16.0, 0.01, kind)),
+        ("t_max", valued(2, 0.003, 1.0, 512.0, 0.02, kind)),
+    ];
+    add("NIR data, events", "nir", &valued(2, 0.003, 1.0, 512.0, 0.01, kind), "", fields);
     let grid = |at: usize, dt: f64| {
         let mut numbers = vec![0.0; 4 * 512];
         numbers[at] = 1.0;

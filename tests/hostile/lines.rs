@@ -47,35 +47,16 @@ impl Draw {
         items[self.below(items.len())]
     }
 
+    fn word<'a>(&mut self, line: &'a str) -> &'a str {
+        self.one(&line.split(' ').collect::<Vec<_>>())
+    }
+
     /// A number as text: mostly of a usual size, sometimes at a limit or beyond.
     fn number(&mut self) -> &'static str {
-        let usual = ["0", "1", "2", "3", "4", "8", "64", "128", "255"];
-        let rare = [
-            "-1",
-            "-8",
-            "1000",
-            "4096",
-            "5000",
-            "65536",
-            "1000000",
-            "100000000",
-            "4294967296",
-            "9223372036854775807",
-            "18446744073709551616",
-            "-9223372036854775809",
-            "0.5",
-            "1e-300",
-            "1e300",
-            "1e999",
-            "nan",
-            "inf",
-            "-0.0",
-            "\"x\"",
-            "[]",
-            "None",
-            "true",
-        ];
-        if self.chance(80) { usual[self.below(usual.len())] } else { rare[self.below(rare.len())] }
+        let usual = "0 1 2 3 4 8 64 128 255";
+        let rare = "-1 -8 1000 4096 5000 65536 1000000 100000000 4294967296 9223372036854775807 \
+                    18446744073709551616 -9223372036854775809 0.5 1e-300 1e300 1e999 nan inf -0.0 \"x\" [] None true";
+        if self.chance(80) { self.word(usual) } else { self.word(rare) }
     }
 }
 
@@ -433,22 +414,9 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
         }
     };
     if draw.chance(15) {
-        let option = draw.one(&[
-            "--samples",
-            "--threads",
-            "--copies",
-            "--seed",
-            "--repeat",
-            "--probe",
-            "-o",
-            "--steps",
-            "--plot",
-            "--early-exit",
-        ]);
-        arguments.extend([
-            option.to_string(),
-            draw.one(&["0", "1", "2..1", "0..9", "-1", "x.svg", "certain", "o.v", "."]).to_string(),
-        ]);
+        let options = "--samples --threads --copies --seed --repeat --probe -o --steps --plot --early-exit";
+        let values = "0 1 2..1 0..9 -1 x.svg certain o.v .";
+        arguments.extend([options, values].map(|words| draw.word(words).to_string()));
     }
     if draw.chance(50) {
         arguments.extend(words("--format json"));

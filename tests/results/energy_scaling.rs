@@ -208,7 +208,6 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
                 routes: routes.clone(),
                 timestep: Picoseconds(1_000_000),
                 distribution: None,
-                by_step: Some(0),
             };
             let keep = Keep::new(compiled.program.output());
             let run = |metered: &Metered<'_>| {
@@ -217,7 +216,6 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
             let (fast, obvious) = (run(&fast), run(&obvious));
             assert_eq!(fast.activity, obvious.activity, "seed {seed}");
             assert_eq!(fast.meter.lanes(), obvious.meter.lanes(), "seed {seed} {transport:?}");
-            assert_eq!(fast.meter.by_step(), obvious.meter.by_step(), "seed {seed} {transport:?}");
             assert_eq!(fast.outcomes[0].spikes, obvious.outcomes[0].spikes, "seed {seed}");
             // Nothing is a group here: the whole program on its own cores.
             let routes = Arc::new(MessageRoutes::of_program(&compiled.program));

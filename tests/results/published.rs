@@ -3,9 +3,9 @@
 //!
 //! With `NSIM_BLESS=1` the table in `docs/energy.md` is written anew.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use assert_cmd::Command;
+use crate::common::command::object;
 use nsim::energy::published::measurement::MeasurementsFile;
 use nsim::files as io;
 use nsim::ir::hardware::constants::ClassError;
@@ -17,10 +17,7 @@ fn root(path: &str) -> PathBuf {
 }
 
 fn energy(arguments: &[&str]) -> Value {
-    let output = Command::cargo_bin("nsim").unwrap().arg("energy").args(arguments).args(["--format", "json"]).output();
-    let output = output.unwrap();
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+    object(Path::new("."), &[&["energy"], arguments].concat(), 0)
 }
 
 /// The rows of the paper's job under the constants that reproduce its table.
@@ -157,14 +154,7 @@ fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() 
     assert!(readme.contains(&format!("{inside} of {all}")), "README.md: {inside} of {all} figures");
     // What tables of energy say of their intervals is what was found here.
     assert_eq!(class_errors(&rows), constants.errors, "mapping/constants/loihi1-evidence.ron: errors");
-    let page = root("docs/energy.md");
-    let text = std::fs::read_to_string(&page).unwrap();
-    if std::env::var_os("NSIM_BLESS").is_some() {
-        std::fs::write(&page, with_block(&text, "published", &fresh)).unwrap();
-        return;
-    }
-    let advice = "run: NSIM_BLESS=1 cargo test --test results published::, then the tests again";
-    assert!(with_block(&text, "published", &fresh) == text, "{advice}");
+    hold_block("docs/energy.md", "published", &fresh);
 }
 
 /// What early exits of shipped networks decide and cost, in the results of the paper's tables and
@@ -214,22 +204,21 @@ fn early_exits_are_those_that_energy_prints() {
         let whole = figures(&rules[0]["accuracy"], &rules[0]["per_sample"][0]);
         fresh += &format!("| `{model}` | {} | {whole} |\n", cells.collect::<Vec<_>>().join(" | "));
     }
-    let page = root("docs/training.md");
-    let text = std::fs::read_to_string(&page).unwrap();
-    if std::env::var_os("NSIM_BLESS").is_some() {
-        std::fs::write(&page, with_block(&text, "exits", &fresh)).unwrap();
-        return;
-    }
-    let advice = "run: NSIM_BLESS=1 cargo test --test results published::, then the tests again";
-    assert!(with_block(&text, "exits", &fresh) == text, "{advice}");
+    hold_block("docs/training.md", "exits", &fresh);
 }
 
-/// A page with another text between the marks of this name.
-fn with_block(page: &str, name: &str, block: &str) -> String {
+/// Holds what stands between the marks of this name in a page; with `NSIM_BLESS=1` writes it.
+fn hold_block(page: &str, name: &str, block: &str) {
+    let page = root(page);
+    let text = std::fs::read_to_string(&page).unwrap();
     let (begin, end) = (format!("<!-- {name} -->\n"), format!("<!-- end of {name} -->"));
-    let (before, rest) = page.split_once(&begin).unwrap();
+    let (before, rest) = text.split_once(&begin).unwrap();
     let (_, after) = rest.split_once(&end).unwrap();
-    format!("{before}{begin}{block}{end}{after}")
+    let fresh = format!("{before}{begin}{block}{end}{after}");
+    if std::env::var_os("NSIM_BLESS").is_some() {
+        return std::fs::write(&page, fresh).unwrap();
+    }
+    assert!(fresh == text, "run: NSIM_BLESS=1 cargo test --test results published::, then the tests again");
 }
 
 #[test]

@@ -54,7 +54,6 @@ pub struct Share {
 
 impl Share {
     /// How much the order matters.
-    #[must_use]
     pub fn interaction(&self) -> f64 {
         self.forward - self.reversed
     }
@@ -101,19 +100,16 @@ fn shares(means: &[f64]) -> Option<Vec<f64>> {
 
 impl LayerLoss {
     /// Whether the layer loses more than is worth a word.
-    #[must_use]
     pub fn is_lossy(&self) -> bool {
         self.disagreement >= LITTLE
     }
 
     /// The cause without which the layer would gain most, and how much.
-    #[must_use]
     pub fn worst(&self) -> Option<(Cause, f64)> {
         worst(self.disagreement, self.alone.iter().copied())
     }
 
     /// The shares of the causes, where they do not give back what others take.
-    #[must_use]
     pub fn shares(&self) -> Option<Vec<f64>> {
         shares(&self.causes.iter().map(|cause| cause.1).collect::<Vec<f64>>())
     }
@@ -136,7 +132,6 @@ pub struct Attribution {
 
 impl Attribution {
     /// The cause without which most classes would agree again, and the share of those.
-    #[must_use]
     pub fn worst_of_classes(&self) -> Option<(Cause, f64)> {
         let now = self.machine.class_agreement?;
         let back = |share: &Share| Some((share.cause, share.without.class_agreement? - now));
@@ -144,7 +139,6 @@ impl Attribution {
     }
 
     /// The cause without which the network would gain most, classes and coincidence together.
-    #[must_use]
     pub fn worst(&self) -> Option<Cause> {
         let total = |distance: &Distance| distance.class_agreement.unwrap_or(1.0) + distance.coincidence;
         let back = |share: &Share| (share.cause, total(&share.without) - total(&self.machine));
@@ -174,7 +168,6 @@ pub struct ComparedSample {
 
 impl ComparedSample {
     /// Compares the traces of a sample, of which the second answers `shift` steps later.
-    #[must_use]
     pub fn new(layers: &[Layer], output: &Layer, (a, b): (&Trace, &Trace), shift: i32) -> Self {
         let sums = layers.iter().map(|layer| {
             let mut comparison = Comparison::default();
@@ -204,15 +197,7 @@ impl Measured {
     }
 }
 
-/// Compares rungs with one of them over samples, all rungs of a sample at once.
-#[must_use]
-pub fn distances(ladder: &Ladder, from: Rung, rungs: &[Rung], output: &Layer, samples: &[&Sample]) -> Vec<Distance> {
-    let to: Vec<(&Ladder, Rung)> = rungs.iter().map(|&rung| (ladder, rung)).collect();
-    measured((ladder, from), &to, output, samples).into_iter().map(|measured| measured.distance).collect()
-}
-
 /// Compares rungs, perhaps of several ladders of one network, with one of them over samples.
-#[must_use]
 pub fn measured(
     (first, from): (&Ladder, Rung),
     to: &[(&Ladder, Rung)],
@@ -247,7 +232,6 @@ pub fn measured(
 
 /// The network as its tool runs it: kernels without end, as the reference engine has them, and
 /// layers that answer to every step of the input where another class follows from that.
-#[must_use]
 pub fn as_trained(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Rung {
     let in_step = ladder.trained().with(Cause::Untruncated);
     let as_it_is = in_step.with(Cause::Pipeline);
@@ -258,13 +242,11 @@ pub fn as_trained(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Rung 
 }
 
 /// Climbs the ladder both ways, and leaves out each cause alone.
-#[must_use]
 pub fn attribute(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Attribution {
     attribute_from(ladder, as_trained(ladder, output, samples), output, samples)
 }
 
 /// The same from a rung that is known.
-#[must_use]
 pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &[&Sample]) -> Attribution {
     let causes: Vec<Cause> = ladder.causes().iter().copied().filter(|&cause| !trained.has(cause)).collect();
     let climb = |causes: &[Cause]| {

@@ -37,7 +37,6 @@ named_variants!(Cause {
 
 impl Cause {
     /// What a layer loses to it.
-    #[must_use]
     pub fn words(self) -> &'static str {
         match self {
             Cause::Pipeline => {
@@ -54,7 +53,6 @@ impl Cause {
     }
 
     /// What makes it cost less, where that is known of every network.
-    #[must_use]
     pub fn remedy(self) -> Option<&'static str> {
         match self {
             Cause::Weights => Some(
@@ -77,7 +75,6 @@ impl Rung {
     pub const MACHINE: Rung = Rung([true; 8]);
 
     /// Whether a cause is on.
-    #[must_use]
     pub fn has(self, cause: Cause) -> bool {
         self.0[cause as usize]
     }

@@ -19,13 +19,6 @@ pub struct ClassTally {
 }
 
 impl ClassTally {
-    /// Counts the classes of samples by both networks.
-    pub fn new(classes: impl IntoIterator<Item = (Option<u32>, Option<u32>)>) -> Self {
-        let mut tally = ClassTally::default();
-        classes.into_iter().for_each(|(a, b)| tally.add(a, b));
-        tally
-    }
-
     /// Counts a sample.
     pub fn add(&mut self, a: Option<u32>, b: Option<u32>) {
         match (a, b) {
@@ -40,20 +33,17 @@ impl ClassTally {
     }
 
     /// Share of the compared samples that are of the same class; `None` where none was compared.
-    #[must_use]
     pub fn agreement(&self) -> Option<f64> {
         (self.compared > 0).then(|| self.same as f64 / self.compared as f64)
     }
 
     /// Share of the first's decided samples that the second decides alike; 1 without any.
-    #[must_use]
     pub fn kept(&self) -> f64 {
         let decided = self.compared + self.only_a;
         if decided == 0 { 1.0 } else { self.same as f64 / decided as f64 }
     }
 
     /// The samples that were not compared, in words: nothing where all were.
-    #[must_use]
     pub fn undecided(&self) -> String {
         let parts =
             [(self.only_a, "a decides alone"), (self.only_b, "b decides alone"), (self.neither, "neither decides")];
@@ -66,14 +56,19 @@ impl ClassTally {
 mod tests {
     use super::*;
 
+    fn counted(classes: &[(Option<u32>, Option<u32>)]) -> ClassTally {
+        let mut tally = ClassTally::default();
+        classes.iter().for_each(|&(a, b)| tally.add(a, b));
+        tally
+    }
+
     #[test]
     fn only_samples_that_both_decide_are_compared() {
-        let tally =
-            ClassTally::new([(Some(1), Some(1)), (Some(1), Some(2)), (Some(0), None), (None, Some(0)), (None, None)]);
+        let tally = counted(&[(Some(1), Some(1)), (Some(1), Some(2)), (Some(0), None), (None, Some(0)), (None, None)]);
         assert_eq!((tally.agreement(), tally.kept()), (Some(0.5), 1.0 / 3.0));
         assert_eq!(tally.undecided(), "1 a decides alone, 1 b decides alone, 1 neither decides");
-        let nothing = ClassTally::new([(None, None); 6]);
+        let nothing = counted(&[(None, None); 6]);
         assert_eq!((nothing.agreement(), nothing.compared, nothing.neither), (None, 0, 6));
-        assert_eq!(ClassTally::new([(Some(3), Some(3))]).undecided(), "");
+        assert_eq!(counted(&[(Some(3), Some(3))]).undecided(), "");
     }
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::classes::ClassTally;
-use super::ladder::{Ladder, layers};
+use super::ladder::{Ladder, layer, layers};
 use super::trace::{Comparison, Layer, Trace, measured_shift};
 use nsim_dynamics as neuron;
 use nsim_golden::Golden;
@@ -42,7 +42,6 @@ pub enum Counterpart {
 
 impl Counterpart {
     /// As it is printed.
-    #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
             Counterpart::Srm => "srm",
@@ -53,7 +52,6 @@ impl Counterpart {
     }
 
     /// Whether its disagreement can be attributed to causes: it is in real numbers.
-    #[must_use]
     pub fn is_real(&self) -> bool {
         matches!(self, Counterpart::Srm | Counterpart::Cuba)
     }
@@ -102,14 +100,8 @@ pub struct Agreement {
 const BATCH: usize = 64;
 
 /// The output population as a layer.
-#[must_use]
 pub fn output_layer(network: &Quantised) -> Layer {
-    let output = &network.populations()[network.parts().output];
-    Layer {
-        name: output.name.clone(),
-        first: output.first_compartment().map_or(0, |first| first.0),
-        count: output.shape.len(),
-    }
+    layer(&network.populations()[network.parts().output]).unwrap_or_default()
 }
 
 /// An engine's potential as a share of the threshold.
@@ -218,13 +210,8 @@ pub fn compare_networks(
         }
         out
     };
-    let limit = steps.unwrap_or(u32::MAX);
-    let both = |_, sample: &Sample| {
-        let traces = ((a.trace)(sample).until(limit), placed((b.trace)(sample)).until(limit));
-        progress();
-        traces
-    };
-    Ok(Tally::of_samples(a.layers.to_vec(), output, samples, &both, &measured_shift))
+    let both = |_, sample: &Sample| ((a.trace)(sample), placed((b.trace)(sample)));
+    Ok(agreement(a.layers.to_vec(), output, (samples, steps), &both, &measured_shift, progress))
 }
 
 /// Compares a network with another of the same populations that is mapped: as it was trained, or
@@ -251,63 +238,52 @@ pub fn compare_models(
     compare_networks(sides, &output_layer(integers), samples, steps, progress)
 }
 
-/// Comparisons of layers and classes so far.
-#[derive(Debug, Default)]
-struct Tally {
-    layers: Vec<Layer>,
-    output: Layer,
-    comparisons: Vec<(Comparison, i32)>,
-    classes: ClassTally,
-    right: (usize, usize),
-}
-
 /// The shift of a layer, from the first traces.
 type ShiftOf<'a> = &'a dyn Fn(&Layer, &[(&Trace, &Trace)]) -> i32;
 
-impl Tally {
-    /// Compares the two traces that `both` has of each sample, given its number and itself.
-    fn of_samples(
-        layers: Vec<Layer>,
-        output: &Layer,
-        samples: &[&Sample],
-        both: &(dyn Fn(usize, &Sample) -> (Trace, Trace) + Sync),
-        shift: ShiftOf<'_>,
-    ) -> Agreement {
-        let mut tally = Tally { layers, output: output.clone(), ..Tally::default() };
-        for (batch, some) in samples.chunks(BATCH).enumerate() {
-            let first = batch * BATCH;
-            let traces = some.par_iter().enumerate().map(|(i, sample)| both(first + i, sample));
-            tally.add(first, &traces.collect::<Vec<_>>(), some, shift);
-        }
-        tally.agreement(samples)
-    }
-
-    fn add(&mut self, first: usize, traces: &[(Trace, Trace)], samples: &[&Sample], shift: ShiftOf<'_>) {
-        if self.comparisons.is_empty() {
+/// Compares the two traces that `both` has of each sample, given its number and itself, up to this
+/// many steps.
+fn agreement(
+    layers: Vec<Layer>,
+    output: &Layer,
+    (samples, steps): (&[&Sample], Option<u32>),
+    both: &(dyn Fn(usize, &Sample) -> (Trace, Trace) + Sync),
+    shift: ShiftOf<'_>,
+    progress: Progress<'_>,
+) -> Agreement {
+    let limit = steps.unwrap_or(u32::MAX);
+    let mut comparisons: Vec<(Comparison, i32)> = Vec::new();
+    let (mut classes, mut right) = (ClassTally::default(), (0, 0));
+    for (batch, some) in samples.chunks(BATCH).enumerate() {
+        let first = batch * BATCH;
+        let traces = some.par_iter().enumerate().map(|(i, sample)| {
+            let (a, b) = both(first + i, sample);
+            progress();
+            (a.until(limit), b.until(limit))
+        });
+        let traces: Vec<(Trace, Trace)> = traces.collect();
+        if comparisons.is_empty() {
             let pairs: Vec<(&Trace, &Trace)> = traces.iter().map(|(a, b)| (a, b)).collect();
-            self.comparisons = self.layers.iter().map(|layer| (Comparison::default(), shift(layer, &pairs))).collect();
+            comparisons = layers.iter().map(|layer| (Comparison::default(), shift(layer, &pairs))).collect();
         }
-        for (i, ((a, b), sample)) in traces.iter().zip(samples).enumerate() {
-            for (layer, (comparison, shift)) in self.layers.iter().zip(&mut self.comparisons) {
+        for (i, ((a, b), sample)) in traces.iter().zip(some).enumerate() {
+            for (layer, (comparison, shift)) in layers.iter().zip(&mut comparisons) {
                 comparison.add(first + i, layer, a, b, *shift);
             }
-            let (class_a, class_b) = (a.class(&self.output), b.class(&self.output));
-            self.classes.add(class_a, class_b);
-            self.right.0 += usize::from(class_a == sample.label());
-            self.right.1 += usize::from(class_b == sample.label());
+            let (class_a, class_b) = (a.class(output), b.class(output));
+            classes.add(class_a, class_b);
+            right.0 += usize::from(class_a == sample.label());
+            right.1 += usize::from(class_b == sample.label());
         }
     }
-
-    fn agreement(self, samples: &[&Sample]) -> Agreement {
-        let known = self.layers.contains(&self.output);
-        let labelled = known && samples.iter().all(|sample| sample.label().is_some());
-        let share = |count: usize| count as f64 / samples.len().max(1) as f64;
-        let rows = self.layers.into_iter().zip(self.comparisons);
-        Agreement {
-            layers: rows.map(|(layer, (comparison, shift))| LayerRow { name: layer.name, shift, comparison }).collect(),
-            classes: known.then_some(self.classes),
-            accuracy: labelled.then(|| (share(self.right.0), share(self.right.1))),
-        }
+    let known = layers.contains(output);
+    let labelled = known && samples.iter().all(|sample| sample.label().is_some());
+    let share = |count: usize| count as f64 / samples.len().max(1) as f64;
+    let rows = layers.into_iter().zip(comparisons);
+    Agreement {
+        layers: rows.map(|(layer, (comparison, shift))| LayerRow { name: layer.name, shift, comparison }).collect(),
+        classes: known.then_some(classes),
+        accuracy: labelled.then(|| (share(right.0), share(right.1))),
     }
 }
 
@@ -348,16 +324,11 @@ pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Prog
         Counterpart::Recorded(recorded) => recorded.iter().map(|(layer, _)| layer.clone()).collect(),
         _ => layers(network),
     };
-    let limit = steps.unwrap_or(u32::MAX);
-    let both = |index, sample: &Sample| {
-        let traces = (counterpart_trace(index, sample).until(limit), machine(sample).until(limit));
-        progress();
-        traces
-    };
+    let both = |index, sample: &Sample| (counterpart_trace(index, sample), machine(sample));
     let shift = |layer: &Layer, pairs: &[(&Trace, &Trace)]| match counterpart {
         Counterpart::Srm => -1,
         Counterpart::Cuba | Counterpart::Golden => 0,
         Counterpart::Recorded(_) => measured_shift(layer, pairs),
     };
-    Ok(Tally::of_samples(compared, &output_layer(network), samples, &both, &shift))
+    Ok(agreement(compared, &output_layer(network), (samples, steps), &both, &shift, progress))
 }

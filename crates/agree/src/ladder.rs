@@ -252,7 +252,6 @@ impl Ladder {
     }
 
     /// Register units for a real unit of each population whose scale is chosen.
-    #[must_use]
     pub fn units(&self) -> &[Option<f64>] {
         &self.units
     }
@@ -288,37 +287,31 @@ impl Ladder {
     }
 
     /// The trained network: what tells nothing apart here counts as switched on.
-    #[must_use]
     pub fn trained(&self) -> Rung {
         Cause::ALL.into_iter().filter(|cause| !self.causes.contains(cause)).fold(Rung::TRAINED, Rung::with)
     }
 
     /// The causes that tell this network from its trained form, in the order of the ladder.
-    #[must_use]
     pub fn causes(&self) -> &[Cause] {
         &self.causes
     }
 
     /// Steps by which a rung answers later than the trained network; negative, earlier.
-    #[must_use]
     pub fn shift(&self, rung: Rung) -> i32 {
         -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))
     }
 
     /// What the layers lack to answer to every step of the input.
-    #[must_use]
     pub fn pipeline(&self) -> Option<&Pipeline> {
         self.pipeline.as_ref()
     }
 
     /// The network that the last rung is.
-    #[must_use]
     pub fn deployed(&self) -> &Quantised {
         &self.calibrated
     }
 
     /// The populations with compartments.
-    #[must_use]
     pub fn layers(&self) -> Vec<Layer> {
         layers(&self.calibrated)
     }
@@ -336,16 +329,11 @@ impl Ladder {
         match origin {
             Origin::Srm(srm, fit) => {
                 // An alpha kernel has one decay; only current and voltage can have two.
+                let both = |keep: f64| (keep, keep);
                 let keeps = match (rung.has(Cause::Decays), rung.has(Cause::Kernel)) {
                     (true, true) => (analytic::keep(fit.du), analytic::keep(fit.dv)),
-                    (true, false) => {
-                        let r = analytic::keep(analytic::start(srm, self.timestep_ms).du);
-                        (r, r)
-                    }
-                    (false, _) => {
-                        let r = analytic::real_keep(srm, self.timestep_ms);
-                        (r, r)
-                    }
+                    (true, false) => both(analytic::keep(analytic::start(srm, self.timestep_ms).du)),
+                    (false, _) => both(analytic::real_keep(srm, self.timestep_ms)),
                 };
                 let copied = rung.has(Cause::Decays) && rung.has(Cause::Kernel);
                 let at = analytic::matched_threshold_of(srm, self.timestep_ms, fit);
@@ -406,8 +394,7 @@ impl Ladder {
         };
         // SLAYER's loop starts at step 1; its resets are counted from the step as given.
         let first = u32::from(response.is_none() && self.graph.facts().semantics == Semantics::Slayer);
-        let state = State::new(neurons, response, resets_from.max(first), self.test, rung);
-        Some(state.resetting_from(resets_from))
+        Some(State::new(neurons, response, (resets_from.max(first), resets_from), self.test, rung))
     }
 
     /// What the layers of a rung are given that they lack.
@@ -416,7 +403,6 @@ impl Ladder {
     }
 
     /// What the network of a rung does in a sample.
-    #[must_use]
     pub fn run(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
         let Some(pipeline) = self.in_step(rung) else { return self.run_as_it_is(rung, sample, potentials) };
         let mut trace = self.run_as_it_is(rung, &sample.clone().followed_by(pipeline.more_steps()), potentials);
@@ -495,12 +481,14 @@ impl Ladder {
 }
 
 /// The populations of a network that have compartments.
-#[must_use]
 pub fn layers(network: &Quantised) -> Vec<Layer> {
-    let layer = |p: &quantised::Population| {
-        Some(Layer { name: p.name.clone(), first: p.first_compartment()?.0, count: p.shape.len() })
-    };
     network.populations().iter().filter_map(layer).collect()
+}
+
+/// A population as a layer, if it has compartments.
+pub(super) fn layer(population: &quantised::Population) -> Option<Layer> {
+    let first = population.first_compartment()?.0;
+    Some(Layer { name: population.name.clone(), first, count: population.shape.len() })
 }
 
 /// Bits by which lava shifts what arrives at a population.

@@ -79,38 +79,32 @@ impl TrainSums {
     }
 
     /// The coincidence factor of all trains together; 1 when there is no spike at all.
-    #[must_use]
     pub fn coincidence(&self) -> f64 {
         if self.at_most == 0.0 { 1.0 } else { self.beyond_chance / self.at_most }
     }
 
     /// The mean van Rossum distance of a neuron's trains in a sample.
-    #[must_use]
     pub fn van_rossum(&self) -> f64 {
         self.van_rossum / self.pairs.max(1) as f64
     }
 
     /// The mean Victor-Purpura distance of a neuron's trains in a sample.
-    #[must_use]
     pub fn victor_purpura(&self) -> f64 {
         self.victor_purpura / self.pairs.max(1) as f64
     }
 
     /// Root mean squared difference of potentials, in thresholds; none when none were compared.
-    #[must_use]
     pub fn potential_rmse(&self) -> Option<f64> {
         (self.potentials > 0).then(|| (self.squares / self.potentials as f64).sqrt())
     }
 
     /// Differences of counts relative to all spikes: 0 for equal counts, 1 for disjoint neurons.
-    #[must_use]
     pub fn count_error(&self) -> f64 {
         self.count_differences as f64 / (self.spikes_a + self.spikes_b).max(1) as f64
     }
 }
 
 /// Coincidences beyond chance and their maximum: the factor's numerator and denominator.
-#[must_use]
 pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
     let rate = b.len() as f64 / f64::from(steps.max(1));
     let window = |delta: u32| f64::from(2 * delta + 1);

@@ -32,7 +32,6 @@ impl Pipeline {
     /// What a network lacks; `None` where its samples have a step for each layer behind the first,
     /// where a layer's step is part of training (spike response neurons; integers that a tool of
     /// the chip wrote), or where there is one layer.
-    #[must_use]
     pub fn missing(graph: &Graph) -> Option<Pipeline> {
         let kinds: Vec<&PopulationKind> = graph.populations().map(|(_, population)| &population.kind).collect();
         let inputs: Vec<bool> = kinds.iter().map(|kind| matches!(kind, PopulationKind::Input)).collect();
@@ -59,13 +58,11 @@ impl Pipeline {
     }
 
     /// The first step of a population.
-    #[must_use]
     pub fn start_step(&self, population: usize) -> u32 {
         self.depths[population]
     }
 
     /// Steps that a spike waits to meet those of longer ways.
-    #[must_use]
     pub fn wait(&self, from: usize, to: usize) -> u32 {
         let arrives = match self.inputs[from] {
             true => 0,
@@ -75,26 +72,22 @@ impl Pipeline {
     }
 
     /// The longest wait.
-    #[must_use]
     pub fn longest_wait(&self) -> u32 {
         self.depths.iter().copied().max().unwrap_or(0)
     }
 
     /// Steps that a sample gets besides those that it has.
-    #[must_use]
     pub fn more_steps(&self) -> u32 {
         self.drain - self.drained
     }
 
     /// The steps of a sample of `steps` in which the tool's population runs too.
-    #[must_use]
     pub fn window(&self, population: usize, steps: u32) -> u32 {
         steps - self.drained.min(steps) + self.depths[population]
     }
 
     /// What `--set` takes to give the network what it lacks; `None` where spikes of one declared
     /// projection would need several delays.
-    #[must_use]
     pub fn changes(&self, graph: &Graph) -> Option<Vec<String>> {
         let mut changes = vec![format!("drain={}", self.drain)];
         for (node, population) in graph.populations() {

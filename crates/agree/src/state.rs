@@ -70,11 +70,12 @@ pub(super) struct State {
 }
 
 impl State {
-    /// At rest; `response` and the timestep in ms are those of spike response neurons.
+    /// At rest, with its first step and the one that resets are counted from; `response` and the
+    /// timestep in ms are those of spike response neurons.
     pub fn new(
         neurons: Vec<Neuron>,
         response: Option<(&SrmParameters, f64)>,
-        start_step: u32,
+        (start_step, resets_from): (u32, u32),
         test: ThresholdTest,
         rung: Rung,
     ) -> State {
@@ -100,7 +101,7 @@ impl State {
             response.filter(|_| truncated).map_or_else(Vec::new, |(srm, _)| nu.truncated(EPSILON / srm.theta, 100_000));
         State {
             start_step,
-            resets_from: start_step,
+            resets_from,
             late: srm && !rung.has(Cause::Kernel),
             strict: hard && test == ThresholdTest::Strict,
             integers: rung.has(Cause::State),
@@ -134,11 +135,6 @@ impl State {
         self.past.iter_mut().for_each(|row| row.fill(0.0));
         self.own.iter_mut().for_each(Vec::clear);
         self.held.fill(0);
-    }
-
-    /// With resets counted from this step.
-    pub fn resetting_from(self, step: u32) -> State {
-        State { resets_from: step, ..self }
     }
 
     /// The potentials after a step and its resets.

@@ -90,7 +90,6 @@ impl Trace {
     }
 
     /// The class: by spikes the output with most, the lowest index on a tie, none when silent.
-    #[must_use]
     pub fn class(&self, output: &Layer) -> Option<u32> {
         let outputs = self.deciding.first().map_or(0, Vec::len);
         if let Some(mut potentials) = Potentials::new(self.decision, outputs as u32) {
@@ -100,6 +99,10 @@ impl Trace {
         let counts = self.trains[output.first as usize..(output.first + output.count) as usize].iter().map(Vec::len);
         let most = counts.clone().max().filter(|&most| most > 0)?;
         counts.clone().position(|count| count == most).map(|class| class as u32)
+    }
+
+    fn spiked(&self, compartment: u32, step: u32) -> bool {
+        self.trains[compartment as usize].binary_search(&step).is_ok()
     }
 
     fn potential(&self, compartment: u32, step: u32) -> Option<f64> {
@@ -150,16 +153,12 @@ impl Around {
     fn new((a, b): (&Trace, &Trace), compartment: u32, at: u32, steps: std::ops::Range<u32>, shift: i32) -> Self {
         let (from, to) = (at.saturating_sub(AROUND).max(steps.start), (at + AROUND + 1).min(steps.end));
         let moved = |step: u32| step.saturating_add_signed(shift);
-        let spikes = |trace: &Trace, place: &dyn Fn(u32) -> u32| {
-            let train = &trace.trains[compartment as usize];
-            (from..to).filter(|&step| train.binary_search(&place(step)).is_ok()).collect()
-        };
         Around {
             from,
             a: (from..to).filter_map(|step| a.potential(compartment, step)).collect(),
             b: (from..to).filter_map(|step| b.potential(compartment, moved(step))).collect(),
-            spikes_a: spikes(a, &|step| step),
-            spikes_b: spikes(b, &moved),
+            spikes_a: (from..to).filter(|&step| a.spiked(compartment, step)).collect(),
+            spikes_b: (from..to).filter(|&step| b.spiked(compartment, moved(step))).collect(),
         }
     }
 }
@@ -222,13 +221,12 @@ impl Comparison {
             let compartment = layer.first + neuron;
             let there = timestep.saturating_add_signed(shift);
             self.around = Some(Around::new((a, b), compartment, timestep, from..to, shift));
-            let spikes = |trace: &Trace, step: u32| trace.trains[compartment as usize].binary_search(&step).is_ok();
             self.first_divergence = Some(Divergence {
                 sample,
                 timestep,
                 neuron,
-                a: spikes(a, timestep),
-                b: spikes(b, there),
+                a: a.spiked(compartment, timestep),
+                b: b.spiked(compartment, there),
                 potential_a: a.potential(compartment, timestep),
                 potential_b: b.potential(compartment, there),
             });
@@ -247,7 +245,6 @@ fn first_difference(a: &[u32], b: &[u32]) -> Option<u32> {
 
 /// The constant delay by which the second's spikes of a layer come later, of those within +-4
 /// steps: the one at which most spikes coincide, the smallest on a tie.
-#[must_use]
 pub fn measured_shift(layer: &Layer, pairs: &[(&Trace, &Trace)]) -> i32 {
     let coincident = |shift: i32| {
         let of = |(a, b): &(&Trace, &Trace)| {
@@ -261,15 +258,9 @@ pub fn measured_shift(layer: &Layer, pairs: &[(&Trace, &Trace)]) -> i32 {
         };
         pairs.iter().map(of).sum::<usize>()
     };
+    // A tie goes to the last that is looked at, the first of this list.
     let candidates = [0, -1, 1, -2, 2, -3, 3, -4, 4];
-    let mut best = (0, 0);
-    for shift in candidates {
-        let count = coincident(shift);
-        if count > best.1 {
-            best = (shift, count);
-        }
-    }
-    best.0
+    candidates.into_iter().rev().max_by_key(|&shift| coincident(shift)).unwrap_or(0)
 }
 
 #[cfg(test)]

@@ -22,7 +22,6 @@ pub struct Weights {
 
 impl Weights {
     /// Without any.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         Weights { all: VarMap::new(), seed, drawn: 0 }
     }
@@ -74,41 +73,22 @@ impl Dense {
 /// Where there is one row, its kernels have one.
 pub struct Convolution {
     /// `[to, 3 x from, rows, columns]`: the steps of a kernel one after the other.
-    weights: Tensor,
-    offset: Tensor,
+    pub weights: Tensor,
+    /// `[to]`.
+    pub offset: Tensor,
 }
 
 /// What a convolution makes of this many places.
-#[must_use]
 pub fn halved(places: usize) -> usize {
     places.div_ceil(2)
 }
 
 /// Rows or columns of a kernel.
-#[must_use]
 pub fn kernel_of(places: usize) -> usize {
     if places == 1 { 1 } else { REACH }
 }
 
 impl Convolution {
-    /// With these weights, `[to, 3 x from, rows, columns]`, and offsets, `[to]`.
-    #[must_use]
-    pub fn from_parts(weights: Tensor, offset: Tensor) -> Self {
-        Convolution { weights, offset }
-    }
-
-    /// The weights.
-    #[must_use]
-    pub fn weights(&self) -> &Tensor {
-        &self.weights
-    }
-
-    /// The offsets.
-    #[must_use]
-    pub fn offset(&self) -> &Tensor {
-        &self.offset
-    }
-
     /// With drawn weights, for planes of this many rows and columns.
     ///
     /// # Errors

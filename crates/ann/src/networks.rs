@@ -10,6 +10,7 @@ use candle_nn::VarBuilder;
 use candle_nn::rnn::{GRU, GRUConfig, RNN, gru};
 
 use super::layers::{Convolution, Dense, Weights, halved, kernel_of, tensor};
+use nsim_ir::base::names::named_variants;
 use nsim_train::fit::Example;
 
 /// Units of each encoder, and of the layer behind them.
@@ -28,19 +29,8 @@ pub enum AnnKind {
     Cnn3d,
 }
 
-impl AnnKind {
-    /// Both.
-    pub const ALL: [AnnKind; 2] = [AnnKind::MlpGru, AnnKind::Cnn3d];
-
-    /// As the paper names it.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            AnnKind::MlpGru => "MLP-GRU",
-            AnnKind::Cnn3d => "CNN-3D",
-        }
-    }
-}
+// As the paper names them.
+named_variants!(AnnKind { MlpGru = "MLP-GRU", Cnn3d = "CNN-3D" });
 
 /// What a network sees and says.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -116,7 +106,6 @@ impl Ann {
     }
 
     /// What is trained.
-    #[must_use]
     pub fn variables(&self) -> Vec<Var> {
         // By name: the order of a hash map differs between runs.
         let all = self.weights.all.data().lock();
@@ -127,13 +116,11 @@ impl Ann {
     }
 
     /// Trained numbers.
-    #[must_use]
     pub fn parameters(&self) -> u64 {
         self.variables().iter().map(|var| var.elem_count() as u64).sum()
     }
 
     /// Multiplications of weights for a sample.
-    #[must_use]
     pub fn operations(&self) -> u64 {
         let Senses { shapes, steps, classes } = &self.senses;
         let together = HIDDEN * shapes.len();

@@ -15,10 +15,10 @@ use nsim_train::raster::Raster;
 /// The sum as it is defined, with zeros outside.
 fn brute_force(x: &Tensor, layer: &Convolution) -> Vec<f32> {
     let (samples, steps, from, rows, columns) = x.dims5().unwrap();
-    let (to, _, kr, kc) = layer.weights().dims4().unwrap();
+    let (to, _, kr, kc) = layer.weights.dims4().unwrap();
     let (x, w): (Vec<f32>, Vec<f32>) =
-        (x.flatten_all().unwrap().to_vec1().unwrap(), layer.weights().flatten_all().unwrap().to_vec1().unwrap());
-    let offset: Vec<f32> = layer.offset().to_vec1().unwrap();
+        (x.flatten_all().unwrap().to_vec1().unwrap(), layer.weights.flatten_all().unwrap().to_vec1().unwrap());
+    let offset: Vec<f32> = layer.offset.to_vec1().unwrap();
     let mut out = Vec::new();
     for (s, t, o) in (0..samples).flat_map(|s| (0..halved(steps)).flat_map(move |t| (0..to).map(move |o| (s, t, o)))) {
         for (r, c) in (0..halved(rows)).flat_map(|r| (0..halved(columns)).map(move |c| (r, c))) {
@@ -65,14 +65,14 @@ fn gradients_are_those_of_the_sum() {
     let x = tensor(values, &[1, 5, 2, 4, 3]).unwrap();
     let loss = |layer: &Convolution| layer.forward(&x).unwrap().sqr().unwrap().sum_all().unwrap();
     let gradient = loss(&layer).backward().unwrap();
-    let own: Vec<f32> = gradient.get(layer.weights()).unwrap().flatten_all().unwrap().to_vec1().unwrap();
-    let flat: Vec<f32> = layer.weights().flatten_all().unwrap().to_vec1().unwrap();
+    let own: Vec<f32> = gradient.get(&layer.weights).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+    let flat: Vec<f32> = layer.weights.flatten_all().unwrap().to_vec1().unwrap();
     for at in [0, 7, flat.len() / 2, flat.len() - 1] {
         let moved = |by: f32| {
             let mut changed = flat.clone();
             changed[at] += by;
-            let weights = tensor(changed, layer.weights().dims()).unwrap();
-            loss(&Convolution::from_parts(weights, layer.offset().clone())).to_scalar::<f32>().unwrap()
+            let weights = tensor(changed, layer.weights.dims()).unwrap();
+            loss(&Convolution { weights, offset: layer.offset.clone() }).to_scalar::<f32>().unwrap()
         };
         let numeric = (moved(1e-2) - moved(-1e-2)) / 2e-2;
         assert!((numeric - own[at]).abs() < 1e-2 * numeric.abs().max(1.0), "{at}: {numeric} {}", own[at]);

@@ -178,7 +178,6 @@ impl Shifts<'_> {
 }
 
 /// Whether the synapses of each core have to be compared with the network's.
-#[must_use]
 pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<CoreId, bool> {
     let firsts = program.first_cores();
     if firsts.len() == program.cores().len() {

@@ -11,7 +11,6 @@ use nsim_ir::groups::{CoreGroups, OneCopy, Together};
 
 impl Mapping {
     /// Numbers of one copy.
-    #[must_use]
     pub fn one_copy(&self) -> OneCopy {
         let one = &self.one;
         let populations = one.populations().len() as u32;
@@ -19,7 +18,6 @@ impl Mapping {
     }
 
     /// Cores and copies that belong together, by their first core.
-    #[must_use]
     pub fn together(&self) -> Vec<Together> {
         let (program, one) = (&self.program, self.one.compartments());
         let mut joined = UnionFind::new(program.cores().len());
@@ -43,7 +41,6 @@ impl Mapping {
     }
 
     /// The groups of its cores; `None` of a single copy, and where no two groups are alike.
-    #[must_use]
     pub fn core_groups(&self) -> Option<CoreGroups> {
         if self.options.copies < 2 {
             return None;

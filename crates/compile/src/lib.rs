@@ -24,7 +24,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;
 
-pub use mapping::{Mapping, Mapping as Compiled};
+pub use mapping::Mapping;
 pub use nsim_partition::error::CompileError;
 pub use nsim_partition::form::Form;
 pub use nsim_partition::options::{
@@ -75,19 +75,4 @@ pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> R
     let front = front.into();
     front.form(options.copies).require_program(front.quantised(), options.copies)?;
     map(front, target, options, &Rates::assumed(DEFAULT_RATE))
-}
-
-/// A program for a network on the cores of a saved mapping: [`load`].
-///
-/// # Errors
-/// [`CompileError`].
-pub fn compile_saved(
-    front: impl Into<Front>,
-    target: &Target,
-    options: &Options,
-    file: &MappingFile,
-) -> Result<Mapping, CompileError> {
-    let front = front.into();
-    front.form(options.copies).require_program(front.quantised(), options.copies)?;
-    load(front, target, options, file)
 }

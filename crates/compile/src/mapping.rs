@@ -46,7 +46,6 @@ pub struct Mapping {
 
 impl Mapping {
     /// How it was mapped.
-    #[must_use]
     pub fn form(&self) -> Form {
         if self.lattices.is_some() { Form::Symbolic } else { Form::Written }
     }

@@ -1,6 +1,6 @@
 //! Each kind of pruning on a network made for it, and what people see of a pruned network.
 
-use crate::{CompileError, Options, compile, compile_saved};
+use crate::{CompileError, Options, compile, load};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::{ChannelId, PopulationId};
 use nsim_ir::pruned::Kind;
@@ -67,7 +67,7 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
     let runs: Vec<_> =
         file.cores.iter().flat_map(|core| &core.holds).filter(|run| run.population == "hidden").collect();
     assert_eq!(runs.iter().map(|run| (run.first, run.count)).collect::<Vec<_>>(), [(0, 1), (3, 1)]);
-    let again = compile_saved(whole.clone(), &board, &options, &file).unwrap();
+    let again = load(whole.clone(), &board, &options, &file).unwrap();
     assert_eq!(again.program, compiled.program);
     assert_eq!(again.one.pruned().unwrap().dead, [ChannelId(2)]);
     assert_eq!(again.mapping_file(), file);
@@ -75,7 +75,7 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
     let refused = |change: &dyn Fn(&mut nsim_ir::mapping::MappingFile)| {
         let mut file = file.clone();
         change(&mut file);
-        match compile_saved(whole.clone(), &board, &options, &file) {
+        match load(whole.clone(), &board, &options, &file) {
             Err(CompileError::Input(diagnostic)) => diagnostic,
             other => panic!("{other:?}"),
         }
@@ -92,5 +92,5 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
     assert_eq!(refused(&|file| file.pruned = None).code, "mapping.missing");
     let whole_file = compile(whole.clone(), &board, &options).unwrap().mapping_file();
     let pruned = prune(&whole, &Plan::fixed()).unwrap();
-    assert!(compile_saved(pruned, &board, &options, &whole_file).is_err());
+    assert!(load(pruned, &board, &options, &whole_file).is_err());
 }

@@ -11,15 +11,13 @@ use crate::emit::route::route;
 use crate::mapping::Mapping;
 use crate::mapping_file;
 use crate::mapping_file::pruned::plan;
-use crate::place;
-use crate::place::anneal;
 use crate::place::deal::deal;
+use crate::place::{self, anneal};
 use nsim_check::{equivalence, relays, verify};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CoreId, IdVec};
 use nsim_ir::dealt::{Dealt, Share};
 use nsim_ir::firing_rates::Rates;
-use nsim_ir::graph::PerCompartment;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;
 use nsim_ir::neurons::NeuronKind;
@@ -32,11 +30,9 @@ use nsim_partition::form::Form;
 use nsim_partition::options::{DEFAULT_RATE, Effort, Options};
 use nsim_partition::resources::axon_sharing::Places;
 use nsim_partition::resources::even_draws;
-use nsim_partition::strategy;
-use nsim_partition::strategy::boxes;
 use nsim_partition::strategy::boxes::{Boxes, Lattices};
 use nsim_partition::strategy::members::Members;
-use nsim_partition::strategy::{partition, within_bounds};
+use nsim_partition::strategy::{self, boxes, partition, within_bounds};
 use nsim_quantise::copies::copies;
 use nsim_quantise::prune::{Plan, prune};
 use nsim_quantise::relays::{Relayed, relayed};
@@ -88,7 +84,6 @@ impl From<Quantised> for Front {
 
 impl Front {
     /// A network in integers, made in stages that took this many seconds each.
-    #[must_use]
     pub fn measured(one: Quantised, seconds: Vec<(&'static str, f64)>) -> Self {
         Front { one, clock: Clock(seconds), relays: None, by_kernels: false }
     }
@@ -100,19 +95,16 @@ impl Front {
     }
 
     /// How this many copies of it are mapped.
-    #[must_use]
     pub fn form(&self, copies: u32) -> Form {
         if self.by_kernels { Form::Symbolic } else { Form::for_network(&self.one, copies) }
     }
 
     /// The network.
-    #[must_use]
     pub fn quantised(&self) -> &Quantised {
         &self.one
     }
 
     /// The relays that it has besides those of the model, if any.
-    #[must_use]
     pub fn relays(&self) -> Option<&AddedRelays> {
         self.relays.as_ref()
     }
@@ -305,11 +297,8 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
                 .into());
         }
         let Units::Compartments { neurons, .. } = &population.units else { continue };
-        let neurons = match neurons {
-            PerCompartment::Same(neuron) => std::slice::from_ref(neuron),
-            PerCompartment::Each(neurons) => neurons,
-        };
-        if let Some(kind) = neurons.iter().map(|neuron| neuron.kind).find(|kind| !kinds.contains(&kind.family())) {
+        let mut of_neurons = neurons.values().iter().map(|neuron| neuron.kind);
+        if let Some(kind) = of_neurons.find(|kind| !kinds.contains(&kind.family())) {
             let message = format!(
                 "population '{}' has {} neurons, which {} does not have",
                 population.name,
@@ -349,14 +338,7 @@ pub struct Partitioned {
 }
 
 impl Partitioned {
-    /// The network, one copy.
-    #[must_use]
-    pub fn one(&self) -> &Quantised {
-        &self.one
-    }
-
     /// How it is mapped.
-    #[must_use]
     pub fn form(&self) -> Form {
         if self.lattices.is_some() { Form::Symbolic } else { Form::Written }
     }
@@ -454,7 +436,6 @@ pub struct Unchecked(Mapping);
 
 impl Unchecked {
     /// The mapping, which may be wrong.
-    #[must_use]
     pub fn mapping(&self) -> &Mapping {
         &self.0
     }

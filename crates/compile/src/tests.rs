@@ -6,11 +6,9 @@ use std::sync::Arc;
 
 use crate::emit::route::route;
 use crate::emit::testing::proved;
-use crate::place;
-use crate::{CompileError, Compiled, CopyPlacement, DEFAULT_RATE, Front, Options, Reason, compile, explore};
+use crate::{CompileError, CopyPlacement, DEFAULT_RATE, Front, Mapping, Options, Reason, compile, explore, place};
 use nsim_check::equivalence::{check, check_copies};
-use nsim_check::verify;
-use nsim_check::verify::{Violation, verify};
+use nsim_check::verify::{self, Violation, verify};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId, ProjectionId};
 use nsim_ir::base::rng;
@@ -28,7 +26,7 @@ use nsim_partition::resources::incremental::{Filling, Newcomer};
 use nsim_partition::strategy::tiles;
 use nsim_testing::{Builder, limits, neurons, plain_format, random_network, slip, sparse, target, without_classes};
 
-fn compiled(network: Quantised, limits: Limits) -> Compiled {
+fn compiled(network: Quantised, limits: Limits) -> Mapping {
     compile(network, &target(2, 2, limits), &Options::default()).unwrap()
 }
 
@@ -38,6 +36,11 @@ fn reasons(network: Quantised, chips: u32, limits: Limits, copies: u32) -> Vec<R
         Err(CompileError::DoesNotFit(reasons)) => reasons,
         other => panic!("{:?}", other.map(|c| c.partition.cores())),
     }
+}
+
+/// A window that moves by one and stays within its source.
+fn window(source: (u32, u32, u32), target: (u32, u32, u32), kernel: (u32, u32)) -> Window {
+    Window { source, target, kernel, stride: (1, 1), padding: (0, 0), dilation: (1, 1), groups: 1 }
 }
 
 #[test]
@@ -106,9 +109,7 @@ fn a_kernel_is_stored_once_on_each_core_and_weights_of_zero_are_not() {
     let image = net.input_shape("image", Shape::Volume(2, 9, 9));
     let layer = net.loihi_with("layer", Shape::Volume(4, 9, 9), neurons());
     let out = net.loihi("out", 3);
-    let (from, to, once) = ((2, 9, 9), (4, 9, 9), (1, 1));
-    let (kernel, stride, padding, dilation) = ((3, 3), once, once, once);
-    let window = Window { source: from, target: to, kernel, stride, padding, dilation, groups: 1 };
+    let window = Window { padding: (1, 1), ..window((2, 9, 9), (4, 9, 9), (3, 3)) };
     // Of the 18 weights of a channel every fourth is 0.
     let kernel = (0..72).map(|k| if k % 4 == 0 { 0 } else { 2 * (k % 50) + 2 }).collect();
     net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
@@ -199,20 +200,11 @@ fn layers() -> Quantised {
     let input = net.input_shape("in", of(8, 16, 14));
     let wide = net.loihi_with("wide", of(8, 16, 14), neurons());
     let pooled = net.loihi_with("pooled", of(8, 8, 7), neurons());
-    let window = |target, kernel, stride, padding| Window {
-        source: (8, 16, 14),
-        target,
-        kernel,
-        stride,
-        padding,
-        dilation: (1, 1),
-        groups: 1,
-    };
-    let kernel: Vec<i16> = (0..8 * 8 * 9).map(|i| (i * 37 % 128) * 2 - 128).collect();
-    let conv = Connectivity::Conv2d { window: window((8, 16, 14), (3, 3), (1, 1), (1, 1)), kernel: kernel.into() };
-    net.connect((input, wide), plain_format(), 0, conv);
-    let pool = Connectivity::SumPool2d { window: window((8, 8, 7), (2, 2), (2, 2), (0, 0)), weight: 60 };
-    net.connect((wide, pooled), plain_format(), 1, pool);
+    let kernel = (0..8 * 8 * 9).map(|i| (i * 37 % 128) * 2 - 128).collect();
+    let once = Window { padding: (1, 1), ..window((8, 16, 14), (8, 16, 14), (3, 3)) };
+    net.connect((input, wide), plain_format(), 0, Connectivity::Conv2d { window: once, kernel });
+    let halved = Window { stride: (2, 2), ..window((8, 16, 14), (8, 8, 7), (2, 2)) };
+    net.connect((wide, pooled), plain_format(), 1, Connectivity::SumPool2d { window: halved, weight: 60 });
     net.build()
 }
 
@@ -275,8 +267,7 @@ fn cores_are_saved_where_most_of_a_step_is_not_theirs() {
     let size = (16, 20, 20);
     let (image, layer) = (Shape::Volume(16, 20, 20), Shape::Volume(16, 20, 20));
     let (image, layer) = (net.input_shape("image", image), net.loihi_with("layer", layer, neurons()));
-    let (kernel, once, padding) = ((5, 5), (1, 1), (2, 2));
-    let window = Window { source: size, target: size, kernel, stride: once, padding, dilation: once, groups: 1 };
+    let window = Window { padding: (2, 2), ..window(size, size, (5, 5)) };
     let kernel = (0..16 * 16 * 25).map(|k: i32| (k * 37 % 127 - 63) as i16 * 2).collect();
     net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
     let network = net.build();
@@ -294,7 +285,7 @@ fn output_axons_are_counted_by_position_and_the_verifier_counts_the_same() {
     let roomy = limits().with(Resource::Compartments, 512);
     let apart = Limits { output_axons: OutputAxons::PerCompartment, ..roomy.clone() };
     let slots =
-        |compiled: &Compiled| -> u64 { compiled.partition.usage().iter().map(|used| used[Resource::AxonsOut]).sum() };
+        |compiled: &Mapping| -> u64 { compiled.partition.usage().iter().map(|used| used[Resource::AxonsOut]).sum() };
     let (together, alone) = (compiled(layers(), roomy.clone()), compiled(layers(), apart));
     assert!(slots(&together) * 3 < slots(&alone), "{} and {}", slots(&together), slots(&alone));
     for limits in [roomy, Limits { output_axons: OutputAxons::PerPosition { atoms: 4, more_slots: 3 }, ..limits() }] {
@@ -317,8 +308,7 @@ fn more_sources_than_a_program_can_number_take_several_cores() {
     let mut builder = Builder::new();
     let input = builder.input_shape("in", Shape::Volume(128, 20, 33));
     let out = builder.loihi_with("out", Shape::Volume(1, 18, 31), neurons());
-    let (source, target, once) = ((128, 20, 33), (1, 18, 31), (1, 1));
-    let window = Window { source, target, kernel: (3, 3), stride: once, padding: (0, 0), dilation: once, groups: 1 };
+    let window = window((128, 20, 33), (1, 18, 31), (3, 3));
     let kernel = (0..128 * 9).map(|k| (k % 50) as i16 * 2 - 40).collect();
     builder.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
     let compiled = compiled(builder.build(), limits());
@@ -330,7 +320,7 @@ fn more_sources_than_a_program_can_number_take_several_cores() {
 fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
     let roomy = limits().with(Resource::Compartments, 512);
     let most =
-        |compiled: &Compiled| compiled.partition.usage().iter().map(|used| used[Resource::SynapseWords]).max().unwrap();
+        |compiled: &Mapping| compiled.partition.usage().iter().map(|used| used[Resource::SynapseWords]).max().unwrap();
     let found = compiled(layers(), roomy.clone());
     let tight = roomy.clone().with(Resource::SynapseWords, most(&found) as u32);
     let same = compiled(layers(), tight.clone());
@@ -366,7 +356,7 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
         let mut net = Builder::new();
         let input = net.input_shape("in", Shape::Volume(source.0, source.1, source.2));
         let out = net.loihi_with("out", Shape::Volume(target.0, target.1, target.2), neurons());
-        let window = Window { source, target, kernel, stride, padding: (0, 0), dilation: (1, 1), groups: 1 };
+        let window = Window { stride, ..window(source, target, kernel) };
         let weights = i64::from(source.0 * filters * kernel.0 * kernel.1);
         let kernel = (0..weights).map(|i| ((i * 37 + i / 128) % 128 * 2) as i16 - 128).collect();
         net.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });

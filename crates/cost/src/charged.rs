@@ -11,7 +11,6 @@ use crate::transport::Transport;
 use nsim_ir::hardware::constants::StepForm;
 
 /// Whether a run counts something that this constant is multiplied with.
-#[must_use]
 pub fn is_charged(case: &Case<'_>, constant: &str) -> bool {
     let (sum, hops, deployment) = (case.activity.sum(), case.activity.hops(), case.deployment);
     let timing = &case.meter.settings().timing;
@@ -60,9 +59,8 @@ mod tests {
     use crate::constants::CostTable;
     use crate::constants::tests::preset;
     use crate::deployment::{Deployment, tests::paper};
-    use crate::estimate::estimate;
+    use crate::estimate::{estimate, tests::run};
     use crate::model::tests::any_step;
-    use nsim_ir::activity::Activity;
     use nsim_ir::hardware::constants::Constants;
 
     proptest! {
@@ -81,13 +79,8 @@ mod tests {
             };
             let accounting = if rails { Accounting::Rails } else { Accounting::Profiler };
             let figures = |constants: &Constants, asked: &str| {
-                let mut activity = Activity::new(2);
-                let mut meter = crate::meter::tests::meter(vec![CostTable::new(constants).unwrap()], 1, None);
-                for step in &steps {
-                    activity.add_steps(step, 1);
-                    meter.add(step, 1, false);
-                }
-                let case = Case { accounting, ..Case::new(&activity, &meter, &deployment, 1.0) };
+                let (activity, meter) = run(&steps, vec![CostTable::new(constants).unwrap()], None);
+                let case = Case { accounting, ..Case::new(&activity, &meter, &deployment) };
                 let shown = estimate(&case);
                 ((shown.rows, shown.breakdown_pj, shown.time_us), is_charged(&case, asked))
             };

@@ -20,7 +20,6 @@ impl From<u64> for Thousandths {
 
 impl Thousandths {
     /// The ratio.
-    #[must_use]
     pub fn ratio(self) -> f64 {
         self.0 as f64 / 1e3
     }
@@ -116,13 +115,11 @@ impl CostTable {
     }
 
     /// The preset's name.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// Static power of an x86 core in mW: a neuron core's over their ratio.
-    #[must_use]
     pub fn x86_static_mw(&self) -> f64 {
         match self.x86_static_ratio {
             Thousandths(0) => 0.0,
@@ -132,7 +129,6 @@ impl CostTable {
 
     /// Equation (10): the time of a barrier over this many tiles, linear between the preset's
     /// entries (rounded down to a picosecond), constant before the first and after the last.
-    #[must_use]
     pub fn barrier(&self, tiles: u64) -> Picoseconds {
         let after = self.barrier.partition_point(|&(at, _)| at < tiles);
         match (after.checked_sub(1).map(|i| self.barrier[i]), self.barrier.get(after).copied()) {
@@ -276,14 +272,10 @@ pub(crate) mod tests {
             assert!(page.lines().any(|line| line.starts_with(&start) && line.ends_with(&end)), "{start} ... {end}");
         }
         for constants in [&davies, &sana] {
+            // Times as files write them: with a decimal point.
             let listed: Vec<String> =
-                constants.barrier.iter().map(|e| format!("{}: {}", e.tiles, format_time(e.time.value.value))).collect();
+                constants.barrier.iter().map(|e| format!("{}: {:?}", e.tiles, e.time.value.value)).collect();
             assert!(page.contains(&format!("{}: {}.", constants.name, listed.join(", "))), "{listed:?}");
         }
-    }
-
-    /// As files write it: with a decimal point.
-    fn format_time(us: f64) -> String {
-        format!("{us:?}")
     }
 }

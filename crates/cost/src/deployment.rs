@@ -32,10 +32,23 @@ impl Default for HostWork {
 
 impl HostWork {
     /// What x86 cores do unless it is said: they inject, where a chip has any.
-    #[must_use]
     pub fn for_target(target: &Target) -> Self {
         let host = if target.chip().x86_cores_in_use > 0 { Host::Stream } else { Host::None };
         HostWork { host, ..HostWork::default() }
+    }
+
+    /// The same with the host that was asked for, if one was.
+    ///
+    /// # Errors
+    /// Why a target has no such host: its chips keep no x86 core busy.
+    pub fn fed_by(host: Option<Host>, target: &Target) -> Result<Self, String> {
+        let usual = HostWork::for_target(target);
+        match host {
+            Some(host) if host != Host::None && usual.host == Host::None => {
+                Err(format!("{}: {} keeps no x86 core busy", host.name(), target.chip().hardware()))
+            }
+            host => Ok(HostWork { host: host.unwrap_or(usual.host), ..usual }),
+        }
     }
 }
 
@@ -81,7 +94,6 @@ struct FullestChip {
 }
 
 /// Hops of a barrier between chips: across the board where it is full, else a square.
-#[must_use]
 pub fn chip_hops(chips_used: u64, (chips_x, chips_y): (u32, u32)) -> u64 {
     let (wide, high) = (u64::from(chips_x), u64::from(chips_y));
     if chips_used == wide * high {
@@ -93,7 +105,6 @@ pub fn chip_hops(chips_used: u64, (chips_x, chips_y): (u32, u32)) -> u64 {
 
 impl Deployment {
     /// A mapping's own numbers; the placement holds all copies.
-    #[must_use]
     pub fn from_placement(
         name: impl Into<String>,
         placement: &Placement,
@@ -118,7 +129,6 @@ impl Deployment {
     }
 
     /// Given numbers of cores, chips and x86 cores.
-    #[must_use]
     pub fn from_numbers(
         name: impl Into<String>,
         cores: DeployedCores,
@@ -167,13 +177,11 @@ impl Deployment {
     }
 
     /// Whether an x86 process takes a turn in each step.
-    #[must_use]
     pub fn takes_turns(&self) -> bool {
         self.x86_cores > 0 && (self.host != Host::None || self.reset.count > 0)
     }
 
     /// What the time of a step depends on, when steps count spikes of `copies_counted` copies.
-    #[must_use]
     pub fn timing(&self, transport: Transport, copies_counted: u32) -> Timing {
         Timing {
             transport,

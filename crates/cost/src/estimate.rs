@@ -19,12 +19,11 @@ use crate::quantiles::{Quantiles, Spread};
 use nsim_ir::activity::Activity;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::names::named_variants;
-use nsim_ir::base::units::{Femtojoules, Picoseconds};
+use nsim_ir::base::units::Femtojoules;
 use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status};
 
 impl Convention {
     /// Energy of a timestep in uJ. `published` needs the timesteps of a sample.
-    #[must_use]
     pub fn energy_uj(self, total_mw: f64, latency_us: f64, steps_per_sample: Option<u32>) -> Option<f64> {
         match self {
             Convention::Physical => Some(total_mw * latency_us / 1e3),
@@ -137,7 +136,6 @@ pub struct EnergyRow {
 
 impl EnergyRow {
     /// A row of given power and time; energy and its product with time follow.
-    #[must_use]
     pub fn new(
         hardware: &str,
         unit: &'static str,
@@ -173,7 +171,6 @@ impl EnergyRow {
     }
 
     /// A figure by the name that tables of measurements use.
-    #[must_use]
     pub fn figure(&self, name: &str) -> Option<f64> {
         match name {
             "static_mw" => self.static_mw,
@@ -243,8 +240,6 @@ pub struct Case<'a> {
     pub mode: Mode,
     /// Which power counts.
     pub accounting: Accounting,
-    /// Length of a timestep of the model.
-    pub timestep: Picoseconds,
     /// What energy means.
     pub convention: Convention,
     /// Timesteps of a sample; `None` when samples differ.
@@ -253,8 +248,7 @@ pub struct Case<'a> {
 
 impl<'a> Case<'a> {
     /// All copies of a deployment as fast as possible, energy physical, under the first preset.
-    #[must_use]
-    pub fn new(activity: &'a Activity, meter: &'a StepMeter, deployment: &'a Deployment, timestep_ms: f64) -> Self {
+    pub fn new(activity: &'a Activity, meter: &'a StepMeter, deployment: &'a Deployment) -> Self {
         Case {
             activity,
             meter,
@@ -266,7 +260,6 @@ impl<'a> Case<'a> {
             deployment,
             mode: Mode::Offline,
             accounting: Accounting::Profiler,
-            timestep: Picoseconds::from_milliseconds(timestep_ms),
             convention: Convention::Physical,
             steps_per_sample: None,
         }
@@ -314,25 +307,21 @@ pub struct JobPower {
 
 impl JobPower {
     /// Power of the x86 cores on top of static power.
-    #[must_use]
     pub fn x86_dynamic(&self) -> Option<f64> {
         Some(self.x86_clock + self.x86_active?)
     }
 
     /// All that the profiler attributes to the job.
-    #[must_use]
     pub fn profiler(&self) -> Option<f64> {
         Some(self.core_static + self.core_dynamic? + self.x86_static + self.x86_dynamic()?)
     }
 
     /// The whole board once a program is loaded, before it runs.
-    #[must_use]
     pub fn rails_idle(&self) -> f64 {
         self.boot + self.x86_on + self.x86_clock
     }
 
     /// The whole board while it runs.
-    #[must_use]
     pub fn rails_running(&self) -> Option<f64> {
         Some(self.rails_idle() + self.x86_active? + self.core_dynamic?)
     }
@@ -350,7 +339,6 @@ fn x86_work(table: &CostTable, deployment: &Deployment) -> (f64, f64) {
 }
 
 /// Powers of a job whose copies together spend this energy on events in steps of this time.
-#[must_use]
 pub fn job_power(table: &CostTable, deployment: &Deployment, events_fj: f64, steps: u64, time_ps: u128) -> JobPower {
     let (injecting, resetting) = x86_work(table, deployment);
     let known = (time_ps > 0).then_some(time_ps as f64);
@@ -385,7 +373,6 @@ pub struct Spent {
 ///
 /// # Panics
 /// When the meter has no such preset: a mistake of the caller.
-#[must_use]
 pub fn spent(case: &Case<'_>, steps: &StepSums) -> Spent {
     let price = case.price(&case.meter.tables()[case.preset]);
     let time_us = case.time(steps) as f64 / 1e6;
@@ -393,20 +380,7 @@ pub fn spent(case: &Case<'_>, steps: &StepSums) -> Spent {
     Spent { time_us, energy_uj: price.always_mw * time_us / 1e3 + dynamic_fj / 1e9 }
 }
 
-/// What the `total` row spends on the mean in the first, second, ... step of a sample, physical;
-/// empty unless the meter kept these sums for the case's preset.
-///
-/// # Panics
-/// When the meter has no such preset: a mistake of the caller.
-#[must_use]
-pub fn spent_by_step_uj(case: &Case<'_>) -> Vec<f64> {
-    let kept = case.meter.settings().by_step == Some(case.preset);
-    let steps = if kept { case.meter.by_step() } else { &[] };
-    steps.iter().map(|sums| spent(case, sums).energy_uj / sums.steps.max(1) as f64).collect()
-}
-
 /// What the `total` row spends in a step besides events, under one preset.
-#[must_use]
 pub fn step_price(
     table: &CostTable,
     deployment: &Deployment,
@@ -417,18 +391,14 @@ pub fn step_price(
     let power = job_power(table, deployment, 0.0, 0, 0);
     let counted = f64::from(copies_counted.max(1));
     let (copies, x86) = (f64::from(deployment.copies.max(1)), deployment.x86_cores.max(1) as f64);
-    let paced = mode == Mode::Realtime;
-    match accounting {
-        Accounting::Profiler => StepPrice {
-            events: 1.0 / counted,
-            step_fj: resetting / x86,
-            always_mw: (power.x86_static + power.x86_clock + injecting) / x86 + power.core_static / copies,
-            paced,
-        },
-        Accounting::Rails => {
-            StepPrice { events: copies / counted, step_fj: resetting, always_mw: power.rails_idle() + injecting, paced }
+    let (events, step_fj, always_mw) = match accounting {
+        Accounting::Profiler => {
+            let of_x86 = (power.x86_static + power.x86_clock + injecting) / x86;
+            (1.0 / counted, resetting / x86, of_x86 + power.core_static / copies)
         }
-    }
+        Accounting::Rails => (copies / counted, resetting, power.rails_idle() + injecting),
+    };
+    StepPrice { events, step_fj, always_mw, paced: mode == Mode::Realtime }
 }
 
 /// A part of a row's power and how far its class was off.
@@ -454,13 +424,11 @@ impl Case<'_> {
     }
 
     /// What the `total` row spends in a step besides events, under one preset.
-    #[must_use]
     pub fn price(&self, table: &CostTable) -> StepPrice {
         step_price(table, self.deployment, self.copies_counted, (self.mode, self.accounting))
     }
 
     /// Powers of all copies under one preset.
-    #[must_use]
     pub fn job(&self, table: &CostTable, steps: &StepSums) -> JobPower {
         let copies = f64::from(self.deployment.copies.max(1)) / f64::from(self.copies_counted.max(1));
         let events = energy(self.activity, table).total().0 as f64 * copies;
@@ -513,7 +481,7 @@ impl Case<'_> {
         let time = self.within(FigureClass::Time);
         // A step that is held to its timestep is as long as that.
         let held = self.mode == Mode::Realtime && latency_us > free_us;
-        let least = if self.mode == Mode::Realtime { self.timestep.microseconds() } else { 0.0 };
+        let least = if self.mode == Mode::Realtime { self.meter.settings().timestep.microseconds() } else { 0.0 };
         let ends = time.map(|factor| {
             let low = (free_us / factor).max(least).min(latency_us);
             (low, (free_us * factor).max(latency_us))
@@ -593,11 +561,8 @@ impl Case<'_> {
 ///
 /// # Panics
 /// When the meter lacks the preset or the activity's steps: a mistake of the caller.
-#[must_use]
 pub fn estimate(case: &Case<'_>) -> Estimate {
     assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
-    let settings = case.meter.settings();
-    assert_eq!(settings.timestep, case.timestep, "the meter knows the timestep");
     let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
     let job = case.job(table, &lane.whole);
     let mut rows = case.rows(&job, case.latency_us(&lane.whole));
@@ -629,7 +594,7 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
         let part = |(name, energy): (&'static str, Femtojoules)| (name, energy.0 as f64 / per_step);
         energy(case.activity, table).parts().into_iter().map(part).collect()
     });
-    let asked = settings.distribution == Some((case.preset, price));
+    let asked = case.meter.settings().distribution == Some((case.preset, price));
     let distribution = asked.then(|| case.meter.distribution());
     let spread = |of: fn(&Distribution) -> &Quantiles| Some(of(distribution?).spread()?.map(|fj| fj / 1e9));
     let names = StepTime::default().parts().map(|(name, _)| name);
@@ -646,7 +611,7 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use proptest::prelude::*;
 
     use super::*;
@@ -656,7 +621,11 @@ mod tests {
     use nsim_ir::activity::{CoreCounts, StepActivity};
 
     /// A run whose meter keeps the distribution under the first preset and this price, if any.
-    fn run(steps: &[StepActivity], tables: Vec<CostTable>, price: Option<StepPrice>) -> (Activity, StepMeter) {
+    pub(crate) fn run(
+        steps: &[StepActivity],
+        tables: Vec<CostTable>,
+        price: Option<StepPrice>,
+    ) -> (Activity, StepMeter) {
         let mut activity = Activity::new(steps.first().map_or(1, |step| step.cores.len()));
         let mut meter = crate::meter::tests::meter(tables, 1, price.map(|price| (0, price)));
         for step in steps {
@@ -672,7 +641,7 @@ mod tests {
     }
 
     fn case<'a>((activity, meter): &'a (Activity, StepMeter), deployment: &'a Deployment) -> Case<'a> {
-        let case = Case::new(activity, meter, deployment, 1.0);
+        let case = Case::new(activity, meter, deployment);
         Case { hardware: "loihi", copies_counted: 1, steps_per_sample: Some(150), ..case }
     }
 
@@ -853,10 +822,6 @@ mod tests {
         near(slow.rows[0].dynamic_mw.unwrap(), 21.0);
         // The distribution was kept for another price.
         assert_eq!(slow.per_timestep_uj, None);
-        // The first step of the sample and the second.
-        let by_step = spent_by_step_uj(&offline);
-        near(by_step[0], quiet_fj / 1e9 + 22.5 * first / 1e9);
-        near(by_step[1], busy_fj / 1e9 + 22.5 * second / 1e9);
         // Counted for both copies at once, one copy is half.
         let halved = estimate(&Case { copies_counted: 2, ..offline });
         near(halved.rows[1].dynamic_mw.unwrap(), neuron.dynamic_mw.unwrap() / 2.0);

@@ -3,9 +3,9 @@
 //!
 //! Input: the counts of each timestep, and whether its sample was decided before. Output: exact
 //! sums of energy and time, over all steps and over those until the decision; where asked for, the
-//! distribution of a step's energy and sums by the step's number in its sample. Invariant: a meter
-//! is a function of the multiset of its samples, so that meters of samples that ran in parallel
-//! give the same figures whatever the order in which they are merged.
+//! distribution of a step's energy. Invariant: a meter is a function of the multiset of its
+//! samples, so that meters of samples that ran in parallel give the same figures whatever the order
+//! in which they are merged.
 //!
 //! The distribution is of the whole energy of a step, so its [`StepPrice`] has to be known before.
 
@@ -14,10 +14,9 @@ use std::sync::Arc;
 use crate::constants::CostTable;
 use crate::model::{StepTime, core_time, core_time_by_constant, energy_of_counts};
 use crate::quantiles::Quantiles;
-use crate::transport::{MessageRoutes, QueueMemory, Timing, Transport};
+use crate::transport::{MessageRoutes, QueueMemory, Timing};
 use nsim_ir::activity::{HopCounts, StepActivity};
 use nsim_ir::base::units::{Femtojoules, Picoseconds};
-use nsim_ir::program::Program;
 
 /// Sums over steps under one preset, exact.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -92,10 +91,6 @@ pub struct StepMeter {
     settings: Arc<MeterSettings>,
     lanes: Vec<Lane>,
     distribution: Distribution,
-    /// Sums by the step's number in its sample.
-    by_step: Vec<StepSums>,
-    /// The number of the next step in its sample.
-    next: usize,
     hops: HopCounts,
     /// Steps in which each core was the slowest, under the first preset.
     slowest: Vec<u64>,
@@ -120,16 +115,12 @@ pub struct MeterSettings {
     pub timestep: Picoseconds,
     /// The preset (an index into `tables`) and price of the distribution of a step's energy.
     pub distribution: Option<(usize, StepPrice)>,
-    /// The preset under which sums by the step's number in its sample are kept.
-    pub by_step: Option<usize>,
 }
 
 impl MeterSettings {
-    /// Settings for one program, of sums alone.
-    #[must_use]
-    pub fn new(tables: Vec<CostTable>, timing: Timing, program: &Program, timestep: Picoseconds) -> Self {
-        let routes = Arc::new(MessageRoutes::of_program(program));
-        MeterSettings { tables, timing, routes, timestep, distribution: None, by_step: None }
+    /// Settings of sums alone.
+    pub fn new(tables: Vec<CostTable>, timing: Timing, routes: Arc<MessageRoutes>, timestep: Picoseconds) -> Self {
+        MeterSettings { tables, timing, routes, timestep, distribution: None }
     }
 }
 
@@ -141,7 +132,6 @@ fn slowest(step: &StepActivity, table: &CostTable) -> usize {
 
 impl StepMeter {
     /// A meter for these presets.
-    #[must_use]
     pub fn new(settings: impl Into<Arc<MeterSettings>>) -> Self {
         let settings = settings.into();
         let lanes = vec![Lane::default(); settings.tables.len()];
@@ -149,8 +139,6 @@ impl StepMeter {
             settings,
             lanes,
             distribution: Distribution::default(),
-            by_step: Vec::new(),
-            next: 0,
             hops: HopCounts::default(),
             slowest: Vec::new(),
             core_time: [0; 7],
@@ -160,14 +148,13 @@ impl StepMeter {
     }
 
     /// An empty meter of the same kind, for another sample.
-    #[must_use]
     pub fn fresh(&self) -> Self {
         StepMeter::new(self.settings.clone())
     }
 
     /// Adds a timestep that repeated this often; `decided` when its sample was decided before.
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
-        let MeterSettings { tables, timing, routes, timestep, distribution, by_step } = &*self.settings;
+        let MeterSettings { tables, timing, routes, timestep, distribution } = &*self.settings;
         let step_times = routes.step_times(step, tables, *timing, &mut self.memory);
         let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
         self.hops += hops.times(times.into());
@@ -195,12 +182,6 @@ impl StepMeter {
                 // 1 mW for 1 ps is 1 fJ.
                 self.distribution.whole.add(dynamic + price.step_fj + price.always_mw * took.0 as f64, times.into());
             }
-            if *by_step == Some(number) {
-                let end = self.next + times as usize;
-                self.by_step.resize(self.by_step.len().max(end), StepSums::default());
-                self.by_step[self.next..end].iter_mut().for_each(|sums| sums.add(energy, time, *timestep, 1));
-                self.next = end;
-            }
         }
     }
 
@@ -217,39 +198,27 @@ impl StepMeter {
         self.hops += other.hops;
         self.distribution.dynamic.merge(&other.distribution.dynamic);
         self.distribution.whole.merge(&other.distribution.whole);
-        self.by_step.resize(self.by_step.len().max(other.by_step.len()), StepSums::default());
-        self.by_step.iter_mut().zip(&other.by_step).for_each(|(sums, more)| sums.merge(more));
         self.slowest.resize(self.slowest.len().max(other.slowest.len()), 0);
         self.slowest.iter_mut().zip(&other.slowest).for_each(|(sum, more)| *sum += more);
         self.core_time.iter_mut().zip(other.core_time).for_each(|(sum, more)| *sum += more);
     }
 
     /// The conditions under which steps are metered.
-    #[must_use]
     pub fn settings(&self) -> &MeterSettings {
         &self.settings
     }
 
     /// The presets.
-    #[must_use]
     pub fn tables(&self) -> &[CostTable] {
         &self.settings.tables
     }
 
-    /// The model of the mesh.
-    #[must_use]
-    pub fn transport(&self) -> Transport {
-        self.settings.timing.transport
-    }
-
     /// Links that messages crossed in all steps, those of all groups of cores.
-    #[must_use]
     pub fn hops(&self) -> HopCounts {
         self.hops
     }
 
     /// The steps under each preset, in the presets' order.
-    #[must_use]
     pub fn lanes(&self) -> &[Lane] {
         &self.lanes
     }
@@ -258,22 +227,14 @@ impl StepMeter {
     /// where no core takes time.
     ///
     /// [`CORE_TIMES`]: crate::model::CORE_TIMES
-    #[must_use]
     pub fn core_time_shares(&self) -> [f64; 7] {
         let all = self.core_time.iter().sum::<u128>().max(1);
         self.core_time.map(|own| own as f64 / all as f64)
     }
 
     /// How a step's energy is distributed; empty unless the settings ask for it.
-    #[must_use]
     pub fn distribution(&self) -> &Distribution {
         &self.distribution
-    }
-
-    /// Sums by the step's number in its sample; empty unless the settings ask for it.
-    #[must_use]
-    pub fn by_step(&self) -> &[StepSums] {
-        &self.by_step
     }
 
     /// Replaces the counts of slowest steps, where it saw other cores than there are.
@@ -284,19 +245,16 @@ impl StepMeter {
 
     /// Steps in which each core was the slowest under the first preset, the first of several that
     /// were: in all as many as steps. Empty before the first step.
-    #[must_use]
     pub fn slowest_steps(&self) -> &[u64] {
         &self.slowest
     }
 
     /// The time of the step that was added last, under the first preset.
-    #[must_use]
     pub fn last_time(&self) -> StepTime {
         self.last_time
     }
 
     /// Number of timesteps.
-    #[must_use]
     pub fn steps(&self) -> u64 {
         self.lanes.first().map_or(0, |lane| lane.whole.steps)
     }
@@ -310,6 +268,7 @@ pub(crate) mod tests {
     use crate::constants::tests::table;
     use crate::model::energy;
     use crate::model::tests::any_step;
+    use crate::transport::Transport;
     use crate::transport::tests::{no_routes, timing};
     use nsim_ir::activity::Activity;
 
@@ -319,14 +278,9 @@ pub(crate) mod tests {
         tiles_used: u64,
         distribution: Option<(usize, StepPrice)>,
     ) -> StepMeter {
-        StepMeter::new(MeterSettings {
-            tables,
-            timing: Timing { tiles_used, ..timing(Transport::Analytic) },
-            routes: Arc::new(no_routes()),
-            timestep: Picoseconds(1_000_000_000),
-            distribution,
-            by_step: Some(0),
-        })
+        let timing = Timing { tiles_used, ..timing(Transport::Analytic) };
+        let settings = MeterSettings::new(tables, timing, Arc::new(no_routes()), Picoseconds(1_000_000_000));
+        StepMeter::new(MeterSettings { distribution, ..settings })
     }
 
     proptest! {
@@ -359,11 +313,6 @@ pub(crate) mod tests {
                 prop_assert!(whole.paced_time >= whole.time && until_decided.time <= whole.time);
                 prop_assert_eq!(until_decided == whole, steps.len() <= 7);
             }
-            // Two samples: those before the cut and the others.
-            let by_step = whole.by_step();
-            let sums = |get: fn(&StepSums) -> u128| by_step.iter().map(get).sum::<u128>();
-            prop_assert_eq!(sums(|sums| sums.energy.0), whole.lanes()[0].whole.energy.0);
-            prop_assert_eq!(sums(|sums| sums.steps.into()), activity.steps().into());
         }
     }
 }

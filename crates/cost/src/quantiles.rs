@@ -74,14 +74,7 @@ impl Quantiles {
         self.ends = Some(self.ends.map_or((least, greatest), |(low, high)| (low.min(least), high.max(greatest))));
     }
 
-    /// How many numbers there are.
-    #[must_use]
-    pub fn count(&self) -> u64 {
-        self.count
-    }
-
     /// The least number that this many percent do not exceed, within 2^-10; none of nothing.
-    #[must_use]
     pub fn percentile(&self, percent: u32) -> Option<f64> {
         let (least, greatest) = self.ends?;
         let rank = (u128::from(self.count) * u128::from(percent)).div_ceil(100).max(1) as u64;
@@ -102,7 +95,6 @@ impl Quantiles {
     }
 
     /// Its order statistics; none of nothing.
-    #[must_use]
     pub fn spread(&self) -> Option<Spread> {
         let (min, max) = self.ends?;
         Some(Spread { min, p50: self.percentile(50)?, p99: self.percentile(99)?, max })
@@ -146,7 +138,7 @@ mod tests {
         at_once.add(7.5, 1_000_000_000_000);
         at_once.add(9.0, 0);
         at_once.add(2.5, 1);
-        assert_eq!((at_once.count(), at_once.percentile(0)), (1_000_000_000_001, Some(2.5)));
+        assert_eq!((at_once.count, at_once.percentile(0)), (1_000_000_000_001, Some(2.5)));
         assert!((at_once.percentile(50).unwrap() / 7.5 - 1.0).abs() <= 2f64.powi(-10));
     }
 

@@ -10,7 +10,6 @@ use nsim_ir::quantised::connectivity::SynapseFormat;
 
 /// Two's complement wrap of `x` to `bits` bits and a sign: the result is in `-2^bits..2^bits`.
 #[inline]
-#[must_use]
 pub const fn wrap(x: i64, bits: u32) -> i64 {
     let shift = 63 - bits;
     (x << shift) >> shift
@@ -18,7 +17,6 @@ pub const fn wrap(x: i64, bits: u32) -> i64 {
 
 /// `x` held within `low..=high`.
 #[inline]
-#[must_use]
 pub const fn clip(x: i64, low: i64, high: i64) -> i64 {
     if x < low {
         low
@@ -33,7 +31,6 @@ pub const fn clip(x: i64, low: i64, high: i64) -> i64 {
 /// 32-bit `x`. Source: recorded chip voltages (slayerPytorch `test/test_files/Loihi`), 0
 /// differences over four traces.
 #[inline]
-#[must_use]
 pub const fn decay(x: i64, d: Decay) -> i64 {
     let kept = (x.abs() * (DECAY_ONE - d.get() as i64)) >> 12;
     if x < 0 { -kept } else { kept }
@@ -43,7 +40,6 @@ pub const fn decay(x: i64, d: Decay) -> i64 {
 /// `w * 2^(6 + exponent)`. For a negative exponent each weight is rounded toward zero to a multiple
 /// of 64 (nengo-loihi `discretize.py`).
 #[inline]
-#[must_use]
 pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {
     let e = exponent.get();
     let w = w as i32;
@@ -59,7 +55,6 @@ pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {
 /// Equation (1): what a spike over a weight of this format adds to the accumulator. A negative
 /// exponent of a sum apart shifts the sum ([`sum_shift`]).
 #[inline]
-#[must_use]
 pub fn scaled(format: SynapseFormat, weight: i16) -> i32 {
     let exponent = if format.apart.is_some() { format.exponent.max(WeightExponent::ZERO) } else { format.exponent };
     scaled_weight(weight, exponent)
@@ -67,7 +62,6 @@ pub fn scaled(format: SynapseFormat, weight: i16) -> i32 {
 
 /// Rule (39) of `docs/loihi2.md`: bits by which the sum of a format's synapses is shifted.
 #[inline]
-#[must_use]
 pub fn sum_shift(format: SynapseFormat) -> u8 {
     format.apart.map_or(0, |_| format.exponent.min(WeightExponent::ZERO).get().unsigned_abs())
 }
@@ -75,14 +69,12 @@ pub fn sum_shift(format: SynapseFormat) -> u8 {
 /// What a binary spike adds over a synapse, in units of 64, on a core with these formats. It fits
 /// 16 bits: |w| <= 256 and the exponent is at most 7.
 #[inline]
-#[must_use]
 pub fn units(synapse: &Synapse, formats: &[CoreFormat]) -> i32 {
     scaled(formats[usize::from(synapse.format)].synapse, synapse.weight) >> WEIGHT_SHIFT
 }
 
 /// Whether a population with this start step returns to zero before the update of `step`.
 #[inline]
-#[must_use]
 pub fn falls_on(reset: Reset, step: u32, start_step: u32) -> bool {
     match step.checked_sub(start_step.saturating_add(reset.offset)) {
         Some(since) => since % reset.interval == 0,

@@ -63,7 +63,6 @@ pub struct Fields {
 
 impl Fields {
     /// The fields in the chip's semantics.
-    #[must_use]
     pub fn from_registers(neuron: &Neuron, start_step: u32, test: ThresholdTest) -> Self {
         let threshold = (neuron.vth.get() as i32) << THRESHOLD_SHIFT;
         Fields {
@@ -86,7 +85,6 @@ impl Fields {
 
     /// Whether v is held in the coming step.
     #[inline]
-    #[must_use]
     pub fn holds(&self, r: &Registers) -> bool {
         self.remaining(r.hold) > 0
     }
@@ -100,13 +98,11 @@ impl Fields {
     /// Rule (13): whether an update with these arrivals would leave the compartment as it is, and
     /// silent.
     #[inline]
-    #[must_use]
     pub fn at_rest(&self, r: &Registers, arrived: i32) -> bool {
         r.u == 0 && r.v == 0 && !self.holds(r) && arrived == 0 && self.bias == 0
     }
 
     /// Whether the compartment moves or spikes without input, so that it never rests.
-    #[must_use]
     pub fn drives_itself(&self) -> bool {
         self.bias != 0 || self.fires_from <= 0
     }
@@ -152,7 +148,6 @@ impl Arrivals {
     }
 
     /// Whether both fit this many bits and a sign.
-    #[must_use]
     pub fn fit(self, bits: u32) -> bool {
         -(1i64 << bits) <= self.low && self.high < 1i64 << bits
     }
@@ -184,7 +179,6 @@ const SILENT: u32 = u32::MAX;
 
 impl RealForm {
     /// The compartment in register units, its integers taken as real numbers.
-    #[must_use]
     pub fn of_neuron(neuron: &Neuron, semantics: Semantics) -> Self {
         let fields = Fields::from_registers(neuron, 0, ThresholdTest::Inclusive);
         let keep = |decay: u16| 1.0 - f64::from(decay) / DECAY_ONE as f64;

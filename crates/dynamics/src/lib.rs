@@ -35,7 +35,6 @@ fn kind(kind: NeuronKind) -> &'static Kind {
 }
 
 /// The arithmetics that a kind is defined in.
-#[must_use]
 pub fn semantics(of: NeuronKind) -> &'static [Semantics] {
     if of.table().registers { kind(of).semantics } else { &[Semantics::Hardware] }
 }
@@ -57,7 +56,6 @@ pub fn neuron(of: NeuronKind, values: &[i64]) -> Result<Neuron, OutOfRange> {
 
 /// One update with `arrived` units of 64.
 #[inline]
-#[must_use]
 pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     match f.neuron.kind {
         NeuronKind::SoftReset => soft_reset::update(r, arrived, f),
@@ -67,20 +65,17 @@ pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
 
 /// What the updates of a compartment with registers read; of another kind, its start step alone has
 /// a meaning.
-#[must_use]
 pub fn fields(neuron: &Neuron, start_step: u32, semantics: Semantics, test: ThresholdTest) -> Fields {
     let fields = (kind(neuron.kind).fields)(neuron, start_step, semantics, test);
     Fields { vectors: fields.vectors && neuron.kind.table().registers, ..fields }
 }
 
 /// Equation (8): what the chip's voltage register reads after an update.
-#[must_use]
 pub fn voltage_register(neuron: &Neuron, semantics: Semantics, r: &Registers, spiked: bool) -> i32 {
     (kind(neuron.kind).voltage_register)(neuron, semantics, r, spiked)
 }
 
 /// Whether a compartment may ever spike; false only with a proof.
-#[must_use]
 pub fn may_spike(neuron: &Neuron, semantics: Semantics, test: ThresholdTest, arrivals: Arrivals) -> bool {
     if !neuron.kind.table().registers {
         return true;
@@ -91,7 +86,6 @@ pub fn may_spike(neuron: &Neuron, semantics: Semantics, test: ThresholdTest, arr
 
 /// The least number of steps from a spike to the next when no reset falls between them; `None` when
 /// there is no next.
-#[must_use]
 pub fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZeroU32> {
     match neuron.kind.table().registers {
         true => (kind(neuron.kind).shortest_interval)(neuron, semantics),
@@ -101,14 +95,12 @@ pub fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZer
 
 /// A compartment of a model in real numbers, at this many ms a timestep; [`Graph::has_real_form`]
 /// says whether all have such a form.
-#[must_use]
 pub fn model(parameters: &NeuronParameters, index: u32, timestep_ms: f64, semantics: Semantics) -> RealForm {
     let endless = parameters.value("refractory", index) < 1.0;
     (kind(parameters.kind).model)(parameters, index, timestep_ms).under(semantics, endless)
 }
 
 /// The threshold of every compartment in register units, at least one mantissa unit.
-#[must_use]
 pub fn thresholds(network: &Quantised) -> Vec<f64> {
     let of_population = |population: &nsim_ir::quantised::Population| match &population.units {
         Units::Compartments { neurons, .. } => (0..population.shape.len())
@@ -120,7 +112,6 @@ pub fn thresholds(network: &Quantised) -> Vec<f64> {
 }
 
 /// The threshold of every neuron of a model in its own units.
-#[must_use]
 pub fn model_thresholds(graph: &Graph) -> Vec<f64> {
     let facts = graph.facts();
     let of_population = |population: &nsim_ir::graph::Population| -> Vec<f64> {

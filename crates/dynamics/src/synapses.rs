@@ -12,15 +12,25 @@ use nsim_ir::quantised::connectivity::Connectivity;
 pub trait Enumerate {
     /// Calls `f(target, weight)` for every synapse of a source, in ascending order of targets
     /// except for `Random`. Indices are within the populations.
-    fn for_each_from(&self, source: u32, f: impl FnMut(u32, i16));
-
-    /// Calls `f(target, weight)` for every synapse of a source whose target is wanted, in the order
-    /// of [`Enumerate::for_each_from`].
-    fn for_each_wanted(&self, source: u32, wanted: impl Fn(u32) -> bool, f: impl FnMut(u32, i16));
+    #[inline]
+    fn for_each_from(&self, source: u32, f: impl FnMut(u32, i16)) {
+        self.for_each_wanted(source, |_| true, f);
+    }
 
     /// Calls `f(target)` for every synapse of a source, in the order of
     /// [`Enumerate::for_each_from`].
-    fn for_each_target(&self, source: u32, f: impl FnMut(u32));
+    #[inline]
+    fn for_each_target(&self, source: u32, mut f: impl FnMut(u32)) {
+        let see = |target| {
+            f(target);
+            false
+        };
+        self.for_each_wanted(source, see, |_, _| {});
+    }
+
+    /// Calls `f(target, weight)` for every synapse of a source whose target is wanted, in the order
+    /// of [`Enumerate::for_each_from`].
+    fn for_each_wanted(&self, source: u32, wanted: impl FnMut(u32) -> bool, f: impl FnMut(u32, i16));
 
     /// Number of synapses of a source.
     fn count_from(&self, source: u32) -> u64;
@@ -28,66 +38,43 @@ pub trait Enumerate {
 
 impl Enumerate for Connectivity {
     #[inline]
-    fn for_each_from(&self, source: u32, mut f: impl FnMut(u32, i16)) {
+    fn for_each_wanted(&self, source: u32, mut wanted: impl FnMut(u32) -> bool, mut f: impl FnMut(u32, i16)) {
+        let mut see = |target: u32, weight: i16| {
+            if wanted(target) {
+                f(target, weight);
+            }
+        };
         match self {
             Connectivity::Dense { targets, weights } => {
                 let row = source as usize * *targets as usize;
                 for (target, &weight) in weights[row..row + *targets as usize].iter().enumerate() {
-                    f(target as u32, weight);
+                    see(target as u32, weight);
                 }
             }
             Connectivity::Sparse { first, targets, weights } => {
                 let range = first[source as usize] as usize..first[source as usize + 1] as usize;
                 for (&target, &weight) in targets[range.clone()].iter().zip(&weights[range]) {
-                    f(target, weight);
+                    see(target, weight);
                 }
             }
             Connectivity::Conv2d { window, kernel } => {
-                for_each_of_kernel(window, source, |target, place| f(target, kernel[place]));
+                for_each_of_kernel(window, source, |target, place| see(target, kernel[place]));
             }
-            Connectivity::SumPool2d { window, weight } => for_each_of_pool(window, source, |target| f(target, *weight)),
+            Connectivity::SumPool2d { window, weight } => {
+                for_each_of_pool(window, source, |target| see(target, *weight));
+            }
             Connectivity::Random { targets, fan_out, low, high, step, seed, first_source } => {
                 let entity = u64::from(*first_source) + u64::from(source);
+                // A weight is one of low, low + step, .. up to high.
+                let levels = ((i32::from(*high) - i32::from(*low)) / i32::from(*step) + 1) as u64;
                 for k in 0..u64::from(*fan_out) {
-                    let target = drawn_target(*targets, *seed, entity, k);
-                    f(target, drawn_weight((*low, *high, *step), *seed, entity, k));
-                }
-            }
-        }
-    }
-
-    #[inline]
-    fn for_each_wanted(&self, source: u32, wanted: impl Fn(u32) -> bool, mut f: impl FnMut(u32, i16)) {
-        match self {
-            Connectivity::Random { targets, fan_out, low, high, step, seed, first_source } => {
-                // Weights of the others, half of their work, are not drawn.
-                let entity = u64::from(*first_source) + u64::from(source);
-                for k in 0..u64::from(*fan_out) {
-                    let target = drawn_target(*targets, *seed, entity, k);
+                    let target = rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32;
+                    // Weights of the others, half of their work, are not drawn.
                     if wanted(target) {
-                        f(target, drawn_weight((*low, *high, *step), *seed, entity, k));
+                        f(target, low + step * rng::below(levels, *seed, entity, 2 * k + 1) as i16);
                     }
                 }
             }
-            connectivity => connectivity.for_each_from(source, |target, weight| {
-                if wanted(target) {
-                    f(target, weight);
-                }
-            }),
-        }
-    }
-
-    #[inline]
-    fn for_each_target(&self, source: u32, mut f: impl FnMut(u32)) {
-        match self {
-            Connectivity::Random { targets, fan_out, seed, first_source, .. } => {
-                // The weights, half of the work, are not drawn.
-                let entity = u64::from(*first_source) + u64::from(source);
-                for k in 0..u64::from(*fan_out) {
-                    f(drawn_target(*targets, *seed, entity, k));
-                }
-            }
-            connectivity => connectivity.for_each_from(source, |target, _| f(target)),
         }
     }
 
@@ -149,17 +136,4 @@ pub fn for_each_position(window: &Window, source: u32, mut f: impl FnMut(u32, u3
             f(y, x, ky, kx);
         }
     }
-}
-
-/// The target of synapse k of a source whose synapses are drawn.
-#[inline]
-fn drawn_target(targets: u32, seed: u64, source: u64, k: u64) -> u32 {
-    rng::below(u64::from(targets), seed, source, 2 * k) as u32
-}
-
-/// Its weight, one of low, low + step, .. up to high.
-#[inline]
-fn drawn_weight((low, high, step): (i16, i16, i16), seed: u64, source: u64, k: u64) -> i16 {
-    let levels = ((i32::from(high) - i32::from(low)) / i32::from(step) + 1) as u64;
-    low + step * rng::below(levels, seed, source, 2 * k + 1) as i16
 }

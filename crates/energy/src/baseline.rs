@@ -13,7 +13,7 @@ use nsim_ir::base::units::Picoseconds;
 use nsim_ir::hardware::constants::Status;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Quantised, Units};
-use nsim_ir::spanned::parse;
+use nsim_ir::spanned::{Spanned, parse};
 
 /// Sizes that decide whether two networks are the same workload for dense hardware.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -150,14 +150,8 @@ impl Baseline {
     /// # Errors
     /// A diagnostic when there is none of this name.
     pub fn shipped(name: &str) -> Result<Self, Diagnostic> {
-        match Shipped::find(BASELINES, name) {
-            Some(shipped) => Baseline::parse(&shipped.source()),
-            None => {
-                let names: Vec<&str> = BASELINES.iter().map(|shipped| shipped.name).collect();
-                Err(Diagnostic::new("baseline.unknown", format!("there is no baseline {name}"))
-                    .help(format!("baselines are {}", names.join(", "))))
-            }
-        }
+        let unknown = || Diagnostic::new("baseline.unknown", format!("there is no baseline {name}"));
+        Baseline::parse(&Shipped::find(BASELINES, name).ok_or_else(unknown)?.source())
     }
 
     /// A baseline from its file.
@@ -166,28 +160,26 @@ impl Baseline {
     /// A diagnostic where the file is malformed, a figure is negative, or powers do not add up.
     pub fn parse(source: &SourceText) -> Result<Self, Diagnostic> {
         let file: BaselineFile = parse(source, "baseline.syntax")?;
+        let wrong =
+            |code, message: String, figure: &Spanned<f64>| Diagnostic::new(code, message).at(source, figure.span);
         for row in &file.rows {
             let powers = [&row.static_mw, &row.dynamic_mw, &row.total_mw];
             let others = [&row.latency_us, &row.printed_energy_uj, &row.printed_edp];
-            if let Some(figure) = powers.into_iter().chain(others).find(|figure| !(0.0..=1e15).contains(&figure.value))
-            {
-                return Err(Diagnostic::new("baseline.figure", format!("{} is outside 0..=10^15", figure.value))
-                    .at(source, figure.span));
+            let outside = |figure: &&Spanned<f64>| !(0.0..=1e15).contains(&figure.value);
+            if let Some(figure) = powers.into_iter().chain(others).find(outside) {
+                return Err(wrong("baseline.figure", format!("{} is outside 0..=10^15", figure.value), figure));
             }
             let sum = row.static_mw.value + row.dynamic_mw.value;
             // Printed figures are rounded; a hundredth is more than any rounding.
             if (sum - row.total_mw.value).abs() > 0.01 * row.total_mw.value {
-                return Err(Diagnostic::new(
-                    "baseline.sum",
-                    format!("static and dynamic power add up to {sum} mW, not {}", row.total_mw.value),
-                )
-                .at(source, row.total_mw.span));
+                let message = format!("static and dynamic power add up to {sum} mW, not {}", row.total_mw.value);
+                return Err(wrong("baseline.sum", message, &row.total_mw));
             }
         }
         for (name, figure) in file.roofline.iter().flat_map(crate::published::baseline::Roofline::list) {
             if !(figure.value.value > 0.0 && figure.value.value <= 1e15) || figure.source.trim().is_empty() {
                 let message = format!("{name} {} is not within 0..=10^15, or names no source", figure.value.value);
-                return Err(Diagnostic::new("baseline.figure", message).at(source, figure.value.span));
+                return Err(wrong("baseline.figure", message, &figure.value));
             }
         }
         let on = &file.measured_on;

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use ndarray::{Array1, Array2, s};
 
-use crate::measure::quantile;
+use crate::measure::median_least_and_spread;
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;
@@ -60,15 +60,9 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
     let repeats = (budget.as_secs_f64() / first.as_secs_f64()) as usize;
     let repeats = repeats.clamp(LEAST_REPEATS, MOST_REPEATS);
     let steps = timesteps.max(1) as f64;
-    let mut each: Vec<f64> = (0..repeats).map(|_| once(&mut pass).as_secs_f64() * 1e6 / steps).collect();
-    each.sort_unstable_by(f64::total_cmp);
-    Timed {
-        us_per_timestep: quantile(&each, 0.5),
-        fastest: quantile(&each, 0.0),
-        spread: quantile(&each, 0.75) - quantile(&each, 0.25),
-        repeats,
-        timesteps,
-    }
+    let each = (0..repeats).map(|_| once(&mut pass).as_secs_f64() * 1e6 / steps).collect();
+    let [us_per_timestep, fastest, spread] = median_least_and_spread(each);
+    Timed { us_per_timestep, fastest, spread, repeats, timesteps }
 }
 
 /// The first samples that together have about this many timesteps.

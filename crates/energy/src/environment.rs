@@ -59,14 +59,3 @@ fn cpu() -> Option<String> {
         _ => name,
     })
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_environment_is_known() {
-        let here = Environment::here();
-        assert!(here.cores >= 1 && here.rustc.starts_with("rustc "), "{here}");
-    }
-}

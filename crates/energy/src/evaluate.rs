@@ -3,12 +3,11 @@
 //! Input: a [`Workload`], a [`Plan`] of its deployment, [`CostOptions`]. Output: [`Evaluated`]. A
 //! plan comes first, because a published job says how many copies of it there were.
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::baseline::{Baseline, NetworkShape};
 use crate::job::{per_decision, report, saved};
-use crate::options::{CostOptions, DeploymentSource, tables, with_preset};
+use crate::options::{CostOptions, DeploymentSource, priced_by};
 use crate::other_hardware;
 use crate::other_hardware::OneCopy;
 use crate::paper;
@@ -16,7 +15,7 @@ use crate::published::scenario::{ScenarioFile, shipped_for};
 use crate::report::table::{EnergyReport, Part};
 use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
-use nsim_cost::estimate::{ByStatus, Case, Convention, EnergyRow, FigureSource, step_price};
+use nsim_cost::estimate::{ByStatus, Case, Convention, FigureSource, step_price};
 use nsim_cost::job::Accounting;
 use nsim_cost::{Deployment, MeterSettings, StepMeter};
 use nsim_ir::hardware::Target;
@@ -130,8 +129,7 @@ pub fn evaluate(
 ) -> Result<Evaluated, Error> {
     let CostOptions { mode, convention, accounting, .. } = *options;
     let compiled = workload.compiled;
-    let (target, preset) = with_preset(workload.target.clone(), options.constants.as_deref())?;
-    let (target, table) = tables(target, preset.as_deref())?;
+    let (target, table) = priced_by(workload.target.clone(), options.constants.as_deref())?;
     let model = &compiled.one.parts().name;
     let steps_per_sample = workload.steps_per_sample();
     let work = options.host_work(&target, steps_per_sample)?;
@@ -154,14 +152,14 @@ pub fn evaluate(
         accounting,
         convention,
         steps_per_sample,
-        ..Case::new(&run.activity, &run.meter, &deployment, compiled.one.parts().timestep_ms)
+        ..Case::new(&run.activity, &run.meter, &deployment)
     };
     let one = OneCopy {
         network: alone.map_or(&compiled.one, |(network, _)| network),
         program: alone.map(|(_, program)| program),
         samples: &workload.samples(),
         steps: steps_per_sample,
-        timestep: case.timestep,
+        timestep: run.meter.settings().timestep,
     };
     let mut others = other_hardware::rows(&options.baselines, one, mode, convention, options.cpu_watts);
     #[cfg(feature = "nvml")]
@@ -169,17 +167,16 @@ pub fn evaluate(
         other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
     }
     let measured_job = plan.shipped.as_ref().filter(|job| job.is_on(&target) && accounting == Accounting::Profiler);
-    let mut rows: Vec<(EnergyRow, Cow<'static, str>)> = Vec::new();
-    let mut as_in = Vec::new();
+    let (mut rows, mut as_in) = (Vec::new(), Vec::new());
     if let Some(job) = measured_job {
         if plan.job().is_none() {
             as_in = paper::rows(workload, job, options, &target, work)?;
             let total = as_in.iter().find(|row| row.unit == "total").cloned();
-            rows.extend(total.map(|total| (total, "the measured job, by the same constants".into())));
+            rows.extend(total.map(|total| (total, "the measured job, by the same constants".to_string())));
         }
         rows.extend(paper::printed(job, "total", mode, convention, steps_per_sample)?);
     }
-    others.rows.splice(0..0, rows.into_iter().map(|(row, source)| (row, source.into_owned())));
+    others.rows.splice(0..0, rows);
     let as_printed = |unit| match measured_job {
         Some(job) => paper::printed(job, unit, mode, Convention::Published, steps_per_sample),
         None => Ok(None),
@@ -211,7 +208,6 @@ pub fn evaluate(
     energy.job.clone_from(&plan.shipped);
     energy.early_exit = options.early_exit.map(|rule| saved(rule, &case, &run.outcomes));
     energy.printed = printed;
-    energy.copies_counted = workload.copies;
     energy.notes.extend(others.notes);
     energy.accuracy = workload.accuracy(&run.outcomes);
     energy.labelled = workload.samples().iter().filter(|sample| sample.label().is_some()).count() as u64;

@@ -51,7 +51,7 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], accuracy:
         early: decided / samples,
         accuracy,
         median_step: median_decision(outcomes),
-        timestep_ms: case.timestep.0 as f64 / 1e9,
+        timestep_ms: case.meter.settings().timestep.0 as f64 / 1e9,
     }
 }
 
@@ -207,7 +207,7 @@ pub fn report(
         printed: Vec::new(),
         parts: Vec::new(),
         copies_counted: case.copies_counted,
-        transport: case.meter.transport(),
+        transport: case.meter.settings().timing.transport,
         comparison: Comparison { ratios, per_sample: per_sample(rows, steps), per_decision: None },
         baselines,
         early_exit: None,

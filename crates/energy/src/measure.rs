@@ -104,7 +104,7 @@ pub fn measure_agreed<E: Engine>(
     };
     engine.settle();
     let before = engine.totals();
-    let mut each: Vec<f64> = (0..repeats)
+    let each = (0..repeats)
         .map(|_| {
             let begin = Instant::now();
             at = steps(engine, period, at, size);
@@ -112,15 +112,9 @@ pub fn measure_agreed<E: Engine>(
         })
         .collect();
     engine.settle();
-    each.sort_unstable_by(f64::total_cmp);
-    StepTiming {
-        us_per_timestep: quantile(&each, 0.5),
-        fastest: quantile(&each, 0.0),
-        spread: quantile(&each, 0.75) - quantile(&each, 0.25),
-        repeats,
-        steps: size,
-        totals: difference(engine.totals(), before),
-    }
+    let totals = difference(engine.totals(), before);
+    let [us_per_timestep, fastest, spread] = median_least_and_spread(each);
+    StepTiming { us_per_timestep, fastest, spread, repeats, steps: size, totals }
 }
 
 fn difference(after: Totals, before: Totals) -> Totals {
@@ -131,6 +125,13 @@ fn difference(after: Totals, before: Totals) -> Totals {
         compartment_updates: after.compartment_updates - before.compartment_updates,
         active_updates: after.active_updates - before.active_updates,
     }
+}
+
+/// The median, the least, and how far the quartiles are apart.
+pub(crate) fn median_least_and_spread(mut numbers: Vec<f64>) -> [f64; 3] {
+    numbers.sort_unstable_by(f64::total_cmp);
+    let [least, first, median, third] = [0.0, 0.25, 0.5, 0.75].map(|q| quantile(&numbers, q));
+    [median, least, third - first]
 }
 
 /// A quantile of ascending numbers, between neighbours in proportion.

@@ -11,7 +11,7 @@ use nsim_cost::estimate::Convention;
 use nsim_cost::job::{Accounting, DeployedCores, Mode};
 use nsim_cost::{CostTable, Deployment, Host, HostWork, Streams, Transport};
 use nsim_files as io;
-use nsim_files::shipped::BASELINES;
+use nsim_files::shipped::{BASELINES, CONSTANTS, Shipped};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::hardware::Target;
@@ -64,60 +64,42 @@ impl CostOptions {
     /// # Errors
     /// [`Error::Usage`] for a host on a chip without x86 cores.
     pub(super) fn host_work(&self, target: &Target, steps_per_sample: Option<u32>) -> Result<HostWork, Error> {
-        let has_x86 = target.chip().x86_cores_in_use > 0;
-        let usual = if has_x86 { Host::Stream } else { Host::None };
-        let host = self.host.unwrap_or(usual);
-        if host != Host::None && !has_x86 {
-            let (host, chip) = (host.name(), target.chip().hardware());
-            return Err(Error::Usage(format!("--host {host}: {chip} keeps no x86 core busy; leave --host out")));
-        }
-        if self.reset_words > 0 && host == Host::None {
+        let refused = |problem: String| Error::Usage(format!("--host {problem}; leave --host out"));
+        let work = HostWork::fed_by(self.host, target).map_err(refused)?;
+        if self.reset_words > 0 && work.host == Host::None {
             let message =
                 "--reset-words: an x86 core sets them, and with --host none, or on a chip without one, none runs";
             return Err(Error::Usage(message.to_string()));
         }
         let steps_per_sample = steps_per_sample.unwrap_or(1);
-        Ok(HostWork { host, streams: self.streams, reset_words: self.reset_words, steps_per_sample })
+        Ok(HostWork { streams: self.streams, reset_words: self.reset_words, steps_per_sample, ..work })
     }
 }
 
-/// The target with the preset that is asked for in front, and that preset in integers.
+/// The target with the preset that is asked for in front, and that preset in integers. What is
+/// asked for may be a file, or a shipped preset that the target does not name; the target's first
+/// when `None`.
 ///
 /// # Errors
-/// [`Error::Usage`] for an unknown preset, [`Error::Input`] for an inexact constant.
-pub fn tables(target: Target, preset: Option<&str>) -> Result<(Target, CostTable)> {
+/// [`Error::Usage`] for an unknown preset, [`Error::Input`] when a file cannot be used and for an
+/// inexact constant.
+pub fn priced_by(target: Target, asked: Option<&str>) -> Result<(Target, CostTable)> {
     let presets = target.constants();
-    let chosen = match preset {
-        None => &presets[0],
-        Some(name) => presets.iter().find(|preset| preset.name == name).ok_or_else(|| {
-            let names: Vec<&str> = presets.iter().map(|preset| preset.name.as_str()).collect();
-            let meant = did_you_mean(name, names.iter().copied());
-            Error::Usage(format!("{} has no constants {name}; {meant}it has {}", target.name(), names.join(", ")))
-        })?,
+    let chosen = match asked {
+        None => presets[0].clone(),
+        Some(path) if io::shipped::is_path(path) => io::target::load_constants(path)?,
+        Some(name) => match presets.iter().find(|preset| preset.name == name) {
+            Some(preset) => preset.clone(),
+            None if Shipped::find(CONSTANTS, name).is_some() => io::target::load_constants(name)?,
+            None => {
+                let names: Vec<&str> = presets.iter().map(|preset| preset.name.as_str()).collect();
+                let (meant, names) = (did_you_mean(name, names.iter().copied()), names.join(", "));
+                return Err(Error::Usage(format!("{} has no constants {name}; {meant}it has {names}", target.name())));
+            }
+        },
     };
-    let chosen = chosen.clone();
     let table = CostTable::new(&chosen)?;
     Ok((target.with_preset(chosen), table))
-}
-
-/// The target with the preset that is asked for, which may be a file, or a shipped one that the
-/// target does not name; returns the preset's name.
-///
-/// # Errors
-/// [`Error::Input`] when the file cannot be used.
-pub fn with_preset(target: Target, asked: Option<&str>) -> Result<(Target, Option<String>)> {
-    match asked {
-        Some(named)
-            if io::shipped::is_path(named)
-                || !target.constants().iter().any(|preset| preset.name == named)
-                    && io::shipped::Shipped::find(io::shipped::CONSTANTS, named).is_some() =>
-        {
-            let preset = io::target::load_constants(named)?;
-            let name = preset.name.clone();
-            Ok((target.with_preset(preset), Some(name)))
-        }
-        other => Ok((target, other.map(str::to_string))),
-    }
 }
 
 /// `--deployment` with what it names.

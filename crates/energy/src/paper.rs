@@ -50,12 +50,11 @@ pub fn rows(
     let compiled = mapped(&workload.compiled.one, scenario, target)?;
     let deployment = Deployment::from_numbers("paper", scenario.deployment.value, target, scenario.copies.value, work);
     let metered = Metered::new(&compiled);
-    let timestep_ms = compiled.one.parts().timestep_ms;
     let settings = MeterSettings::new(
         vec![CostTable::new(&target.constants()[0])?],
         deployment.timing(options.transport, 1),
-        &compiled.program,
-        Picoseconds::from_milliseconds(timestep_ms),
+        metered.routes.clone(),
+        Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms),
     );
     let samples = workload.samples();
     let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
@@ -66,7 +65,7 @@ pub fn rows(
         mode: options.mode,
         convention: options.convention,
         steps_per_sample: workload.steps_per_sample(),
-        ..Case::new(&run.activity, &run.meter, &deployment, timestep_ms)
+        ..Case::new(&run.activity, &run.meter, &deployment)
     };
     let named = |row: EnergyRow| EnergyRow { hardware: format!("{}, as in {}", row.hardware, scenario.work), ..row };
     Ok(estimate(&case).rows.into_iter().map(named).collect())
@@ -83,7 +82,7 @@ pub fn printed(
     mode: Mode,
     convention: Convention,
     steps: Option<u32>,
-) -> Result<Option<(EnergyRow, std::borrow::Cow<'static, str>)>, Error> {
+) -> Result<Option<(EnergyRow, String)>, Error> {
     for table in &scenario.measured {
         let table = load_measurements(&table.value)?;
         if table.mode != mode {
@@ -106,7 +105,7 @@ pub fn printed(
             Convention::Physical => energy_uj.zip(latency).map(|(energy, time)| energy * time),
             Convention::Published => cell("edp_pjs"),
         };
-        return Ok(Some((EnergyRow { total_mw, energy_uj, edp_pjs, ..row }, table.source.clone().into())));
+        return Ok(Some((EnergyRow { total_mw, energy_uj, edp_pjs, ..row }, table.source)));
     }
     Ok(None)
 }

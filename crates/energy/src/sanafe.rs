@@ -49,12 +49,13 @@ fn refused(what: impl Into<String>) -> Diagnostic {
     Diagnostic::new("export.sanafe", format!("SANA-FE's files cannot say {}", what.into()))
 }
 
-fn joules(energy: Femtojoules) -> String {
-    format!("{}.0e-15", energy.0)
-}
-
 fn seconds(time: Picoseconds) -> String {
     format!("{}.0e-12", time.0)
+}
+
+/// The attributes that say what something costs.
+fn costs(of: &str, (energy, time): (Femtojoules, Picoseconds)) -> String {
+    format!("energy_{of}: {}.0e-15, latency_{of}: {}", energy.0, seconds(time))
 }
 
 /// Attributes of one kind of neuron.
@@ -211,11 +212,9 @@ impl Export<'_> {
     fn architecture(&self) -> String {
         let ((width, height), table) = (self.size(), self.table);
         let mut out = format!(
-            "# {} for SANA-FE 2.2, constants {}; written by nsim energy --export-sanafe.\narchitecture:\n  name: \
-             nsim\n  attributes: \
-             {{topology: mesh, width: {width}, height: {height}, link_buffer_size: {}, sync_model: fixed, \
-             latency_sync: {}}}\n  \
-             tile:\n",
+            "# {} for SANA-FE 2.2, constants {}; written by nsim energy --export-sanafe.\n\
+             architecture:\n  name: nsim\n  attributes: {{topology: mesh, width: {width}, height: {height}, \
+             link_buffer_size: {}, sync_model: fixed, latency_sync: {}}}\n  tile:\n",
             self.compiled.target,
             table.name(),
             table.link_buffer,
@@ -237,53 +236,38 @@ impl Export<'_> {
 
     fn tile_text(&self, out: &mut String, name: &str, inputs: Option<usize>) {
         let (table, mesh) = (self.table, self.program().mesh());
-        let _ = write!(out, "    - name: {name}\n      attributes: {{");
         let (ns, ew) = ((table.hop_ns_energy, table.hop_ns_time), (table.hop_ew_energy, table.hop_ew_time));
-        for (direction, (energy, time)) in [("north", ns), ("east", ew), ("south", ns), ("west", ew)] {
-            let comma = if direction == "north" { "" } else { ", " };
-            let (energy, time) = (joules(energy), seconds(time));
-            let _ = write!(out, "{comma}energy_{direction}_hop: {energy}, latency_{direction}_hop: {time}");
-        }
-        out.push_str("}\n      core:\n");
+        let hops = [("north_hop", ns), ("east_hop", ew), ("south_hop", ns), ("west_hop", ew)];
+        let hops = hops.map(|(hop, cost)| costs(hop, cost)).join(", ");
+        let _ = write!(out, "    - name: {name}\n      attributes: {{{hops}}}\n      core:\n");
         let cores = mesh.cores_per_tile;
         let range = if cores > 1 { format!("core[0..{}]", cores - 1) } else { "core".to_string() };
         let most = self.program().classes().iter().map(|class| class.compartments.len()).max().unwrap_or(1);
-        self.core_text(out, &range, most, table.axon_out_energy, table.axon_out_time, None);
+        self.core_text(out, &range, most, false);
         if let Some(inputs) = inputs {
-            self.core_text(out, "port", inputs, Femtojoules(0), Picoseconds(0), Some(inputs));
+            self.core_text(out, "port", inputs, true);
         }
     }
 
-    fn core_text(
-        &self,
-        out: &mut String,
-        name: &str,
-        neurons: usize,
-        energy_out: Femtojoules,
-        time_out: Picoseconds,
-        inputs: Option<usize>,
-    ) {
+    fn core_text(&self, out: &mut String, name: &str, neurons: usize, is_port: bool) {
         let table = self.table;
-        let soma = |name: &str, model: &str, costs: [(Femtojoules, Picoseconds); 3]| {
-            let mut text = format!("            - {{name: \"{name}\", attributes: {{model: {model}");
-            for (what, (energy, time)) in ["access_neuron", "update_neuron", "spike_out"].iter().zip(costs) {
-                let _ = write!(text, ", energy_{what}: {}, latency_{what}: {}", joules(energy), seconds(time));
-            }
-            text + "}}\n"
+        let soma = |name: &str, model: &str, [visit, update, spike]: [(Femtojoules, Picoseconds); 3]| {
+            let costs = [costs("access_neuron", visit), costs("update_neuron", update), costs("spike_out", spike)];
+            let costs = costs.join(", ");
+            format!("            - {{name: \"{name}\", attributes: {{model: {model}, {costs}}}}}\n")
         };
         let synapse = |name: &str, energy, time| {
-            format!(
-                "            - {{name: {name}, attributes: {{model: current_based, energy_process_spike: {}, \
-                 latency_process_spike: {}}}}}\n",
-                joules(energy),
-                seconds(time)
-            )
+            let costs = costs("process_spike", (energy, time));
+            format!("            - {{name: {name}, attributes: {{model: current_based, {costs}}}}}\n")
         };
         let none = (Femtojoules(0), Picoseconds(0));
-        let somas = match inputs {
-            Some(1) => soma("input0", "input", [none; 3]),
-            Some(inputs) => soma(&format!("input[0..{}]", inputs - 1), "input", [none; 3]),
-            None => {
+        let message_in = costs("message_in", (table.axon_in_energy, table.axon_in_time));
+        let message_out = if is_port { none } else { (table.axon_out_energy, table.axon_out_time) };
+        let message_out = costs("message_out", message_out);
+        let somas = match neurons {
+            1 if is_port => soma("input0", "input", [none; 3]),
+            inputs if is_port => soma(&format!("input[0..{}]", inputs - 1), "input", [none; 3]),
+            _ => {
                 let spike = (table.spike_energy, table.spike_time);
                 let visit = (table.compartment_energy + table.dendrite_energy, table.compartment_time);
                 let update = (table.compartment_active_energy, table.compartment_active_time);
@@ -294,17 +278,12 @@ impl Export<'_> {
             out,
             "        - name: {name}\n          attributes: {{buffer_position: soma, buffer_inside_unit: false, \
              max_neurons_supported: {neurons}}}\n          axon_in:\n            - {{name: in, attributes: \
-             {{energy_message_in: \
-             {}, latency_message_in: {}}}}}\n          soma:\n{somas}          dendrite:\n            - {{name: \
-             dendrite, \
-             attributes: {{model: accumulator, energy_update: 0.0, latency_update: 0.0}}}}\n          synapse:\n{}{}          \
-             axon_out:\n            - {{name: out, attributes: {{energy_message_out: {}, latency_message_out: {}}}}}\n",
-            joules(table.axon_in_energy),
-            seconds(table.axon_in_time),
+             {{{message_in}}}}}\n          soma:\n{somas}          dendrite:\n\
+             \x20           - {{name: dendrite, attributes: {{model: accumulator, energy_update: 0.0, \
+             latency_update: 0.0}}}}\n          synapse:\n{}{}          axon_out:\n            - {{name: out, \
+             attributes: {{{message_out}}}}}\n",
             synapse("dense", table.synapse_dense_energy, table.synapse_dense_time),
             synapse("sparse", table.synapse_sparse_energy, table.synapse_sparse_time),
-            joules(energy_out),
-            seconds(time_out),
         );
     }
 
@@ -312,20 +291,17 @@ impl Export<'_> {
         let (program, leads, delay) = (self.program(), self.leads(), self.input_delay());
         let steps = self.sample.steps() as usize + usize::from(leads);
         let mut out = format!(
-            "# {} for SANA-FE 2.2; written by nsim energy --export-sanafe.\n# run: timesteps={steps} leading={} \
-             mixed={}\n\
+            "# {} for SANA-FE 2.2; written by nsim energy --export-sanafe.\n\
+             # run: timesteps={steps} leading={} mixed={}\n\
              # Run it for this many timesteps; of those, `leading` go before nsim's first. Synaptic events of the last \
-             timestep's\n\
-             # spikes are charged by SANA-FE and not by nsim, whose samples end before they arrive. `mixed` \
-             compartments are\n\
-             # reached by dense and sparse lists and charged here as if all were of one kind.\nnetwork:\n  name: \
-             nsim\n  groups:\n",
+             timestep's\n# spikes are charged by SANA-FE and not by nsim, whose samples end before they arrive. \
+             `mixed` compartments are\n# reached by dense and sparse lists and charged here as if all were of one \
+             kind.\nnetwork:\n  name: nsim\n  groups:\n",
             self.compiled.one.parts().name,
             u32::from(leads),
             mixed(program),
         );
         let ports: Vec<((u32, u32), Vec<usize>)> = self.ports().into_iter().collect();
-        let mut trains = vec![String::new(); program.channels() as usize];
         let mut fired = vec![vec![false; steps]; program.channels() as usize];
         for step in 0..self.sample.steps() {
             for channel in self.sample.at(step) {
@@ -335,9 +311,8 @@ impl Export<'_> {
                 }
             }
         }
-        for (train, fired) in trains.iter_mut().zip(&fired) {
-            *train = fired.iter().map(|&fired| if fired { "1" } else { "0" }).collect::<Vec<_>>().join(", ");
-        }
+        let digits = |fired: &Vec<bool>| fired.iter().map(|&fired| if fired { "1" } else { "0" }).collect::<Vec<_>>();
+        let trains: Vec<String> = fired.iter().map(|fired| digits(fired).join(", ")).collect();
         for (port, (_, channels)) in ports.iter().enumerate() {
             let _ = writeln!(out, "    - name: in{port}\n      attributes: []\n      neurons:");
             for (index, &channel) in channels.iter().enumerate() {

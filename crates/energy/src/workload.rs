@@ -71,14 +71,8 @@ impl<'j> Workload<'j> {
 
     /// What its steps are metered under: sums alone.
     pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
-        MeterSettings {
-            tables,
-            timing: deployment.timing(transport, self.copies),
-            routes: self.metered.routes.clone(),
-            timestep: Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms),
-            distribution: None,
-            by_step: None,
-        }
+        let timestep = Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms);
+        MeterSettings::new(tables, deployment.timing(transport, self.copies), self.metered.routes.clone(), timestep)
     }
 
     /// Timesteps of a sample; `None` when samples differ.

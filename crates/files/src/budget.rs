@@ -69,7 +69,6 @@ pub struct Budget {
 
 impl Budget {
     /// The budget of a file of this many bytes, items and depth.
-    #[must_use]
     pub fn for_file(bytes: u64, most_items: usize, deepest: usize) -> Budget {
         let (fixed, ratio) = (MOST_FIXED, MOST_RATIO);
         let mut budget = Budget { fixed, ratio, bytes: fixed, items: most_items, most_items, deepest };
@@ -78,7 +77,6 @@ impl Budget {
     }
 
     /// The budget of a stream of packets of which nothing has been read.
-    #[must_use]
     pub fn for_packets() -> Budget {
         let (fixed, ratio) = (PACKETS_FIXED, PACKETS_RATIO);
         Budget { fixed, ratio, bytes: fixed, items: usize::MAX, most_items: usize::MAX, deepest: 0 }

@@ -35,7 +35,6 @@ thread_local! {
 
 impl Change {
     /// A value for a path. A constant's path may end with its field `value`, which is the constant.
-    #[must_use]
     pub fn new(path: &str, value: &str) -> Self {
         let path = path.trim();
         let constant = path.strip_prefix("constants.").and_then(|_| path.strip_suffix(".value"));
@@ -70,13 +69,11 @@ impl Change {
     }
 
     /// Where it leads.
-    #[must_use]
     pub fn path(&self) -> &str {
         &self.path
     }
 
     /// Whether it changes the target or its constants, and no model.
-    #[must_use]
     pub fn is_of_target(&self) -> bool {
         let first = self.path.split('.').next();
         first.is_some_and(|first| ["target", "constants"].contains(&first))
@@ -133,7 +130,6 @@ fn kind(of: Option<&str>) -> usize {
 }
 
 /// What this process changes.
-#[must_use]
 pub fn of_process() -> &'static [Change] {
     CHANGES.get().map_or(&[], Vec::as_slice)
 }

@@ -131,29 +131,22 @@ mod tests {
 
     #[test]
     fn every_kind_of_number_is_widened_exactly() {
+        let read = |element: Element, bytes: &[u8]| element.number(bytes, false).real();
         for x in [0i64, 1, -1, 127, -128, 32_767, -32_768, i64::from(i32::MAX), i64::from(i32::MIN), 1 << 53] {
             for size in [1u8, 2, 4, 8] {
                 let bytes = &x.to_le_bytes()[..size.into()];
                 let unused = 64 - 8 * u32::from(size);
-                assert_eq!(
-                    Element::I(size).number(bytes, false).real(),
-                    (x << unused >> unused) as f64,
-                    "{x} in {size}"
-                );
-                assert_eq!(
-                    Element::U(size).number(bytes, false).real(),
-                    ((x as u64) << unused >> unused) as f64,
-                    "{x} in {size}"
-                );
+                assert_eq!(read(Element::I(size), bytes), (x << unused >> unused) as f64, "{x} in {size}");
+                assert_eq!(read(Element::U(size), bytes), ((x as u64) << unused >> unused) as f64, "{x} in {size}");
             }
         }
-        assert_eq!(Element::F(2).number(&0xc000u16.to_le_bytes(), false).real(), -2.0);
-        assert_eq!(Element::F(4).number(&0.1f32.to_le_bytes(), false).real(), f64::from(0.1f32));
-        assert_eq!(Element::F(8).number(&(-1e-300f64).to_le_bytes(), false).real(), -1e-300);
+        assert_eq!(read(Element::F(2), &0xc000u16.to_le_bytes()), -2.0);
+        assert_eq!(read(Element::F(4), &0.1f32.to_le_bytes()), f64::from(0.1f32));
+        assert_eq!(read(Element::F(8), &(-1e-300f64).to_le_bytes()), -1e-300);
         for size in [1u8, 2, 4, 8] {
             let (one, bits) = ([1, 0, 0, 0, 0, 0, 0, 0], 8 * (u32::from(size) - 1));
             assert_eq!(Element::U(size).number(&one[..size.into()], true), Number::Integer(1 << bits), "big-endian");
         }
-        assert_eq!(Element::Bf16.number(&0xc040u16.to_le_bytes(), false).real(), -3.0);
+        assert_eq!(read(Element::Bf16, &0xc040u16.to_le_bytes()), -3.0);
     }
 }

@@ -214,13 +214,10 @@ impl Lowering<'_> {
     }
 
     fn shape(&self, shape: &[u64], span: Span) -> Result<Shape, Diagnostic> {
-        let product = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
-        match product {
-            Some(units) if (1..=MOST_UNITS).contains(&units) => {}
-            _ => {
-                let message = format!("shape {shape:?} does not hold 1 to {MOST_UNITS} units");
-                return Err(self.error("model.shape", message, self.at(span, "shape")));
-            }
+        let units = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
+        if !units.is_some_and(|units| (1..=MOST_UNITS).contains(&units)) {
+            let message = format!("shape {shape:?} does not hold 1 to {MOST_UNITS} units");
+            return Err(self.error("model.shape", message, self.at(span, "shape")));
         }
         match *shape {
             [n] => Ok(Shape::Line(n as u32)),
@@ -309,11 +306,7 @@ impl Lowering<'_> {
                 format!("population '{population}': {what} has {} entries for {units} compartments", values.len());
             return Err(self.error("model.parameter-size", message, span));
         }
-        let finite = match &each {
-            PerCompartment::Same(value) => value.is_finite(),
-            PerCompartment::Each(values) => values.iter().all(|value| value.is_finite()),
-        };
-        if !finite {
+        if each.any(|value| !value.is_finite()) {
             let message = format!("population '{population}': {what} is not a finite number");
             return Err(self.error("model.not-finite", message, span));
         }
@@ -322,32 +315,28 @@ impl Lowering<'_> {
 
     /// The numbers of a source; `shape` is what a seeded source should fill.
     fn sourced(&self, source: &Source, shape: &[u64], span: Span) -> Result<Arc<Tensor>, Diagnostic> {
-        match source {
-            Source::Npy(_) | Source::Safetensors(..) => {
-                let array = source.array().map(|array| self.network.array(&array).clone());
-                Ok(Arc::new(array.expect("it is the array of a file")))
-            }
-            Source::Uniform { low, high, step, seed } => {
-                let length = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
-                let length = length.filter(|&n| n <= MOST_UNIFORM).ok_or_else(|| {
-                    self.error("model.too-large", format!("Uniform would make more than {MOST_UNIFORM} numbers"), span)
-                        .help("use a Random projection, whose synapses are never expanded")
-                })?;
-                let levels = step.map_or(1.0, |step| ((high - low) / step).floor() + 1.0);
-                if !(low.is_finite() && high.is_finite() && low <= high && (1.0..1e15).contains(&levels)) {
-                    let steps = step.map_or(String::new(), |step| format!(" in steps of {step}"));
-                    let message = format!("Uniform from {low} to {high}{steps} is no range");
-                    return Err(self.error("model.uniform", message, span));
-                }
-                let draw = |i: u64| match step {
-                    Some(step) => low + step * rng::below(levels as u64, *seed, i, 0) as f64,
-                    None => low + (high - low) * rng::unit(*seed, i, 0),
-                };
-                let numbers = Numbers::Reals((0..length).map(draw).collect());
-                let tensor = Tensor::new(shape.iter().map(|&axis| axis as usize).collect(), numbers);
-                Ok(Arc::new(tensor.expect("as many numbers as the shape holds")))
-            }
+        let Source::Uniform { low, high, step, seed } = source else {
+            let array = source.array().expect("it is the array of a file");
+            return Ok(Arc::new(self.network.array(&array).clone()));
+        };
+        let length = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
+        let length = length.filter(|&n| n <= MOST_UNIFORM).ok_or_else(|| {
+            self.error("model.too-large", format!("Uniform would make more than {MOST_UNIFORM} numbers"), span)
+                .help("use a Random projection, whose synapses are never expanded")
+        })?;
+        let levels = step.map_or(1.0, |step| ((high - low) / step).floor() + 1.0);
+        if !(low.is_finite() && high.is_finite() && low <= high && (1.0..1e15).contains(&levels)) {
+            let steps = step.map_or(String::new(), |step| format!(" in steps of {step}"));
+            let message = format!("Uniform from {low} to {high}{steps} is no range");
+            return Err(self.error("model.uniform", message, span));
         }
+        let draw = |i: u64| match step {
+            Some(step) => low + step * rng::below(levels as u64, *seed, i, 0) as f64,
+            None => low + (high - low) * rng::unit(*seed, i, 0),
+        };
+        let numbers = Numbers::Reals((0..length).map(draw).collect());
+        let tensor = Tensor::new(shape.iter().map(|&axis| axis as usize).collect(), numbers);
+        Ok(Arc::new(tensor.expect("as many numbers as the shape holds")))
     }
 
     fn projection(
@@ -369,27 +358,21 @@ impl Lowering<'_> {
             self.find(nodes, name, "'from'", || self.at(span, &format!("from.[{index}]")))
         };
         let sources: Vec<NodeIndex> = desc.from.iter().enumerate().map(source).collect::<Result<_, _>>()?;
-        let sizes: Vec<u32> = sources.iter().map(|&node| graph[node].shape.len()).collect();
         let declared = Declared {
             lowering: self,
             span,
             desc,
-            sources: sizes.iter().map(|&size| u64::from(size)).sum(),
+            sources: sources.iter().map(|&node| u64::from(graph[node].shape.len())).sum(),
             source_shape: graph[sources[0]].shape,
             target_shape: graph[target].shape,
         };
         let to_delay = |delay: u32, path: &str| {
-            Delay::new(delay.into()).map_err(|e| {
-                self.error("model.delay-range", format!("projection to '{}': {e}", desc.to), self.at(span, path))
-                    .help("a longer delay needs a relay population")
-            })
+            let wrong =
+                |e| declared.wrong("model.delay-range", e, path).help("a longer delay needs a relay population");
+            Delay::new(delay.into()).map_err(wrong)
         };
         let delay = to_delay(desc.delay, "delay")?;
-        let parts = match &desc.kind {
-            Kind::Arrays(arrays) => declared.arrays(arrays)?,
-            _ => vec![(None, declared.kind()?)],
-        };
-        for (own_delay, whole) in parts {
+        for (own_delay, whole) in declared.parts()? {
             let delay = own_delay.map_or(Ok(delay), |own| to_delay(own, "arrays.delay"))?;
             self.part((desc, span), delay, whole, (&sources, target), graph);
         }
@@ -468,22 +451,23 @@ struct Declared<'a> {
 }
 
 impl Declared<'_> {
-    fn kind(&self) -> Result<ProjectionKind, Diagnostic> {
-        match &self.desc.kind {
+    fn parts(&self) -> Result<Vec<Part>, Diagnostic> {
+        let whole = match &self.desc.kind {
             Kind::Dense(weights) => {
                 let shape = [u64::from(self.target_shape.len()), self.sources];
-                Ok(ProjectionKind::Dense { weights: self.weights(weights, &shape)? })
+                ProjectionKind::Dense { weights: self.weights(weights, &shape)? }
             }
-            Kind::Sparse(synapses) => self.sparse(synapses),
-            Kind::Arrays(_) => Ok(ProjectionKind::Sparse { synapses: Vec::new() }),
+            Kind::Sparse(synapses) => self.sparse(synapses)?,
+            Kind::Arrays(arrays) => return self.arrays(arrays),
             Kind::Conv2d { weights, stride, padding, padding_after, dilation, groups } => {
-                self.conv(weights, [*stride, *padding, *padding_after, *dilation], *groups)
+                self.conv(weights, [*stride, *padding, *padding_after, *dilation], *groups)?
             }
             &Kind::SumPool2d { kernel, stride, padding, padding_after, weight } => {
-                self.pool([kernel, stride, padding, padding_after], weight)
+                self.pool([kernel, stride, padding, padding_after], weight)?
             }
-            &Kind::Random { fan_out, low, high, seed } => self.random(fan_out, (low, high), seed),
-        }
+            &Kind::Random { fan_out, low, high, seed } => self.random(fan_out, (low, high), seed)?,
+        };
+        Ok(vec![(None, whole)])
     }
 
     /// An error at a path within the declaration.
@@ -491,8 +475,9 @@ impl Declared<'_> {
         self.lowering.error(code, message, self.lowering.at(self.span, path))
     }
 
-    fn to(&self) -> &str {
-        &self.desc.to
+    /// An error of the projection, which begins with its target.
+    fn wrong(&self, code: &'static str, what: impl Display, path: &str) -> Diagnostic {
+        self.error(code, format!("projection to '{}': {what}", self.desc.to), path)
     }
 
     /// The weights with exactly this shape; trailing axes of length 1 are allowed and dropped.
@@ -506,12 +491,8 @@ impl Declared<'_> {
             found.pop();
         }
         if found != shape {
-            let message = format!(
-                "projection to '{}': weights are {:?}, its populations need {shape:?}",
-                self.to(),
-                tensor.shape()
-            );
-            return Err(self.error("model.weights-shape", message, "weights").help(
+            let what = format!("weights are {:?}, its populations need {shape:?}", tensor.shape());
+            return Err(self.wrong("model.weights-shape", what, "weights").help(
                 "weights are [target][source], kernels [out channel][in channel / groups][height][width]; a \
                      layer of another size is trained anew, with nsim train",
             ));
@@ -522,8 +503,8 @@ impl Declared<'_> {
     /// The synapses of arrays by their own delay, where they have one.
     fn arrays(&self, arrays: &SynapseArrays) -> Result<Vec<Part>, Diagnostic> {
         if arrays.delay.is_some() && self.desc.delay != 0 {
-            let message = format!("projection to '{}': synapses and the projection have a delay", self.to());
-            return Err(self.error("model.synapse-arrays", message, "arrays.delay"));
+            let what = "synapses and the projection have a delay";
+            return Err(self.wrong("model.synapse-arrays", what, "arrays.delay"));
         }
         let (network, sizes) = (self.lowering.network, (self.sources, self.target_shape.len().into()));
         let stored = |array| network.array(array);
@@ -540,8 +521,8 @@ impl Declared<'_> {
         let synapse = |(&(source, target, weight), entry): (&(u64, u64, f64), u32)| {
             for (what, index, size) in [("source", source, self.sources), ("target", target, targets)] {
                 if index >= size {
-                    let message = format!("projection to '{}': {what} {index} is outside 0..{size}", self.to());
-                    return Err(self.error("model.synapse-index", message, &format!("synapses.[{entry}]")));
+                    let what = format!("{what} {index} is outside 0..{size}");
+                    return Err(self.wrong("model.synapse-index", what, &format!("synapses.[{entry}]")));
                 }
             }
             Ok((source as u32, target as u32, weight, entry))
@@ -552,14 +533,14 @@ impl Declared<'_> {
 
     fn volumes(&self, what: &str) -> Result<(Volume, Volume), Diagnostic> {
         if self.desc.from.len() != 1 {
-            let message = format!("{what} to '{}' has {} sources", self.to(), self.desc.from.len());
+            let message = format!("{what} to '{}' has {} sources", self.desc.to, self.desc.from.len());
             return Err(self.error("model.window", message, "").help("declare one projection for each source"));
         }
         match (self.source_shape.volume(), self.target_shape.volume()) {
             (Some(source), Some(target)) => Ok((source, target)),
             _ => {
-                let message =
-                    format!("{what} to '{}' goes from shape {} to {}", self.to(), self.source_shape, self.target_shape);
+                let Declared { source_shape, target_shape, desc, .. } = self;
+                let message = format!("{what} to '{}' goes from shape {source_shape} to {target_shape}", desc.to);
                 Err(self.error("model.window", message, "").help("both shapes must be [channels, height, width]"))
             }
         }
@@ -569,8 +550,7 @@ impl Declared<'_> {
     fn pair(&self, pair: (u64, u64), what: &str, least: u64) -> Result<(u32, u32), Diagnostic> {
         let range = least..=65_535;
         if !range.contains(&pair.0) || !range.contains(&pair.1) {
-            let message = format!("projection to '{}': {what} {pair:?} is outside {range:?}", self.to());
-            return Err(self.error("model.window", message, what));
+            return Err(self.wrong("model.window", format!("{what} {pair:?} is outside {range:?}"), what));
         }
         Ok((pair.0 as u32, pair.1 as u32))
     }
@@ -584,24 +564,18 @@ impl Declared<'_> {
             let room = u64::from(source) + u64::from(padding.0) + u64::from(padding.1);
             room.checked_sub(reach).map(|slack| slack / u64::from(stride) + 1)
         };
-        let w = window;
-        let expected = (
-            size(w.source.1, w.kernel.0, w.stride.0, (w.padding.0, after.0), w.dilation.0),
-            size(w.source.2, w.kernel.1, w.stride.1, (w.padding.1, after.1), w.dilation.1),
-        );
-        if expected != (Some(u64::from(w.target.1)), Some(u64::from(w.target.2))) {
-            let show = |side: Option<u64>| side.map_or("nothing".to_string(), |n| n.to_string());
-            let message = format!(
-                "projection to '{}': the window makes {} x {} of {} x {}, the population is {} x {}",
-                self.to(),
-                show(expected.0),
-                show(expected.1),
-                w.source.1,
-                w.source.2,
-                w.target.1,
-                w.target.2
+        let Window { source: (_, from_height, from_width), target: (_, height, width), .. } = *window;
+        let Window { kernel, stride, padding, dilation, .. } = *window;
+        let made = [
+            size(from_height, kernel.0, stride.0, (padding.0, after.0), dilation.0),
+            size(from_width, kernel.1, stride.1, (padding.1, after.1), dilation.1),
+        ];
+        if made != [height, width].map(|side| Some(u64::from(side))) {
+            let [high, wide] = made.map(|side| side.map_or("nothing".to_string(), |side| side.to_string()));
+            let what = format!(
+                "the window makes {high} x {wide} of {from_height} x {from_width}, the population is {height} x {width}"
             );
-            return Err(self.error("model.window", message, "").help(
+            return Err(self.wrong("model.window", what, "").help(
                 "size = (source + padding + padding_after - dilation (kernel - 1) - 1) / stride + 1, rounded down",
             ));
         }
@@ -616,13 +590,8 @@ impl Declared<'_> {
     ) -> Result<ProjectionKind, Diagnostic> {
         let (source, target) = self.volumes("Conv2d")?;
         if groups == 0 || u64::from(source.0) % groups != 0 || u64::from(target.0) % groups != 0 {
-            let message = format!(
-                "projection to '{}': {groups} groups do not divide {} and {} channels",
-                self.to(),
-                source.0,
-                target.0
-            );
-            return Err(self.error("model.window", message, "groups"));
+            let what = format!("{groups} groups do not divide {} and {} channels", source.0, target.0);
+            return Err(self.wrong("model.window", what, "groups"));
         }
         // The kernel's size is read off the weights, so those are read first.
         let Some(kernel) = self.lowering.network.tensor(weights).map(|kernel| kernel.shape().to_vec()) else {
@@ -632,11 +601,7 @@ impl Declared<'_> {
         };
         let (Some(&kh), Some(&kw)) = (kernel.get(2), kernel.get(3)) else {
             return Err(self
-                .error(
-                    "model.weights-shape",
-                    format!("projection to '{}': the kernel is {kernel:?}", self.to()),
-                    "weights",
-                )
+                .wrong("model.weights-shape", format!("the kernel is {kernel:?}"), "weights")
                 .help("kernels are [out channel][in channel / groups][height][width]"));
         };
         let shape = [u64::from(target.0), u64::from(source.0) / groups, kh as u64, kw as u64];
@@ -673,7 +638,7 @@ impl Declared<'_> {
             groups: source.0,
         };
         if source.0 != target.0 {
-            let message = format!("SumPool2d to '{}' goes from {} to {} channels", self.to(), source.0, target.0);
+            let message = format!("SumPool2d to '{}' goes from {} to {} channels", self.desc.to, source.0, target.0);
             return Err(self.error("model.window", message, ""));
         }
         self.check_window(&window, padding_after)?;
@@ -684,12 +649,8 @@ impl Declared<'_> {
     fn random(&self, fan_out: u64, (low, high): (i64, i64), seed: u64) -> Result<ProjectionKind, Diagnostic> {
         let synapses = self.sources.checked_mul(fan_out);
         if synapses.is_none_or(|n| n > MOST_SYNAPSES) || u32::try_from(fan_out).is_err() {
-            let message = format!(
-                "projection to '{}': {} sources times {fan_out} synapses is more than {MOST_SYNAPSES}",
-                self.to(),
-                self.sources
-            );
-            return Err(self.error("model.too-large", message, "fan_out"));
+            let what = format!("{} sources times {fan_out} synapses is more than {MOST_SYNAPSES}", self.sources);
+            return Err(self.wrong("model.too-large", what, "fan_out"));
         }
         if self.desc.weight_scale.is_some() {
             let message = "a Random projection has integer weights and does not support weight_scale";

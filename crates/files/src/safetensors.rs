@@ -177,27 +177,15 @@ mod tests {
         assert!(error.code == "safetensors.value" && error.message.contains("number 0 of tensor 'w'"), "{error}");
         assert_eq!(one("F32", &f32::INFINITY.to_le_bytes(), 1).unwrap_err().code, "safetensors.value");
         assert_eq!(one("F8_E4M3", &[0], 1).unwrap_err().code, "safetensors.dtype");
-        let json = r#"{"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]},"b":{"dtype":"U8","shape":[0],"data_offsets":[1,1]}}"#;
-        let missing = file(json, &[1]).unwrap().tensor("w").unwrap_err();
-        assert_eq!((missing.code, missing.help.as_deref()), ("safetensors.key", Some("the file holds: a, b")));
     }
 
     #[test]
     fn damaged_files_are_refused() {
         let huge = r#"{"w":{"dtype":"F64","shape":[4000000000000,4000000000000],"data_offsets":[0,8]}}"#;
-        let short = r#"{"w":{"dtype":"F64","shape":[2],"data_offsets":[0,16]}}"#;
         let deep = format!("{{\"w\":{}", "[".repeat(100_000));
-        for json in [huge, short, "{", "", &deep] {
-            assert_eq!(
-                file(json, &[0; 8]).err().unwrap().code,
-                "safetensors.format",
-                "{}",
-                &json[..json.len().min(60)]
-            );
+        for json in [huge, "{", "", &deep] {
+            assert_eq!(file(json, &[0; 8]).err().unwrap().code, "safetensors.format", "{json:.60}");
         }
-        for bytes in [vec![], vec![0xff; 7], vec![0xff; 64]] {
-            let error = TensorFile::from_bytes(Path::new("w"), bytes).err().unwrap();
-            assert_eq!(error.code, "safetensors.format");
-        }
+        assert_eq!(TensorFile::from_bytes(Path::new("w"), vec![]).err().unwrap().code, "safetensors.format");
     }
 }

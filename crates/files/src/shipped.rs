@@ -164,13 +164,11 @@ pub enum Origin {
 
 impl Shipped {
     /// The file of a name.
-    #[must_use]
     pub fn find(table: &'static [Shipped], name: &str) -> Option<&'static Shipped> {
         table.iter().find(|shipped| shipped.name == name)
     }
 
     /// Its text under its path in the project.
-    #[must_use]
     pub fn source(&self) -> SourceText {
         SourceText::new(self.path, self.text)
     }
@@ -178,7 +176,6 @@ impl Shipped {
 
 /// Whether an argument is a path: it is `-`, it contains `/` or `.`, or there is such a file;
 /// otherwise it is a name.
-#[must_use]
 pub fn is_path(argument: &str) -> bool {
     let path = Path::new(argument);
     is_standard_stream(path) || argument.contains(['/', '\\', '.']) || path.is_file()
@@ -189,7 +186,6 @@ const MEANT: [(&str, &str); 4] =
     [("loihi", "loihi1-chip"), ("loihi1", "loihi1-chip"), ("loihi2", "oheo-gulch"), ("loihi-2", "oheo-gulch")];
 
 /// The error for a name that is not shipped.
-#[must_use]
 pub fn unknown(code: &'static str, kind: &str, name: &str, table: &[Shipped]) -> Diagnostic {
     let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
     let meant = MEANT.iter().find(|(called, target)| *called == name.to_lowercase() && names.contains(target));

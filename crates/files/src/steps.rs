@@ -26,7 +26,6 @@ pub enum Unit {
 
 impl Unit {
     /// Of what is counted, how many make a unit of what is written.
-    #[must_use]
     pub fn divisor(self) -> u64 {
         match self {
             Unit::Count => 1,
@@ -56,7 +55,6 @@ pub enum StepFormat {
 
 impl StepFormat {
     /// The form that a file's name says; none when it says neither.
-    #[must_use]
     pub fn from_name(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_string_lossy().to_ascii_lowercase();
         match extension.as_str() {
@@ -82,12 +80,6 @@ pub struct StepWriter<'w> {
     line: Vec<u8>,
 }
 
-impl std::fmt::Debug for StepWriter<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("StepWriter").field("format", &self.format).field("rows", &self.rows).finish_non_exhaustive()
-    }
-}
-
 impl<'w> StepWriter<'w> {
     /// Begins a table of this many rows; their number may be left open in CSV.
     ///
@@ -101,17 +93,6 @@ impl<'w> StepWriter<'w> {
     ) -> Result<StepWriter<'w>> {
         let units: Vec<Unit> = columns.iter().map(|column| column.unit).collect();
         let promised = rows.filter(|_| format == StepFormat::Npy);
-        let table = |out| StepWriter {
-            out,
-            format,
-            units,
-            promised,
-            rows: 0,
-            sample: 0,
-            step: 0,
-            failed: None,
-            line: Vec::new(),
-        };
         match (format, rows) {
             (StepFormat::Csv, _) => {
                 let mut header = csv::Writer::from_writer(&mut *out);
@@ -122,7 +103,7 @@ impl<'w> StepWriter<'w> {
             (StepFormat::Npy, Some(rows)) => out.write_all(&npy::header(&record(columns), &[rows])?)?,
             (StepFormat::Npy, None) => return Err(Error::other("an array needs its number of rows")),
         }
-        Ok(table(out))
+        Ok(StepWriter { out, format, units, promised, rows: 0, sample: 0, step: 0, failed: None, line: Vec::new() })
     }
 
     /// Writes the row of the sample's next timestep.
@@ -171,7 +152,6 @@ impl<'w> StepWriter<'w> {
     }
 
     /// Whether everything so far could be written.
-    #[must_use]
     pub fn is_sound(&self) -> bool {
         self.failed.is_none()
     }

@@ -22,7 +22,6 @@ const GAP: usize = 2;
 ///
 /// Text is broken between words; numbers are whole and aligned to the right. Columns for which
 /// there is no room follow in further tables, each of which begins with the first column.
-#[must_use]
 pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
     fitted(header, rows, *TABLE_WIDTH)
 }
@@ -145,7 +144,6 @@ fn field<'v>(value: &'v Value, key: &str) -> &'v Value {
 }
 
 /// A value as a cell of CSV: text bare, numbers as short as they can be read back.
-#[must_use]
 pub fn cell(value: &Value) -> String {
     match value {
         Value::Null => String::new(),
@@ -179,7 +177,6 @@ fn cells(csv: &str) -> impl Iterator<Item = Vec<String>> {
 }
 
 /// CSV without the column of this name.
-#[must_use]
 pub fn without_column(csv: &str, name: &str) -> String {
     let mut records = cells(csv);
     let mut header = records.next().unwrap_or_default();
@@ -203,7 +200,6 @@ fn four_digits(x: f64) -> f64 {
 }
 
 /// CSV as a Markdown table.
-#[must_use]
 pub fn markdown(csv: &str) -> String {
     let line = |cells: &[String]| {
         let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|").replace('\n', " ")).collect();
@@ -221,7 +217,6 @@ pub fn markdown(csv: &str) -> String {
 }
 
 /// CSV as a LaTeX tabular with the rules of the package booktabs.
-#[must_use]
 pub fn latex(csv: &str) -> String {
     let escaped = |cell: &String| {
         let mut out = String::new();
@@ -262,13 +257,11 @@ pub fn or_empty(value: Option<impl ToString>) -> String {
 }
 
 /// A number with six decimals, as many as a measure is good for; a zero without a sign.
-#[must_use]
 pub fn rounded(x: f64) -> f64 {
     format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
 /// A number with this many significant digits, and no fewer of a whole number.
-#[must_use]
 pub fn digits(x: f64, significant: i32) -> String {
     if x == 0.0 || !x.is_finite() {
         return format!("{x}");
@@ -280,7 +273,6 @@ pub fn digits(x: f64, significant: i32) -> String {
 }
 
 /// A number with three significant digits.
-#[must_use]
 pub fn three(x: f64) -> String {
     digits(x, 3)
 }
@@ -332,14 +324,12 @@ fn filled<'t>(words: impl Iterator<Item = &'t str>, first: usize, indent: usize,
 }
 
 /// A command, indented, in lines of at most [`WIDTH`] columns that a shell takes as one.
-#[must_use]
 pub fn shell_lines(command: &str) -> String {
     // A space and a backslash follow all lines but the last.
     format!("  {}", filled(command.split(' '), 2, 6, WIDTH - 2).join(" \\\n"))
 }
 
 /// Puts a section between `<!-- NAME -->` and `<!-- end NAME -->` of a document.
-#[must_use]
 pub fn replaced(document: &str, name: &str, section: &str) -> Option<String> {
     let (open, close) = (format!("<!-- {name} -->\n"), format!("<!-- end {name} -->"));
     let from = document.find(&open)? + open.len();

@@ -60,7 +60,6 @@ fn has_kinds(target: &Target, kinds: &BTreeSet<NeuronKind>) -> bool {
 }
 
 /// Shipped targets whose compartments can be of all these kinds.
-#[must_use]
 pub fn shipped_with(kinds: &BTreeSet<NeuronKind>) -> Vec<Target> {
     let targets = shipped::TARGETS.iter().filter_map(|shipped| load_target(shipped.name).ok());
     targets.filter(|target| has_kinds(target, kinds)).collect()
@@ -89,10 +88,7 @@ fn target_within(source: &SourceText, origin: Origin, deepest: u32) -> Result<Ta
     let chip = parse_chip(&chip_source)?;
     let constants = presets(source, origin, &file.constants)?;
     // What has no place in the target file, the chip's file is to blame for.
-    Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
-        Some(_) => problem,
-        None => problem.in_file(chip_source.path()),
-    })
+    Target::new(&file, source, chip, constants).map_err(|problem| problem.or_in_file(chip_source.path()))
 }
 
 /// A target that says what differs from another.
@@ -146,10 +142,7 @@ fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &T
         chips_y: changes.chips_y.unwrap_or_else(|| base.chips_y().into()),
         constants: Vec::new(),
     };
-    let target = Target::new(&file, source, chip, constants).map_err(|problem| match problem.place {
-        Some(_) => problem,
-        None => problem.in_file(source.path()),
-    })?;
+    let target = Target::new(&file, source, chip, constants).map_err(|problem| problem.or_in_file(source.path()))?;
     Ok(if is_changed { target.changed() } else { target })
 }
 
@@ -182,6 +175,7 @@ pub fn parse_constants(source: &SourceText) -> Result<Constants> {
 
 fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
     let is_shipped = shipped::CONSTANTS.iter().any(|shipped| Path::new(shipped.path) == source.path());
+    let stem = || source.path().file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let mut constants = if value(source.text(), "base").is_some() {
         let changes: ConstantsChanges = parse(source, "constants.syntax")?;
         let Some(deepest) = deepest.checked_sub(1) else {
@@ -191,8 +185,7 @@ fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
         let origin = if is_shipped { Origin::Shipped } else { Origin::File };
         let base = part(source, origin, &changes.base, "constants", "preset of constants", shipped::CONSTANTS)?;
         let base = constants_within(&base, deepest)?;
-        let stem = source.path().file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        let name = changes.name.clone().or(stem).unwrap_or_else(|| base.name.clone());
+        let name = changes.name.clone().or(stem()).unwrap_or_else(|| base.name.clone());
         changes.applied(&base, name)
     } else {
         let mut constants: Constants = parse(source, "constants.syntax")?;
@@ -204,13 +197,10 @@ fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
     };
     if !is_shipped && shipped::CONSTANTS.iter().any(|shipped| shipped.name == constants.name) {
         // A copy of a shipped preset is not that preset.
-        let stem = source.path().file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        constants.name = stem.filter(|stem| *stem != constants.name).unwrap_or(format!("{}, changed", constants.name));
+        constants.name =
+            stem().filter(|stem| *stem != constants.name).unwrap_or(format!("{}, changed", constants.name));
     }
-    constants.check(source).map_err(|problem| match problem.place {
-        Some(_) => problem,
-        None => problem.in_file(source.path()),
-    })?;
+    constants.check(source).map_err(|problem| problem.or_in_file(source.path()))?;
     Ok(constants)
 }
 
@@ -263,51 +253,16 @@ fn part(
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
     use nsim_ir::hardware::constants::FigureClass;
     use nsim_ir::resource::Resource;
 
-    /// A small chip, for the tests of this room.
-    pub(crate) const CHIP: &str = r#"Chip(
-    name: "one", notes: "for tests",
-    width: 2, height: 1, cores_per_tile: 2, cores: 4, x86_cores: 0, x86_cores_in_use: 0,
-    limits: (
-        compartments: 1024, axons_in: 4096, axons_out: 4096, axon_out_slots: 1, axon_out_slots_off_chip: 2,
-        axons_out_per_compartment: 4096, synapse_words: 16384, synapse_words_per_axon: 1024, synapses_per_entry: 60,
-        synapse_formats: 15, compartment_profiles: 32, threshold_profiles: 32, accumulators: 8192, packing: Nengo,
-    ),
-)"#;
+    const CONSTANTS: &str =
+        "Constants(base: \"davies2018\",\n hop_ns_energy: (value: 3, unit: pJ, source: \"s\", status: assumed))";
 
-    /// A preset in which every value is its position.
-    pub(crate) fn constants() -> String {
-        let units = [
-            (
-                "pJ",
-                "synapse_dense_energy synapse_sparse_energy dendrite_energy compartment_energy \
-                    compartment_active_energy spike_energy axon_out_energy axon_in_energy local_hop_energy \
-                    hop_ew_energy hop_ns_energy hop_chip_energy",
-            ),
-            (
-                "ns",
-                "synapse_dense_time synapse_sparse_time compartment_time compartment_active_time spike_time \
-                    axon_out_time axon_in_time local_hop_time hop_ew_time hop_ns_time hop_chip_time link_time \
-                    link_chip_time",
-            ),
-            ("messages", "link_buffer"),
-            ("us", "injection_time turn_time"),
-            ("mW", "core_static_power x86_clock_power"),
-        ];
-        let mut text = String::from(
-            "Constants(name: \"c\", notes: \"\", barrier: [(tiles: 1, time: (value: 0.1, unit: us, source: \"s\", \
-             status: assumed))],\n",
-        );
-        for (unit, names) in units {
-            for (i, name) in names.split_whitespace().enumerate() {
-                text.push_str(&format!("{name}: (value: {i}, unit: {unit}, source: \"s\", status: assumed),\n"));
-            }
-        }
-        text + ")"
+    fn chip() -> &'static str {
+        Shipped::find(shipped::CHIPS, "tiny").unwrap().text
     }
 
     fn load(target: &str, chip: &str, constants: &str) -> Result<Target> {
@@ -322,20 +277,23 @@ pub(crate) mod tests {
         "Target(name: \"t\", notes: \"\", chip: \"one\",\n chips_x: 2, chips_y: 1, constants: [\"c\"])";
 
     #[test]
-    fn the_shipped_boards_have_their_published_sizes() {
-        let sizes = |name| {
-            let target = load_target(name).unwrap();
-            assert_eq!(target.name(), name);
-            (target.chips(), target.cores())
-        };
-        assert_eq!(sizes("tiny"), (2, 8));
-        assert_eq!(sizes("loihi1-chip"), (1, 128));
-        assert_eq!(sizes("kapoho-bay"), (2, 256));
-        assert_eq!(sizes("nahuku-32"), (32, 4096));
-        assert_eq!(sizes("pohoiki-springs"), (768, 98_304));
-        assert_eq!(sizes("oheo-gulch"), (1, 128));
-        assert_eq!(sizes("kapoho-point"), (8, 1024));
-        assert_eq!(sizes("hala-point"), (1152, 147_456));
+    fn every_shipped_target_loads_and_has_its_published_size() {
+        let sizes = shipped::TARGETS.iter().map(|shipped| {
+            let target = load_target(shipped.name).unwrap_or_else(|error| panic!("{error}"));
+            assert_eq!(target.name(), shipped.name);
+            (shipped.name, target.chips(), target.cores())
+        });
+        let published = [
+            ("tiny", 2, 8),
+            ("loihi1-chip", 1, 128),
+            ("kapoho-bay", 2, 256),
+            ("nahuku-32", 32, 4096),
+            ("pohoiki-springs", 768, 98_304),
+            ("oheo-gulch", 1, 128),
+            ("kapoho-point", 8, 1024),
+            ("hala-point", 1152, 147_456),
+        ];
+        assert_eq!(sizes.collect::<Vec<_>>(), published);
     }
 
     #[test]
@@ -366,27 +324,22 @@ pub(crate) mod tests {
 
     #[test]
     fn parts_beside_the_file_are_found() {
-        let target = load(TARGET, CHIP, &constants()).unwrap();
-        assert_eq!((target.name(), target.cores(), target.constants()[0].hop_ns_energy.value.value), ("t", 8, 10.0));
+        let target = load(TARGET, chip(), CONSTANTS).unwrap();
+        assert_eq!((target.name(), target.cores(), target.constants()[0].hop_ns_energy.value.value), ("t", 8, 3.0));
     }
 
     #[test]
     fn problems_point_into_the_file_that_has_them() {
-        let error = load(&TARGET.replace("\"one\"", "\"two\""), CHIP, &constants()).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().column), ("target.part", 36), "{error}");
-        let error = load(&TARGET.replace("chips_x: 2", "chips_x: 200"), CHIP, &constants()).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().line), ("target.size", 2));
-        let error = load(TARGET, &CHIP.replace("cores: 4", "cores: 5"), &constants()).unwrap_err();
+        let error = load(TARGET, &chip().replace("cores: 4", "cores: 5"), CONSTANTS).unwrap_err();
         assert_eq!((error.code, error.file().unwrap().ends_with("one.ron")), ("target.size", true));
-        let error = load(TARGET, &CHIP.replace("Nengo", "Tight"), &constants()).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().line), ("chip.syntax", 7), "{error}");
-        let error =
-            load(TARGET, CHIP, &constants().replacen("value: 3, unit: ns", "value: 3, unit: pJ", 1)).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().line), ("target.unit", 17), "{error}");
-        let error = load(TARGET, CHIP, &constants().replacen("value: 3", "value: -3", 1)).unwrap_err();
-        assert_eq!((error.code, error.position().unwrap().line), ("target.constant", 5), "{error}");
-        let error = load_target("nahuku-33").unwrap_err();
-        assert_eq!(error.code, "target.unknown");
+        let error = load(TARGET, &chip().replace("Nengo", "Tight"), CONSTANTS).unwrap_err();
+        let line = chip()[..chip().find("Nengo").unwrap()].lines().count();
+        assert_eq!((error.code, error.position().unwrap().line), ("chip.syntax", line), "{error}");
+        for (from, to, code) in [("pJ", "ns", "target.unit"), ("value: 3", "value: -3", "target.constant")] {
+            let error = load(TARGET, chip(), &CONSTANTS.replace(from, to)).unwrap_err();
+            assert_eq!((error.code, error.position().unwrap().line), (code, 2), "{error}");
+        }
+        assert_eq!(load_target("nahuku-33").unwrap_err().code, "target.unknown");
     }
 
     #[test]
@@ -414,20 +367,6 @@ pub(crate) mod tests {
         assert_eq!((board.chip().hardware(), own.chip().hardware()), ("loihi", "own"));
         assert_eq!((board.errors(&board.constants()[0]).len(), own.errors(&own.constants()[0]).len()), (6, 0));
         assert_eq!(own.chip().x86_cores_in_use, 0);
-    }
-
-    #[test]
-    fn every_shipped_target_loads() {
-        for target in shipped::TARGETS {
-            load_target(target.name).unwrap_or_else(|error| panic!("{error}"));
-        }
-        for chip in shipped::CHIPS {
-            parse_chip(&chip.source()).unwrap_or_else(|error| panic!("{error}"));
-        }
-        assert_eq!(load_target("pohoiki-springs").unwrap().chips(), 768);
-        for preset in shipped::CONSTANTS {
-            parse_constants(&preset.source()).unwrap_or_else(|error| panic!("{error}"));
-        }
     }
 
     #[test]

@@ -19,7 +19,6 @@ pub const NPY_MAGIC: &[u8] = b"\x93NUMPY";
 const LFS: &[u8] = b"version https://git-lfs";
 
 /// Whether an argument means stdin or stdout.
-#[must_use]
 pub fn is_standard_stream(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
@@ -110,7 +109,6 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
 }
 
 /// SHA-256 of bytes, in hexadecimal digits.
-#[must_use]
 pub fn sha256(bytes: &[u8]) -> String {
     digits(&Sha256::digest(bytes))
 }
@@ -123,11 +121,9 @@ pub fn sha256_of_file(path: &Path) -> Result<String> {
     let (mut file, _) = open(path)?;
     let (mut hash, mut piece) = (Sha256::new(), vec![0; 1 << 16]);
     loop {
-        match file.read(&mut piece) {
-            Ok(0) => return Ok(digits(&hash.finalize())),
-            Ok(read) => hash.update(&piece[..read]),
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            Err(error) => return Err(unreadable(path, &error)),
+        match file.read(&mut piece).map_err(|error| unreadable(path, &error))? {
+            0 => return Ok(digits(&hash.finalize())),
+            read => hash.update(&piece[..read]),
         }
     }
 }
@@ -176,7 +172,6 @@ pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText> {
 }
 
 /// A file named within another, relative to that one.
-#[must_use]
 pub fn beside(path: &Path, name: &str) -> std::path::PathBuf {
     path.parent().unwrap_or(Path::new("")).join(name)
 }
@@ -185,7 +180,6 @@ pub fn beside(path: &Path, name: &str) -> std::path::PathBuf {
 pub const TIMES: [&str; 5] = ["t", "ts", "time", "timestamp", "timestamps"];
 
 /// Whether a column of this name holds times.
-#[must_use]
 pub fn is_time(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let stem = name.rsplit_once('_').filter(|(_, unit)| matches!(*unit, "s" | "ms" | "us" | "ns"));

@@ -20,7 +20,7 @@ mod sigma_delta;
 
 use std::collections::VecDeque;
 
-use crate::outcome::{Outcome, wrap};
+use crate::outcome::{Outcome, decay, wrap};
 use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::Decay;
@@ -30,7 +30,7 @@ use nsim_ir::graph::Window;
 use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port};
 use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
-use nsim_ir::quantised::{Neuron, Projection, Quantised, Reset, SpikeSource, Units};
+use nsim_ir::quantised::{Neuron, Quantised, Reset, SpikeSource, Units};
 use nsim_ir::source_counts::LeftField;
 use nsim_ir::spikes::{Engine, Message, Spikes};
 
@@ -147,7 +147,6 @@ pub struct Golden {
 
 impl Golden {
     /// An interpreter of this network, with nothing in flight.
-    #[must_use]
     pub fn new(network: &Quantised) -> Golden {
         let (mut compartments, mut channel_messages) = (IdVec::new(), Vec::new());
         for population in network.populations() {
@@ -192,7 +191,6 @@ impl Golden {
     }
 
     /// How often values of each compartment left their fields, over all samples so far.
-    #[must_use]
     pub fn left_fields(&self) -> &IdVec<CompartmentId, LeftField> {
         &self.left_fields
     }
@@ -432,11 +430,6 @@ fn scaled(weight: i64, exponent: i8) -> i64 {
     }
 }
 
-/// Equation (3). Division rounds toward zero.
-fn decay(x: i64, d: Decay) -> i64 {
-    x * (4096 - i64::from(d.get())) / 4096
-}
-
 /// Equation (5). SLAYER's compartments have no bias.
 fn bias(semantics: Semantics, neuron: &Neuron) -> i64 {
     match semantics {
@@ -495,63 +488,49 @@ fn fire(
     spiked
 }
 
-/// A step in the chip's arithmetic.
-fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
+/// Equations (2) to (6) in the chip's arithmetic: the voltage before it is tested, and what left
+/// its field.
+fn integrate(neuron: &Neuron, state: &mut State, sum: i64) -> (i64, Outcome) {
     // Equation (2).
     let q = wrap(sum, 21);
     // Equation (4).
-    let current = decay(state.u, neuron.du) + q;
+    let current = decay(state.u, neuron.du.get()) + q;
     state.u = wrap(current, 23);
     // Equations (5) and (6).
     let biased = state.u + bias(Semantics::Hardware, neuron);
-    let voltage = decay(state.v, neuron.dv) + wrap(biased, 23);
+    let voltage = decay(state.v, neuron.dv.get()) + wrap(biased, 23);
     let vmin = 1 - (1i64 << neuron.vmin.get());
     let vmax = (1i64 << (9 + 2 * neuron.vmax.get())) - 1;
     let clipped = voltage.clamp(vmin, vmax);
-    let v_clipped = clipped != voltage && !is_refractory(Semantics::Hardware, neuron, state, step);
-    Outcome {
-        value: None,
-        spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
+    let outcome = Outcome {
         q_wrapped: q != sum,
         u_wrapped: state.u != current || wrap(biased, 23) != biased,
-        v_clipped,
-    }
+        v_clipped: clipped != voltage,
+        ..Outcome::default()
+    };
+    (clipped, outcome)
+}
+
+/// A step in the chip's arithmetic.
+fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
+    let (voltage, outcome) = integrate(neuron, state, sum);
+    // What is held is not clipped.
+    let v_clipped = outcome.v_clipped && !is_refractory(Semantics::Hardware, neuron, state, step);
+    Outcome { spiked: fire(Semantics::Hardware, neuron, threshold, state, voltage, step), v_clipped, ..outcome }
 }
 
 /// A step of an integrate-and-fire compartment: equations (2) to (7) with du = 4096 and dv = 0.
 fn integrate_and_fire(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
-    state.u = wrap(sum, 21);
-    let biased = state.u + bias(Semantics::Hardware, neuron);
-    let voltage = state.v + wrap(biased, 23);
-    let clipped = voltage.clamp(1 - (1i64 << neuron.vmin.get()), (1i64 << (9 + 2 * neuron.vmax.get())) - 1);
-    let v_clipped = clipped != voltage && !is_refractory(Semantics::Hardware, neuron, state, step);
-    Outcome {
-        value: None,
-        spiked: fire(Semantics::Hardware, neuron, threshold, state, clipped, step),
-        q_wrapped: state.u != sum,
-        u_wrapped: wrap(biased, 23) != biased,
-        v_clipped,
-    }
+    hardware(&Neuron { du: Decay::MAX, dv: Decay::MIN, ..*neuron }, threshold, state, sum, step)
 }
 
 /// A step of a compartment with reset by subtraction: equations (2) to (6), and (7a) in place of
 /// (7).
 fn soft_reset(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64) -> Outcome {
-    let arrived = wrap(sum, 21);
-    let current = decay(state.u, neuron.du) + arrived;
-    state.u = wrap(current, 23);
-    let biased = state.u + bias(Semantics::Hardware, neuron);
-    let voltage = decay(state.v, neuron.dv) + wrap(biased, 23);
-    let clipped = voltage.clamp(1 - (1i64 << neuron.vmin.get()), (1i64 << (9 + 2 * neuron.vmax.get())) - 1);
-    let spiked = above(threshold, clipped, neuron);
-    state.v = if spiked { clipped - 64 * i64::from(neuron.vth.get()) } else { clipped };
-    Outcome {
-        value: None,
-        spiked,
-        q_wrapped: arrived != sum,
-        u_wrapped: state.u != current || wrap(biased, 23) != biased,
-        v_clipped: clipped != voltage,
-    }
+    let (voltage, outcome) = integrate(neuron, state, sum);
+    let spiked = above(threshold, voltage, neuron);
+    state.v = if spiked { voltage - 64 * i64::from(neuron.vth.get()) } else { voltage };
+    Outcome { spiked, ..outcome }
 }
 
 /// A step of lava's fixed-point LIF process (lava-nc b6822fb, `proc/lif/models.py`).
@@ -560,7 +539,7 @@ fn lava(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, 
     // Rule (11): a negative exponent shifts the sum of a step, not each weight.
     let arrived = 64 * (sum / 64).div_euclid(1 << neuron.shift);
     // The process computes in arrays of 32 bits.
-    let current = wrap(decay(state.u, neuron.du) + wrap(arrived, 31), 31);
+    let current = wrap(decay(state.u, neuron.du.get()) + wrap(arrived, 31), 31);
     state.u = if current > HALF {
         current - 2 * HALF
     } else if current <= -HALF {
@@ -568,14 +547,13 @@ fn lava(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, 
     } else {
         current
     };
-    let voltage = wrap(decay(state.v, neuron.dv) + state.u + bias(Semantics::Lava, neuron), 31);
+    let voltage = wrap(decay(state.v, neuron.dv.get()) + state.u + bias(Semantics::Lava, neuron), 31);
     let clipped = voltage.clamp(1 - HALF, HALF - 1);
     Outcome {
-        value: None,
         spiked: fire(Semantics::Lava, neuron, threshold, state, clipped, step),
-        q_wrapped: false,
         u_wrapped: state.u != current,
         v_clipped: clipped != voltage,
+        ..Outcome::default()
     }
 }
 
@@ -649,7 +627,7 @@ fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
         let target = &network.populations()[projection.target];
         let first_target = target.first_compartment().expect("a target has compartments").0;
         let delay = u32::from(projection.delay.get());
-        for (from, to, weight) in connections(projection, source.shape.len()) {
+        for (from, to, weight) in connections(&projection.connectivity, source.shape.len()) {
             let (source, way) = match source.units {
                 Units::Input(first) => (SpikeSource::Channel(ChannelId(first.0 + from)), delay),
                 Units::Compartments { first, .. } => {
@@ -667,11 +645,11 @@ fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
     all
 }
 
-/// (source, target, weight) of every synapse of a projection, indices within the populations; the
+/// (source, target, weight) of every synapse of a connectivity, indices within the populations; the
 /// definitions of `docs/semantics.md`, projections.
-fn connections(projection: &Projection, sources: u32) -> Vec<(u32, u32, i64)> {
+fn connections(connectivity: &Connectivity, sources: u32) -> Vec<(u32, u32, i64)> {
     let mut all = Vec::new();
-    match &projection.connectivity {
+    match connectivity {
         Connectivity::Dense { targets, weights } => {
             for to in 0..*targets {
                 for from in 0..sources {
@@ -757,54 +735,34 @@ mod tests {
     use super::*;
     use nsim_dynamics::arithmetic::scaled_weight;
     use nsim_dynamics::synapses::Enumerate;
-    use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
-    use nsim_ir::base::id::PopulationId;
-
-    fn projection(connectivity: Connectivity) -> Projection {
-        let format = SynapseFormat {
-            exponent: WeightExponent::new(0).unwrap(),
-            sign: SignMode::Mixed,
-            bits: WeightBits::new(8).unwrap(),
-            port: Port::First,
-            apart: None,
-        };
-        Projection {
-            name: String::new(),
-            source: PopulationId(0),
-            target: PopulationId(1),
-            format,
-            delay: Delay::new(0).unwrap(),
-            connectivity,
-        }
-    }
+    use nsim_ir::base::fixed::WeightExponent;
 
     /// Holds the enumeration by targets to the one by sources that the rest of the program uses.
-    fn agrees(connectivity: Connectivity, sources: u32) {
+    fn agrees(connectivity: &Connectivity, sources: u32) {
         let mut by_source = Vec::new();
         for from in 0..sources {
             let before = by_source.len();
             connectivity.for_each_from(from, |to, weight| by_source.push((from, to, i64::from(weight))));
             assert_eq!(connectivity.count_from(from), (by_source.len() - before) as u64);
         }
-        let shown = format!("{connectivity:?}");
-        let mut by_target = connections(&projection(connectivity), sources);
+        let mut by_target = connections(connectivity, sources);
         by_source.sort_unstable();
         by_target.sort_unstable();
-        assert_eq!(by_target, by_source, "{shown}");
+        assert_eq!(by_target, by_source, "{connectivity:?}");
     }
 
     #[test]
     fn synapses_seen_from_targets_are_those_seen_from_sources() {
         let weights: Vec<i16> = (0..12).map(|i| 2 * i).collect();
-        agrees(Connectivity::Dense { targets: 3, weights: weights.into() }, 4);
+        agrees(&Connectivity::Dense { targets: 3, weights: weights.into() }, 4);
         let sparse = Connectivity::Sparse {
             first: [0, 2, 2, 5].into(),
             targets: [0, 4, 1, 1, 3].into(),
             weights: [2, -2, 4, 6, -8].into(),
         };
-        agrees(sparse, 3);
+        agrees(&sparse, 3);
         for (targets, fan_out, low, high, step, first_source) in [(7, 5, -256, 254, 2, 0), (1, 3, 4, 4, 2, 100)] {
-            agrees(Connectivity::Random { targets, fan_out, low, high, step, seed: 5, first_source }, 9);
+            agrees(&Connectivity::Random { targets, fan_out, low, high, step, seed: 5, first_source }, 9);
         }
     }
 
@@ -840,9 +798,9 @@ mod tests {
             let window = Window { source, target, kernel, stride, padding, dilation, groups };
             let size = target.0 * (source.0 / groups) * kernel.0 * kernel.1;
             let weights: Vec<i16> = (0..size as i16).map(|i| 2 * i).collect();
-            agrees(Connectivity::Conv2d { window, kernel: weights.into() }, sources);
+            agrees(&Connectivity::Conv2d { window, kernel: weights.into() }, sources);
             let pool = Window { target: (source.0, height, width), groups: source.0, ..window };
-            agrees(Connectivity::SumPool2d { window: pool, weight: 6 }, sources);
+            agrees(&Connectivity::SumPool2d { window: pool, weight: 6 }, sources);
         }
         assert!(windows > 1_000, "{windows}");
     }

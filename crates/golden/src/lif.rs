@@ -2,12 +2,7 @@
 
 use nsim_ir::neurons::Row;
 
-use crate::outcome::{Outcome, sent, word};
-
-/// What a decay in 4096ths leaves, toward zero.
-fn decay(x: i64, d: i32) -> i64 {
-    x * (4096 - i64::from(d)) / 4096
-}
+use crate::outcome::{Outcome, decay, sent, word};
 
 /// Equation (28): current and voltage of lava's processes before a test, in `words[0]` and
 /// `words[1]`; whether the current wrapped and the voltage was clipped.

@@ -17,6 +17,12 @@ pub(crate) fn wrap(x: i64, bits: u32) -> i64 {
     (x + half).rem_euclid(2 * half) - half
 }
 
+/// Equation (3). Division rounds toward zero.
+pub(crate) fn decay(x: i64, d: impl Into<i64>) -> i64 {
+    let d: i64 = d.into();
+    x * (4096 - d) / 4096
+}
+
 /// A word of 32 bits, and whether the value was another.
 pub(crate) fn word(x: i64, wrapped: &mut bool) -> i64 {
     let kept = wrap(x, 31);

@@ -17,6 +17,7 @@ use super::spikes::events::aedat::AEDAT;
 use super::spikes::events::text::is_header;
 use nsim_files::text::{NPY_MAGIC, is_standard_stream, open, refuse_pointer, unreadable};
 use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::names::named_variants;
 use nsim_ir::locate::root_name;
 
 /// Bytes of a file that are looked at: a text may begin with comments.
@@ -47,26 +48,16 @@ pub enum EventFormat {
     Bin,
 }
 
-impl EventFormat {
-    /// Every format.
-    pub const ALL: [Self; 8] =
-        [Self::Bs2, Self::Bs1, Self::Dat, Self::Raw, Self::Aedat4, Self::Tact, Self::Text, Self::Bin];
-
-    /// What people call it.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            EventFormat::Bs2 => "SLAYER .bs2",
-            EventFormat::Bs1 => "SLAYER .bs1",
-            EventFormat::Dat => "Prophesee .dat",
-            EventFormat::Raw => "Prophesee .raw",
-            EventFormat::Aedat4 => "AEDAT",
-            EventFormat::Tact => "VT_SNN .tact",
-            EventFormat::Text => "events as text",
-            EventFormat::Bin => "N-MNIST .bin",
-        }
-    }
-}
+named_variants!(EventFormat {
+    Bs2 = "SLAYER .bs2",
+    Bs1 = "SLAYER .bs1",
+    Dat = "Prophesee .dat",
+    Raw = "Prophesee .raw",
+    Aedat4 = "AEDAT",
+    Tact = "VT_SNN .tact",
+    Text = "events as text",
+    Bin = "N-MNIST .bin",
+});
 
 /// What a file is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -141,7 +132,6 @@ impl FileKind {
     }
 
     /// The kind of a file with this name that begins with these bytes.
-    #[must_use]
     pub fn from_bytes(bytes: &[u8], name: &Path) -> FileKind {
         let head = &bytes[..bytes.len().min(HEAD)];
         let extension = name.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();

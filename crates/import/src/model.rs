@@ -89,7 +89,6 @@ pub struct Unchanged {
 
 impl Unchanged {
     /// Reads a model; `None` when it is another tool's, or cannot be used as it is.
-    #[must_use]
     pub fn load(argument: &str) -> Option<Self> {
         let path = Path::new(argument);
         if shipped::is_path(argument) && foreign::is_foreign(path) {
@@ -100,7 +99,6 @@ impl Unchanged {
     }
 
     /// Numbers in its arrays.
-    #[must_use]
     pub fn numbers(&self) -> u64 {
         self.network.file().arrays().iter().map(|(reference, _)| self.network.array(reference).len() as u64).sum()
     }
@@ -128,20 +126,17 @@ fn read_arrays(source: &SourceText, origin: Origin, file: &NetworkFile) -> Resul
         if arrays.contains_key(&reference) {
             continue;
         }
-        let tensor = match &reference {
-            ArrayRef::Npy(name) => {
-                bytes_of(source, origin, name, npy::open, npy::Array::from_bytes).and_then(|array| array.tensor())
-            }
+        let mut read = || match &reference {
+            ArrayRef::Npy(name) => bytes_of(source, origin, name, npy::open, npy::Array::from_bytes)?.tensor(),
             ArrayRef::Safetensors(name, key) => {
                 if !opened.contains_key(name.as_str()) {
-                    let file = bytes_of(source, origin, name, safetensors::open, safetensors::TensorFile::from_bytes)
-                        .map_err(|problem| point_at(source, &path, &reference, problem))?;
+                    let file = bytes_of(source, origin, name, safetensors::open, safetensors::TensorFile::from_bytes)?;
                     opened.insert(name.clone(), file);
                 }
                 opened[name.as_str()].tensor(key)
             }
         };
-        let tensor = tensor.map_err(|problem| point_at(source, &path, &reference, problem))?;
+        let tensor = read().map_err(|problem| point_at(source, &path, &reference, problem))?;
         arrays.insert(reference, tensor);
     }
     Ok(arrays)
@@ -206,10 +201,14 @@ Network(
 )
 "#;
 
+    fn write(folder: &tempfile::TempDir, name: &str, numbers: &[i32]) {
+        let file = std::fs::File::create(folder.path().join(name)).unwrap();
+        npy::write(file, &[numbers.len() as u64], numbers.iter().copied()).unwrap();
+    }
+
     fn folder() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
-        let npy = std::fs::File::create(folder.path().join("v.npy")).unwrap();
-        npy::write(npy, &[2], [80, 90]).unwrap();
+        write(&folder, "v.npy", &[80, 90]);
         let json = r#"{"fc.weight":{"dtype":"I8","shape":[2,18],"data_offsets":[0,36]}}"#;
         let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
         bytes.extend(json.bytes());
@@ -267,15 +266,11 @@ Network(
     #[test]
     fn synapses_in_arrays_are_those_listed_in_place() {
         let folder = tempfile::tempdir().unwrap();
-        let write = |name: &str, numbers: &[i32]| {
-            let file = std::fs::File::create(folder.path().join(name)).unwrap();
-            npy::write(file, &[numbers.len() as u64], numbers.iter().copied()).unwrap();
-        };
-        write("s.npy", &[0, 0, 1, 2]);
-        write("f.npy", &[0, 2, 3, 4]);
-        write("t.npy", &[1, 0, 1, 1]);
-        write("w.npy", &[4, -2, 6, 8]);
-        write("d.npy", &[0, 3, 3, 0]);
+        write(&folder, "s.npy", &[0, 0, 1, 2]);
+        write(&folder, "f.npy", &[0, 2, 3, 4]);
+        write(&folder, "t.npy", &[1, 0, 1, 1]);
+        write(&folder, "w.npy", &[4, -2, 6, 8]);
+        write(&folder, "d.npy", &[0, 3, 3, 0]);
         let lowered = |way: &str| load(&folder, &listed(way))?.resolved();
         let in_place = lowered("synapses: [(0, 1, 4), (0, 0, -2), (1, 1, 6), (2, 1, 8)]").unwrap();
         let files = r#"target: Npy("t.npy"), weight: Npy("w.npy")"#;
@@ -295,43 +290,21 @@ Network(
         for (name, numbers) in
             [("two.npy", &[0, 1][..]), ("three.npy", &[0, 1, 2]), ("far.npy", &[0, 5]), ("back.npy", &[0, 2, 1, 2])]
         {
-            let file = std::fs::File::create(folder.path().join(name)).unwrap();
-            npy::write(file, &[numbers.len() as u64], numbers.iter().copied()).unwrap();
+            write(&folder, name, numbers);
         }
-        let refused = |way: &str| {
-            let network = load(&folder, &listed(&format!("arrays: ({way})"))).unwrap();
-            network.resolved().unwrap_err()
-        };
-        let two = r#"Npy("two.npy")"#;
+        let [two, three, far, back] = ["two", "three", "far", "back"].map(|name| format!("Npy(\"{name}.npy\")"));
         for (way, code, word) in [
             (format!("target: {two}, weight: {two}"), "model.synapse-arrays", "neither source nor first"),
             (format!("source: {two}, first: {two}, target: {two}, weight: {two}"), "model.synapse-arrays", "both"),
-            (format!(r#"source: {two}, target: {two}, weight: Npy("three.npy")"#), "model.synapse-arrays", "3 numbers"),
-            (
-                format!(r#"source: {two}, target: Npy("far.npy"), weight: {two}"#),
-                "model.synapse-index",
-                "entry 1: target 5",
-            ),
-            (
-                format!(r#"first: Npy("three.npy"), target: {two}, weight: {two}"#),
-                "model.synapse-arrays",
-                "3 numbers for 3",
-            ),
-            (
-                format!(r#"first: Npy("back.npy"), target: {two}, weight: {two}"#),
-                "model.synapse-arrays",
-                "does not ascend",
-            ),
+            (format!("source: {two}, target: {two}, weight: {three}"), "model.synapse-arrays", "3 numbers"),
+            (format!("source: {two}, target: {far}, weight: {two}"), "model.synapse-index", "entry 1: target 5"),
+            (format!("first: {three}, target: {two}, weight: {two}"), "model.synapse-arrays", "3 numbers for 3"),
+            (format!("first: {back}, target: {two}, weight: {two}"), "model.synapse-arrays", "does not ascend"),
         ] {
-            let error = refused(&way);
+            let network = load(&folder, &listed(&format!("arrays: ({way})"))).unwrap();
+            let error = network.resolved().unwrap_err();
             assert_eq!(error.code, code, "{way}: {error}");
             assert!(error.message.contains(word) && error.position().is_some(), "{way}: {error}");
         }
-    }
-
-    #[test]
-    fn an_unknown_name_is_answered_with_the_shipped_ones() {
-        let error = load_model("vtsnn-slipp").unwrap_err();
-        assert!(error.code == "model.unknown" && error.help.unwrap().contains("path to a .ron file"));
     }
 }

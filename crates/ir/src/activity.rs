@@ -73,7 +73,6 @@ impl Overflow {
     }
 
     /// Whether anything left its field.
-    #[must_use]
     pub fn any(&self) -> bool {
         self.q_wrapped + self.u_wrapped + self.v_clipped > 0
     }
@@ -110,7 +109,6 @@ pub struct CoreCounts {
 
 impl CoreCounts {
     /// Synaptic events of all lists.
-    #[must_use]
     pub fn synaptic_events(&self) -> u64 {
         self.events_dense + self.events_sparse
     }
@@ -131,7 +129,6 @@ pub struct HopCounts {
 
 impl HopCounts {
     /// Links crossed.
-    #[must_use]
     pub fn links(&self) -> u64 {
         self.east_west + self.north_south
     }
@@ -168,7 +165,6 @@ pub struct StepActivity {
 
 impl StepActivity {
     /// An empty step of a program with this many cores.
-    #[must_use]
     pub fn new(cores: usize) -> Self {
         StepActivity { cores: vec![CoreCounts::default(); cores].into(), ..Default::default() }
     }
@@ -220,7 +216,6 @@ pub struct Activity {
 
 impl Activity {
     /// Nothing yet, on a program with this many cores.
-    #[must_use]
     pub fn new(cores: usize) -> Self {
         Activity { cores: vec![CoreCounts::default(); cores].into(), ..Default::default() }
     }
@@ -271,7 +266,6 @@ impl Activity {
 
     /// As many steps of these cores, whose counts, links crossed and input spikes follow from this
     /// run of some of them.
-    #[must_use]
     pub fn on_cores(&self, cores: IdVec<CoreId, CoreCounts>, hops: HopCounts, spikes_in: u64) -> Self {
         let mut all = Activity { cores, hops, spikes_in, messages_from_inputs: 0, steps: self.steps };
         let sum = all.sum();
@@ -290,31 +284,26 @@ impl Activity {
     }
 
     /// By core.
-    #[must_use]
     pub fn cores(&self) -> &IdVec<CoreId, CoreCounts> {
         &self.cores
     }
 
     /// Links crossed.
-    #[must_use]
     pub fn hops(&self) -> HopCounts {
         self.hops
     }
 
     /// Timesteps of all samples.
-    #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps
     }
 
     /// Messages: one for each spike and destination core.
-    #[must_use]
     pub fn messages(&self) -> u64 {
         self.cores.iter().map(|c| c.messages_in).sum()
     }
 
     /// Sums over the cores.
-    #[must_use]
     pub fn sum(&self) -> CoreCounts {
         let mut sum = CoreCounts::default();
         for core in &self.cores {
@@ -324,13 +313,11 @@ impl Activity {
     }
 
     /// Input spikes.
-    #[must_use]
     pub fn spikes_in(&self) -> u64 {
         self.spikes_in
     }
 
     /// The sums that any engine counts.
-    #[must_use]
     pub fn totals(&self) -> Totals {
         let sum = self.sum();
         Totals {

@@ -26,6 +26,8 @@ pub enum ThresholdTest {
     Inclusive,
 }
 
+named_variants!(ThresholdTest { Strict = "strict", Inclusive = "inclusive" });
+
 /// How real or odd weights become multiples of the least step.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
 pub enum WeightRounding {

@@ -41,13 +41,11 @@ pub struct Dealt {
 
 impl Dealt {
     /// Whether this many cores each have a rank.
-    #[must_use]
     pub fn is_of(&self, cores: usize) -> bool {
         self.owners.len() == cores && self.owners.iter().all(|&owner| owner < self.ranks)
     }
 
     /// Whether the tables of a core are held.
-    #[must_use]
     pub fn holds(&self, core: CoreId) -> bool {
         self.held.is_none_or(|rank| self.owners[core] == rank)
     }

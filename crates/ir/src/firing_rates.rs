@@ -4,8 +4,7 @@
 //! for each source, in messages of [`UNIT`] steps: integers, so that sums are the same in any
 //! order.
 
-use crate::base::id::Id;
-use crate::quantised::{Quantised, SpikeSource};
+use crate::quantised::Quantised;
 use crate::source_counts::SourceCounts;
 
 /// Steps that a rate counts the spikes of.
@@ -30,13 +29,11 @@ pub enum Rates {
 
 impl Rates {
     /// This many spikes a step of every source.
-    #[must_use]
     pub fn assumed(rate: f64) -> Self {
         Rates::Assumed(((rate * UNIT).round() as u64).max(LEAST))
     }
 
     /// From how often each channel and each compartment spiked in this many steps.
-    #[must_use]
     pub fn profile(channels: &[u64], compartments: &[u64], steps: u64) -> Self {
         let rate = |&spikes: &u64| ((spikes as f64 * UNIT / steps.max(1) as f64).round() as u64).max(LEAST);
         Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
@@ -47,7 +44,6 @@ impl Rates {
     ///
     /// # Panics
     /// When the counts are of fewer channels or compartments than the network has.
-    #[must_use]
     pub fn of_copy(counts: &SourceCounts, network: &Quantised, steps: u64) -> Self {
         let channels = &counts.channels.as_slice()[..network.channels() as usize];
         let compartments = &counts.compartments.as_slice()[..network.compartments() as usize];
@@ -56,7 +52,6 @@ impl Rates {
 
     /// The rate of a source by number, channels first.
     #[inline]
-    #[must_use]
     pub fn rate_of(&self, source: u32) -> u64 {
         match self {
             Rates::Assumed(rate) => *rate,
@@ -64,18 +59,8 @@ impl Rates {
         }
     }
 
-    /// The rate of a source of a network with this many channels.
-    #[must_use]
-    pub fn of_source(&self, source: SpikeSource, channels: u32) -> u64 {
-        self.rate_of(match source {
-            SpikeSource::Channel(id) => id.index() as u32,
-            SpikeSource::Compartment(id) => channels + id.0,
-        })
-    }
-
     /// The same for this many copies of the network: channels of all copies first, then their
     /// compartments.
-    #[must_use]
     pub fn copies(&self, copies: u32) -> Rates {
         match self {
             Rates::Assumed(rate) => Rates::Assumed(*rate),
@@ -91,7 +76,6 @@ impl Rates {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::base::id::{ChannelId, CompartmentId};
 
     #[test]
     fn rates_of_copies_are_those_of_one() {
@@ -99,8 +83,6 @@ mod tests {
         assert_eq!([0, 1, 2].map(|s| rates.rate_of(s)), [50_000, 1, 100_000]);
         let two = rates.copies(2);
         assert_eq!([0, 1, 2, 3, 4, 5].map(|s| two.rate_of(s)), [50_000, 1, 50_000, 1, 100_000, 100_000]);
-        assert_eq!(two.of_source(SpikeSource::Compartment(CompartmentId(1)), 4), 100_000);
-        assert_eq!(two.of_source(SpikeSource::Channel(ChannelId(2)), 4), 50_000);
         assert_eq!(Rates::assumed(0.01).rate_of(7), 10_000);
     }
 }

@@ -39,7 +39,6 @@ pub enum Shape {
 
 impl Shape {
     /// Channels or compartments.
-    #[must_use]
     pub fn len(self) -> u32 {
         match self {
             Shape::Line(n) => n,
@@ -48,7 +47,6 @@ impl Shape {
     }
 
     /// [`Shape::len`], unless it is 2^32 or more.
-    #[must_use]
     pub fn checked_len(self) -> Option<u32> {
         match self {
             Shape::Line(n) => Some(n),
@@ -57,7 +55,6 @@ impl Shape {
     }
 
     /// Positions of each channel: height times width, 1 on a line.
-    #[must_use]
     pub fn positions(self) -> u32 {
         match self {
             Shape::Line(_) => 1,
@@ -66,13 +63,11 @@ impl Shape {
     }
 
     /// Whether there is none; a lowered population always has one.
-    #[must_use]
     pub fn is_empty(self) -> bool {
         self.len() == 0
     }
 
     /// Channels, height and width, for projections over space.
-    #[must_use]
     pub fn volume(self) -> Option<(u32, u32, u32)> {
         match self {
             Shape::Line(_) => None,
@@ -102,7 +97,6 @@ pub enum PerCompartment<T> {
 impl<T: Copy> PerCompartment<T> {
     /// The value of one compartment.
     #[inline]
-    #[must_use]
     pub fn get(&self, index: u32) -> T {
         match self {
             PerCompartment::Same(value) => *value,
@@ -110,16 +104,20 @@ impl<T: Copy> PerCompartment<T> {
         }
     }
 
-    /// Whether any value is so.
-    pub fn any(&self, f: impl Fn(&T) -> bool) -> bool {
+    /// All values: the one that is the same for all, or one each.
+    pub fn values(&self) -> &[T] {
         match self {
-            PerCompartment::Same(value) => f(value),
-            PerCompartment::Each(values) => values.iter().any(f),
+            PerCompartment::Same(value) => std::slice::from_ref(value),
+            PerCompartment::Each(values) => values,
         }
     }
 
+    /// Whether any value is so.
+    pub fn any(&self, f: impl Fn(&T) -> bool) -> bool {
+        self.values().iter().any(f)
+    }
+
     /// The values of these compartments.
-    #[must_use]
     pub fn pick(&self, indices: &[u32]) -> PerCompartment<T> {
         match self {
             PerCompartment::Same(value) => PerCompartment::Same(*value),
@@ -153,7 +151,6 @@ pub struct Values {
 
 impl Values {
     /// A default that no file gave.
-    #[must_use]
     pub fn constant(value: f64) -> Self {
         Values { each: PerCompartment::Same(value), span: Span::default() }
     }
@@ -175,14 +172,12 @@ pub struct NeuronParameters {
 
 impl NeuronParameters {
     /// A parameter that the file gives.
-    #[must_use]
     pub fn get(&self, name: &str) -> Option<&Values> {
         self.given.iter().find(|(given, _)| *given == name).map(|(_, values)| values)
     }
 
     /// A parameter in real units that the file gives, of a kind that has such a form. A kind that
     /// the file states may give the name to an integer.
-    #[must_use]
     pub fn real(&self, name: &str) -> Option<&Values> {
         let forms = self.kind.parameters().iter().filter_map(|field| field.real);
         forms.map(|(real, _)| real).find(|real| *real == name).and_then(|real| self.get(real))
@@ -190,7 +185,6 @@ impl NeuronParameters {
 
     /// A parameter of one compartment, its default where the file gives none, 0 where there is no
     /// default.
-    #[must_use]
     pub fn value(&self, name: &str, index: u32) -> f64 {
         match self.get(name) {
             Some(values) => values.each.get(index),
@@ -304,14 +298,12 @@ pub enum ProjectionKind {
 
 impl ProjectionKind {
     /// Whether no two synapses share a weight.
-    #[must_use]
     pub fn has_own_weights(&self) -> bool {
         matches!(self, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. })
     }
 
     /// The same with other weights; `f` gets each with its target, or with its output channel where
     /// a kernel is shared. A pool's weight and random ones stay.
-    #[must_use]
     pub fn map_weights(&self, f: impl Fn(usize, f64) -> f64) -> ProjectionKind {
         let tensor = |weights: &Arc<Tensor>| {
             let per_row = (weights.len() / weights.shape().first().copied().unwrap_or(1).max(1)).max(1);
@@ -363,7 +355,6 @@ pub struct Projection {
 
 impl Projection {
     /// The place of a row of weights, or of a listed synapse, where these stand in the model file.
-    #[must_use]
     pub fn place_of(&self, source: &SourceText, entry: u32) -> Span {
         let in_place = ["weights", "synapses"].map(|list| format!("{list}.{entry}"));
         let found = in_place.iter().find_map(|path| locate(source.text(), self.span, path));
@@ -413,7 +404,6 @@ impl Graph {
     ///
     /// # Panics
     /// When `output` is not one of the nodes: a mistake of the caller.
-    #[must_use]
     pub fn new(facts: NetworkFacts, graph: DiGraph<Population, Projection>, output: NodeIndex) -> Self {
         assert!(graph.node_weight(output).is_some(), "the output population is a node");
         Graph { facts, graph, output }
@@ -436,7 +426,6 @@ impl Graph {
     }
 
     /// Facts about the network as a whole.
-    #[must_use]
     pub fn facts(&self) -> &NetworkFacts {
         &self.facts
     }
@@ -454,9 +443,14 @@ impl Graph {
         })
     }
 
+    /// Projections into a population in the order of the file, with their sources.
+    pub fn incoming(&self, node: NodeIndex) -> impl Iterator<Item = (NodeIndex, &Projection)> {
+        let into = self.projections().filter(move |(_, _, target, _)| *target == node);
+        into.map(|(_, source, _, projection)| (source, projection))
+    }
+
     /// The place of each projection's declaration in the file, in the order of the projections: one
     /// for each `from` is made of a declaration.
-    #[must_use]
     pub fn declared_places(&self) -> Vec<usize> {
         let spans: Vec<Span> = self.projections().map(|(.., projection)| projection.span).collect();
         let mut place = 0;
@@ -468,25 +462,21 @@ impl Graph {
     }
 
     /// A population.
-    #[must_use]
     pub fn population(&self, node: NodeIndex) -> &Population {
         &self.graph[node]
     }
 
     /// The population that decides.
-    #[must_use]
     pub fn output(&self) -> NodeIndex {
         self.output
     }
 
     /// Whether a population has neurons that the hardware does not have.
-    #[must_use]
     pub fn has_srm(&self) -> bool {
         self.populations().any(|(_, population)| matches!(population.kind, PopulationKind::Srm(_)))
     }
 
     /// The same network with other populations; `f` gets each and says what it is made of.
-    #[must_use]
     pub fn with_kinds(&self, mut f: impl FnMut(NodeIndex, &Population) -> PopulationKind) -> Graph {
         let mut graph = self.clone();
         for node in self.graph.node_indices() {
@@ -496,7 +486,6 @@ impl Graph {
     }
 
     /// The same network with other projections; `f` gets each with its target.
-    #[must_use]
     pub fn with_projections(&self, mut f: impl FnMut(NodeIndex, &Projection) -> Projection) -> Graph {
         let mut graph = self.clone();
         for (edge, _, target, projection) in self.projections() {
@@ -515,7 +504,6 @@ impl Graph {
     }
 
     /// The petgraph, for algorithms over it.
-    #[must_use]
     pub fn petgraph(&self) -> &DiGraph<Population, Projection> {
         &self.graph
     }

@@ -149,23 +149,17 @@ impl CoreGroups {
         }
         let graded = graded_of(whole, one, &kept_copies);
         let parts = Parts {
-            mesh: whole.mesh,
             classes,
             cores: cores.into(),
             channels,
             seats: seats.into(),
             populations: populations.into(),
             graded,
-            output: whole.output,
-            decision: whole.decision,
-            output_start: whole.output_start,
-            semantics: whole.semantics,
-            threshold: whole.threshold,
-            reset: whole.reset,
             dealt: whole.dealt.as_ref().map(|dealt| {
                 let owners: Vec<u32> = kept_cores.clone().map(|&core| dealt.owners[core]).collect();
                 Dealt { owners: IdVec::from(owners).into(), ..dealt.clone() }
             }),
+            ..*whole
         };
         let mut kinds: Vec<Kind> = Vec::new();
         for &first in &firsts {
@@ -190,7 +184,6 @@ impl CoreGroups {
     }
 
     /// Copies of the network in the program.
-    #[must_use]
     pub fn copies(&self) -> u32 {
         self.kinds.iter().map(|kind| kind.copies).sum()
     }

@@ -181,7 +181,6 @@ fn name_of(text: &str, item: Span) -> Option<String> {
 }
 
 /// The place of a path that begins at a value of the text; nothing when there is no such place.
-#[must_use]
 pub fn locate(text: &str, value: Span, path: &str) -> Option<Span> {
     let mut cursor = Cursor { text: text.get(..value.end)?, at: value.start };
     cursor.skip_blanks();
@@ -196,7 +195,6 @@ pub fn locate(text: &str, value: Span, path: &str) -> Option<Span> {
 }
 
 /// The places of the items of a list at a path.
-#[must_use]
 pub fn items(text: &str, path: &str) -> Vec<Span> {
     let whole = Span { start: 0, end: text.len() };
     let Some(list) = locate(text, whole, path) else { return Vec::new() };
@@ -216,13 +214,11 @@ pub fn items(text: &str, path: &str) -> Vec<Span> {
 }
 
 /// The value at a path, if it is there.
-#[must_use]
 pub fn value<'t>(text: &'t str, path: &str) -> Option<&'t str> {
     locate(text, Span { start: 0, end: text.len() }, path).map(|place| &text[place.start..place.end])
 }
 
 /// The name before the first bracket of a text, after comments and attributes.
-#[must_use]
 pub fn root_name(text: &str) -> &str {
     let mut cursor = Cursor { text, at: 0 };
     cursor.skip_blanks();
@@ -231,7 +227,6 @@ pub fn root_name(text: &str) -> &str {
 
 /// Whether a text is one value and nothing else: no comma or bracket ends it before its end, and
 /// none is missing.
-#[must_use]
 pub fn is_one_value(text: &str) -> bool {
     // What follows a value that is not closed is taken for a part of it.
     let followed = format!("({text})");

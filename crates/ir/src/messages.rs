@@ -59,7 +59,6 @@ impl AxonsOut {
     }
 
     /// Those of the messages that are kept.
-    #[must_use]
     pub fn filtered(&self, keep: impl Fn(CoreId) -> bool) -> Self {
         let mut cores = Vec::new();
         let number = |&core: &CoreId| {
@@ -78,32 +77,27 @@ impl AxonsOut {
     }
 
     /// The cores that are reached.
-    #[must_use]
     pub fn cores(&self) -> &[CoreId] {
         &self.cores
     }
 
     /// By slot the messages to these cores, which other cores may share.
-    #[must_use]
     pub fn lists(&self) -> &Arc<Csr<Reached>> {
         &self.lists
     }
 
     /// Compartments.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.lists.len()
     }
 
     /// Whether there is no compartment.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.lists.is_empty()
     }
 
     /// The messages of a slot's spike.
     #[inline]
-    #[must_use]
     pub fn get(&self, slot: usize) -> Messages<'_> {
         Messages::Reached(&self.cores, self.lists.get(slot).iter())
     }
@@ -114,7 +108,6 @@ impl AxonsOut {
     }
 
     /// All messages.
-    #[must_use]
     pub fn items(&self) -> Messages<'_> {
         Messages::Reached(&self.cores, self.lists.items().iter())
     }

@@ -75,29 +75,9 @@ pub enum NeuronKind {
 }
 
 named_variants!(NeuronKind {
-    Loihi = "Loihi",
-    If = "If",
-    SoftReset = "SoftReset",
-    SigmaDelta = "SigmaDelta",
-    Delta = "Delta",
-    Sigma = "Sigma",
-    Rf = "Rf",
-    RfIz = "RfIz",
-    TernaryLif = "TernaryLif",
-    LifReset = "LifReset",
-    GradedLif = "GradedLif",
-    AtrLif = "AtrLif",
-    Alif = "Alif",
-    Adrf = "Adrf",
-    AdrfIz = "AdrfIz",
-    RfZero = "RfZero",
-    GradedVec = "GradedVec",
-    GradedReluVec = "GradedReluVec",
-    ProdNeuron = "ProdNeuron",
-    NormVecDelay = "NormVecDelay",
-    NormSquare = "NormSquare",
-    InvSqrt = "InvSqrt",
-    ; NeuronKind::Microcode(kind) => kind.name()
+    Loihi, If, SoftReset, SigmaDelta, Delta, Sigma, Rf, RfIz, TernaryLif, LifReset, GradedLif, AtrLif, Alif, Adrf,
+    AdrfIz, RfZero, GradedVec, GradedReluVec, ProdNeuron, NormVecDelay, NormSquare, InvSqrt;
+    NeuronKind::Microcode(kind) => kind.name()
 });
 
 /// What a kind of neuron consists of.
@@ -136,13 +116,11 @@ pub enum Port {
 
 impl Port {
     /// Whether it is the first.
-    #[must_use]
     pub fn is_first(&self) -> bool {
         *self == Port::First
     }
 
     /// Its number.
-    #[must_use]
     pub fn index(self) -> usize {
         self as usize
     }
@@ -498,7 +476,6 @@ const fn two_sided(name: &'static str, help: &'static str) -> ParameterField {
 
 impl NeuronKind {
     /// What the kind consists of.
-    #[must_use]
     pub const fn table(self) -> &'static KindTable {
         match self {
             NeuronKind::Loihi => &LOIHI_TABLE,
@@ -533,13 +510,11 @@ impl NeuronKind {
     }
 
     /// Its parameters, in the order in which they are written.
-    #[must_use]
     pub const fn parameters(self) -> &'static [ParameterField] {
         self.table().parameters
     }
 
     /// The word of state by which an output is read out: v, else the first.
-    #[must_use]
     pub fn potential(self) -> usize {
         self.table().state.iter().position(|word| word.name == "v").unwrap_or(0)
     }
@@ -561,7 +536,6 @@ impl Family {
     pub const MICROCODE: Family = Family("Microcode");
 
     /// As a chip lists it.
-    #[must_use]
     pub fn name(self) -> &'static str {
         self.0
     }
@@ -634,13 +608,11 @@ impl MicrocodeKind {
     }
 
     /// Its rule.
-    #[must_use]
     pub fn code(self) -> &'static Microcode {
         &self.0.code
     }
 
     /// Its name.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         self.0.code.name()
     }

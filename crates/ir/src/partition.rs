@@ -155,31 +155,26 @@ impl Partition {
     }
 
     /// Number of cores.
-    #[must_use]
     pub fn cores(&self) -> usize {
         self.members.len()
     }
 
     /// Compartments of each core in slot order.
-    #[must_use]
     pub fn members(&self) -> &IdVec<CoreId, Vec<CompartmentId>> {
         &self.members
     }
 
     /// The compartments of each core in slot order, and what each core uses.
-    #[must_use]
     pub fn into_members(self) -> (IdVec<CoreId, Vec<CompartmentId>>, IdVec<CoreId, CoreUsage>) {
         (self.members, self.usage)
     }
 
     /// Where each compartment sits.
-    #[must_use]
     pub fn seats(&self) -> &IdVec<CompartmentId, Seat> {
         &self.seats
     }
 
     /// What each core uses.
-    #[must_use]
     pub fn usage(&self) -> &IdVec<CoreId, CoreUsage> {
         &self.usage
     }

@@ -29,7 +29,6 @@ pub struct Mesh {
 
 impl Mesh {
     /// The mesh of a target.
-    #[must_use]
     pub fn for_target(target: &Target) -> Self {
         let chip = target.chip();
         Mesh {
@@ -43,7 +42,6 @@ impl Mesh {
     }
 
     /// Whether it has cores, and all of them can be numbered.
-    #[must_use]
     pub fn is_countable(&self) -> bool {
         let Mesh { chips_x, chips_y, width, height, cores_per_tile, cores_per_chip } = *self;
         let all = [chips_x, chips_y, width, height, cores_per_tile].into_iter().try_fold(1u32, u32::checked_mul);
@@ -51,13 +49,11 @@ impl Mesh {
     }
 
     /// Cores of the whole board.
-    #[must_use]
     pub fn cores(&self) -> u32 {
         self.chips_x * self.chips_y * self.cores_per_chip
     }
 
     /// The core with this number, counting chip by chip, row of tiles by row, tile by tile.
-    #[must_use]
     pub fn site(&self, number: u32) -> Option<Site> {
         let (chip, within) = (number / self.cores_per_chip, number % self.cores_per_chip);
         let tile = within / self.cores_per_tile;
@@ -70,7 +66,6 @@ impl Mesh {
     }
 
     /// The inverse of [`Mesh::site`]; `None` for a site outside the mesh.
-    #[must_use]
     pub fn number(&self, site: Site) -> Option<u32> {
         let inside = site.x < self.width && site.y < self.height && site.core < self.cores_per_tile;
         if !inside || site.chip >= self.chips_x * self.chips_y {
@@ -81,14 +76,12 @@ impl Mesh {
     }
 
     /// Column and row of a site's tile over the whole board.
-    #[must_use]
     pub fn tile(&self, site: Site) -> (u32, u32) {
         let (chip_x, chip_y) = (site.chip % self.chips_x, site.chip / self.chips_x);
         (chip_x * self.width + site.x, chip_y * self.height + site.y)
     }
 
     /// The route of a message from one core to another.
-    #[must_use]
     pub fn route(&self, from: Site, to: Site) -> Route {
         let ((fx, fy), (tx, ty)) = (self.tile(from), self.tile(to));
         Route {
@@ -100,7 +93,6 @@ impl Mesh {
     }
 
     /// The route of an input spike: it enters at the corner of its target's chip.
-    #[must_use]
     pub fn route_from_corner(&self, to: Site) -> Route {
         Route { east_west: to.x, north_south: to.y, chip: 0 }
     }
@@ -133,7 +125,6 @@ pub struct Route {
 
 impl Route {
     /// Links crossed; 0 within a tile.
-    #[must_use]
     pub fn links(self) -> u32 {
         self.east_west + self.north_south
     }
@@ -215,38 +206,32 @@ impl Placement {
     }
 
     /// The mesh.
-    #[must_use]
     pub fn mesh(&self) -> &Mesh {
         &self.mesh
     }
 
     /// The place of a core.
-    #[must_use]
     pub fn site(&self, core: CoreId) -> Site {
         self.sites[core]
     }
 
     /// All places.
-    #[must_use]
     pub fn sites(&self) -> &IdVec<CoreId, Site> {
         &self.sites
     }
 
     /// Chips that hold a core in use.
-    #[must_use]
     pub fn chips_used(&self) -> u32 {
         let chips: std::collections::BTreeSet<u32> = self.sites.iter().map(|site| site.chip).collect();
         chips.len() as u32
     }
 
     /// Number of logical cores.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.sites.len()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.sites.is_empty()
     }

@@ -23,7 +23,6 @@ pub struct Potentials {
 
 impl Potentials {
     /// Before the first step of a sample; `None` where spikes decide.
-    #[must_use]
     pub fn new(read_out: ReadOut, outputs: u32) -> Option<Self> {
         let outputs = outputs as usize;
         let moved = vec![false; outputs];
@@ -53,13 +52,11 @@ impl Potentials {
     }
 
     /// The score of each output.
-    #[must_use]
     pub fn scores(&self) -> &[f64] {
         &self.scores
     }
 
     /// The output with the greatest score.
-    #[must_use]
     pub fn class(&self) -> Option<u32> {
         if !self.moved.contains(&true) {
             return None;
@@ -69,7 +66,6 @@ impl Potentials {
     }
 
     /// By how much the greatest score is above the second; an only output's is its lead.
-    #[must_use]
     pub fn lead(&self) -> f64 {
         let mut sorted = self.scores.clone();
         sorted.sort_unstable_by(|a, b| b.total_cmp(a));

@@ -127,13 +127,11 @@ pub struct Stored {
 
 impl Stored {
     /// Lists of discrete axons.
-    #[must_use]
     pub fn discrete(lists: Csr<Synapse>) -> Self {
         Stored { plain: lists.len() as u32, lists, ..Stored::default() }
     }
 
     /// Lists of a core with population axons, one input axon for each source that reaches it.
-    #[must_use]
     pub fn with_populations(lists: Csr<Synapse>, populations: Vec<PopulationAxon>, mut axons: Vec<InputAxon>) -> Self {
         let discrete = |(back, axon): &(usize, &InputAxon)| match **axon {
             InputAxon::Discrete { list } => list as usize + back + 1 == lists.len(),
@@ -146,20 +144,17 @@ impl Stored {
     }
 
     /// Sources that reach the core.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.axons.len() + self.plain as usize
     }
 
     /// Whether no source reaches the core.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// An input axon.
     #[inline]
-    #[must_use]
     pub fn axon(&self, axon: usize) -> InputAxon {
         self.axons.get(axon).copied().unwrap_or_else(|| {
             let behind = self.len() - axon;
@@ -169,7 +164,6 @@ impl Stored {
 
     /// Which of the stored lists an input axon selects, and what it adds to every slot of it.
     #[inline]
-    #[must_use]
     pub fn selected(&self, axon: usize) -> (usize, u16) {
         match self.axon(axon) {
             InputAxon::Discrete { list } => (list as usize, 0),
@@ -182,7 +176,6 @@ impl Stored {
 
     /// The list that an input axon selects.
     #[inline]
-    #[must_use]
     pub fn get(&self, axon: usize) -> Selected<'_> {
         let (list, base) = self.selected(axon);
         Selected { base, stored: self.lists.get(list) }
@@ -208,7 +201,6 @@ impl Stored {
     }
 
     /// Synapses, those that several sources share counted for each.
-    #[must_use]
     pub fn count(&self) -> u64 {
         match self.populations.is_empty() {
             true => self.lists.items().len() as u64,
@@ -278,9 +270,23 @@ pub struct CoreClass {
 
 impl CoreClass {
     /// What stands for cores whose tables another process holds.
-    #[must_use]
     pub fn without_tables(compartments: Vec<Compartment>) -> Self {
         CoreClass { compartments, formats: Vec::new(), inputs: Stored::default() }
+    }
+
+    /// What is wrong with the sums of one whose synapses lead to compartments.
+    fn sums_not_closed(&self) -> Option<&'static str> {
+        if self.formats.iter().all(|format| format.synapse.port.is_first() && format.synapse.apart.is_none()) {
+            return None;
+        }
+        let has_sum = |synapse: Synapse| {
+            let table = self.compartments[usize::from(synapse.slot)].neuron.kind.table();
+            let SynapseFormat { port, apart, .. } = self.formats[usize::from(synapse.format)].synapse;
+            port.index() < usize::from(table.ports)
+                && apart.is_none_or(|apart| !table.registers && usize::from(apart.number) < Apart::MOST)
+        };
+        let closed = (0..self.inputs.len()).all(|axon| self.inputs.get(axon).synapses().all(has_sum));
+        (!closed).then_some("a synapse leads to a sum that its compartment does not have")
     }
 }
 
@@ -296,23 +302,6 @@ pub struct CoreImage {
     pub ids: Vec<CompartmentId>,
     /// Messages that a spike sends, by slot, in ascending order of cores.
     pub axons_out: AxonsOut,
-}
-
-impl CoreClass {
-    /// Of one whose synapses lead to compartments.
-    fn sums_not_closed(&self) -> Option<&'static str> {
-        if self.formats.iter().all(|format| format.synapse.port.is_first() && format.synapse.apart.is_none()) {
-            return None;
-        }
-        let has_sum = |synapse: Synapse| {
-            let table = self.compartments[usize::from(synapse.slot)].neuron.kind.table();
-            let SynapseFormat { port, apart, .. } = self.formats[usize::from(synapse.format)].synapse;
-            port.index() < usize::from(table.ports)
-                && apart.is_none_or(|apart| !table.registers && usize::from(apart.number) < Apart::MOST)
-        };
-        let closed = (0..self.inputs.len()).all(|axon| self.inputs.get(axon).synapses().all(has_sum));
-        (!closed).then_some("a synapse leads to a sum that its compartment does not have")
-    }
 }
 
 /// Consecutive sources whose messages carry an integer. Sources are numbered channels first, then
@@ -341,7 +330,6 @@ pub struct Compartments {
 
 impl Compartments {
     /// Those of a population, unless it is an input.
-    #[must_use]
     pub fn in_population(population: &Population) -> Option<Self> {
         let (count, positions) = (population.shape.len(), population.shape.positions());
         population.first_compartment().map(|first| Compartments { first, count, positions })
@@ -408,7 +396,6 @@ impl Parts {
     /// # Panics
     /// When the core or its class does not exist.
     #[inline]
-    #[must_use]
     pub fn class_of(&self, core: CoreId) -> &CoreClass {
         &self.classes[self.cores[core].class]
     }
@@ -549,7 +536,6 @@ impl Program {
     }
 
     /// The parts.
-    #[must_use]
     pub fn parts(&self) -> &Parts {
         &self.parts
     }
@@ -561,13 +547,11 @@ impl Program {
     }
 
     /// Whether the tables of a core are held here, rather than by another process.
-    #[must_use]
     pub fn holds(&self, core: CoreId) -> bool {
         self.parts.dealt.as_ref().is_none_or(|dealt| dealt.holds(core))
     }
 
     /// The rank whose part of a program this is; `None` of a whole one.
-    #[must_use]
     pub fn held_rank(&self) -> Option<u32> {
         self.parts.dealt.as_ref().and_then(|dealt| dealt.held)
     }
@@ -603,70 +587,56 @@ impl Program {
         };
         let cores: Vec<CoreImage> = whole.cores.enumerate().map(image).collect();
         Program::new(Parts {
-            mesh: whole.mesh,
             classes,
             cores: cores.into(),
             channels,
             seats: whole.seats.clone(),
             populations: whole.populations.clone(),
             graded: whole.graded.clone(),
-            output: whole.output,
-            decision: whole.decision,
-            output_start: whole.output_start,
-            semantics: whole.semantics,
-            threshold: whole.threshold,
-            reset: whole.reset,
             dealt: Some(dealt),
+            ..*whole
         })
     }
 
     /// Core images.
-    #[must_use]
     pub fn cores(&self) -> &IdVec<CoreId, CoreImage> {
         &self.parts.cores
     }
 
     /// What equal cores store.
-    #[must_use]
     pub fn classes(&self) -> &IdVec<ClassId, CoreClass> {
         &self.parts.classes
     }
 
     /// What a core stores.
     #[inline]
-    #[must_use]
     pub fn class_of(&self, core: CoreId) -> &CoreClass {
         self.parts.class_of(core)
     }
 
     /// The first core of each class.
-    #[must_use]
     pub fn first_cores(&self) -> IdVec<ClassId, CoreId> {
         self.parts.first_cores().iter().copied().flatten().collect()
     }
 
     /// Synapses of some cores, those that several sources share counted for each.
-    #[must_use]
     pub fn synapses_of(&self, cores: impl Fn(CoreId) -> bool) -> u64 {
         let of_classes: IdVec<ClassId, u64> = self.classes().iter().map(|class| class.inputs.count()).collect();
         self.cores().enumerate().filter(|(core, _)| cores(*core)).map(|(_, image)| of_classes[image.class]).sum()
     }
 
     /// Where each compartment of the network sits.
-    #[must_use]
     pub fn seats(&self) -> &IdVec<CompartmentId, Seat> {
         &self.parts.seats
     }
 
     /// Messages of a channel's spike.
-    #[must_use]
     pub fn channel(&self, channel: ChannelId) -> &[AxonTarget] {
         self.parts.channels.get(channel.index())
     }
 
     /// Messages of a source's spike. Sources are numbered channels first, then compartments.
     #[inline]
-    #[must_use]
     pub fn messages(&self, source: u32) -> Messages<'_> {
         match source.checked_sub(self.channels()) {
             None => Messages::Channel(self.channel(ChannelId(source)).iter()),
@@ -678,7 +648,6 @@ impl Program {
     }
 
     /// The mesh that sites are on.
-    #[must_use]
     pub fn mesh(&self) -> &Mesh {
         &self.parts.mesh
     }
@@ -687,7 +656,6 @@ impl Program {
     ///
     /// # Panics
     /// Never: the constructor has checked it.
-    #[must_use]
     pub fn output(&self) -> Output {
         let output = self.parts.populations[self.parts.output].expect("checked by the constructor");
         let Parts { decision, output_start: start_step, .. } = self.parts;
@@ -695,13 +663,11 @@ impl Program {
     }
 
     /// Number of compartments.
-    #[must_use]
     pub fn compartments(&self) -> u32 {
         self.parts.seats.len() as u32
     }
 
     /// Number of input channels.
-    #[must_use]
     pub fn channels(&self) -> u32 {
         self.parts.channels.len() as u32
     }

@@ -133,7 +133,6 @@ macro_rules! resources {
         impl LimitChanges {
             /// The limits with these changes. A resource that had as much as a pool left it follows
             /// the pool.
-            #[must_use]
             pub fn applied(&self, mut limits: Limits) -> Limits {
                 let before = limits.pools.clone();
                 for pool in &mut limits.pools {
@@ -160,7 +159,6 @@ macro_rules! resources {
             }
 
             /// Whether a limit of this name is changed.
-            #[must_use]
             pub fn changes(&self, name: &str) -> bool {
                 let changed = [
                     $((stringify!($name), self.$name.is_some()),)*
@@ -255,7 +253,6 @@ const OPTIONAL: [Resource; 1] = [Resource::StoredSynapses];
 
 impl Resource {
     /// The name in files and in JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         self.description().name
     }
@@ -268,7 +265,6 @@ pub struct PerResource<T>([T; Resource::COUNT]);
 impl<T> PerResource<T> {
     /// What a function makes of each resource.
     #[inline]
-    #[must_use]
     pub fn from_fn(f: impl FnMut(Resource) -> T) -> Self {
         PerResource(Resource::ALL.map(f))
     }
@@ -383,7 +379,6 @@ impl Pool {
     }
 
     /// How much of it these uses take.
-    #[must_use]
     pub fn need(&self, used: &PerResource<u64>) -> u64 {
         self.costs
             .iter()
@@ -405,7 +400,6 @@ pub enum Capacity {
 
 impl Capacity {
     /// The name in JSON and in messages.
-    #[must_use]
     pub fn name(&self) -> &str {
         match self {
             Capacity::Resource(resource) => resource.name(),
@@ -415,7 +409,6 @@ impl Capacity {
     }
 
     /// The code of the reason that there is too little of it.
-    #[must_use]
     pub fn code(&self) -> &'static str {
         match self {
             Capacity::Resource(resource) => resource.description().code,
@@ -425,7 +418,6 @@ impl Capacity {
     }
 
     /// The heading of its column in a table of cores, if it has one.
-    #[must_use]
     pub fn heading(&self) -> Option<&str> {
         match self {
             Capacity::Resource(resource) => resource.description().heading,
@@ -435,7 +427,6 @@ impl Capacity {
     }
 
     /// As a sentence counts it.
-    #[must_use]
     pub fn noun(&self) -> Cow<'static, str> {
         match self {
             Capacity::Resource(resource) => resource.description().noun.into(),
@@ -445,7 +436,6 @@ impl Capacity {
     }
 
     /// What to do where there is too little of it.
-    #[must_use]
     pub fn advice(&self) -> Cow<'static, str> {
         match self {
             Capacity::Resource(resource) => resource.description().advice.into(),
@@ -499,7 +489,6 @@ impl Limits {
     }
 
     /// Whether a resource has a limit, its own or that of a pool.
-    #[must_use]
     pub fn is_limited(&self, resource: Resource) -> bool {
         self.most[resource] != NOT_GIVEN
     }
@@ -512,7 +501,6 @@ impl Limits {
     }
 
     /// Whether nothing is used beyond its limit.
-    #[must_use]
     pub fn hold(&self, used: &PerResource<u64>) -> bool {
         Resource::ALL.into_iter().all(|r| used[r] <= u64::from(self.most[r]) || !self.is_limited(r))
             && self.pools.iter().all(|pool| pool.need(used) <= pool.limit)

@@ -42,7 +42,6 @@ pub struct SourceCounts {
 
 impl SourceCounts {
     /// No spikes of this many channels and compartments.
-    #[must_use]
     pub fn new(channels: usize, compartments: usize) -> Self {
         SourceCounts {
             channels: vec![0; channels].into(),
@@ -76,7 +75,6 @@ impl SourceCounts {
     }
 
     /// What left its field at a compartment.
-    #[must_use]
     pub fn left_field(&self, compartment: CompartmentId) -> LeftField {
         self.left_fields.get(compartment).copied().unwrap_or_default()
     }

@@ -33,13 +33,6 @@ pub struct Spanned<T> {
     pub span: Span,
 }
 
-impl<T> Spanned<T> {
-    /// A value with the same place.
-    pub fn map<U>(self, f: impl FnOnce(T) -> U) -> Spanned<U> {
-        Spanned { value: f(self.value), span: self.span }
-    }
-}
-
 impl<T> From<T> for Spanned<T> {
     fn from(value: T) -> Self {
         Spanned { value, span: Span::default() }
@@ -141,7 +134,7 @@ pub fn refuse<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Displa
 
 impl<'de, T: DeserializeOwned> Deserialize<'de> for Spanned<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let (text, span) = place_of(<&RawValue>::deserialize(deserializer)?);
+        let (text, span) = raw(deserializer)?;
         Ok(Spanned { value: parse_at(text, span)?, span })
     }
 }

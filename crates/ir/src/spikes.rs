@@ -24,7 +24,6 @@ pub enum Message {
 impl Message {
     /// What every message multiplies the weights of its synapses by, 1 for a spike; `None` where
     /// that differs from message to message.
-    #[must_use]
     pub fn factor(self) -> Option<i32> {
         match self {
             Message::Spike => Some(1),
@@ -34,7 +33,6 @@ impl Message {
     }
 
     /// The bits of an integer that a message carries, its sign included.
-    #[must_use]
     pub fn bits(self) -> u32 {
         match self {
             Message::Spike => 0,
@@ -44,7 +42,6 @@ impl Message {
     }
 
     /// The greatest magnitude that a message multiplies weights by.
-    #[must_use]
     pub fn greatest(self) -> u64 {
         match self {
             Message::Value(bits) => 1 << (bits.get() - 1),
@@ -112,7 +109,6 @@ pub enum SampleError {
 
 impl Sample {
     /// A sample without spikes.
-    #[must_use]
     pub fn silent(steps: u32) -> Self {
         Sample { label: None, first: vec![0; steps as usize + 1], channels: Vec::new(), values: Vec::new() }
     }
@@ -209,7 +205,6 @@ impl Sample {
     }
 
     /// The same spikes on the channels of this many copies of a network, one after the other.
-    #[must_use]
     pub fn copies(&self, copies: u32, channels: u32) -> Sample {
         let spikes =
             |step| (0..copies).flat_map(move |k| self.at(step).iter().map(move |c| ChannelId(c.0 + k * channels)));
@@ -230,7 +225,6 @@ impl Sample {
     }
 
     /// The first this many steps, or all of a shorter sample.
-    #[must_use]
     pub fn beginning(&self, steps: u32) -> Sample {
         let first = self.first[..=steps.min(self.steps()) as usize].to_vec();
         let spikes = first.last().map_or(0, |&end| end as usize);
@@ -239,41 +233,35 @@ impl Sample {
     }
 
     /// Number of timesteps.
-    #[must_use]
     pub fn steps(&self) -> u32 {
         (self.first.len() - 1) as u32
     }
 
     /// The class that it shows, when known.
-    #[must_use]
     pub fn label(&self) -> Option<u32> {
         self.label
     }
 
     /// The channels that spike in a step, ascending, each once.
     #[inline]
-    #[must_use]
     pub fn at(&self, step: u32) -> &[ChannelId] {
         &self.channels[self.first[step as usize] as usize..self.first[step as usize + 1] as usize]
     }
 
     /// The same with what they carry.
     #[inline]
-    #[must_use]
     pub fn input(&self, step: u32) -> Spikes<'_> {
         let range = self.first[step as usize] as usize..self.first[step as usize + 1] as usize;
         Spikes { values: self.values.get(range.clone()).unwrap_or(&[]), ids: &self.channels[range] }
     }
 
     /// The first step from this one on that has a spike, or the end.
-    #[must_use]
     pub fn next_spike(&self, step: u32) -> u32 {
         let passed = self.first[step as usize];
         self.first.partition_point(|&first| first <= passed).saturating_sub(1).max(step as usize) as u32
     }
 
     /// All spikes.
-    #[must_use]
     pub fn spikes(&self) -> usize {
         self.channels.len()
     }

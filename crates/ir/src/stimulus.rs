@@ -58,12 +58,10 @@ impl SceneArg {
     /// A diagnostic for a parameter without `=`.
     pub fn parse(text: &str) -> Result<Self> {
         let (name, query) = text.split_once('?').unwrap_or((text, ""));
-        let parameters = pairs(query)?;
-        Ok(SceneArg { name: name.to_string(), parameters })
+        Ok(SceneArg { name: name.to_string(), parameters: pairs(query)? })
     }
 
     /// The scene as it would be typed.
-    #[must_use]
     pub fn spelled(&self) -> String {
         let mut text = format!("scene:{}", self.name);
         for (i, (key, value)) in self.parameters.iter().enumerate() {
@@ -90,7 +88,7 @@ impl InputArg {
             Some(scene) => InputSource::Scene(SceneArg::parse(scene)?),
             None => match source.rsplit_once('?') {
                 Some((file, query)) if !file.is_empty() && query.split('&').all(|pair| pair.contains('=')) => {
-                    InputSource::Events(file.into(), SceneArg::parse(&format!("?{query}"))?.parameters)
+                    InputSource::Events(file.into(), pairs(query)?)
                 }
                 _ => InputSource::Path(source.into()),
             },

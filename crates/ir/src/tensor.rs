@@ -30,7 +30,6 @@ pub struct Tensor {
 
 impl Tensor {
     /// An array, if its numbers fill its shape.
-    #[must_use]
     pub fn new(shape: Vec<usize>, numbers: Numbers) -> Option<Self> {
         let length = match &numbers {
             Numbers::Integers(x) => x.len(),
@@ -41,25 +40,21 @@ impl Tensor {
     }
 
     /// The axes.
-    #[must_use]
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
 
     /// How many numbers.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.shape.iter().product()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// The numbers.
-    #[must_use]
     pub fn numbers(&self) -> &Numbers {
         &self.numbers
     }
@@ -68,7 +63,6 @@ impl Tensor {
     ///
     /// # Panics
     /// When `index` is not below `len`.
-    #[must_use]
     pub fn real(&self, index: usize) -> f64 {
         match &self.numbers {
             Numbers::Integers(x) => f64::from(x[index]),

@@ -12,7 +12,7 @@
 //!   for it.
 
 mod bits;
-pub mod count;
+pub(crate) mod count;
 pub(crate) mod deliver;
 pub mod layout;
 pub mod ranks;
@@ -23,7 +23,6 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::count::spike_counts::SpikeCounts;
-use crate::count::tally;
 use crate::deliver::exchange;
 pub use crate::layout::image::{Image, ImageError};
 use crate::ranks::exchange::Exchange;
@@ -90,7 +89,6 @@ pub struct Machine {
 
 impl Machine {
     /// A machine at rest.
-    #[must_use]
     pub fn new(image: &Arc<Image>, settings: Settings) -> Self {
         let slots = image.longest_delay as usize + 1;
         Machine {
@@ -122,7 +120,6 @@ impl Machine {
     ///
     /// # Panics
     /// When the image is of no part, or the ranks hold parts of different mappings.
-    #[must_use]
     pub fn of_part(image: &Arc<Image>, settings: Settings, ranks: &Ranks, shown: Option<(CompartmentId, u32)>) -> Self {
         let at_once = settings.per_step || shown.is_some();
         let others = Some(Exchange::new(image.program(), ranks, shown, at_once));
@@ -130,7 +127,6 @@ impl Machine {
     }
 
     /// What the last step did; empty unless `Settings::per_step` is on.
-    #[must_use]
     pub fn last_step(&self) -> &StepActivity {
         &self.last
     }
@@ -154,14 +150,12 @@ impl Machine {
 
     /// Compartment updates of the sample so far that were left out because the compartment was at
     /// rest.
-    #[must_use]
     pub fn skipped_updates(&self) -> u64 {
         let computed: u64 = self.shards.iter().map(|state| state.visited).sum();
         self.totals.compartment_updates - computed
     }
 
     /// Whether nothing will happen until the next input spike.
-    #[must_use]
     pub fn at_rest(&self) -> bool {
         self.spikes.is_empty()
             && self.remote.is_empty()
@@ -169,14 +163,22 @@ impl Machine {
     }
 
     /// Bytes of memory that the state holds; the image's are its own.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         self.shards.iter().map(ShardState::bytes).sum::<usize>() + self.counts.bytes()
     }
 
-    fn lane(&self, compartment: CompartmentId) -> (&ShardState, usize) {
-        let (shard, lane) = self.image.lane(compartment);
-        (&self.shards[shard], lane)
+    /// The state of a compartment's shard and its lane there; `None` where another process holds
+    /// it.
+    fn lane(&self, compartment: CompartmentId) -> Option<(&ShardState, usize)> {
+        self.image.holds(compartment).then(|| {
+            let (shard, lane) = self.image.lane(compartment);
+            (&self.shards[shard], lane)
+        })
+    }
+
+    /// The registers of a compartment, at rest where another process holds it.
+    fn registers(&self, compartment: CompartmentId) -> neuron::Registers {
+        self.lane(compartment).map_or_else(Default::default, |(state, lane)| state.registers(lane))
     }
 
     /// Deliver and Update of every shard.
@@ -303,8 +305,8 @@ impl Machine {
         if self.settings.per_step {
             self.last.clear();
             image.tally().add_visits(1, &mut self.last);
-            for state in &self.shards {
-                tally::add_active(&state.active, &mut self.last);
+            for &(core, count) in self.shards.iter().flat_map(|state| &state.active) {
+                self.last.cores[core].active += u64::from(count);
             }
             image.tally().add_step((channels, &self.spikes), left, &mut self.last);
         }
@@ -415,19 +417,11 @@ impl Engine for Machine {
     }
 
     fn u(&self, compartment: CompartmentId) -> i32 {
-        if !self.image.holds(compartment) {
-            return 0;
-        }
-        let (state, lane) = self.lane(compartment);
-        state.registers(lane).u
+        self.registers(compartment).u
     }
 
     fn v(&self, compartment: CompartmentId) -> i32 {
-        if !self.image.holds(compartment) {
-            return 0;
-        }
-        let (state, lane) = self.lane(compartment);
-        state.registers(lane).v
+        self.registers(compartment).v
     }
 
     fn potential(&self, compartment: CompartmentId) -> f64 {
@@ -438,10 +432,7 @@ impl Engine for Machine {
     }
 
     fn v_register(&self, compartment: CompartmentId) -> i32 {
-        if !self.image.holds(compartment) {
-            return 0;
-        }
-        let (state, lane) = self.lane(compartment);
+        let Some((state, lane)) = self.lane(compartment) else { return 0 };
         let registers = state.registers(lane);
         let neuron = self.image.neuron(compartment);
         neuron::voltage_register(&neuron, self.image.semantics, &registers, state.has_spiked(lane))

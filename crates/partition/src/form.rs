@@ -29,7 +29,6 @@ pub enum Form {
 impl Form {
     /// The form of this many copies of a network: symbolic when it has more than [`MOST_WRITTEN`]
     /// synapses and consists of layers, so that it can be.
-    #[must_use]
     pub fn for_network(one: &Quantised, copies: u32) -> Form {
         let synapses = one.synapses().saturating_mul(u64::from(copies));
         match synapses > MOST_WRITTEN && layers(one).is_some() {

@@ -70,13 +70,11 @@ pub enum Effort {
 
 impl Effort {
     /// This many milliseconds from now on.
-    #[must_use]
     pub fn within_ms(budget_ms: u32) -> Self {
         Effort::Within { budget_ms, end: Instant::now() + Duration::from_millis(budget_ms.into()) }
     }
 
     /// Units of work, of which a reference machine does this many in a second.
-    #[must_use]
     pub fn work(self, per_second: u64) -> u64 {
         match self {
             Effort::Work(seconds) => u64::from(seconds).saturating_mul(per_second),
@@ -88,7 +86,6 @@ impl Effort {
     }
 
     /// When it ends, if the clock says.
-    #[must_use]
     pub fn end(self) -> Option<Instant> {
         match self {
             Effort::Work(_) => None,
@@ -107,7 +104,6 @@ impl Effort {
 }
 
 /// Whether a time has come.
-#[must_use]
 pub fn is_over(end: Option<Instant>) -> bool {
     end.is_some_and(|end| Instant::now() >= end)
 }

@@ -62,7 +62,6 @@ pub struct Tightest {
 
 impl Tightest {
     /// Of each population that has compartments, from what each core uses and holds.
-    #[must_use]
     pub fn of_each<'a>(
         network: &Quantised,
         target: &Target,
@@ -89,8 +88,7 @@ impl Tightest {
 }
 
 /// The use that takes more of its limit; the first of equals.
-#[must_use]
-pub fn tighter(a: (Capacity, u64, u64), b: (Capacity, u64, u64)) -> (Capacity, u64, u64) {
+fn tighter(a: (Capacity, u64, u64), b: (Capacity, u64, u64)) -> (Capacity, u64, u64) {
     let times = |need: u64, limit: u64| u128::from(need) * u128::from(limit.max(1));
     if times(b.1, a.2) > times(a.1, b.2) { b } else { a }
 }
@@ -140,7 +138,6 @@ impl Reason {
     }
 
     /// A compartment of a population needs more than any core has.
-    #[must_use]
     pub fn of_population(network: &Quantised, id: PopulationId, resource: Capacity, need: u64, limit: u64) -> Self {
         let is_input = |source: PopulationId| network.populations()[source].first_channel().is_some();
         let from_inputs = network.incoming(id).any(|(_, p)| is_input(p.source));
@@ -151,7 +148,6 @@ impl Reason {
     }
 
     /// A compartment of a population of this name needs more than any core has.
-    #[must_use]
     pub fn of_named(population: &str, resource: Resource, need: u64, limit: u64) -> Self {
         let resource = Capacity::from(resource);
         let help = resource.advice().into_owned();
@@ -159,7 +155,6 @@ impl Reason {
     }
 
     /// A core of a given membership needs more than it has.
-    #[must_use]
     pub fn of_core(core: CoreId, resource: Capacity, need: u64, limit: u64) -> Self {
         let help = format!("{}; or let nsim make a new mapping", Capacity::from(Resource::Compartments).advice());
         Reason { core: Some(core), ..Reason::new(resource, need, limit, help) }
@@ -167,7 +162,6 @@ impl Reason {
 
     /// A mapping takes more cores than the target has; another may take fewer. `of_each` is empty
     /// where what the cores hold was not counted.
-    #[must_use]
     pub fn of_mapping(target: &Target, copies: u32, cores: u64, of_each: BTreeMap<PopulationId, Tightest>) -> Self {
         let most = of_each.into_values().max_by_key(|one| one.cores);
         let taken = Some(most.map_or(Taken::Uncounted, |most| Taken::Mostly(Box::new(most))));
@@ -177,13 +171,11 @@ impl Reason {
     }
 
     /// Any mapping needs more cores than the target has.
-    #[must_use]
     pub fn of_cores(target: &Target, copies: u32, need: u64) -> Self {
         Reason::new(Capacity::Cores, need, u64::from(target.cores()), larger(copies, need))
     }
 
     /// More compartments are needed than the whole target has.
-    #[must_use]
     pub fn of_compartments(target: &Target, limits: &Limits, copies: u32, need: u64) -> Self {
         let limit = u64::from(target.cores()) * u64::from(limits[Resource::Compartments]);
         let cores = need.div_ceil(u64::from(limits[Resource::Compartments]));

@@ -45,7 +45,6 @@ pub struct Fit {
 
 /// The greatest value of a compartment's answer to one spike of weight 1, current and voltage
 /// keeping these shares of themselves in a step.
-#[must_use]
 pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
     let (mut u, mut v) = (1.0, 1.0);
     // The answer rises once and falls for ever.
@@ -79,20 +78,17 @@ fn late_peak(a: f64, b: f64) -> f64 {
 }
 
 /// What remains of a current or voltage after a step with this decay.
-#[must_use]
 pub fn keep(decay: Decay) -> f64 {
     1.0 - f64::from(decay.get()) / DECAY_ONE as f64
 }
 
 /// What remains of both after a step before decays become integers: `exp(-dt / tau)`.
-#[must_use]
 pub fn real_keep(srm: &SrmParameters, timestep_ms: f64) -> f64 {
     libm::exp(-timestep_ms / srm.tau_sr_ms)
 }
 
 /// The threshold at which the peak of an answer is that of the alpha kernel, relative to the
 /// threshold.
-#[must_use]
 pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v: f64) -> f64 {
     // eps(k + 1) = (e r / tau) (k + 1) r^k.
     let (tau, r) = (srm.tau_sr_ms / timestep_ms, real_keep(srm, timestep_ms));
@@ -100,7 +96,6 @@ pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, kee
 }
 
 /// The same of a fit, all copies together.
-#[must_use]
 pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) -> f64 {
     let (keep_u, keep_v) = (keep(fit.du), keep(fit.dv));
     let one = matched_threshold(srm, timestep_ms, keep_u, keep_v);
@@ -133,7 +128,6 @@ pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) ->
 /// `w(z) = (1 - keep_u z) (1 - keep_v z) c(z)`, cut off after `count`. The voltage at a spike is
 /// above the threshold by up to the last step's input: `given_back` is its mean, which calibration
 /// finds. `refractory` scales nu.
-#[must_use]
 pub fn own_synapses(
     (srm, timestep_ms): (&SrmParameters, f64),
     (keep_u, keep_v): (f64, f64),
@@ -158,7 +152,6 @@ pub fn own_synapses(
 }
 
 /// The analytic start of a population at this timestep.
-#[must_use]
 pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
     let real = DECAY_ONE as f64 * (1.0 - real_keep(srm, timestep_ms));
     // A decay of 0 would never forget.
@@ -166,7 +159,7 @@ pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
     Fit {
         du: decay,
         dv: decay,
-        refractory: Refractory::new(1).unwrap_or(Refractory::MIN),
+        refractory: Refractory::ONE,
         threshold: matched_threshold(srm, timestep_ms, keep(decay), keep(decay)),
         copies: vec![(0, 1.0)],
         own: Vec::new(),
@@ -175,7 +168,6 @@ pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
 }
 
 /// The analytic start of every population that needs one, in the order of the file.
-#[must_use]
 pub fn starts(graph: &Graph) -> Vec<Option<Fit>> {
     let fit = |kind: &PopulationKind| match kind {
         PopulationKind::Srm(srm) => Some(start(srm, graph.facts().timestep_ms)),
@@ -203,14 +195,12 @@ fn parameters(fit: &Fit) -> NeuronParameters {
 const ITSELF: &str = " -> itself";
 
 /// Whether a projection of this name is one of [`Fit::own`].
-#[must_use]
 pub fn stands_for_reset(name: &str) -> bool {
     name.contains(ITSELF)
 }
 
 /// The network with Loihi compartments only, those of `fits` (in the order of the file) in place of
 /// spike response neurons.
-#[must_use]
 pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
     let kinds = graph.with_kinds(|node, population| match (&population.kind, &fits[node.index()]) {
         (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Neurons(parameters(fit)),
@@ -265,7 +255,6 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
 }
 
 /// The network with Loihi compartments only, by analysis alone.
-#[must_use]
 pub fn convert(graph: &Graph) -> Graph {
     with_fits(graph, &starts(graph))
 }

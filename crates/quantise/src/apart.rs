@@ -51,9 +51,7 @@ pub(crate) fn assign(
     }
     let wraps = convolutions.len();
     let groups: Groups = convolutions.into_iter().chain(shifted).collect();
-    let of_group = |(number, group): (usize, &Vec<ProjectionId>)| group.iter().map(move |&id| (id, number)).collect();
-    let numbers: Vec<(ProjectionId, usize)> = groups.iter().enumerate().flat_map::<Vec<_>, _>(of_group).collect();
-    let own = |id: ProjectionId| numbers.iter().find(|of| of.0 == id).map(|of| of.1);
+    let own = |id: ProjectionId| groups.iter().position(|group| group.contains(&id));
     let into = projections.enumerate().filter(|(_, projection)| projection.target == target);
     let sums = into.map(|(id, projection)| {
         let number = own(id);
@@ -63,8 +61,10 @@ pub(crate) fn assign(
     if sums > Apart::MOST {
         return Err(TooMany(sums));
     }
-    for (id, number) in numbers {
-        projections[id].format.apart = Some(Apart { number: number as u8, wraps: number < wraps });
+    for (number, group) in groups.iter().enumerate() {
+        for &id in group {
+            projections[id].format.apart = Some(Apart { number: number as u8, wraps: number < wraps });
+        }
     }
     Ok(Some(groups.len() - wraps))
 }

@@ -55,11 +55,7 @@ pub fn carry(
             let mut copies: Vec<(ProjectionId, &graph::Projection)> = graph
                 .projections()
                 .enumerate()
-                .filter(|(_, (_, a, b, projection))| {
-                    let listed =
-                        matches!(projection.kind, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. });
-                    *a == source && *b == node && listed
-                })
+                .filter(|(_, (_, a, b, projection))| *a == source && *b == node && projection.kind.has_own_weights())
                 .map(|(place, (_, _, _, projection))| (ProjectionId(place as u32), projection))
                 .collect();
             copies.sort_by_key(|(_, projection)| projection.delay);

@@ -6,10 +6,9 @@
 
 use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::graph::MOST_UNITS;
-use nsim_ir::quantised::{Inconsistent, Parts, Quantised, Units};
+use nsim_ir::quantised::{Inconsistent, Parts, Projection, Quantised, Units};
 
 /// The name of a population in copy k.
-#[must_use]
 pub fn copied_name(name: &str, k: u32) -> String {
     if k == 0 { name.to_string() } else { format!("{name}@{k}") }
 }
@@ -56,10 +55,8 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
             parts.populations.push(copy);
         }
         for projection in &one.projections {
-            let mut copy = projection.clone();
-            copy.source = PopulationId(copy.source.0 + k * per_copy);
-            copy.target = PopulationId(copy.target.0 + k * per_copy);
-            parts.projections.push(copy);
+            let [source, target] = [projection.source, projection.target].map(|of| PopulationId(of.0 + k * per_copy));
+            parts.projections.push(Projection { source, target, ..projection.clone() });
         }
     }
     Quantised::new(parts)?.with_record(network.pruned().cloned())

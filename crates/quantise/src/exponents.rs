@@ -59,7 +59,6 @@ pub enum Detail {
 }
 
 /// What is left open is chosen.
-#[must_use]
 pub fn assigned(graph: &Graph, detail: Detail) -> Graph {
     if detail == Detail::Zero {
         return graph.clone();
@@ -124,10 +123,7 @@ fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, u32)> {
 fn greatest_sum(graph: &Graph, node: NodeIndex) -> f64 {
     let units = graph.population(node).shape.len() as usize;
     let (mut above, mut below) = (vec![0.0f64; units], vec![0.0f64; units]);
-    for (_, source, target, projection) in graph.projections() {
-        if target != node {
-            continue;
-        }
+    for (source, projection) in graph.incoming(node) {
         let population = graph.population(source);
         let factor = f64::from(population.message.factor().unwrap_or(1).abs());
         let per_channel = |channels: u32| (units / (channels as usize).max(1)).max(1);
@@ -146,18 +142,14 @@ fn greatest_sum(graph: &Graph, node: NodeIndex) -> f64 {
     above.into_iter().chain(below).fold(0.0, f64::max)
 }
 
-fn greatest(values: &PerCompartment<f64>) -> f64 {
-    match values {
-        PerCompartment::Same(value) => value.abs(),
-        PerCompartment::Each(values) => values.iter().fold(0.0, |most: f64, value| most.max(value.abs())),
-    }
+fn greatest(of: &PerCompartment<f64>) -> f64 {
+    of.values().iter().map(|value| value.abs()).reduce(f64::max).unwrap_or(0.0)
 }
 
 /// The least share of the current that a step takes away.
 fn least_decay(parameters: &NeuronParameters, timestep_ms: f64) -> f64 {
-    let least = |values: &PerCompartment<f64>, share: &dyn Fn(f64) -> f64| match values {
-        PerCompartment::Same(value) => share(*value),
-        PerCompartment::Each(values) => values.iter().map(|&value| share(value)).fold(1.0, f64::min),
+    let least = |of: &PerCompartment<f64>, share: &dyn Fn(f64) -> f64| {
+        of.values().iter().map(|&value| share(value)).reduce(f64::min).unwrap_or(1.0)
     };
     match (parameters.get("du"), parameters.real("tau_u_ms")) {
         (Some(du), _) => least(&du.each, &|du| du / DECAY_ONE as f64),
@@ -173,10 +165,7 @@ fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
     let (mut fits, mut open) = (f64::from(ThresholdMantissa::MAX.get()) * 64.0 / threshold, false);
     // How often the scale may be doubled before a weight with the greatest exponent no longer fits.
     let mut most = f64::INFINITY;
-    for (_, source, target, projection) in graph.projections() {
-        if target != node {
-            continue;
-        }
+    for (source, projection) in graph.incoming(node) {
         let bits = WeightBits::new(projection.weight_bits.value).ok()?;
         if projection.weight_scale.is_some() || matches!(projection.kind, ProjectionKind::Random { .. }) {
             return None;

@@ -35,7 +35,6 @@ use nsim_ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, Pr
 use nsim_ir::neurons::{Conversion, ParameterField};
 use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, Units};
-use nsim_ir::tensor::Tensor;
 
 /// Turns real parameters into integers.
 ///
@@ -241,10 +240,7 @@ impl Stage<'_> {
     fn scale(&self, node: NodeIndex, population: &graph::Population) -> Result<Option<f64>> {
         let PopulationKind::Neurons(parameters) = &population.kind else { return Ok(None) };
         let Some(threshold) = parameters.real("vth") else { return Ok(None) };
-        let greatest = match &threshold.each {
-            PerCompartment::Same(value) => *value,
-            PerCompartment::Each(values) => values.iter().copied().fold(f64::MIN, f64::max),
-        };
+        let greatest = threshold.each.values().iter().copied().reduce(f64::max).unwrap_or(f64::MIN);
         if greatest <= 0.0 {
             let message = format!("population '{}': a real threshold of {greatest} is not above 0", population.name);
             return Err(self.error("model.threshold", message, threshold.span));
@@ -253,10 +249,7 @@ impl Stage<'_> {
         let mut pinned: Option<f64> = None;
         let mut largest = f64::from(ThresholdMantissa::MAX.get()) * 64.0 / greatest;
         let mut driven = false;
-        for (_, _, target, projection) in self.graph.projections() {
-            if target != node {
-                continue;
-            }
+        for (_, projection) in self.graph.incoming(node) {
             let format = self.format(projection)?;
             let exponent = f64::from(format.exponent.get());
             if let Some(scale) = &projection.weight_scale {
@@ -517,13 +510,13 @@ impl Rounding<'_, '_> {
         match &projection.kind {
             ProjectionKind::Dense { weights } => {
                 let mut by_source = vec![0i16; sources as usize * targets as usize];
-                let columns = columns(weights);
+                let columns = weights.shape().get(1).copied().unwrap_or(1);
                 for target in 0..targets as usize {
                     for source in 0..sources as usize {
                         let column = projection.first_source as usize + source;
                         let weight = weights.real(target * columns + column);
                         by_source[source * targets as usize + target] =
-                            self.mantissa(weight, Entry(&[target, column]), place(target))?;
+                            self.mantissa(weight, format_args!("[{target}, {column}]"), place(target))?;
                     }
                 }
                 Ok(Connectivity::Dense { targets, weights: by_source.into() })
@@ -531,8 +524,9 @@ impl Rounding<'_, '_> {
             ProjectionKind::Sparse { synapses } => {
                 let mut sorted: Vec<(u32, u32, i16)> = Vec::with_capacity(synapses.len());
                 for &(source, target, weight, entry) in synapses {
-                    let which = Entry(&[source as usize, target as usize]);
-                    sorted.push((source, target, self.mantissa(weight, which, place(entry as usize))?));
+                    let place = place(entry as usize);
+                    let mantissa = self.mantissa(weight, format_args!("[{source}, {target}]"), place)?;
+                    sorted.push((source, target, mantissa));
                 }
                 sorted.sort_by_key(|&(source, target, _)| (source, target));
                 let mut first = vec![0u64; sources as usize + 1];
@@ -553,7 +547,8 @@ impl Rounding<'_, '_> {
                 let kernel = (0..weights.len())
                     .map(|i| {
                         let channel = i / per_channel;
-                        self.mantissa(weights.real(i), Entry(&[channel, i % per_channel]), place(channel))
+                        let within = i % per_channel;
+                        self.mantissa(weights.real(i), format_args!("[{channel}, {within}]"), place(channel))
                     })
                     .collect::<Result<Arc<[i16]>, _>>()?;
                 Ok(Connectivity::Conv2d { window: *window, kernel })
@@ -589,19 +584,6 @@ impl Rounding<'_, '_> {
             }
         }
     }
-}
-
-/// An index such as `[3, 17]`.
-struct Entry<'a>(&'a [usize]);
-
-impl Display for Entry<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{:?}", self.0)
-    }
-}
-
-fn columns(weights: &Tensor) -> usize {
-    weights.shape().get(1).copied().unwrap_or(1)
 }
 
 /// Calls `f(weight)` for every weight that a projection was given.

@@ -186,8 +186,9 @@ impl Lists {
         self.weights.push(weight);
     }
 
-    /// One after the other.
-    fn together(all: Vec<Lists>) -> Self {
+    /// One after the other, taken from where they are.
+    fn together<'l>(all: impl Iterator<Item = &'l mut Lists>) -> Self {
+        let all: Vec<Lists> = all.map(std::mem::take).collect();
         let sum = |of: fn(&Lists) -> usize| all.iter().map(of).sum::<usize>();
         let (lists, synapses) = (sum(|lists| lists.first.len()), sum(|lists| lists.targets.len()));
         let mut together = Lists::new();
@@ -245,21 +246,11 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
     for need in &needs {
         let size: u32 = need.relays.iter().sum();
         let name = relay_name(&parts, &network.populations()[need.of].name);
-        let id = parts.populations.push(relay_population(&name, next, size, later[need.of])?);
+        let id = parts.populations.push(relay_population(&name, next, size, later[need.of]));
         (next, relays) = (next + size, relays + size);
         let over = split(network, &mut parts, need, most, id);
-        let format = relay_format()?;
         let of = &network.populations()[need.of].name;
-        let delay = Delay::MIN;
-        let (source, target) = (need.of, id);
-        parts.projections.push(Projection {
-            name: format!("{of} -> {name}"),
-            source,
-            target,
-            format,
-            delay,
-            connectivity: over,
-        });
+        parts.projections.push(to_relays(format!("{of} -> {name}"), need.of, id, over));
         let message =
             format!("{size} relays carry its spikes on, because a compartment has {most} output axons at most");
         parts.notes.push(Note { entity: of.clone(), message, rounded: None });
@@ -268,10 +259,11 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
         let message = format!("its spikes come {later} steps later, because relays take time");
         parts.notes.push(Note { entity: population.name.clone(), message, rounded: None });
     }
-    let network = Quantised::new(parts)
-        .and_then(|made| made.with_record(None))
-        .map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))?;
-    Ok(Some(Relayed { network, later, relays, levels: 1 }))
+    Ok(Some(Relayed { network: made(parts)?, later, relays, levels: 1 }))
+}
+
+fn made(parts: Parts) -> Result<Quantised, Diagnostic> {
+    Quantised::new(parts).map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))
 }
 
 /// A name that no population has.
@@ -284,15 +276,17 @@ fn relay_name(parts: &Parts, of: &str) -> String {
 }
 
 /// A compartment without memory that spikes in the step in which its synapse brings a spike.
-///
-/// # Errors
-/// Never: its threshold is in range.
-pub fn relay() -> Result<Neuron, OutOfRange> {
-    Ok(Neuron { vth: ThresholdMantissa::new(1)?, ..Neuron::PLAIN })
-}
+pub const RELAY: Neuron = Neuron { vth: ThresholdMantissa::ONE, ..Neuron::PLAIN };
+/// The format of its synapse.
+const RELAY_FORMAT: SynapseFormat = SynapseFormat {
+    exponent: WeightExponent::ZERO,
+    sign: SignMode::Mixed,
+    bits: WeightBits::MAX,
+    port: Port::First,
+    apart: None,
+};
 
 /// One synapse from each unit to the unit of the same number, whose spike makes a relay spike.
-#[must_use]
 pub fn one_to_one(units: u32) -> Connectivity {
     let first: Vec<u64> = (0..=u64::from(units)).collect();
     let (targets, weights): (Vec<u32>, Vec<i16>) = ((0..units).collect(), vec![WEIGHT; units as usize]);
@@ -308,31 +302,26 @@ pub fn with_input_relays(network: &Quantised) -> Result<Quantised, Diagnostic> {
     let mut next = network.compartments();
     for (input, population) in network.inputs() {
         let (name, size) = (relay_name(&parts, &population.name), population.shape.len());
-        let shaped = Population { shape: population.shape, ..relay_population(&name, next, size, 0)? };
+        let shaped = Population { shape: population.shape, ..relay_population(&name, next, size, 0) };
         let target = parts.populations.push(shaped);
         next += size;
         for projection in parts.projections.iter_mut().filter(|projection| projection.source == input) {
             projection.source = target;
         }
-        let (format, delay, connectivity) = (relay_format()?, Delay::MIN, one_to_one(size));
         let name = format!("{} -> {name}", population.name);
-        parts.projections.push(Projection { name, source: input, target, format, delay, connectivity });
+        parts.projections.push(to_relays(name, input, target, one_to_one(size)));
     }
-    Quantised::new(parts).map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))
+    made(parts)
 }
 
-fn relay_population(name: &str, first: u32, size: u32, start_step: u32) -> Result<Population, Diagnostic> {
-    let neurons = PerCompartment::Same(relay().map_err(|error| refused(error.to_string()))?);
+fn relay_population(name: &str, first: u32, size: u32, start_step: u32) -> Population {
+    let neurons = PerCompartment::Same(RELAY);
     let units = Units::Compartments { first: CompartmentId(first), neurons, start_step };
-    Ok(Population { name: name.to_string(), shape: Shape::Line(size), units, message: Message::Spike })
+    Population { name: name.to_string(), shape: Shape::Line(size), units, message: Message::Spike }
 }
 
-fn relay_format() -> Result<SynapseFormat, Diagnostic> {
-    let format = || {
-        let (exponent, bits) = (WeightExponent::new(0)?, WeightBits::new(8)?);
-        Ok(SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First, apart: None })
-    };
-    format().map_err(|error: OutOfRange| refused(error.to_string()))
+fn to_relays(name: String, source: PopulationId, target: PopulationId, connectivity: Connectivity) -> Projection {
+    Projection { name, source, target, format: RELAY_FORMAT, delay: Delay::MIN, connectivity }
 }
 
 /// The synapses of some consecutive compartments, divided among them and their relays.
@@ -342,13 +331,6 @@ struct Divided {
     carried: Vec<Lists>,
     /// Those from the compartments to their relays.
     over: Lists,
-}
-
-impl Divided {
-    fn nothing(outgoing: usize) -> Self {
-        let lists = || (0..outgoing).map(|_| Lists::new()).collect();
-        Divided { direct: lists(), carried: lists(), over: Lists::new() }
-    }
 }
 
 /// What synapses are divided by.
@@ -367,7 +349,8 @@ impl Division<'_> {
     /// Of these compartments, whose relays are numbered from `relay`.
     fn divided(&self, compartments: Range<u32>, mut relay: u32) -> Divided {
         let Division { network, outgoing, .. } = self;
-        let mut divided = Divided::nothing(outgoing.len());
+        let lists = || outgoing.iter().map(|_| Lists::new()).collect();
+        let mut divided = Divided { direct: lists(), carried: lists(), over: Lists::new() };
         let (mut synapses, mut waiting): (Vec<Synapse>, Vec<Synapse>) = (Vec::new(), Vec::new());
         for index in compartments {
             let relays = self.need.relays[index as usize];
@@ -435,14 +418,11 @@ fn split(network: &Quantised, parts: &mut Parts, need: &Need, most: u32, relays:
         .collect();
     let mut divided: Vec<Divided> =
         pieces.into_par_iter().map(|(piece, relay)| division.divided(piece, relay)).collect();
-    let together = |of: &mut dyn FnMut(&mut Divided) -> Lists, divided: &mut [Divided]| {
-        Lists::together(divided.iter_mut().map(of).collect())
-    };
-    let over = together(&mut |of| std::mem::take(&mut of.over), &mut divided);
+    let over = Lists::together(divided.iter_mut().map(|of| &mut of.over));
     let name = parts.populations[relays].name.clone();
     for (at, &id) in outgoing.iter().enumerate() {
-        let direct = together(&mut |of| std::mem::take(&mut of.direct[at]), &mut divided);
-        let carried = together(&mut |of| std::mem::take(&mut of.carried[at]), &mut divided);
+        let direct = Lists::together(divided.iter_mut().map(|of| &mut of.direct[at]));
+        let carried = Lists::together(divided.iter_mut().map(|of| &mut of.carried[at]));
         let projection = &mut parts.projections[id];
         projection.connectivity = direct.into_connectivity();
         if carried.targets.is_empty() {

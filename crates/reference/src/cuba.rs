@@ -35,7 +35,6 @@ pub struct Cuba<F> {
 
 impl<F: Real> Cuba<F> {
     /// At rest.
-    #[must_use]
     pub fn new(parameters: &[RealForm], test: ThresholdTest) -> Self {
         let neuron = |p: &RealForm| Neuron {
             keep_u: F::from_f64(p.keep_u),
@@ -100,13 +99,11 @@ impl<F: Real> Cuba<F> {
     }
 
     /// u after the last step.
-    #[must_use]
     pub fn current(&self) -> &[F] {
         &self.current
     }
 
     /// v after the last step: 0 at a spike and while it is held.
-    #[must_use]
     pub fn voltage(&self) -> &[F] {
         &self.voltage
     }

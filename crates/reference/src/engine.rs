@@ -55,18 +55,9 @@ struct Population {
 #[derive(Debug)]
 struct Projection<F> {
     target: usize,
-    /// Steps from a compartment's spike to its arrival, at least 1.
-    from_compartment: u32,
-    /// Steps from an input spike to its arrival.
-    from_input: u32,
+    /// Steps from a spike to its arrival, at least 1 from a compartment's.
+    way: u32,
     synapses: Synapses<F>,
-}
-
-impl<F> Projection<F> {
-    /// Steps from a spike to its arrival.
-    fn way(&self, from_input: bool) -> u32 {
-        if from_input { self.from_input } else { self.from_compartment }
-    }
 }
 
 /// A network of real-valued neurons.
@@ -117,12 +108,12 @@ impl<F: Real> Model<F> {
         let mut slots = 1;
         for (_, source, target, projection) in graph.projections() {
             let from_compartment = u32::from(projection.delay.get()) + 1;
+            let input = matches!(populations[source.index()].kind, Kind::Input);
             let srm = matches!(populations[target.index()].kind, Kind::Srm(_));
             slots = slots.max(from_compartment as usize + 1);
             projections[source.index()].push(Projection {
                 target: target.index(),
-                from_compartment,
-                from_input: from_compartment - u32::from(!srm),
+                way: from_compartment - u32::from(input && !srm),
                 synapses: Synapses::new(
                     projection,
                     populations[source.index()].count,
@@ -137,7 +128,6 @@ impl<F: Real> Model<F> {
     }
 
     /// Input channels.
-    #[must_use]
     pub fn channels(&self) -> u32 {
         self.channels
     }
@@ -152,7 +142,6 @@ impl<F: Real> Model<F> {
 }
 
 /// The parameters of spike response neurons in timesteps of this many ms.
-#[must_use]
 pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
     srm::Parameters {
         tau_sr: srm.tau_sr_ms / timestep_ms,
@@ -182,6 +171,17 @@ enum Units<F> {
     Cuba(Cuba<F>),
 }
 
+impl<F: Real> Units<F> {
+    /// Returns to rest.
+    fn clear(&mut self) {
+        match self {
+            Units::Input => {}
+            Units::Srm(srm) => srm.clear(),
+            Units::Cuba(cuba) => cuba.clear(),
+        }
+    }
+}
+
 /// The state of a run over a [`Model`].
 #[derive(Debug)]
 pub struct Reference<'m, F> {
@@ -197,7 +197,6 @@ pub struct Reference<'m, F> {
 
 impl<'m, F: Real> Reference<'m, F> {
     /// At rest.
-    #[must_use]
     pub fn new(model: &'m Model<F>) -> Self {
         let units = model.populations.iter().map(|population| match &population.kind {
             Kind::Input => Units::Input,
@@ -219,21 +218,8 @@ impl<'m, F: Real> Reference<'m, F> {
         }
     }
 
-    /// The membrane potential after the last step: u of a spike response neuron, v of a
-    /// current-based one.
-    #[must_use]
-    pub fn potential(&self, compartment: CompartmentId) -> f64 {
-        let (population, index) = self.model.at(compartment);
-        match &self.units[population] {
-            Units::Input => 0.0,
-            Units::Srm(srm) => srm.potential()[index].into(),
-            Units::Cuba(cuba) => cuba.voltage()[index].into(),
-        }
-    }
-
     /// The synaptic current after the last step; a spike response neuron has none but its potential
     /// u.
-    #[must_use]
     pub fn current(&self, compartment: CompartmentId) -> f64 {
         let (population, index) = self.model.at(compartment);
         match &self.units[population] {
@@ -244,11 +230,9 @@ impl<'m, F: Real> Reference<'m, F> {
 
     /// Sends a spike of this step over every projection that leaves its population.
     fn send(&mut self, population: usize, index: u32) {
-        let input = matches!(self.model.populations[population].kind, Kind::Input);
-        for projection in &self.model.projections[population] {
-            let way = projection.way(input);
+        for &Projection { target, way, ref synapses } in &self.model.projections[population] {
             let slot = (self.step as usize + way as usize) % self.model.slots;
-            let events = projection.synapses.deliver(index, &mut self.arrivals[projection.target][slot]);
+            let events = synapses.deliver(index, &mut self.arrivals[target][slot]);
             if u64::from(self.step) + u64::from(way) < u64::from(self.steps) {
                 self.totals.synaptic_events += events;
             }
@@ -258,13 +242,7 @@ impl<'m, F: Real> Reference<'m, F> {
 
 impl<F: Real> Engine for Reference<'_, F> {
     fn begin(&mut self, steps: u32) {
-        for unit in &mut self.units {
-            match unit {
-                Units::Input => {}
-                Units::Srm(srm) => srm.clear(),
-                Units::Cuba(cuba) => cuba.clear(),
-            }
-        }
+        self.units.iter_mut().for_each(Units::clear);
         self.arrivals.iter_mut().flatten().for_each(|sums| sums.fill(F::default()));
         self.spikes.clear();
         (self.step, self.steps) = (0, steps);
@@ -285,23 +263,13 @@ impl<F: Real> Engine for Reference<'_, F> {
             let spikes = &mut self.spikes;
             let spike = |neuron: u32| spikes.push(CompartmentId(population.first + neuron));
             let held = self.step < population.start_step;
-            let reset = model.reset.is_some_and(|reset| falls_on(reset, self.step, population.resets_from));
+            if model.reset.is_some_and(|reset| falls_on(reset, self.step, population.resets_from)) {
+                self.units[index].clear();
+            }
             match &mut self.units[index] {
-                Units::Input => continue,
-                Units::Srm(srm) => {
-                    if reset {
-                        srm.clear();
-                    }
-                    srm.step(sums, spike);
-                }
-                Units::Cuba(cuba) => {
-                    if reset {
-                        cuba.clear();
-                    }
-                    if !held {
-                        cuba.step(sums, spike);
-                    }
-                }
+                Units::Srm(srm) => srm.step(sums, spike),
+                Units::Cuba(cuba) if !held => cuba.step(sums, spike),
+                Units::Input | Units::Cuba(_) => {}
             }
             sums.fill(F::default());
         }
@@ -328,13 +296,19 @@ impl<F: Real> Engine for Reference<'_, F> {
         self.current(compartment).round() as i32
     }
 
-    /// Rounded; the number itself is [`Reference::potential`].
+    /// Rounded; the number itself is [`Engine::potential`].
     fn v(&self, compartment: CompartmentId) -> i32 {
         self.potential(compartment).round() as i32
     }
 
+    /// u of a spike response neuron, v of a current-based one.
     fn potential(&self, compartment: CompartmentId) -> f64 {
-        Reference::potential(self, compartment)
+        let (population, index) = self.model.at(compartment);
+        match &self.units[population] {
+            Units::Input => 0.0,
+            Units::Srm(srm) => srm.potential()[index].into(),
+            Units::Cuba(cuba) => cuba.voltage()[index].into(),
+        }
     }
 
     /// There is no register: the same as `v`.

@@ -39,27 +39,23 @@ pub struct Alpha {
 
 impl Alpha {
     /// The kernel `k` timesteps after a spike; 0 at the spike itself.
-    #[must_use]
     pub fn at(&self, k: u32) -> f64 {
         let t = f64::from(k) / self.tau;
         self.peak * t * libm::exp(1.0 - t)
     }
 
     /// What remains of an exponential with the kernel's time constant after one timestep.
-    #[must_use]
     pub fn decay(&self) -> f64 {
         libm::exp(-1.0 / self.tau)
     }
 
     /// The factor of `k r^k` in the kernel.
-    #[must_use]
     pub fn gain(&self) -> f64 {
         self.peak * std::f64::consts::E / self.tau
     }
 
     /// The kernel's values from 0 on, cut at the first beyond tau whose magnitude is below
     /// `epsilon`, and after `most`.
-    #[must_use]
     pub fn truncated(&self, epsilon: f64, most: u32) -> Vec<f64> {
         let values = (0..most).map(|k| (k, self.at(k)));
         values.take_while(|&(k, value)| value.abs() >= epsilon || f64::from(k) <= self.tau).map(|(_, v)| v).collect()

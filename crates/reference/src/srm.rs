@@ -31,13 +31,11 @@ pub struct Parameters {
 
 impl Parameters {
     /// eps.
-    #[must_use]
     pub fn response(&self) -> Alpha {
         Alpha { peak: 1.0, tau: self.tau_sr }
     }
 
     /// nu.
-    #[must_use]
     pub fn refractory(&self) -> Alpha {
         Alpha { peak: -self.scale_ref * self.theta, tau: self.tau_ref }
     }
@@ -71,7 +69,6 @@ pub enum Filter<F> {
 
 impl<F: Real> Filter<F> {
     /// At rest.
-    #[must_use]
     pub fn new(alpha: &Alpha, kernel: Kernel, inputs: usize) -> Self {
         match kernel {
             Kernel::Exact => Filter::Exact {
@@ -138,7 +135,6 @@ pub struct Srm<F> {
 
 impl<F: Real> Srm<F> {
     /// At rest.
-    #[must_use]
     pub fn new(parameters: &Parameters, kernel: Kernel, neurons: usize) -> Self {
         Srm {
             theta: F::from_f64(parameters.theta),
@@ -173,7 +169,6 @@ impl<F: Real> Srm<F> {
     }
 
     /// u after the last step, the refractory response included.
-    #[must_use]
     pub fn potential(&self) -> &[F] {
         &self.potential
     }

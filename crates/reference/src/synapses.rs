@@ -3,7 +3,6 @@
 use nsim_dynamics::synapses::{for_each_of_kernel, for_each_of_pool};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{Projection, ProjectionKind, Window};
-use nsim_ir::tensor::Tensor;
 
 use super::real::Real;
 
@@ -42,11 +41,11 @@ pub enum Synapses<F> {
 
 impl<F: Real> Synapses<F> {
     /// Those of a projection, each weight times `factor`.
-    #[must_use]
     pub fn new(projection: &Projection, sources: u32, targets: u32, factor: f64) -> Self {
         match &projection.kind {
             ProjectionKind::Dense { weights, .. } => {
-                let (columns, first) = (columns(weights), projection.first_source as usize);
+                let columns = weights.shape().get(1).copied().unwrap_or(1);
+                let first = projection.first_source as usize;
                 let weight = |source: usize, target: usize| weights.real(target * columns + first + source) * factor;
                 let all = (0..sources as usize).flat_map(|s| (0..targets as usize).map(move |t| (s, t)));
                 Synapses::Dense { targets, weights: all.map(|(s, t)| F::from_f64(weight(s, t))).collect() }
@@ -81,7 +80,6 @@ impl<F: Real> Synapses<F> {
     }
 
     /// Listed synapses from (source, target, weight), in any order.
-    #[must_use]
     pub fn list(sources: u32, mut synapses: Vec<(u32, u32, f64)>) -> Self {
         synapses.sort_by_key(|&(source, target, _)| (source, target));
         let first = (0..=sources).map(|s| synapses.partition_point(|&(source, ..)| source < s)).collect();
@@ -114,8 +112,4 @@ impl<F: Real> Synapses<F> {
         }
         count
     }
-}
-
-fn columns(weights: &Tensor) -> usize {
-    weights.shape().get(1).copied().unwrap_or(1)
 }

@@ -3,8 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::charts::draw::Axis;
-use crate::charts::plot;
-use crate::charts::plot::Series;
+use crate::charts::plot::{self, Series};
 use crate::charts::results;
 use crate::origin;
 use nsim_agree::attribution::{Attribution, LayerLoss, Share};
@@ -21,7 +20,7 @@ use nsim_train::convert::search::{ConversionScore, SearchResult};
 use nsim_train::convert::staged::is_real;
 
 /// Everything that the report says.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct AgreeReport<'a> {
     /// The network's name.
     pub model: &'a str,
@@ -62,14 +61,12 @@ pub struct AgreeReport<'a> {
 }
 
 /// What a model that `nsim convert` wrote was converted from.
-#[must_use]
 pub fn converted_from(graph: &Graph) -> Option<&str> {
     let (source, _) = graph.facts().provenance.as_deref()?.strip_prefix("nsim convert ")?.split_once(';')?;
     Some(source)
 }
 
 /// What a network is: the trained one, a converted one, or neither.
-#[must_use]
 pub fn role(graph: &Graph) -> &'static str {
     match converted_from(graph) {
         Some(_) => "the converted network",
@@ -111,14 +108,7 @@ impl<'a> AgreeReport<'a> {
             classes: agreement.classes,
             accuracy: agreement.accuracy,
             layers: &agreement.layers,
-            found: None,
-            fits: &[],
-            attribution: None,
-            attribution_samples: 0,
-            next: None,
-            target: None,
-            source: None,
-            files: &[],
+            ..AgreeReport::default()
         }
     }
 
@@ -230,12 +220,8 @@ const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(four))),
 ];
 
-/// Columns of the text, which says where a layer first parts.
-const TEXT_COLUMNS: [Column<LayerRow>; 7] = [
-    ("layer", |row| row.name.clone()),
-    ("shift", |row| row.shift.to_string()),
-    ("spikes a", |row| row.comparison.tally.spikes_a.to_string()),
-    ("spikes b", |row| row.comparison.tally.spikes_b.to_string()),
+/// Columns of the text behind the first four of all; it says where a layer first parts.
+const TEXT_COLUMNS: [Column<LayerRow>; 3] = [
     ("coincidence", |row| if silent(row) { "-".to_string() } else { three(row.comparison.tally.coincidence()) }),
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(three))),
     ("first parts at sample/step/neuron, who spikes", |row| match row.comparison.first_divergence {
@@ -332,7 +318,6 @@ impl AgreeReport<'_> {
 
     /// Whether the deployed network is right markedly less often than the other: by a twentieth of
     /// the samples.
-    #[must_use]
     pub fn falls(&self) -> Option<String> {
         let (a, b) = self.accuracy.filter(|(a, b)| a - b >= 0.05)?;
         Some(format!("accuracy falls from {} to {} on simulated cores", three(a), three(b)))
@@ -424,7 +409,7 @@ impl AgreeReport<'_> {
                 three(start.coincidence)
             ));
         }
-        out += &format!("\n{}", table_of(self.layers, &TEXT_COLUMNS));
+        out += &format!("\n{}", table_of(self.layers, &[&LAYER_COLUMNS[..4], &TEXT_COLUMNS].concat()));
         if self.layers.iter().any(|row| row.shift != 0) {
             out += &wrapped("shift: steps by which b answers later than a (negative: earlier), which are removed");
         }
@@ -475,10 +460,8 @@ pub(super) fn next_json(next: &Next) -> Value {
 }
 
 pub(super) fn lost_json(layer: &LayerLoss) -> Value {
-    let by_name = |each: &[(Cause, f64)]| {
-        let pairs = each.iter().map(|(cause, loss)| (cause.name().to_string(), json!(rounded(*loss))));
-        pairs.collect::<serde_json::Map<_, _>>()
-    };
+    let by_name =
+        |each: &[(Cause, f64)]| each.iter().map(|(cause, loss)| (cause.name(), rounded(*loss))).collect::<Value>();
     json!({
         "name": layer.name,
         "disagreement": rounded(layer.disagreement),
@@ -496,22 +479,21 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
         (!around.a.is_empty() && !around.b.is_empty()).then_some((row, divergence, around))
     });
     let (row, divergence, around) = parted.min_by_key(|(_, divergence, _)| (divergence.sample, divergence.timestep))?;
-    let line = |name: &str, numbers: &[f64]| Series::Line {
-        name: name.to_string(),
-        points: (around.from..).map(f64::from).zip(numbers.iter().copied()).collect(),
+    let line = |name: &str, numbers: &[f64]| {
+        let points = (around.from..).map(f64::from).zip(numbers.iter().copied());
+        Series::Line(name.to_string(), points.collect())
     };
     let end = f64::from(around.from) + around.a.len().max(around.b.len()) as f64 - 1.0;
-    let spikes = |name: &str, steps: &[u32], height: f64| Series::Points {
-        name: name.to_string(),
-        points: steps.iter().map(|&step| (f64::from(step), height, String::new())).collect(),
-        joined: false,
+    let spikes = |name: &str, steps: &[u32], height: f64| {
+        let points = steps.iter().map(|&step| (f64::from(step), height, String::new()));
+        Series::Points(name.to_string(), points.collect())
     };
     let series = [
         line("a", &around.a),
         line("b", &around.b),
         spikes("spikes of a", &around.spikes_a, 1.15),
         spikes("spikes of b", &around.spikes_b, 1.25),
-        Series::Line { name: "threshold".to_string(), points: vec![(around.from.into(), 1.0), (end, 1.0)] },
+        Series::Line("threshold".to_string(), vec![(around.from.into(), 1.0), (end, 1.0)]),
     ];
     let title = format!(
         "{model}: '{}' neuron {}, sample {}, parts in step {}",

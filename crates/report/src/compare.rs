@@ -119,7 +119,6 @@ fn row_json(row: &ComparedTarget) -> Value {
 }
 
 /// `nsim.compare/1`.
-#[must_use]
 pub fn json(found: &Comparison) -> Value {
     let Comparison { model, input, seed, targets, .. } = found;
     let rows: Vec<Value> = targets.iter().map(row_json).collect();
@@ -127,7 +126,6 @@ pub fn json(found: &Comparison) -> Value {
 }
 
 /// A row a target.
-#[must_use]
 pub fn csv_rows(found: &Comparison) -> String {
     let row = |row: &ComparedTarget| {
         let mut object = row_json(row);
@@ -140,7 +138,6 @@ pub fn csv_rows(found: &Comparison) -> String {
 }
 
 /// For people.
-#[must_use]
 pub fn text(found: &Comparison) -> String {
     // The unit in which every energy is read easily.
     let energies: Vec<f64> = found.targets.iter().filter_map(|one| one.found.as_ref().ok()?.row.energy_uj).collect();

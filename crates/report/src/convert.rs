@@ -125,6 +125,12 @@ fn tuned_markdown(tuned: &Tuned) -> String {
 }
 
 impl ConvertReport<'_> {
+    /// What was converted, on how many samples.
+    fn what(&self) -> String {
+        let samples = self.done.converted.calibration.samples;
+        format!("{}, {}", self.job.graph.facts().name, count(samples as u64, "calibration sample"))
+    }
+
     /// `nsim.convert/1`.
     pub fn json(&self) -> Value {
         let stage = |row: &StageRow| {
@@ -146,19 +152,20 @@ impl ConvertReport<'_> {
             object["cause"] = left.cause.name().into();
             object
         };
+        let converted = &self.done.converted;
         json!({
             "schema": "nsim.convert/1",
             "model": self.job.graph.facts().name,
             "model_sha256": self.job.hash,
             "input": self.input,
-            "samples": self.done.converted.calibration.samples,
-            "stages": self.done.converted.stages.iter().map(stage).collect::<Vec<_>>(),
-            "layers": self.done.converted.layers.iter().map(layer).collect::<Vec<_>>(),
-            "lost": self.done.converted.attribution.layers.iter().map(lost_json).collect::<Vec<_>>(),
-            "left": self.done.converted.left.iter().map(left).collect::<Vec<_>>(),
+            "samples": converted.calibration.samples,
+            "stages": converted.stages.iter().map(stage).collect::<Vec<_>>(),
+            "layers": converted.layers.iter().map(layer).collect::<Vec<_>>(),
+            "lost": converted.attribution.layers.iter().map(lost_json).collect::<Vec<_>>(),
+            "left": converted.left.iter().map(left).collect::<Vec<_>>(),
             "next": self.next.map(next_json),
-            "class_agreement": self.done.converted.calibration.distance.class_agreement.map(rounded),
-            "calibration": measured(&self.done.converted.calibration),
+            "class_agreement": converted.calibration.distance.class_agreement.map(rounded),
+            "calibration": measured(&converted.calibration),
             "held_out": self.done.held_out.as_ref().map(measured),
             "fine_tune": self.tuned.map(tuned_json),
             "output": self.files,
@@ -173,20 +180,14 @@ impl ConvertReport<'_> {
 
     /// A section of a document.
     pub fn markdown(&self) -> String {
-        let calibration = &self.done.converted.calibration;
-        let mut out = format!(
-            "{}, {}.\n\n",
-            self.job.graph.facts().name,
-            count(calibration.samples as u64, "calibration sample")
-        );
-        out += &markdown_of(&self.done.converted.stages, &STAGES);
+        let converted = &self.done.converted;
+        let mut out = format!("{}.\n\n{}", self.what(), markdown_of(&converted.stages, &STAGES));
         out += &format!(
             "\nThe most that is left to gain, with real numbers in the place of one kind of integer (with none, on \
-             the same samples, \
-             {}):\n\n",
-            four(self.done.converted.attribution.machine.coincidence)
+             the same samples, {}):\n\n",
+            four(converted.attribution.machine.coincidence)
         );
-        out += &markdown_of(&self.done.converted.left, &LEFT);
+        out += &markdown_of(&converted.left, &LEFT);
         if let Some(held) = self.done.held_out.as_ref() {
             out += &format!("\nOn {}: {}.\n", count(held.samples as u64, "held-out sample"), sentence(held));
         }
@@ -198,15 +199,14 @@ impl ConvertReport<'_> {
 
     /// For people.
     pub fn text(&self) -> String {
-        let calibration = &self.done.converted.calibration;
-        let mut out =
-            format!("{}, {}\n", self.job.graph.facts().name, count(calibration.samples as u64, "calibration sample"));
+        let converted = &self.done.converted;
+        let mut out = format!("{}\n", self.what());
         if let Some(held) = self.done.held_out.as_ref() {
             out += &wrapped(&format!("on {}: {}", count(held.samples as u64, "held-out sample"), sentence(held)));
         }
-        let judged = self.done.held_out.as_ref().unwrap_or(calibration);
+        let judged = self.done.held_out.as_ref().unwrap_or(&converted.calibration);
         if let Some((trained, integers)) = judged.accuracy {
-            let attribution = &self.done.converted.attribution;
+            let attribution = &converted.attribution;
             let blamed = attribution.worst_of_classes().map(|(cause, _)| cause).or_else(|| attribution.worst());
             let blamed = blamed.filter(|_| integers < trained);
             out += &wrapped(&format!(
@@ -218,7 +218,7 @@ impl ConvertReport<'_> {
             ));
         }
         // Names would be broken: stages are numbered, and named after the table.
-        let stages = &self.done.converted.stages;
+        let stages = &converted.stages;
         let cells = |(number, stage): (usize, &StageRow)| {
             let others = STAGES[1..].iter().map(|(_, cell)| cell(stage));
             std::iter::once(number.to_string()).chain(others).collect()
@@ -226,21 +226,20 @@ impl ConvertReport<'_> {
         let rows: Vec<Vec<String>> = (1..).zip(stages).map(cells).collect();
         out += &format!("\n{}\n", table(&STAGES.map(|(heading, _)| heading), &rows));
         (1..).zip(stages).for_each(|(number, stage)| out += &wrapped(&format!("{number}: {}", stage.name)));
-        out += "\n";
-        out += &format!("{}\n", table_of(&self.done.converted.layers, &LAYERS));
-        for layer in &self.done.converted.layers {
+        out += &format!("\n{}\n", table_of(&converted.layers, &LAYERS));
+        for layer in &converted.layers {
             if let Some(problem) = &layer.problem {
                 out += &wrapped(&format!("'{}': {problem}", layer.name));
             }
         }
-        out += &blame(&self.done.converted.attribution, self.next);
+        out += &blame(&converted.attribution, self.next);
         if self.job.resets_are_replaced() {
             out += &wrapped(
                 "Trained with a reset to zero (snnTorch: reset_mechanism='zero'), the network needs no other reset; a \
                  target whose neurons subtract runs it as it is.",
             );
         }
-        out += &format!("\nwhat is left to gain\n{}\n", table_of(&self.done.converted.left, &LEFT));
+        out += &format!("\nwhat is left to gain\n{}\n", table_of(&converted.left, &LEFT));
         if let Some(tuned) = self.tuned {
             out += &tuned_text(tuned);
         }

@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use nsim_files::table::{count, csv_text, table, three, wrapped_at};
 
@@ -101,20 +101,15 @@ impl Findings {
 
     /// `nsim.inspect/1`.
     pub fn json(&self, schema: &str, file: &str) -> Value {
-        let mut object = Map::new();
-        object.insert("schema".into(), json!(schema));
-        object.insert("kind".into(), json!(self.kind));
-        object.insert("file".into(), json!(file));
+        let mut object = json!({ "schema": schema, "kind": self.kind, "file": file });
         for (key, value) in &self.facts {
-            object.insert((*key).into(), value.clone());
+            object[*key] = value.clone();
         }
         for part in &self.tables {
-            let rows = part.rows.iter().map(|row| {
-                part.columns.iter().zip(row).map(|(column, value)| ((*column).to_string(), value.clone())).collect()
-            });
-            object.insert(part.key.into(), Value::Array(rows.map(Value::Object).collect()));
+            let row = |row: &Vec<Value>| part.columns.iter().copied().zip(row.iter().cloned()).collect::<Value>();
+            object[part.key] = part.rows.iter().map(row).collect();
         }
-        Value::Object(object)
+        object
     }
 
     /// The first table; facts as key and value when there is none.

@@ -266,7 +266,7 @@ pub fn csv(target: &Target, outcome: Outcome<'_>) -> String {
 /// The result for people.
 pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
     let Question { model, target, options, pruned, remedies, .. } = question;
-    let copies = if options.copies == 1 { "1 copy".to_string() } else { format!("{} copies", options.copies) };
+    let copies = count(options.copies, "copy");
     let (cores, chips) = (count(target.cores(), "core"), count(target.chips(), "chip"));
     let mut text = String::new();
     match outcome {
@@ -371,8 +371,7 @@ fn tightest(compiled: &Mapping, target: &Target) -> Vec<(u32, Tightest)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nsim_compile::CopyPlacement;
-    use nsim_compile::{CompileError, compile, explore};
+    use nsim_compile::{CompileError, CopyPlacement, compile, explore};
     use nsim_ir::base::diagnostic::SourceText;
     use nsim_ir::quantised::Quantised;
     use nsim_session::front::front as integers;

@@ -156,11 +156,7 @@ impl RunReport<'_> {
     fn overflow(&self) -> (Overflow, Option<usize>) {
         let mut sum = Overflow::default();
         let first = self.outcomes.iter().position(|outcome| outcome.overflow.any());
-        for outcome in self.outcomes {
-            sum.q_wrapped += outcome.overflow.q_wrapped;
-            sum.u_wrapped += outcome.overflow.u_wrapped;
-            sum.v_clipped += outcome.overflow.v_clipped;
-        }
+        self.outcomes.iter().for_each(|outcome| sum.merge(&outcome.overflow));
         sum.first = first.and_then(|sample| self.outcomes[sample].overflow.first);
         (sum, first)
     }

@@ -76,7 +76,6 @@ fn points(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<Vec<(u64, f64, f64)>> 
 }
 
 /// The columns of these of which neither less nor more is better.
-#[must_use]
 pub fn without_direction<'a>(table: &Table<'_>, axes: [&'a str; 2]) -> Vec<&'a str> {
     axes.into_iter().filter(|column| to_less(table, column).is_none()).collect()
 }
@@ -135,11 +134,11 @@ pub fn svg(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<String> {
         None => {
             let name = format!("{} variants", points.len());
             let points = points.into_iter().map(|(point, _)| point).collect();
-            vec![Series::Points { name, points, joined: false }]
+            vec![Series::Points(name, points)]
         }
     };
     if !intervals.is_empty() {
-        series.push(Series::Intervals { name: "interval of 95 %".to_string(), points: intervals });
+        series.push(Series::Intervals("interval of 95 %".to_string(), intervals));
     }
     Ok(plot::chart(&title, &Axis::linear(label(x)), &Axis::linear(label(y)), &series))
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use nsim_files::table::{csv, rounded};
+use nsim_files::table::{count, csv, rounded, wrapped};
 use nsim_ir::base::stats::mean_sd;
 use nsim_train::fit::EpochRow;
 use nsim_train::job::{Job, Trained};
@@ -64,11 +64,9 @@ impl TrainReport<'_> {
             }
         };
         format!(
-            "trained by nsim train, seed {}, {} epoch{} over {} samples, of which {train_accuracy:.4} are \
-             right{test}{folds}",
+            "trained by nsim train, seed {}, {} over {} samples, of which {train_accuracy:.4} are right{test}{folds}",
             self.job.plan.seed,
-            state.epoch,
-            if state.epoch == 1 { "" } else { "s" },
+            count(state.epoch, "epoch"),
             samples.0
         )
     }
@@ -78,7 +76,7 @@ impl TrainReport<'_> {
         let source = &self.job.source;
         let file = source.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let set = set.iter().map(|set| format!(" --set '{set}'")).collect::<String>();
-        let summary: String = nsim_files::table::wrapped(&self.summary());
+        let summary = wrapped(&self.summary());
         format!(
             "{}\n\n{summary}\nnsim train {file}{set} --seed {}, the training file being:\n\n{}",
             self.job.file.name,
@@ -89,7 +87,7 @@ impl TrainReport<'_> {
 
     /// For people.
     pub fn text(&self) -> String {
-        let mut out = format!("{}: {}", self.job.file.name, nsim_files::table::wrapped(&self.summary()));
+        let mut out = format!("{}: {}", self.job.file.name, wrapped(&self.summary()));
         out += &format!("{:.1} s after the samples were there\n", self.trained.seconds);
         if let Some(model) = self.model {
             out += &format!("written: {}\n", model.display());

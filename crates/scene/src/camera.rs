@@ -30,7 +30,6 @@ pub const POOLED: usize = POOLED_WIDTH * POOLED_HEIGHT;
 
 /// The pooled unit of a pixel.
 #[inline]
-#[must_use]
 pub fn pooled(x: usize, y: usize) -> usize {
     y / POOL * POOLED_WIDTH + x / POOL
 }
@@ -87,7 +86,6 @@ struct Pixel {
 pub struct Camera {
     pixels: Pixels,
     draws: Draws,
-    sensor: Draws,
     state: Vec<Pixel>,
     /// Pixels whose change exceeds what they have sent.
     behind: Vec<u32>,
@@ -98,13 +96,11 @@ pub struct Camera {
 
 impl Camera {
     /// A camera that has seen nothing yet. Thresholds belong to the camera, not to the sample.
-    #[must_use]
-    pub fn new(pixels: &Pixels, draws: Draws, sensor: Draws) -> Self {
+    pub fn new(pixels: &Pixels, draws: Draws) -> Self {
         let pixel = Pixel { reference: 0.0, threshold: 0.0, free_at: 0, seen: false };
         Camera {
             pixels: pixels.clone(),
             draws,
-            sensor,
             state: vec![pixel; WIDTH * HEIGHT],
             behind: Vec::new(),
             spiking: [vec![0; POOLED.div_ceil(64)], vec![0; POOLED.div_ceil(64)]],
@@ -128,7 +124,7 @@ impl Camera {
             let (x, y) = (pixel as usize % WIDTH, pixel as usize / WIDTH);
             let state = &mut self.state[pixel as usize];
             if !state.seen {
-                let gain = 1.0 + self.pixels.mismatch * self.sensor.normal(Purpose::PixelGain, pixel, 0);
+                let gain = 1.0 + self.pixels.mismatch * Draws::DEVICE.normal(Purpose::PixelGain, pixel, 0);
                 *state = Pixel {
                     reference: at_rest(x, y),
                     threshold: (self.pixels.contrast * gain.max(0.2)) as f32,
@@ -185,7 +181,7 @@ mod tests {
     use super::*;
 
     fn camera(pixels: &Pixels) -> Camera {
-        Camera::new(pixels, Draws::new(1, 0), Draws::new(0, 0))
+        Camera::new(pixels, Draws::new(1, 0))
     }
 
     const STILL: Pixels = Pixels { contrast: 0.2, mismatch: 0.0, refractory_ms: 2, noise_hz: 0.0, tick_ms: 1 };

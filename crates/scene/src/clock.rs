@@ -35,7 +35,6 @@ impl Clock {
     }
 
     /// (step, channel) of each spike of a sample; none without channels.
-    #[must_use]
     pub fn spikes(self, steps: u32, channels: u32) -> Vec<(u32, u32)> {
         let Some(last) = channels.checked_sub(1) else { return Vec::new() };
         (0..steps).map(|step| (step, (step / self.span).min(last))).collect()

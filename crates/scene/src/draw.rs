@@ -47,15 +47,16 @@ pub struct Draws {
 }
 
 impl Draws {
+    /// What fingers, camera and wire are built with, whatever the scene's seed.
+    pub const DEVICE: Draws = Draws { seed: 0, sample: 0 };
+
     /// The draws of a sample under a seed.
-    #[must_use]
     pub fn new(seed: u64, sample: u32) -> Self {
         Draws { seed, sample }
     }
 
     /// 64 uniform bits; `index` is below 2^24.
     #[inline]
-    #[must_use]
     pub fn bits(self, purpose: Purpose, index: u32, step: u32) -> u64 {
         let entity = u64::from(self.sample) << 32 | u64::from(purpose as u8) << 24 | u64::from(index & 0xff_ffff);
         rng::bits(self.seed, entity, u64::from(step))
@@ -63,13 +64,11 @@ impl Draws {
 
     /// A uniform real in [0, 1).
     #[inline]
-    #[must_use]
     pub fn unit(self, purpose: Purpose, index: u32, step: u32) -> f64 {
         (self.bits(purpose, index, step) >> 11) as f64 / (1u64 << 53) as f64
     }
 
     /// A uniform real between two.
-    #[must_use]
     pub fn between(self, purpose: Purpose, index: u32, (low, high): (f64, f64)) -> f64 {
         low + (high - low) * self.unit(purpose, index, 0)
     }
@@ -77,7 +76,6 @@ impl Draws {
     /// Nearly normal with mean 0 and standard deviation 1: the sum of four uniform numbers of 16
     /// bits, which stays within 3.47 standard deviations.
     #[inline]
-    #[must_use]
     pub fn normal(self, purpose: Purpose, index: u32, step: u32) -> f64 {
         let bits = self.bits(purpose, index, step);
         let sum = (bits & 0xffff) + (bits >> 16 & 0xffff) + (bits >> 32 & 0xffff) + (bits >> 48);
@@ -86,7 +84,6 @@ impl Draws {
     }
 
     /// A Poisson number by inversion: for small means.
-    #[must_use]
     pub fn poisson(self, purpose: Purpose, index: u32, step: u32, mean: f64) -> u32 {
         let drawn = self.unit(purpose, index, step);
         let mut term = libm::exp(-mean);

@@ -14,77 +14,71 @@
 
 /// Acceleration of gravity in m/s^2.
 pub const GRAVITY: f64 = 9.81;
+/// Width and height of the box, m.
+pub const SIZE_M: (f64, f64) = (0.096, 0.0576);
+/// Kinetic friction as a part of static friction.
+pub const KINETIC_PART: f64 = 0.85;
+/// Radius of each contact, m.
+pub const CONTACT_M: f64 = 7e-3;
+/// Stiffness of both skins against vertical load, N/m.
+pub const SHEAR_N_PER_M: f64 = 12_000.0;
+/// Stiffness of both skins against twist, N m/rad: of a uniformly sheared disc, k a^2 / 2.
+pub const TWIST_NM_PER_RAD: f64 = SHEAR_N_PER_M * CONTACT_M * CONTACT_M / 2.0;
+/// How long the fingers take to close, s.
+const CLOSING_S: f64 = 0.08;
+/// Speed at which the lift goes on, m/s.
+const LIFT_M_PER_S: f64 = 0.133;
 /// Integration steps of a millisecond.
 const SUBSTEPS: u32 = 4;
 
-/// How a box is held and lifted. SI units.
+/// How a box is held and lifted, as grasps differ. SI units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grasp {
     /// Mass of the box, kg.
     pub mass_kg: f64,
-    /// Width and height of the box, m.
-    pub size_m: (f64, f64),
     /// Horizontal distance of the centre of mass from the grasp axis, m; positive to the right.
     pub offset_m: f64,
     /// Normal force of each finger, N.
     pub grip_n: f64,
     /// Coefficient of static friction between skin and box.
     pub static_friction: f64,
-    /// Kinetic friction as a part of static friction.
-    pub kinetic_part: f64,
-    /// Radius of each contact, m.
-    pub contact_m: f64,
-    /// Stiffness of both skins against vertical load, N/m.
-    pub shear_n_per_m: f64,
-    /// When the fingers touch the box, s; force grows for `closing_s`. Recording starts at 0.
+    /// When the fingers touch the box and begin to close, s. Recording starts at 0.
     pub touch_s: f64,
-    /// How long the fingers take to close, s.
-    pub closing_s: f64,
     /// When the lift begins, s.
     pub lift_s: f64,
     /// Acceleration of the lift, m/s^2.
     pub lift_m_per_s2: f64,
-    /// Speed at which the lift goes on, m/s.
-    pub lift_m_per_s: f64,
+}
+
+/// The largest torque that friction of both contacts bears under a vertical load, N m. A contact of
+/// Hertz's pressure turns at 3 pi / 16 mu N a; load enters by the ellipse.
+pub fn torque_limit(friction: f64, grip_n: f64, load_n: f64) -> f64 {
+    let force = 2.0 * friction * grip_n;
+    if load_n >= force {
+        return 0.0;
+    }
+    let part = load_n / force;
+    force * CONTACT_M * (3.0 * std::f64::consts::PI / 16.0) * (1.0 - part * part).sqrt()
 }
 
 impl Grasp {
     /// Moment of inertia about the grasp axis, kg m^2: a plate with its centre of mass moved.
-    #[must_use]
     pub fn inertia(&self) -> f64 {
-        let (width, height) = self.size_m;
+        let (width, height) = SIZE_M;
         self.mass_kg * ((width * width + height * height) / 12.0 + self.offset_m * self.offset_m)
-    }
-
-    /// The largest torque that friction of both contacts bears under a vertical load, N m. A
-    /// contact of Hertz's pressure turns at 3 pi / 16 mu N a; load enters by the ellipse.
-    #[must_use]
-    pub fn torque_limit(&self, friction: f64, grip_n: f64, load_n: f64) -> f64 {
-        let force = 2.0 * friction * grip_n;
-        if load_n >= force {
-            return 0.0;
-        }
-        let part = load_n / force;
-        force * self.contact_m * (3.0 * std::f64::consts::PI / 16.0) * (1.0 - part * part).sqrt()
-    }
-
-    /// Stiffness of both skins against twist, N m/rad: of a uniformly sheared disc, k a^2 / 2.
-    #[must_use]
-    pub fn twist_stiffness(&self) -> f64 {
-        self.shear_n_per_m * self.contact_m * self.contact_m / 2.0
     }
 
     /// Height that the lift has reached, m.
     fn lift_at(&self, t: f64) -> f64 {
         let since = (t - self.lift_s).max(0.0);
-        let speeding = self.lift_m_per_s / self.lift_m_per_s2;
+        let speeding = LIFT_M_PER_S / self.lift_m_per_s2;
         let until = since.min(speeding);
-        0.5 * self.lift_m_per_s2 * until * until + self.lift_m_per_s * (since - until)
+        0.5 * self.lift_m_per_s2 * until * until + LIFT_M_PER_S * (since - until)
     }
 
     /// Normal force of each finger, N: a smooth rise.
     fn grip_at(&self, t: f64) -> f64 {
-        let part = ((t - self.touch_s) / self.closing_s).clamp(0.0, 1.0);
+        let part = ((t - self.touch_s) / CLOSING_S).clamp(0.0, 1.0);
         self.grip_n * part * part * (3.0 - 2.0 * part)
     }
 }
@@ -123,7 +117,6 @@ pub struct Motion {
 
 impl Motion {
     /// The states within the recording.
-    #[must_use]
     pub fn recorded(&self) -> &[GraspState] {
         &self.states[self.before_ms as usize..]
     }
@@ -132,11 +125,10 @@ impl Motion {
 /// Follows a grasp from `before_ms` ahead of the recording for its length.
 ///
 /// Semi-implicit Euler steps of 0.25 ms: twist resonates below 20 Hz, hundreds of steps a period.
-#[must_use]
 pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
     let dt = 1e-3 / f64::from(SUBSTEPS);
     let weight = grasp.mass_kg * GRAVITY;
-    let (inertia, stiffness) = (grasp.inertia(), grasp.twist_stiffness());
+    let (inertia, stiffness) = (grasp.inertia(), TWIST_NM_PER_RAD);
     // Ecoflex damps its own resonance well: 0.5 of the critical damping.
     let damping = (stiffness * inertia).sqrt();
     let (mut angle, mut rate, mut anchor, mut sliding) = (0.0, 0.0, 0.0, false);
@@ -147,11 +139,11 @@ pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
         for sub in 0..SUBSTEPS {
             let t = (f64::from(ms) - f64::from(before_ms)) * 1e-3 + f64::from(sub + 1) * dt;
             let (lift, grip) = (grasp.lift_at(t), grasp.grip_at(t));
-            let load = (grasp.shear_n_per_m * lift).min(weight);
+            let load = (SHEAR_N_PER_M * lift).min(weight);
             let gravity = load * grasp.offset_m * libm::cos(angle);
             let elastic = stiffness * (angle - anchor);
-            let holds = grasp.torque_limit(grasp.static_friction, grip, load);
-            let slides = grasp.torque_limit(grasp.static_friction * grasp.kinetic_part, grip, load);
+            let holds = torque_limit(grasp.static_friction, grip, load);
+            let slides = torque_limit(grasp.static_friction * KINETIC_PART, grip, load);
             let before = rate;
             let friction = if sliding {
                 // Against the motion; the skin stays twisted by as much as it bears.
@@ -176,7 +168,7 @@ pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
                 grip_n: grip,
                 load_n: load,
                 lift_m: lift,
-                sag_m: load / grasp.shear_n_per_m,
+                sag_m: load / SHEAR_N_PER_M,
                 angle_rad: angle,
                 rate_rad_per_s: rate,
                 sliding,
@@ -195,21 +187,15 @@ mod tests {
     fn grasp(ratio: f64) -> Grasp {
         let mut grasp = Grasp {
             mass_kg: 0.12,
-            size_m: (0.096, 0.0576),
             offset_m: 0.0,
             grip_n: 1.5,
             static_friction: 0.8,
-            kinetic_part: 0.85,
-            contact_m: 7e-3,
-            shear_n_per_m: 12_000.0,
             touch_s: -0.2,
-            closing_s: 0.08,
             lift_s: 0.005,
             lift_m_per_s2: 2.0,
-            lift_m_per_s: 0.133,
         };
         let weight = grasp.mass_kg * GRAVITY;
-        grasp.offset_m = ratio * grasp.torque_limit(0.8, 1.5, weight) / weight;
+        grasp.offset_m = ratio * torque_limit(0.8, 1.5, weight) / weight;
         grasp
     }
 
@@ -223,7 +209,7 @@ mod tests {
             assert_eq!(motion.onset_ms, None, "{ratio}");
             // It comes to rest where the twist of the skin bears the torque of gravity.
             let last = motion.states.last().unwrap();
-            let bears = grasp.twist_stiffness() * last.angle_rad;
+            let bears = TWIST_NM_PER_RAD * last.angle_rad;
             let gravity = last.load_n * grasp.offset_m * last.angle_rad.cos();
             assert!((bears - gravity).abs() <= 1e-3 * gravity + 1e-12, "{ratio}: {bears} {gravity}");
         }
@@ -264,9 +250,9 @@ mod tests {
             let weight = grasp.mass_kg * GRAVITY;
             let hanging = motion.recorded().iter().filter(|state| state.load_n == weight);
             let energy = hanging.map(|state| {
-                let twist = state.friction_nm / grasp.twist_stiffness();
+                let twist = state.friction_nm / TWIST_NM_PER_RAD;
                 0.5 * grasp.inertia() * state.rate_rad_per_s * state.rate_rad_per_s
-                    + 0.5 * grasp.twist_stiffness() * twist * twist
+                    + 0.5 * TWIST_NM_PER_RAD * twist * twist
                     - weight * grasp.offset_m * state.angle_rad.sin()
             });
             let energy: Vec<f64> = energy.collect();
@@ -280,8 +266,7 @@ mod tests {
 
     #[test]
     fn a_load_takes_from_the_torque_that_friction_bears() {
-        let grasp = grasp(1.0);
-        let at = |load| grasp.torque_limit(0.8, 1.5, load);
+        let at = |load| torque_limit(0.8, 1.5, load);
         // 3 pi / 16 mu N a of each finger.
         assert!((at(0.0) - 2.0 * 0.8 * 1.5 * 7e-3 * 0.589_048_622_548_086_2).abs() < 1e-15);
         assert!((at(0.6 * 2.4) / at(0.0) - 0.8).abs() < 1e-12);

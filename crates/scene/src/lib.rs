@@ -124,7 +124,6 @@ impl Recorded {
 
     /// What these senses record of a sample: a function of parameters, seed and the number of the
     /// sample.
-    #[must_use]
     pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
         match &self.scene {
             Scene::Slip(slip) => slip.recording(sample, senses),
@@ -171,4 +170,24 @@ fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
         .collect::<Result<_, _>>()
         .map_err(|error| Diagnostic::new("scene.too-large", error.to_string()))?;
     Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(scene.seed) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sense_records_the_same_where_the_other_is_not_read() {
+        for scene in ["slip?seed=4", "container?seed=4"] {
+            let scene = Recorded::parse(&SceneArg::parse(scene).unwrap()).unwrap();
+            for sample in 0..3 {
+                let both = scene.recording(sample, Senses::BOTH);
+                let touch = scene.recording(sample, Senses { vision: false, ..Senses::BOTH });
+                let vision = scene.recording(sample, Senses { touch: false, ..Senses::BOTH });
+                assert!(vision.touch.is_empty() && touch.vision.is_empty() && touch.vision_planes.is_empty());
+                let Recording { vision, vision_planes, .. } = vision;
+                assert_eq!(both, Recording { vision, vision_planes, ..touch });
+            }
+        }
+    }
 }

@@ -39,7 +39,6 @@ fn onset(rest: &[f64], frames: &[f64]) -> Option<usize> {
 
 impl Annotated {
     /// What the rule says of a motion, whose frames begin anywhere within the first 1/120 s.
-    #[must_use]
     pub fn new(motion: &Motion, draws: Draws) -> Self {
         let noise = |index: u32, frame: u32| draws.normal(Purpose::Marker, index, frame);
         let states = motion.recorded();

@@ -19,7 +19,6 @@ const RINGS: [(usize, f64); 5] = [(1, 0.0), (6, 1.6), (8, 3.3), (10, 5.3), (14, 
 
 /// Places of a finger's taxels in mm: x along the finger's width, y along its length; rings are
 /// ellipses, as the fingertip is longer than wide.
-#[must_use]
 pub fn layout() -> Vec<(f64, f64)> {
     let mut places = Vec::with_capacity(TAXELS);
     for (ring, &(count, radius)) in RINGS.iter().enumerate() {
@@ -70,7 +69,6 @@ impl Default for Skin {
 /// Radius in mm and peak pressure in kPa of a contact under a normal force. By Hertz the radius
 /// grows with the cube root of the force and the pressure over the contact is an ellipsoid;
 /// `radius_m` is the radius under `nominal_n`.
-#[must_use]
 pub fn hertz(grip_n: f64, radius_m: f64, nominal_n: f64) -> (f64, f64) {
     let radius = 1e3 * radius_m * libm::cbrt(grip_n / nominal_n);
     // N / mm^2 is MPa.
@@ -100,26 +98,6 @@ pub(super) fn shift_mm(grip_n: f64, load_n: f64) -> f64 {
     if grip_n > 0.0 { 1.5 * 0.5 * load_n / grip_n } else { 0.0 }
 }
 
-/// Whether the pressure rose or fell.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Change {
-    /// On: channel 2 k + 1 of taxel k.
-    Rise,
-    /// Off: channel 2 k of taxel k.
-    Fall,
-}
-
-impl Change {
-    /// The polarity's index, as the recordings write it.
-    #[must_use]
-    pub fn index(self) -> u32 {
-        match self {
-            Change::Fall => 0,
-            Change::Rise => 1,
-        }
-    }
-}
-
 #[derive(Debug, Clone)]
 struct Taxel {
     threshold: f64,
@@ -138,12 +116,11 @@ pub struct Taxels {
 }
 
 impl Taxels {
-    /// Taxels at rest. Thresholds belong to the fingers: they are drawn from the seed alone.
-    #[must_use]
-    pub fn new(skin: &Skin, draws: Draws, fingers: Draws, count: usize) -> Self {
+    /// Taxels at rest. Thresholds belong to the fingers, not to the sample.
+    pub fn new(skin: &Skin, draws: Draws, count: usize) -> Self {
         let taxel = |k| Taxel {
             threshold: skin.threshold_kpa
-                * (1.0 + skin.mismatch * fingers.normal(Purpose::TaxelGain, k as u32, 0)).max(0.2),
+                * (1.0 + skin.mismatch * Draws::DEVICE.normal(Purpose::TaxelGain, k as u32, 0)).max(0.2),
             crept: 0.0,
             reference: 0.0,
             silent_until: 0,
@@ -151,8 +128,10 @@ impl Taxels {
         Taxels { skin: skin.clone(), draws, taxels: (0..count).map(taxel).collect(), step: 0 }
     }
 
-    /// One tick with this pressure on each taxel; calls `event` for each that responds.
-    pub fn step(&mut self, pressure_kpa: &[f64], mut event: impl FnMut(u32, Change)) {
+    /// One tick with this pressure on each taxel; calls `event` with the channel of each that
+    /// responds, as the recordings number them: 2 k + 1 where the pressure on taxel k rose, 2 k
+    /// where it fell.
+    pub fn step(&mut self, pressure_kpa: &[f64], mut event: impl FnMut(u32)) {
         let skin = &self.skin;
         let tick = f64::from(skin.tick_ms);
         let (creep, follow) = ((tick / skin.creep_ms).min(1.0), (tick / skin.adaptation_ms).min(1.0));
@@ -168,7 +147,7 @@ impl Taxels {
             if change.abs() >= taxel.threshold {
                 taxel.reference = sensed;
                 taxel.silent_until = self.step + skin.refractory_ms.div_ceil(skin.tick_ms);
-                event(k as u32, if change > 0.0 { Change::Rise } else { Change::Fall });
+                event(2 * k as u32 + u32::from(change > 0.0));
             }
         }
         self.step += 1;
@@ -204,11 +183,12 @@ mod tests {
         assert_eq!(hertz(0.0, 7e-3, 1.5), (0.0, 0.0));
     }
 
-    fn events(skin: &Skin, pressure: impl Fn(u32) -> f64, steps: u32) -> Vec<(u32, Change)> {
-        let mut taxels = Taxels::new(skin, Draws::new(1, 0), Draws::new(0, 0), 1);
+    /// (step, channel) of each event of one taxel.
+    fn events(skin: &Skin, pressure: impl Fn(u32) -> f64, steps: u32) -> Vec<(u32, u32)> {
+        let mut taxels = Taxels::new(skin, Draws::new(1, 0), 1);
         let mut events = Vec::new();
         for step in 0..steps {
-            taxels.step(&[pressure(step)], |_, change| events.push((step, change)));
+            taxels.step(&[pressure(step)], |channel| events.push((step, channel)));
         }
         events
     }
@@ -217,22 +197,10 @@ mod tests {
     fn a_taxel_answers_change_and_rests_between_events() {
         let skin = Skin { noise_kpa: 0.0, mismatch: 0.0, ..Skin::default() };
         assert!(events(&skin, |_| 0.0, 500).is_empty());
-        let pressed = events(
-            &skin,
-            |t| {
-                if t < 100 {
-                    0.0
-                } else if t < 600 {
-                    20.0
-                } else {
-                    0.0
-                }
-            },
-            1500,
-        );
-        assert_eq!(pressed[0], (100, Change::Rise));
+        let pressed = events(&skin, |t| if (100..600).contains(&t) { 20.0 } else { 0.0 }, 1500);
+        assert_eq!(pressed[0], (100, 1));
         assert!(pressed.windows(2).all(|pair| pair[1].0 - pair[0].0 >= skin.refractory_ms), "{pressed:?}");
-        assert!(pressed.iter().all(|&(t, change)| (change == Change::Rise) == (t < 600)), "{pressed:?}");
+        assert!(pressed.iter().all(|&(t, channel)| (channel == 1) == (t < 600)), "{pressed:?}");
         // The skin has recovered 95 % within 300 ms; what is left is below the threshold.
         assert!(pressed.iter().all(|&(t, _)| (100..400).contains(&t) || (600..900).contains(&t)), "{pressed:?}");
         assert!(pressed.iter().any(|&(t, _)| t >= 600));

@@ -54,8 +54,7 @@ impl std::ops::AddAssign for Carried {
 /// Places of a channel's pulses.
 fn signature(channel: u32) -> [usize; PULSES] {
     let cell = SLOTS / PULSES;
-    let device = Draws::new(0, 0);
-    std::array::from_fn(|p| cell * p + (device.bits(Purpose::Wire, channel, p as u32) % cell as u64) as usize)
+    std::array::from_fn(|p| cell * p + (Draws::DEVICE.bits(Purpose::Wire, channel, p as u32) % cell as u64) as usize)
 }
 
 impl Default for Wire {
@@ -66,7 +65,6 @@ impl Default for Wire {
 
 impl Wire {
     /// Events of touch, (ms, channel), over a wire if there is one.
-    #[must_use]
     pub fn between(
         wire: Option<Wire>,
         events: Vec<(u32, u32)>,
@@ -83,7 +81,6 @@ impl Wire {
     }
 
     /// Sends events, (ms, channel), over `end_ms` and decodes them in order of time and channel.
-    #[must_use]
     pub fn carry(&self, events: &[(u32, u32)], channels: u32, end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, Carried) {
         let seen = self.seen(events, end_ms, draws);
         let mut reported = Vec::new();

@@ -8,7 +8,7 @@
 use nsim_cost::StepMeter;
 use nsim_cost::model::{Breakdown, core_time, energy_of_counts};
 use nsim_ir::activity::{Activity, CoreCounts, HopCounts};
-use nsim_ir::base::id::CoreId;
+use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::program::Program;
 
@@ -37,24 +37,17 @@ pub struct CoreSpent {
 }
 
 /// A row for each core; priced when there is a meter.
-#[must_use]
 pub fn core_rows(program: &Program, activity: &Activity, meter: Option<&StepMeter>) -> Vec<CoreRow> {
-    let spent = |meter: &StepMeter, core: usize, counts: CoreCounts| {
-        let table = meter.tables().first()?;
+    let spent = |core: CoreId, counts: CoreCounts| {
+        let table = meter?.tables().first()?;
         Some(CoreSpent {
             energy: energy_of_counts(counts, HopCounts::default(), table),
             busy: core_time(&counts, table),
-            slowest_steps: meter.slowest_steps().get(core).copied().unwrap_or(0),
+            slowest_steps: meter?.slowest_steps().get(core.index()).copied().unwrap_or(0),
         })
     };
     let cores = program.cores().enumerate().zip(activity.cores());
     cores
-        .enumerate()
-        .map(|(index, ((core, image), &counts))| CoreRow {
-            core,
-            chip: image.site.chip,
-            counts,
-            spent: meter.and_then(|meter| spent(meter, index, counts)),
-        })
+        .map(|((core, image), &counts)| CoreRow { core, chip: image.site.chip, counts, spent: spent(core, counts) })
         .collect()
 }

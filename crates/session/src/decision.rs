@@ -62,7 +62,6 @@ pub struct Pace {
 
 impl Pace {
     /// That of a network's output population.
-    #[must_use]
     pub fn of_output(network: &Quantised) -> Pace {
         let (parts, output) = (network.parts(), &network.populations()[network.parts().output]);
         // An output is a population of compartments: `Quantised` is checked for it.
@@ -130,13 +129,11 @@ pub struct EarlyExit {
 
 impl EarlyExit {
     /// This rule for the output population of a network.
-    #[must_use]
     pub fn new(rule: Rule, network: &Quantised) -> EarlyExit {
         EarlyExit { rule, pace: Pace::of_output(network), ends: true }
     }
 
     /// The same, by which no sample ends.
-    #[must_use]
     pub fn watched(rule: Rule, network: &Quantised) -> EarlyExit {
         EarlyExit { ends: false, ..EarlyExit::new(rule, network) }
     }
@@ -158,7 +155,6 @@ pub struct Decision<'e> {
 
 impl<'e> Decision<'e> {
     /// Of a sample of this many steps, before its first.
-    #[must_use]
     pub fn new(exit: &'e EarlyExit, steps: u32) -> Self {
         let outputs = exit.pace.gaps.len();
         Decision {
@@ -183,14 +179,12 @@ impl<'e> Decision<'e> {
     }
 
     /// The class by the spikes so far.
-    #[must_use]
     pub fn class(&self) -> Option<u32> {
         self.leader.map(|leader| leader as u32)
     }
 
     /// Whether the sample is decided after the update of `step`, all of whose spikes have been
     /// told. Steps are asked for in ascending order.
-    #[must_use]
     pub fn decided_after(&mut self, step: u32) -> bool {
         if u64::from(step) < self.open_until {
             return false;
@@ -247,7 +241,6 @@ impl<'e> Decision<'e> {
 
     /// The first step of `begin..end` after which the sample is decided when no output spikes in
     /// any of them.
-    #[must_use]
     pub fn decided_in_silence(&self, begin: u32, end: u32) -> Option<u32> {
         // What may still come only shrinks, so that once decided is decided in every step that
         // follows.

@@ -30,7 +30,6 @@ pub enum Error {
 
 impl Error {
     /// The process's exit status.
-    #[must_use]
     pub fn exit_status(&self) -> u8 {
         match self {
             Error::Usage(_) => 2,
@@ -42,7 +41,6 @@ impl Error {
     }
 
     /// What is wrong with an input, where it is that.
-    #[must_use]
     pub fn diagnostic(&self) -> Option<Cow<'_, Diagnostic>> {
         match self {
             Error::Input(diagnostic) => Some(Cow::Borrowed(diagnostic)),
@@ -52,7 +50,6 @@ impl Error {
     }
 
     /// A word for the problem: that of its diagnostic, `usage` or `fault`.
-    #[must_use]
     pub fn code(&self) -> &'static str {
         match self {
             Error::Usage(_) => "usage",

@@ -11,7 +11,6 @@ use nsim_ir::quantised::Quantised;
 use nsim_quantise::{integers, quantise};
 
 /// Whether a network has spike response neurons, which are real numbers.
-#[must_use]
 pub fn has_srm(network: &Network) -> bool {
     network.file().populations.iter().any(|population| population.srm.is_some())
 }

@@ -43,13 +43,10 @@ pub fn stimulus(
 /// # Errors
 /// `energy.input`.
 pub fn require_scene(model: &str, scene: Option<&str>, help: &str) -> Result<(), Diagnostic> {
-    match scene {
-        Some(_) => Ok(()),
-        None => {
-            let message = format!("energy follows activity, and the model {model} names no scene");
-            Err(Diagnostic::new("energy.input", message).help(help))
-        }
-    }
+    scene.map(|_| ()).ok_or_else(|| {
+        let message = format!("energy follows activity, and the model {model} names no scene");
+        Diagnostic::new("energy.input", message).help(help)
+    })
 }
 
 /// How often the samples of a run are repeated at most.
@@ -95,11 +92,9 @@ fn given(
     default: Option<&str>,
     seed: Option<u64>,
 ) -> Result<Stimulus, Error> {
-    let from_model = default.map(str::to_string);
-    let arguments: Vec<String> = match (arguments, from_model) {
-        ([], Some(scene)) => vec![scene],
-        ([], None) => vec!["scene:noise".to_string()],
-        (given, _) => given.to_vec(),
+    let arguments = match arguments {
+        [] => vec![default.unwrap_or("scene:noise").to_string()],
+        given => given.to_vec(),
     };
     let parsed = arguments.iter().map(|text| argument(network, text)).collect::<Result<Vec<_>, _>>()?;
     if let [InputArg { population: None, source: InputSource::Scene(scene) }] = parsed.as_slice() {
@@ -119,30 +114,26 @@ fn given(
             }
             (InputSource::Scene(_), _) => {
                 let message = "a scene drives all input populations and stands alone, but for a clock of one \
-                               population: \
-                    POPULATION=scene:clock?span=STEPS";
+                               population: POPULATION=scene:clock?span=STEPS";
                 return Err(Error::Usage(message.to_string()));
             }
         };
         let (pairs, labels) = without_labels(path, pairs)?;
-        let pairs = pairs.as_slice();
         let is_manifest = FileKind::detect(path)? == FileKind::Ron;
         let wanted: Vec<usize> = match &argument.population {
             Some(name) => vec![position(name)?],
             None if is_manifest => (0..inputs.len()).collect(),
             None if inputs.len() == 1 => vec![0],
             None => {
-                let names: Vec<&str> = inputs.iter().map(|p| p.name.as_str()).collect();
-                return Err(Error::Usage(format!(
-                    "--input {}: which population is it for? Write one of {}",
-                    path.display(),
-                    names.iter().map(|name| format!("{name}={}", path.display())).collect::<Vec<_>>().join(", ")
-                )));
+                let path = path.display();
+                let named: Vec<String> = inputs.iter().map(|p| format!("{}={path}", p.name)).collect();
+                let named = named.join(", ");
+                return Err(Error::Usage(format!("--input {path}: which population is it for? Write one of {named}")));
             }
         };
         let (manifest, options) = match is_manifest {
-            true => (Some(Part::new(read_manifest(path)?, pairs)?), EventOptions::default()),
-            false => (None, EventOptions::parse(pairs)?),
+            true => (Some(Part::new(read_manifest(path)?, &pairs)?), EventOptions::default()),
+            false => (None, EventOptions::parse(&pairs)?),
         };
         for index in wanted {
             let population = inputs[index];
@@ -171,15 +162,11 @@ fn given(
             return Err(Error::Usage(format!("population '{}' has two inputs", inputs[index].name)));
         }
     }
-    let mut filled = Vec::new();
-    for (source, population) in sources.into_iter().zip(&inputs) {
-        filled.push(source.ok_or_else(|| {
-            Error::Usage(format!(
-                "input population '{}' has no source: add --input {}=FILE",
-                population.name, population.name
-            ))
-        })?);
-    }
+    let filled = sources.into_iter().zip(&inputs).map(|(source, Population { name, .. })| {
+        let message = || format!("input population '{name}' has no source: add --input {name}=FILE");
+        source.ok_or_else(|| Error::Usage(message()))
+    });
+    let filled = filled.collect::<Result<Vec<_>, Error>>()?;
     Ok(Stimulus { samples: joined(&inputs, filled)?, origin: arguments, seed: None })
 }
 
@@ -189,10 +176,9 @@ fn beside(sample: &PopulationSpikes, clock: Clock, population: &Population) -> P
     PopulationSpikes {
         units: Some(units.into()),
         steps: sample.steps,
-        label: None,
         events: clock.spikes(sample.steps, units),
-        values: Vec::new(),
         name: format!("the clock of '{}'", population.name),
+        ..PopulationSpikes::default()
     }
 }
 
@@ -217,18 +203,18 @@ struct Part {
 impl Part {
     /// With what stands after the `?`: nothing, `train=K` or `test=K` for fold K from 1.
     fn new(manifest: Manifest, pairs: &[(String, String)]) -> Result<Part, Error> {
+        let wrong = |message: String| Diagnostic::new("input.option", message).in_file(manifest.source().path());
         let (key, value) = match pairs {
             [] => return Ok(Part { manifest, fold: None }),
             [(key, value)] if key == "train" || key == "test" => (key, value),
             _ => {
                 let message = "a data set takes train=K or test=K, the samples that fold K trains or tests on";
-                return Err(Diagnostic::new("input.option", message).in_file(manifest.source().path()).into());
+                return Err(wrong(message.to_string()).into());
             }
         };
         let folds = manifest.folds();
         let Some(fold) = value.parse().ok().filter(|fold| (1..=folds).contains(fold)) else {
-            let message = format!("{key}={value}: the data set has {folds} folds, counted from 1");
-            return Err(Diagnostic::new("input.option", message).in_file(manifest.source().path()).into());
+            return Err(wrong(format!("{key}={value}: the data set has {folds} folds, counted from 1")).into());
         };
         Ok(Part { manifest, fold: Some((key == "test", fold - 1)) })
     }
@@ -276,7 +262,6 @@ fn unknown(name: &str, inputs: &[&Population]) -> Error {
 
 /// What a network with some of the input populations of another sees of a sample of that one;
 /// `None` where the other has no input population of a name and size.
-#[must_use]
 pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Option<Sample> {
     let mut moved = Vec::new();
     for (_, population) in network.inputs() {
@@ -325,10 +310,9 @@ pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Re
         let (mut events, mut values) = (Vec::new(), Vec::new());
         for (part, population) in parts.into_iter().zip(inputs) {
             let disagree = |what: &str, other: &str| {
-                Error::from(Diagnostic::new(
-                    "input.disagree",
-                    format!("sample {index}: {} of '{}' ({}) differ from {other}", what, population.name, part.name),
-                ))
+                let whose = format!("'{}' ({})", population.name, part.name);
+                let message = format!("sample {index}: {what} of {whose} differ from {other}");
+                Error::from(Diagnostic::new("input.disagree", message))
             };
             if part.steps != steps {
                 return Err(disagree(&format!("{} steps", part.steps), &format!("{steps} of '{}'", inputs[0].name)));

@@ -62,7 +62,6 @@ impl Quantity {
     ];
 
     /// The quantity of this name that compartments of a kind have.
-    #[must_use]
     pub fn of_kind(kind: NeuronKind, name: &str) -> Option<Quantity> {
         let table = kind.table();
         if table.registers || matches!(name, "spikes" | "message") {
@@ -86,7 +85,6 @@ pub struct Probe {
 impl Probe {
     /// What is called so of a population's compartments: a quantity, or a word of their state;
     /// `None` where they have no such thing.
-    #[must_use]
     pub fn named(population: &Population, what: &str) -> Option<Probe> {
         let Units::Compartments { first, neurons, .. } = &population.units else { return None };
         let count = population.shape.len();
@@ -109,7 +107,6 @@ pub struct Keep {
 
 impl Keep {
     /// Nothing but what these compartments decide.
-    #[must_use]
     pub fn new(output: Output) -> Self {
         Keep { output, probes: Vec::new(), early_exit: None }
     }
@@ -145,7 +142,6 @@ pub struct Outcome {
 impl Outcome {
     /// The output that potentials decide for, where they do; else the one with most spikes, the
     /// lowest on a tie, none when all are silent.
-    #[must_use]
     pub fn class(&self) -> Option<u32> {
         if let Some(potentials) = &self.potentials {
             return potentials.class();
@@ -155,7 +151,6 @@ impl Outcome {
     }
 
     /// The class when the sample was decided; of a sample that was not, that of its end.
-    #[must_use]
     pub fn class_when_decided(&self) -> Option<u32> {
         if self.decided_at.is_some() { self.decided_class } else { self.class() }
     }
@@ -278,47 +273,33 @@ pub fn run_copies<E: Engine + ?Sized>(
 }
 
 fn record<E: Engine + ?Sized>(engine: &E, probe: &Probe, step: usize, steps: usize, kept: &mut [i32]) {
-    let compartment = |i: u32| CompartmentId(probe.first.0 + i);
-    let read: fn(&E, CompartmentId) -> i32 = match probe.quantity {
-        Quantity::Spikes => {
-            for spike in engine.spikes() {
-                if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
-                    kept[i as usize * steps + step] = 1;
-                }
+    let place = |i: u32| i as usize * steps + step;
+    if matches!(probe.quantity, Quantity::Spikes | Quantity::Message) {
+        let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
+        for (spike, payload) in engine.spikes().iter().zip(payloads) {
+            if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
+                kept[place(i)] = if probe.quantity == Quantity::Spikes { 1 } else { payload };
             }
-            return;
         }
-        Quantity::Message => {
-            for (place, spike) in engine.spikes().iter().enumerate() {
-                if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
-                    kept[i as usize * steps + step] = engine.payloads().get(place).copied().unwrap_or(1);
-                }
-            }
-            return;
-        }
-        Quantity::State(column) => {
-            for i in 0..probe.count {
-                kept[i as usize * steps + step] = engine.state(compartment(i), column);
-            }
-            return;
-        }
-        Quantity::U => E::u,
-        Quantity::V => E::v,
-        Quantity::VRegister => E::v_register,
-    };
+        return;
+    }
     for i in 0..probe.count {
-        kept[i as usize * steps + step] = read(engine, compartment(i));
+        let compartment = CompartmentId(probe.first.0 + i);
+        kept[place(i)] = match probe.quantity {
+            Quantity::U => engine.u(compartment),
+            Quantity::VRegister => engine.v_register(compartment),
+            Quantity::State(column) => engine.state(compartment, column),
+            _ => engine.v(compartment),
+        };
     }
 }
 
 /// The share of samples whose class is their label; `None` unless all have one.
-#[must_use]
 pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {
     share_right(outcomes, labels, Outcome::class)
 }
 
 /// The same of the classes when samples were decided.
-#[must_use]
 pub fn accuracy_when_decided(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {
     share_right(outcomes, labels, Outcome::class_when_decided)
 }
@@ -335,7 +316,6 @@ fn share_right(
 
 /// The least step by which half of the samples that were decided early were decided; `None` where
 /// none was.
-#[must_use]
 pub fn median_decision(outcomes: &[Outcome]) -> Option<u32> {
     let mut steps: Vec<u32> = outcomes.iter().filter_map(|outcome| outcome.decided_at).collect();
     steps.sort_unstable();
@@ -344,7 +324,6 @@ pub fn median_decision(outcomes: &[Outcome]) -> Option<u32> {
 
 /// SHA-256 over little-endian u32 triples (sample in run order, step, output) of all output spikes,
 /// ascending.
-#[must_use]
 pub fn digest(outcomes: &[Outcome]) -> String {
     let mut hash = Sha256::new();
     for (sample, outcome) in outcomes.iter().enumerate() {

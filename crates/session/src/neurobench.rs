@@ -17,8 +17,6 @@
 //! All samples count as one batch. Left out on purpose: layers of real numbers, and samples that
 //! end early.
 
-use std::ops::Range;
-
 use super::samples::Run;
 use super::steps::groups;
 use super::{Keep, Outcome, Probe, Quantity};
@@ -101,23 +99,17 @@ fn operations(network: &Quantised, counts: &SourceCounts) -> (u64, u64) {
     let mut row = Vec::new();
     for projection in network.projections() {
         let source = &network.populations()[projection.source];
-        let spikes: &[u64] = match source.units {
-            Units::Input(first) => &counts.channels.as_slice()[range(first.index(), source.shape.len())],
-            Units::Compartments { first, .. } => {
-                &counts.compartments.as_slice()[range(first.index(), source.shape.len())]
-            }
+        let spikes = match source.units {
+            Units::Input(first) => &counts.channels.as_slice()[first.index()..],
+            Units::Compartments { first, .. } => &counts.compartments.as_slice()[first.index()..],
         };
         let sum =
             if source.message.factor().is_some_and(|factor| factor.abs() == 1) { &mut plain } else { &mut graded };
-        for (index, spikes) in (0..).zip(spikes).filter(|(_, spikes)| **spikes > 0) {
+        for (index, spikes) in (0..source.shape.len()).zip(spikes).filter(|(_, spikes)| **spikes > 0) {
             *sum += spikes * nonzero_of(&projection.connectivity, index, &mut row);
         }
     }
     (plain, graded)
-}
-
-fn range(first: usize, size: u32) -> Range<usize> {
-    first..first + size as usize
 }
 
 /// Compartments in the first timestep, and those whose voltage each later one changes.

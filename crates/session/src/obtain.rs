@@ -81,7 +81,6 @@ pub struct Request<'a> {
 
 impl<'a> Request<'a> {
     /// A network on its usual target, mapped as usual.
-    #[must_use]
     pub fn new(model: &'a str, network: &'a Network, integers: Integers<'a>) -> Self {
         Request {
             model,
@@ -151,7 +150,6 @@ pub enum Job {
 
 impl Job {
     /// The network in integers.
-    #[must_use]
     pub fn quantised(&self) -> &Quantised {
         match self {
             Job::Mapped(compiled, ..) => &compiled.quantised,
@@ -160,13 +158,11 @@ impl Job {
     }
 
     /// The program, when it is mapped.
-    #[must_use]
     pub fn program(&self) -> Option<&Arc<Program>> {
         self.mapped().map(|(compiled, _)| &compiled.program)
     }
 
     /// The compiled network and its target, when it is mapped.
-    #[must_use]
     pub fn mapped(&self) -> Option<(&Mapping, &Target)> {
         match self {
             Job::Mapped(compiled, target, _) => Some((compiled, target)),
@@ -174,14 +170,7 @@ impl Job {
         }
     }
 
-    /// The target's name.
-    #[must_use]
-    pub fn target_name(&self) -> &str {
-        self.mapped().map_or("", |(_, target)| target.name())
-    }
-
     /// The model's own stimulus.
-    #[must_use]
     pub fn scene(&self) -> Option<&str> {
         match self {
             Job::Mapped(_, _, scene) | Job::Quantised(_, scene) | Job::Real(_, _, scene) => scene.as_deref(),

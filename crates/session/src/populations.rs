@@ -29,7 +29,7 @@ pub struct PopulationCounts {
 }
 
 /// What came in over the channels of an input population.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct InputCounts {
     /// Its name.
     pub name: String,
@@ -50,7 +50,6 @@ pub struct ByPopulation {
 
 impl ByPopulation {
     /// Sums the counts of one or several copies of a network.
-    #[must_use]
     pub fn new(network: &Quantised, counts: &SourceCounts) -> Self {
         let copies = match (network.compartments(), network.channels()) {
             (0, 0) => 0,
@@ -86,7 +85,6 @@ impl ByPopulation {
     }
 
     /// The same of this many copies that all do what the counted ones do.
-    #[must_use]
     pub fn of_copies(network: &Quantised, counts: &SourceCounts, copies: u32) -> Self {
         let mut sum = ByPopulation::new(network, counts);
         let counted = counts.compartments.len() as u64 / u64::from(network.compartments()).max(1);

@@ -9,8 +9,7 @@ use super::samples::{Meter, Run, Running, fast};
 use super::{Keep, Outcome, Passed};
 use nsim_compile::Mapping;
 use nsim_cost::estimate::{Case, Estimate, estimate, step_price};
-use nsim_cost::job::Accounting;
-use nsim_cost::job::Mode;
+use nsim_cost::job::{Accounting, Mode};
 use nsim_cost::{CostTable, Deployment, HostWork, MessageRoutes, MeterSettings, StepMeter, Transport};
 use nsim_ir::activity::{Activity, CoreCounts, StepActivity};
 use nsim_ir::base::diagnostic::Result;
@@ -44,7 +43,6 @@ pub struct Metered<'c> {
 
 impl<'c> Metered<'c> {
     /// Of groups of cores that hold copies alike, one is run for all.
-    #[must_use]
     pub fn new(compiled: &'c Mapping) -> Self {
         let groups = compiled.core_groups();
         let routes = match &groups {
@@ -55,7 +53,6 @@ impl<'c> Metered<'c> {
     }
 
     /// The same with every core run: the obvious way, which tests compare with.
-    #[must_use]
     pub fn every_core(compiled: &'c Mapping) -> Self {
         let one = compiled.one_copy();
         let groups = CoreGroups::each(&compiled.program, one, &compiled.together()).ok();
@@ -80,19 +77,13 @@ impl<'c> Metered<'c> {
     pub fn offline_with(&self, target: &Target, work: HostWork) -> Result<(MeterSettings, Deployment)> {
         let Mapping { placement, options, one, .. } = self.compiled;
         let deployment = Deployment::from_placement(options.placement.name(), placement, target, options.copies, work);
-        let settings = MeterSettings {
-            tables: vec![CostTable::new(&target.constants()[0])?],
-            routes: self.routes.clone(),
-            timing: deployment.timing(Transport::default(), options.copies),
-            timestep: Picoseconds::from_milliseconds(one.parts().timestep_ms),
-            distribution: None,
-            by_step: None,
-        };
-        Ok((settings, deployment))
+        let tables = vec![CostTable::new(&target.constants()[0])?];
+        let timing = deployment.timing(Transport::default(), options.copies);
+        let timestep = Picoseconds::from_milliseconds(one.parts().timestep_ms);
+        Ok((MeterSettings::new(tables, timing, self.routes.clone(), timestep), deployment))
     }
 
     /// Copies that are run, which do what all do.
-    #[must_use]
     pub fn copies_run(&self) -> u32 {
         self.groups.as_ref().map_or(self.compiled.options.copies, CoreGroups::copies)
     }
@@ -138,12 +129,9 @@ impl<'c> Metered<'c> {
         let spikes_in = run.activity.spikes_in() / u64::from(groups.copies()) * u64::from(self.copies());
         let mut cores = vec![CoreCounts::default(); self.compiled.program.cores().len()];
         for group in &groups.groups {
-            let of_kind = groups.kinds[group.kind].cores.clone().map(CoreId);
-            group
-                .cores
-                .iter()
-                .zip(of_kind)
-                .for_each(|(core, run_core)| cores[core.index()] = run.activity.cores()[run_core]);
+            for (core, run_core) in group.cores.iter().zip(groups.kinds[group.kind].cores.clone()) {
+                cores[core.index()] = run.activity.cores()[CoreId(run_core)];
+            }
         }
         // Of groups that are alike the first stands for all, as of cores that take as long.
         let mut slowest = vec![0; cores.len()];
@@ -159,7 +147,6 @@ impl<'c> Metered<'c> {
 }
 
 /// Timesteps of each sample; `None` when samples differ.
-#[must_use]
 pub fn steps_per_sample(samples: &[&Sample]) -> Option<u32> {
     let same = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
     samples.first().filter(|_| same).map(|sample| sample.steps())
@@ -183,14 +170,13 @@ pub struct Priced {
 /// A constant that no integer holds; as [`fast`].
 pub fn run_priced(compiled: &Mapping, target: &Target, samples: &[Sample]) -> Result<Priced> {
     let copies = compiled.options.copies;
-    let timestep_ms = compiled.one.parts().timestep_ms;
     let metered = Metered::new(compiled);
     let (settings, deployment) = metered.offline(target)?;
     let price = step_price(&settings.tables[0], &deployment, copies, (Mode::Offline, Accounting::Profiler));
     let settings = MeterSettings { distribution: Some((0, price)), ..settings };
     let samples: Vec<&Sample> = samples.iter().collect();
     let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
-    let case = Case::new(&run.activity, &run.meter, &deployment, timestep_ms);
+    let case = Case::new(&run.activity, &run.meter, &deployment);
     let estimate = estimate(&Case { steps_per_sample: steps_per_sample(&samples), ..case });
     Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })
 }

@@ -8,6 +8,7 @@
 //! what a step costs, or when a sample is decided, has to be known at once
 //! ([`nsim_machine::Machine::of_part`]).
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -36,15 +37,11 @@ pub struct RankRow {
 
 impl RankRow {
     /// Of a part that this process holds, or of all of a program.
-    #[must_use]
     pub fn here(program: &Program, rank: u32) -> Self {
         let own = || program.cores().enumerate().filter(|(core, _)| program.holds(*core)).map(|(_, image)| image);
-        let mut chips: Vec<u32> = own().map(|image| image.site.chip).collect();
-        chips.sort_unstable();
-        chips.dedup();
         RankRow {
             rank,
-            chips: chips.len() as u32,
+            chips: own().map(|image| image.site.chip).collect::<BTreeSet<u32>>().len() as u32,
             compartments: own().map(|image| image.ids.len() as u64).sum(),
             synapses: program.synapses_of(|core| program.holds(core)),
             peak_mib: peak_mib(),
@@ -53,7 +50,6 @@ impl RankRow {
 }
 
 /// The most memory that this process has taken since it began, if the system says.
-#[must_use]
 pub fn peak_mib() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -16,7 +16,7 @@ use nsim_golden::Golden;
 use nsim_ir::activity::{Activity, StepActivity};
 use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::id::{CompartmentId, Id};
+use nsim_ir::base::id::CompartmentId;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
@@ -55,7 +55,6 @@ pub struct Running<'a> {
 
 impl<'a> Running<'a> {
     /// One copy in one process, without counts of each step.
-    #[must_use]
     pub fn new(keep: &'a Keep) -> Self {
         Running { keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None }
     }
@@ -107,7 +106,6 @@ pub struct Division {
 impl Division {
     /// For this many samples of a program. Threads share a sample where there are fewer samples
     /// than threads, or where states of their own would take more memory than the image of all.
-    #[must_use]
     pub fn new(program: &Program, samples: usize) -> Self {
         let (synapses, threads) = (program.synapses_of(|_| true), rayon::current_num_threads());
         let states = u64::from(program.compartments()) * threads as u64;
@@ -193,7 +191,6 @@ fn on_ranks<M: Meter>(
 }
 
 /// The same on a program that is laid out already, for runs of the same division.
-#[must_use]
 pub fn fast_on<M: Meter>(
     image: &Arc<Image>,
     division: Division,
@@ -306,6 +303,14 @@ fn in_parts<M: Meter>(samples: &[&Sample], run: impl Fn(&[&Sample]) -> Run<M> + 
     joined.unwrap_or_else(|| run(&[]))
 }
 
+impl<M> Run<M> {
+    /// The same with what is made of its meter.
+    pub fn map_meter<N>(self, made: impl FnOnce(M) -> N) -> Run<N> {
+        let Run { outcomes, activity, counts, meter, skipped_updates, wall_s, ranks } = self;
+        Run { outcomes, activity, counts, meter: made(meter), skipped_updates, wall_s, ranks }
+    }
+}
+
 impl<M: Meter> Run<M> {
     /// Adds the samples that ran after these.
     pub fn append(&mut self, later: Run<M>) {
@@ -325,12 +330,10 @@ fn add_spikes(counts: &mut SourceCounts, spikes: &[CompartmentId]) {
 
 /// Counts the input spikes of the steps that were run.
 fn add_inputs(counts: &mut SourceCounts, sample: &Sample, steps: u32) {
-    let channels = (0..steps).flat_map(|step| sample.at(step));
-    channels.for_each(|channel| counts.channels[*channel] += 1);
+    (0..steps).flat_map(|step| sample.at(step)).for_each(|channel| counts.channels[*channel] += 1);
 }
 
 /// Runs samples on the golden interpreter.
-#[must_use]
 pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Run<()> {
     let begin = Instant::now();
     let run = in_parts(samples, |part| {
@@ -364,7 +367,6 @@ impl Meter for Vec<Traces> {
 
 /// Runs samples of a network with this many channels and compartments on the reference engine; the
 /// probes come as real numbers in the place of a meter. Nothing leaves a field of real numbers.
-#[must_use]
 pub fn reference<F: Real>(
     model: &Model<F>,
     (channels, compartments): (u32, u32),
@@ -417,20 +419,18 @@ fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps:
 
 /// How often each channel and compartment fires over samples, on the golden interpreter: it needs
 /// no mapping.
-#[must_use]
 pub fn firing_rates<'s>(network: &Quantised, samples: impl IntoIterator<Item = &'s Sample>) -> Rates {
-    let mut channels = vec![0u64; network.channels() as usize];
-    let mut compartments = vec![0u64; network.compartments() as usize];
+    let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
     let mut engine = Golden::new(network);
     let mut steps = 0;
     for sample in samples {
         engine.begin(sample.steps());
         for step in 0..sample.steps() {
             engine.step(sample.input(step));
-            sample.at(step).iter().for_each(|channel| channels[channel.index()] += 1);
-            engine.spikes().iter().for_each(|id| compartments[id.index()] += 1);
+            add_spikes(&mut counts, engine.spikes());
         }
+        add_inputs(&mut counts, sample, sample.steps());
         steps += u64::from(sample.steps());
     }
-    Rates::profile(&channels, &compartments, steps)
+    Rates::profile(counts.channels.as_slice(), counts.compartments.as_slice(), steps)
 }

@@ -38,7 +38,6 @@ pub struct Session {
 
 impl Session {
     /// A session before its first step, over `copies` of a network with the same input.
-    #[must_use]
     pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
         let mut session = Session {
             machine: Machine::new(image, Settings::default()),
@@ -63,7 +62,6 @@ impl Session {
     }
 
     /// Steps so far.
-    #[must_use]
     pub fn steps(&self) -> u32 {
         self.steps
     }
@@ -114,7 +112,6 @@ impl Session {
     }
 
     /// The channels of one copy that spiked in the last step, ascending, with what they carried.
-    #[must_use]
     pub fn shown(&self) -> &[(ChannelId, i32)] {
         &self.shown
     }
@@ -132,7 +129,6 @@ impl Session {
     }
 
     /// The engine, for its registers.
-    #[must_use]
     pub fn engine(&self) -> &impl Engine {
         &self.machine
     }

@@ -32,14 +32,13 @@ const ROWS_TOGETHER: usize = 1 << 10;
 pub struct StepLayout {
     columns: Vec<Column>,
     /// For each channel of one copy the population that it is in; then the same for compartments.
-    channels: Vec<u32>,
-    compartments: Vec<u32>,
+    pub(super) channels: Vec<u32>,
+    pub(super) compartments: Vec<u32>,
     populations: usize,
 }
 
 impl StepLayout {
     /// The columns for a network, whose copies count together.
-    #[must_use]
     pub fn new(network: &Quantised) -> Self {
         let (mut channels, mut compartments, mut columns) = (Vec::new(), Vec::new(), Vec::new());
         let mut add = |name: String, unit| columns.push(Column { name, unit });
@@ -64,7 +63,6 @@ impl StepLayout {
     }
 
     /// The columns.
-    #[must_use]
     pub fn columns(&self) -> &[Column] {
         &self.columns
     }
@@ -73,11 +71,11 @@ impl StepLayout {
 /// A meter that keeps the rows of its sample, or writes them.
 pub(super) struct Recorder<'r, 'w> {
     meter: StepMeter,
-    layout: &'r StepLayout,
+    pub(super) layout: &'r StepLayout,
     /// Copies that are run, and copies that there are.
     copies: (u64, u64),
-    /// Rows that are not written yet.
-    cells: Vec<u64>,
+    /// Rows that are not written yet, one after the other.
+    pub(super) cells: Vec<u64>,
     /// Where rows are written as they come.
     direct: Option<&'r Mutex<StepWriter<'w>>>,
 }
@@ -87,11 +85,6 @@ impl<'r> Recorder<'r, '_> {
     pub(super) fn kept(metered: &Metered<'_>, settings: Arc<MeterSettings>, layout: &'r StepLayout) -> Self {
         let copies = (metered.copies_run().into(), metered.copies().into());
         Recorder { meter: StepMeter::new(settings), layout, copies, cells: Vec::new(), direct: None }
-    }
-
-    /// The rows, one after the other.
-    pub(super) fn into_rows(self) -> Vec<u64> {
-        self.cells
     }
 
     fn add_row(&mut self, step: &StepActivity) {
@@ -168,22 +161,20 @@ pub fn run_recorded(
     out: StepWriter<'_>,
 ) -> Result<(Run<StepMeter>, std::io::Result<()>)> {
     let (settings, out) = (Arc::new(settings), Mutex::new(out));
-    let copies = (metered.copies_run().into(), metered.copies().into());
     let mut whole: Option<Run<StepMeter>> = None;
     for group in groups(samples, layout.columns.len()) {
         let steps: usize = group.iter().map(|sample| sample.steps() as usize).sum();
         let direct = (steps * layout.columns.len() > CELLS).then_some(&out);
-        let meter = || Recorder { meter: StepMeter::new(settings.clone()), layout, copies, cells: Vec::new(), direct };
-        let run = metered.run_with(group, running, meter)?;
-        let Run { outcomes, activity, counts, meter: mut rows, skipped_updates, wall_s, ranks } = run;
-        rows.flush();
+        let meter = || Recorder { direct, ..Recorder::kept(metered, settings.clone(), layout) };
+        let mut run = metered.run_with(group, running, meter)?;
+        run.meter.flush();
         let mut writer = out.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut cells = rows.cells.chunks(layout.columns.len());
-        for outcome in &outcomes {
+        let mut cells = run.meter.cells.chunks(layout.columns.len());
+        for outcome in &run.outcomes {
             cells.by_ref().take(outcome.steps as usize).for_each(|row| writer.row(row));
             writer.end_sample();
         }
-        let run = Run { outcomes, activity, counts, meter: rows.meter, skipped_updates, wall_s, ranks };
+        let run = run.map_meter(|rows| rows.meter);
         match &mut whole {
             None => whole = Some(run),
             Some(whole) => whole.append(run),

@@ -16,7 +16,7 @@ use nsim_cost::MeterSettings;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::{CompartmentId, Id};
-use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::spikes::Sample;
 
 /// Steps that are kept.
@@ -56,59 +56,35 @@ pub struct Timeline {
     pub traces: Vec<Vec<i32>>,
 }
 
-/// Where the spikes of one copy go: population and first unit of each range of sources.
-struct Ranges {
-    /// First source, units, index of the population; channels and compartments apart, ascending.
-    channels: Vec<(u32, u32, usize)>,
-    compartments: Vec<(u32, u32, usize)>,
-}
-
-impl Ranges {
-    fn new(network: &Quantised) -> Self {
-        let (mut channels, mut compartments) = (Vec::new(), Vec::new());
-        for (index, population) in network.populations().iter().enumerate() {
-            let (list, first) = match population.units {
-                Units::Input(first) => (&mut channels, first.0),
-                Units::Compartments { first, .. } => (&mut compartments, first.0),
-            };
-            list.push((first, population.shape.len(), index));
-        }
-        Ranges { channels, compartments }
-    }
-
-    /// The population and the unit of a source; none of other copies' sources.
-    fn find(ranges: &[(u32, u32, usize)], source: usize) -> Option<(usize, u32)> {
-        let source = u32::try_from(source).ok()?;
-        let range = ranges.partition_point(|&(first, ..)| first <= source).checked_sub(1)?;
-        let (first, units, population) = ranges[range];
-        (source - first < units).then_some((population, source - first))
-    }
-}
-
 /// Keeps rows and spikes of a sample.
 struct Watch<'w> {
     recorder: Recorder<'w, 'w>,
-    ranges: &'w Ranges,
+    /// The first channel or compartment of each population.
+    firsts: &'w [u32],
     rasters: Vec<Raster>,
     steps: u32,
+}
+
+impl Watch<'_> {
+    /// Keeps a spike, by the population of each source; of other copies' sources there is none.
+    fn keep(&mut self, populations: &[u32], source: usize) {
+        let Some(&population) = populations.get(source) else { return };
+        let (unit, raster) = (source as u32 - self.firsts[population as usize], &mut self.rasters[population as usize]);
+        if unit % raster.every == 0 {
+            match raster.spikes.len() < MOST_SPIKES {
+                true => raster.spikes.push((self.steps, unit)),
+                false => raster.cut = true,
+            }
+        }
+    }
 }
 
 impl Meter for Watch<'_> {
     fn see(&mut self, step: &StepActivity, passed: Passed) {
         self.recorder.see(step, passed);
-        let now = self.steps;
-        let mut add = |found: Option<(usize, u32)>| {
-            let Some((population, unit)) = found else { return };
-            let raster = &mut self.rasters[population];
-            if unit % raster.every == 0 {
-                match raster.spikes.len() < MOST_SPIKES {
-                    true => raster.spikes.push((now, unit)),
-                    false => raster.cut = true,
-                }
-            }
-        };
-        step.channels.iter().for_each(|id| add(Ranges::find(&self.ranges.channels, id.index())));
-        step.fired.iter().for_each(|id| add(Ranges::find(&self.ranges.compartments, id.index())));
+        let layout = self.recorder.layout;
+        step.channels.iter().for_each(|id| self.keep(&layout.channels, id.index()));
+        step.fired.iter().for_each(|id| self.keep(&layout.compartments, id.index()));
         self.steps += passed.steps;
     }
 
@@ -133,7 +109,12 @@ impl Timeline {
     ) -> Result<Self> {
         let (all, sample) = (sample.steps(), &sample.beginning(MOST_STEPS));
         let layout = StepLayout::new(network);
-        let (settings, ranges) = (Arc::new(settings), Ranges::new(network));
+        let settings = Arc::new(settings);
+        let first = |population: &Population| match population.units {
+            Units::Input(first) => first.0,
+            Units::Compartments { first, .. } => first.0,
+        };
+        let firsts: Vec<u32> = network.populations().iter().map(first).collect();
         let rasters = network.populations().iter().enumerate();
         let rasters: Vec<Raster> = rasters
             .map(|(population, of)| {
@@ -145,13 +126,13 @@ impl Timeline {
         let keep = Keep { probes: traced.iter().map(probe).collect(), ..Keep::new(network.output()) };
         let meter = || Watch {
             recorder: Recorder::kept(metered, settings.clone(), &layout),
-            ranges: &ranges,
+            firsts: &firsts,
             rasters: rasters.clone(),
             steps: 0,
         };
         let run = metered.run_with(&[sample], Running::new(&keep), meter)?;
         let Watch { recorder, rasters, .. } = run.meter;
-        let rows = recorder.into_rows();
+        let rows = recorder.cells;
         let outcome = run.outcomes.into_iter().next().unwrap_or_default();
         Ok(Timeline { steps: (sample.steps(), all), layout, rows, rasters, traces: outcome.probes })
     }
@@ -196,16 +177,20 @@ mod tests {
                     meant[population].push((step, unit));
                     counts[population] += u64::from(copies);
                 };
-                let ranges = Ranges::new(network);
                 for channel in sample.at(step) {
-                    let (population, unit) = Ranges::find(&ranges.channels, channel.index()).unwrap();
-                    spiked(population, unit);
+                    let unit = |population: &Population| {
+                        let unit = channel.0.checked_sub(population.first_channel()?.0)?;
+                        (unit < population.shape.len()).then_some(unit)
+                    };
+                    let (place, unit) =
+                        network.populations().iter().enumerate().find_map(|(i, p)| Some((i, unit(p)?))).unwrap();
+                    spiked(place, unit);
                 }
                 let mut fired = golden.spikes().to_vec();
                 fired.sort_unstable();
                 for id in fired {
-                    let (population, unit) = Ranges::find(&ranges.compartments, id.index()).unwrap();
-                    spiked(population, unit);
+                    let (population, unit) = network.population_of(id);
+                    spiked(population.index(), unit);
                 }
                 assert_eq!(found.rows[step as usize * width..][..counts.len()], counts, "seed {seed}, step {step}");
             }

@@ -5,7 +5,7 @@
 //! more, to measure how near it came to firing: the share of the threshold that it reached is the
 //! change to make.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
 use crate::populations::{ByPopulation, PopulationCounts};
@@ -13,6 +13,7 @@ use crate::samples::{Running, fast};
 use crate::{Keep, Outcome};
 
 use nsim_dynamics as neuron;
+use nsim_files::table::count;
 use nsim_golden::Golden;
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Result;
@@ -20,7 +21,7 @@ use nsim_ir::base::fixed::{ThresholdMantissa, VmaxExponent};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::neurons::{NeuronKind, Storage};
 use nsim_ir::program::Program;
-use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
+use nsim_ir::quantised::{Neuron, Note, Population, Quantised, Units};
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
 
@@ -88,7 +89,6 @@ impl Nearest {
 }
 
 /// What to warn of.
-#[must_use]
 pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
     let mut found = Vec::new();
     let network = run.network;
@@ -122,16 +122,16 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         if row.cut > 0 {
             let mine = |(population, _): &&(PopulationId, String)| *population == id && row.cut == row.clipped;
             let place = first.as_ref().filter(mine).map_or("", |(_, place)| place);
-            add("clipped", format!("{} clipped{place}: {}", counted(row.cut, "voltage"), widen(network, id)));
+            add("clipped", format!("{} clipped{place}: {}", count(row.cut, "voltage"), widen(network, id)));
         }
         if row.wrapped > 0 {
             let place = first.as_ref().filter(|(population, _)| *population == id).map_or("", |(_, place)| place);
             let message = match network.populations()[id].message.bits() {
-                0 => format!("{} wrapped{place}: {HALVE}", counted(row.wrapped, "current or accumulator value")),
+                0 => format!("{} wrapped{place}: {HALVE}", count(row.wrapped, "current or accumulator value")),
                 bits => format!(
                     "{} wrapped, or were messages of more than {bits} bits, which are sent whole{place}: let the kind \
                      bound what it sends, or state more bits",
-                    counted(row.wrapped, "value")
+                    count(row.wrapped, "value")
                 ),
             };
             add("wrapped", message);
@@ -156,8 +156,12 @@ pub fn warnings_of(network: &Quantised, program: &Arc<Program>, samples: &[&Samp
     Ok(warnings(Finished { network, ran: Ran::Program(program), sums: &sums, samples, outcomes: &run.outcomes }))
 }
 
-fn counted(number: u64, thing: &str) -> String {
-    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+/// Whether any compartment of a population is so; an input has none.
+fn any_neuron(population: &Population, is_so: impl Fn(&Neuron) -> bool) -> bool {
+    match &population.units {
+        Units::Compartments { neurons, .. } => neurons.any(is_so),
+        Units::Input(_) => false,
+    }
 }
 
 /// Why the potentials of the output that they should decide by never leave zero.
@@ -176,14 +180,9 @@ fn still(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option
 fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let network = run.network;
     let populations = network.populations();
-    let mut sources: Vec<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
-    sources.sort_unstable();
-    sources.dedup();
+    let sources: BTreeSet<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
     let fired = |source: &PopulationId| spiking.contains(populations[*source].name.as_str());
-    let biased = match &populations[id].units {
-        Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.bias_mant.get() != 0),
-        Units::Input(_) => false,
-    };
+    let biased = any_neuron(&populations[id], |neuron| neuron.bias_mant.get() != 0);
     if sources.is_empty() && !biased {
         return Some("no projection leads to it; add one, or a bias".to_string());
     }
@@ -217,16 +216,11 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
             None => "all that reaches it sums to zero".to_string(),
         };
     }
-    let integrates = |units: &Units| match units {
-        Units::Compartments { neurons, .. } => !neurons.any(|neuron| neuron.vth != ThresholdMantissa::MAX),
-        Units::Input(_) => false,
-    };
-    if integrates(&network.populations()[id].units) {
+    if !any_neuron(population, |neuron| neuron.vth != ThresholdMantissa::MAX) {
         let advice = match id == network.parts().output {
             true => {
                 "as those of a layer that is read out by its potential: write `decision: GreatestV` (or SumOfV, \
-                 LastV) into \
-                 the model, or try it with --set decision=GreatestV"
+                 LastV) into the model, or try it with --set decision=GreatestV"
             }
             false => "at which nothing spikes: lower them (vth_mant), or remove the population, which sends nothing on",
         };
@@ -338,9 +332,7 @@ fn first_overflow(run: Finished<'_>) -> Option<(PopulationId, String)> {
 
 /// Outputs that never spike though samples of their class were shown.
 fn silent_classes(run: Finished<'_>) -> Option<String> {
-    let mut silent: Vec<u32> = run.samples.iter().filter_map(|sample| sample.label()).collect();
-    silent.sort_unstable();
-    silent.dedup();
+    let mut silent: BTreeSet<u32> = run.samples.iter().filter_map(|sample| sample.label()).collect();
     let fired =
         |class: u32| run.outcomes.iter().any(|outcome| outcome.counts.get(class as usize).is_none_or(|&n| n > 0));
     silent.retain(|&class| !fired(class));
@@ -363,12 +355,8 @@ const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vt
                      at half the values";
 
 /// What leaves room to voltages above.
-#[must_use]
 pub fn widen(network: &Quantised, id: PopulationId) -> String {
-    let narrow = match &network.populations()[id].units {
-        Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.vmax < VmaxExponent::MAX),
-        Units::Input(_) => false,
-    };
+    let narrow = any_neuron(&network.populations()[id], |neuron| neuron.vmax < VmaxExponent::MAX);
     if narrow { "raise vmax_exp".to_string() } else { HALVE.to_string() }
 }
 
@@ -397,10 +385,7 @@ fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
         }
         false => "double them and lower weight_exp by 1, which keeps odd weights",
     };
-    Some(format!(
-        "all {} were rounded, in {} by up to {:.2} % of the greatest: {change}",
-        counted(all.map(|rounded| rounded.weights).sum(), "weight"),
-        worst.0.entity,
-        100.0 * worst.1.worst_share,
-    ))
+    let weights = count(all.map(|rounded| rounded.weights).sum::<u64>(), "weight");
+    let (entity, percent) = (&worst.0.entity, 100.0 * worst.1.worst_share);
+    Some(format!("all {weights} were rounded, in {entity} by up to {percent:.2} % of the greatest: {change}"))
 }

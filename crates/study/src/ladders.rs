@@ -9,7 +9,6 @@
 
 use nsim_compile::{Options, Strategy, compile};
 use nsim_files::target::load_target;
-use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::rng;
 use nsim_ir::quantised::{Neuron, Quantised};
@@ -102,7 +101,6 @@ pub struct Row {
 }
 
 /// The rungs of all ladders, drawn by this seed, for up to this many threads.
-#[must_use]
 pub fn rungs(seed: u64, threads: usize) -> Vec<Rung> {
     let mut rungs = Vec::new();
     let base = |ladder: u64| {
@@ -182,7 +180,7 @@ impl Rung {
                 Class::Lists { fan_out, delays } => {
                     for place in 0..delays {
                         let synapses = random_synapses(size, fan_out / delays, seed + u64::from(place));
-                        net.connect(ends, 0, SignMode::Mixed, synapses)?;
+                        net.connect(ends, 0, synapses)?;
                         net.delay_last((place * LONGEST / delays.max(2)).into())?;
                     }
                 }

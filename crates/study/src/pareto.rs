@@ -423,12 +423,10 @@ fn with_weight_bits(graph: &Graph, bits: u8) -> Result<Graph, Error> {
 
 fn weights(kind: &ProjectionKind) -> Vec<f64> {
     match kind {
-        ProjectionKind::Dense { weights, .. } | ProjectionKind::Conv2d { weights, .. } => {
-            (0..weights.len()).map(|i| weights.real(i)).collect()
-        }
+        ProjectionKind::Dense { weights } | ProjectionKind::Conv2d { weights, .. } => weights.reals().collect(),
         ProjectionKind::Sparse { synapses } => synapses.iter().map(|synapse| synapse.2).collect(),
-        ProjectionKind::SumPool2d { weight, .. } => vec![weight.value],
-        ProjectionKind::Random { .. } => Vec::new(),
+        // These stay as they are.
+        ProjectionKind::SumPool2d { .. } | ProjectionKind::Random { .. } => Vec::new(),
     }
 }
 

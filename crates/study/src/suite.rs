@@ -36,9 +36,8 @@
 use crate::networks::builder::Builder;
 use crate::networks::layers::Layers;
 use crate::networks::{
-    BenchNetwork, BuildError, Random, conv_10m, dvs_gesture, independent_spikes, lava_pilotnet, random, vtsnn,
+    BenchNetwork, BuildError, Random, conv_10m, dvs_gesture, lava_pilotnet, random, vtsnn, with_spikes,
 };
-use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::rng;
 use nsim_ir::quantised::connectivity::Connectivity;
 
@@ -102,13 +101,11 @@ pub fn cases() -> Vec<SuiteCase> {
 }
 
 fn bench(net: Builder, target: &'static str) -> Result<BenchNetwork, BuildError> {
-    let network = net.build()?;
-    Ok(BenchNetwork { period: independent_spikes(&network, STEPS, (1, RARE))?, network, target })
+    with_spikes(net, STEPS, (1, RARE), target)
 }
 
 fn slip(name: &'static str) -> Result<BenchNetwork, BuildError> {
-    let bench = vtsnn(name, 5)?;
-    Ok(BenchNetwork { period: independent_spikes(&bench.network, STEPS, (1, RARE))?, ..bench })
+    bench(vtsnn(name)?, "nahuku-32")
 }
 
 fn container(name: &'static str) -> Result<BenchNetwork, BuildError> {
@@ -189,7 +186,7 @@ fn listed(
     let weight = |index: u64| -16 + 2 * rng::below(17, 6, index, 0) as i16;
     let weights = (0..all.len() as u64).map(weight).collect();
     let synapses = Connectivity::Sparse { first: first.into(), targets: all.into(), weights };
-    net.connect((neurons, neurons), 0, SignMode::Mixed, synapses)?;
+    net.connect((neurons, neurons), 0, synapses)?;
     net.delay_last(delay)?;
     bench(net, if compartments > 50_000 { "pohoiki-springs" } else { "nahuku-32" })
 }

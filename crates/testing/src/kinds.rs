@@ -175,7 +175,6 @@ const RESONATOR: &str = r#"state: [(name: "re", bits: 24, overflow: Clip), (name
 ///
 /// # Panics
 /// When the text of a kind is wrong.
-#[must_use]
 pub fn stated(kind: NeuronKind) -> NeuronKind {
     own(kind.name()).unwrap_or(kind)
 }
@@ -185,7 +184,6 @@ pub fn stated(kind: NeuronKind) -> NeuronKind {
 ///
 /// # Panics
 /// As [`stated`].
-#[must_use]
 pub fn own(name: &str) -> Option<NeuronKind> {
     let source = SourceText::new("kinds.ron", KINDS.replace("RESONATOR", RESONATOR));
     let kinds: Vec<MicrocodeKind> = parse(&source, "kinds").expect("kinds that hold");

@@ -6,10 +6,11 @@
 pub mod kinds;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use nsim_files::lower::lower;
 use nsim_files::network::{Network, NetworkFile};
+use nsim_files::target::load_target;
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
@@ -21,7 +22,7 @@ use nsim_ir::neurons::Port;
 use nsim_ir::program::{self, Program};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Parts, Population, Projection, Quantised, Reset, Units};
-use nsim_ir::resource::{Limits, OutputAxons, Packing, PerResource, Resource};
+use nsim_ir::resource::{Limits, Resource};
 use nsim_ir::spikes::Message;
 
 /// A model from its text.
@@ -35,33 +36,18 @@ pub fn graph(text: impl AsRef<str>) -> Graph {
     lower(&model(text)).unwrap()
 }
 
-/// The limits of a Loihi core as the shipped chip has them.
+/// The limits of a Loihi core as the shipped chip has them, with one synapse format more.
 pub fn limits() -> Limits {
-    let of = |resource| match resource {
-        Resource::Compartments => 1024,
-        Resource::AxonsIn | Resource::AxonsOut => 4096,
-        Resource::AxonsOutPerCompartment => 511,
-        Resource::SynapseWords => 16_384,
-        Resource::SynapseWordsPerAxon => 256,
-        Resource::SynapseFormats | Resource::ThresholdProfiles => 16,
-        Resource::CompartmentProfiles => 32,
-        Resource::Accumulators => 8192,
-        Resource::StoredSynapses => u32::MAX,
-    };
-    Limits {
-        most: PerResource::from_fn(of),
-        pools: Vec::new(),
-        axon_out_slots: 1,
-        axon_out_slots_off_chip: 2,
-        output_axons: OutputAxons::PerPosition { atoms: 32, more_slots: 1 },
-        synapses_per_entry: 64,
-        packing: Packing::Nengo,
-    }
+    static LIMITS: LazyLock<Limits> = LazyLock::new(|| {
+        let shipped = load_target("loihi1-chip").unwrap();
+        shipped.limits().clone().with(Resource::SynapseFormats, 16)
+    });
+    LIMITS.clone()
 }
 
 /// A board of Loihi chips with these limits.
 pub fn target(chips_x: u32, chips_y: u32, limits: Limits) -> Target {
-    let shipped = nsim_files::target::load_target("loihi1-chip").unwrap();
+    let shipped = load_target("loihi1-chip").unwrap();
     let chip = Chip { limits, ..shipped.chip().clone() };
     let file = TargetFile {
         name: "test-board".to_string(),
@@ -122,14 +108,12 @@ impl Default for Builder {
 
 impl Builder {
     /// Nothing yet.
-    #[must_use]
     pub fn new() -> Self {
         let parts = Parts { name: "test".to_string(), ..Parts::default() };
         Builder { parts, channels: 0, compartments: 0 }
     }
 
     /// The same with other semantics.
-    #[must_use]
     pub fn with(semantics: Semantics) -> Self {
         let mut builder = Builder::new();
         builder.parts.semantics = semantics;
@@ -258,7 +242,6 @@ impl Draw {
 }
 
 /// The parts of a program with a class for each core.
-#[must_use]
 pub fn without_classes(program: &Program) -> program::Parts {
     let mut parts = program.parts().clone();
     parts.classes = parts.cores.ids().map(|core| program.class_of(core).clone()).collect();

@@ -14,19 +14,18 @@ const JITTER: u64 = 4;
 const NOISE: u64 = 5;
 
 /// A variation of a sample; populations are moved in time together.
-#[must_use]
 pub fn vary(by: &AugmentDesc, inputs: &[Raster], seed: u64, sample: u64, epoch: u64) -> Vec<Raster> {
     let key = rng::bits(seed, sample, epoch);
-    let symmetric = |limit: u32, entity: u64, step: u64| {
+    let symmetric = |limit: u32, key: u64, entity: u64, step: u64| {
         rng::below(2 * u64::from(limit) + 1, key, entity, step) as i64 - i64::from(limit)
     };
-    let shift = symmetric(by.shift, SHIFT, 0);
+    let shift = symmetric(by.shift, key, SHIFT, 0);
     let factor = 1.0 + by.stretch * (2.0 * rng::unit(key, STRETCH, 0) - 1.0);
     let mut varied = Vec::with_capacity(inputs.len());
     for (population, raster) in inputs.iter().enumerate() {
         let key = rng::bits(key, population as u64, 0);
         let steps = raster.steps();
-        let mut events = Vec::with_capacity(raster.len());
+        let mut events = Vec::with_capacity(raster.count());
         let dropped: Vec<bool> =
             (0..raster.units() as u64).map(|unit| rng::unit(key, DROP_CHANNEL, unit) < by.drop_channel).collect();
         for (index, (step, unit)) in raster.events().enumerate() {
@@ -34,11 +33,8 @@ pub fn vary(by: &AugmentDesc, inputs: &[Raster], seed: u64, sample: u64, epoch: 
             if dropped[unit as usize] || by.drop_spike > 0.0 && rng::unit(key, SPIKE, index) < by.drop_spike {
                 continue;
             }
-            let moved = match by.jitter {
-                0 => shift,
-                jitter => shift + rng::below(2 * u64::from(jitter) + 1, key, JITTER, index) as i64 - i64::from(jitter),
-            };
-            let step = (f64::from(step) * factor).round() as i64 + moved;
+            let jitter = if by.jitter == 0 { 0 } else { symmetric(by.jitter, key, JITTER, index) };
+            let step = (f64::from(step) * factor).round() as i64 + shift + jitter;
             if let Ok(step) = u32::try_from(step) {
                 events.push((step, unit));
             }

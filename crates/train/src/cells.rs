@@ -67,7 +67,6 @@ pub enum Cells {
 impl Srm {
     /// Neurons with a response each and the refractory response of all; `kernel` says how they are
     /// applied, the first response being that of all when they are cut off.
-    #[must_use]
     pub fn new(theta: f64, responses: &[Alpha], refractory: Alpha, kernel: Kernel) -> Self {
         let taps = |alpha: &Alpha| alpha.truncated(EPSILON, LONGEST).into_iter().map(|tap| tap as f32).collect();
         let cut = |first| (taps(first), taps(&refractory));
@@ -82,7 +81,6 @@ impl Srm {
 
 impl Loihi {
     /// Compartments with these fields; a trained weight of 1 counts `weight_unit` units of 64.
-    #[must_use]
     pub fn new(fields: Vec<Fields>, theta: f32, weight_unit: f32, credit: CreditDesc) -> Self {
         let left = |d: Decay| (f64::from(4096 - d.get()) / 4096.0) as f32;
         let leaves = |f: &Fields| {
@@ -99,14 +97,12 @@ impl Loihi {
     }
 
     /// The register v of the first compartment at a potential of 1 in trained-weight units.
-    #[must_use]
     pub fn unit(&self) -> f32 {
         64.0 * self.weight_unit / self.leaves.first().map_or(1.0, |leaves| leaves.2)
     }
 }
 
 /// The greatest voltage that an input of 1 in one step leads to, without threshold and rounding.
-#[must_use]
 pub fn response_peak(du: Decay, dv: Decay) -> f64 {
     let left = |d: Decay| f64::from(4096 - d.get()) / 4096.0;
     let (mut u, mut v, mut peak) = (1.0, 1.0, 1.0f64);
@@ -125,8 +121,7 @@ pub fn response_peak(du: Decay, dv: Decay) -> f64 {
 
 impl Cells {
     /// Number of neurons.
-    #[must_use]
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         match self {
             Cells::Srm(srm) => srm.response.len(),
             Cells::Loihi(loihi) => loihi.fields.len(),
@@ -134,14 +129,7 @@ impl Cells {
         }
     }
 
-    /// Whether there is none.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
     /// The threshold in the units of the trained weights.
-    #[must_use]
     pub fn theta(&self) -> f32 {
         match self {
             Cells::Srm(srm) => srm.theta,
@@ -151,7 +139,6 @@ impl Cells {
     }
 
     /// The register that is read out at a potential of 1 in the units of the trained weights.
-    #[must_use]
     pub fn unit(&self) -> f32 {
         match self {
             Cells::Srm(_) => 1.0,
@@ -161,7 +148,6 @@ impl Cells {
     }
 
     /// The first neuron's response to a weight of 1, by steps.
-    #[must_use]
     pub fn kernel(&self, steps: usize) -> Vec<f32> {
         let mut one = self.clone();
         match &mut one {
@@ -187,7 +173,6 @@ impl Cells {
 
     /// Steps from a spike of another layer to the update that it enters: a Loihi compartment's
     /// spike takes one step, an SRM layer answers in the same (its kernel is 0 at 0).
-    #[must_use]
     pub fn lag(&self) -> usize {
         match self {
             Cells::Srm(_) => 0,
@@ -198,7 +183,7 @@ impl Cells {
     /// Potentials and spikes of a layer whose input in each step is `drive`, `[step][neuron]`; for
     /// Loihi cells in the units of [`update`], whole numbers below 2^24.
     pub fn forward(&self, drive: &[f32], surrogate: &Surrogate, spiking: Spiking, trace: &mut Trace) {
-        let n = self.len();
+        let n = self.count();
         trace.potential.clear();
         trace.potential.resize(drive.len(), 0.0);
         trace.state.clear();
@@ -244,8 +229,7 @@ impl Srm {
         let (decay, gain) = self.refractory;
         let (mut first, mut second) = (vec![0.0f32; n], vec![0.0f32; n]);
         for t in 0..drive.len() / n.max(1) {
-            let (past, now) = trace.potential.split_at_mut(t * n);
-            let now = &mut now[..n];
+            let now = &mut trace.potential[t * n..][..n];
             match &self.truncated {
                 None => {
                     for ((u, q), r) in now.iter_mut().zip(&mut first).zip(&mut second) {
@@ -266,7 +250,6 @@ impl Srm {
                     }
                 }
             }
-            debug_assert_eq!(past.len(), t * n);
             for (j, u) in now.iter().enumerate() {
                 if *u >= self.theta {
                     first[j] += 1.0;
@@ -293,13 +276,20 @@ impl Srm {
             }
             return;
         }
+        out.copy_from_slice(drive);
+        self.filter(out.chunks_exact_mut(n));
+    }
+
+    /// `eps` by its recursions, step by step in place.
+    fn filter<'a>(&self, steps: impl Iterator<Item = &'a mut [f32]>) {
+        let n = self.response.len();
         let (mut first, mut second) = (vec![0.0f32; n], vec![0.0f32; n]);
-        for (z, u) in drive.chunks_exact(n).zip(out.chunks_exact_mut(n)) {
+        for values in steps {
             for j in 0..n {
                 let (decay, gain) = self.response[j];
                 second[j] = decay * (second[j] + first[j]);
-                first[j] = decay * first[j] + z[j];
-                u[j] = gain * second[j];
+                first[j] = decay * first[j] + values[j];
+                values[j] = gain * second[j];
             }
         }
     }
@@ -322,15 +312,7 @@ impl Srm {
             }
             return;
         }
-        let (mut first, mut second) = (vec![0.0f32; n], vec![0.0f32; n]);
-        for e in error.rchunks_exact_mut(n) {
-            for j in 0..n {
-                let (decay, gain) = self.response[j];
-                second[j] = decay * (second[j] + first[j]);
-                first[j] = decay * first[j] + e[j];
-                e[j] = gain * second[j];
-            }
-        }
+        self.filter(error.rchunks_exact_mut(n));
     }
 }
 
@@ -407,8 +389,7 @@ impl Loihi {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::plan;
-    use nsim_files::training::TrainingFile;
+    use crate::plan::planned;
     use nsim_ir::base::rng;
 
     fn cells(neuron: &str, size: usize) -> Cells {
@@ -417,9 +398,7 @@ mod tests {
             layers: [(name: \"l\", from: [\"i\"], size: {size})], neuron: {neuron},
             loss: SpikeCount(right: 1, wrong: 0), optimiser: Adam(rate: 1), batch: 1, epochs: 1, seed: 1)"
         );
-        let source = nsim_ir::base::diagnostic::SourceText::new("x", text);
-        let file = TrainingFile::parse(&source).unwrap();
-        plan(&file, &source).unwrap().topology.layers[0].cells.clone()
+        planned(&text).topology.layers.remove(0).cells
     }
 
     fn random(seed: u64, n: usize) -> Vec<f32> {

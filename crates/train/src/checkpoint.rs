@@ -28,7 +28,6 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// A digest of a training's plan and samples. What is digested of the plan is written out field by
 /// field under names of its own: renaming a type invalidates no stored checkpoint.
-#[must_use]
 pub fn fingerprint(plan: &Plan, examples: &[Example]) -> String {
     let mut hash = Sha256::new();
     hash.update(described(plan).to_string());

@@ -8,7 +8,6 @@ use super::network::{Layer, Topology, Weights};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_files::training::{LayerDesc, LossDesc, NeuronDesc, TimesDesc, TrainingFile};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::quantised::Neuron;
 
 /// The model of trained weights.
 ///
@@ -25,7 +24,7 @@ pub fn model(file: &TrainingFile, topology: &Topology, weights: &Weights, proven
             Some(mantissas) => f64::from(mantissas.mantissa(w) / 2),
             None => w.into(),
         });
-        let kind = ProjectionKind::Dense(tensor(vec![layer.cells.len(), layer.fan_in], numbers.collect()));
+        let kind = ProjectionKind::Dense(tensor(vec![layer.cells.count(), layer.fan_in], numbers.collect()));
         model.projections.push(ProjectionDesc {
             from: desc.from.clone(),
             weight_exp: layer.mantissas.as_ref().map(|mantissas| mantissas.exponent.get().into()),
@@ -48,7 +47,7 @@ pub fn model(file: &TrainingFile, topology: &Topology, weights: &Weights, proven
 
 /// Weights in the order of model files, `[target][source]`.
 fn by_target<'a>(layer: &'a Layer, weights: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
-    let n = layer.cells.len();
+    let n = layer.cells.count();
     (0..n).flat_map(move |target| (0..layer.fan_in).map(move |source| weights[source * n + target]))
 }
 
@@ -56,16 +55,12 @@ fn population(file: &TrainingFile, desc: &LayerDesc, layer: &Layer) -> Result<Po
     let shape = vec![desc.size.into()];
     match (&layer.cells, desc.neuron.as_ref().unwrap_or(&file.neuron)) {
         (Cells::Loihi(loihi), _) => {
-            let of = |field: fn(&Neuron) -> f64| {
-                Parameter::from_values(loihi.fields.iter().map(|f| field(&f.neuron)).collect())
+            let of = |name: &str| -> Vec<f64> {
+                loihi.fields.iter().map(|fields| fields.neuron.parameter(name) as f64).collect()
             };
-            let parameters = vec![
-                ("du", of(|n| n.du.get().into())),
-                ("dv", of(|n| n.dv.get().into())),
-                ("vth_mant", of(|n| n.vth.get().into())),
-                ("refractory", of(|n| n.refractory.get().into())),
-            ];
-            Ok(PopulationDesc::loihi(&desc.name, shape, parameters))
+            let parameters =
+                ["du", "dv", "vth_mant", "refractory"].map(|name| (name, Parameter::from_values(of(name))));
+            Ok(PopulationDesc::loihi(&desc.name, shape, parameters.to_vec()))
         }
         (Cells::Loihi2(loihi2), _) => {
             let of = |place: usize| Parameter::from_values(loihi2.rows.iter().map(|row| row.0[place].into()).collect());

@@ -20,6 +20,7 @@ use super::network::{Deployed, Topology, Weights, Workspace};
 use super::optimiser::{Moments, Optimiser};
 use super::raster::Raster;
 use nsim_files::training::AugmentDesc;
+use nsim_ir::base::folds::permutation;
 use nsim_ir::base::rng;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
@@ -35,7 +36,6 @@ pub struct Example {
 
 impl Example {
     /// A sample as the inputs of a network see it; none without a label.
-    #[must_use]
     pub fn from_sample(network: &Quantised, sample: &Sample) -> Option<Example> {
         let inputs = network.inputs().map(|(_, population)| {
             let units = population.shape.len();
@@ -137,15 +137,6 @@ pub struct EpochRow {
     pub accuracy: f64,
 }
 
-/// How well a network does.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Score {
-    /// Share of samples that are right.
-    pub accuracy: f64,
-    /// Classes, `None` where the output decides for none.
-    pub predicted: Vec<Option<u32>>,
-}
-
 /// Streams of the plan's seed.
 const INITIAL: u64 = 1 << 32;
 const ORDER: u64 = 2 << 32;
@@ -154,7 +145,6 @@ const DROPOUT: u64 = 4;
 
 impl Plan {
     /// The state before the first epoch, with initial weights.
-    #[must_use]
     pub fn start(&self) -> TrainingState {
         let mut weights = self.topology.zeros();
         for (index, (layer, weights)) in self.topology.layers.iter().zip(&mut weights).enumerate() {
@@ -167,23 +157,17 @@ impl Plan {
     }
 
     /// The state before the first epoch, with given weights.
-    #[must_use]
     pub fn start_from(&self, weights: Weights) -> TrainingState {
         let zeros = self.topology.zeros();
         let moments = Moments { first: zeros.clone(), second: zeros, steps: 0 };
         TrainingState { epoch: 0, average: weights.clone(), weights, moments, history: Vec::new() }
     }
 
-    /// One epoch over the examples.
-    pub fn epoch(&self, state: &mut TrainingState, examples: &[Example], workers: &mut Vec<Workspace>) {
-        let Ok(()) = self.epoch_through(&self.topology, state, examples, workers);
-    }
-
-    /// One epoch over the examples, run forward by another network than the trained one.
+    /// One epoch over the examples, run forward by the trained network or by another.
     ///
     /// # Errors
     /// Where the weights have no such network; the epoch is then unfinished.
-    pub fn epoch_through<F: Forward>(
+    pub fn epoch<F: Forward>(
         &self,
         forward: &F,
         state: &mut TrainingState,
@@ -257,7 +241,7 @@ impl Plan {
         let hidden = &self.topology.layers[..self.topology.layers.len() - 1];
         work.factors.extend(hidden.iter().zip(0u64..).map(|(layer, number)| {
             let drawn = |unit: u64| rng::unit(seed, index, number << 32 | unit) < f64::from(self.dropout);
-            (0..layer.cells.len() as u64).map(|unit| if drawn(unit) { 0.0 } else { kept }).collect()
+            (0..layer.cells.count() as u64).map(|unit| if drawn(unit) { 0.0 } else { kept }).collect()
         }));
     }
 
@@ -285,25 +269,12 @@ impl Plan {
         (loss, right)
     }
 
-    /// Runs the remaining epochs; `after` sees the state after each and may return false to stop.
-    pub fn run(&self, state: &mut TrainingState, examples: &[Example], mut after: impl FnMut(&TrainingState) -> bool) {
-        let mut workers = Vec::new();
-        while state.epoch < self.epochs {
-            self.epoch(state, examples, &mut workers);
-            if !after(state) {
-                return;
-            }
-        }
-    }
-
     /// The weights that are deployed.
-    #[must_use]
     pub fn result<'a>(&self, state: &'a TrainingState) -> &'a Weights {
         if self.averaging > 0.0 { &state.average } else { &state.weights }
     }
 
     /// The output spikes and the class of each example.
-    #[must_use]
     pub fn outputs(&self, weights: &Weights, examples: &[Example]) -> Vec<(Raster, Option<u32>)> {
         let deployed = self.topology.deploy(weights, Spiking::Hard);
         let run = |work: &mut Workspace, example: &Example| {
@@ -313,31 +284,18 @@ impl Plan {
         examples.par_iter().map_init(|| Workspace::new(&self.topology), run).collect()
     }
 
-    /// How many of the examples are right.
-    #[must_use]
-    pub fn score(&self, weights: &Weights, examples: &[Example]) -> Score {
+    /// The share of the examples that is right.
+    pub fn accuracy(&self, weights: &Weights, examples: &[Example]) -> f64 {
         let outputs = self.outputs(weights, examples);
-        let predicted: Vec<Option<u32>> = outputs.iter().map(|(_, class)| *class).collect();
-        let right = predicted.iter().zip(examples).filter(|(class, example)| **class == Some(example.label)).count();
-        Score { accuracy: right as f64 / examples.len().max(1) as f64, predicted }
+        let right = outputs.iter().zip(examples).filter(|((_, class), example)| *class == Some(example.label)).count();
+        right as f64 / examples.len().max(1) as f64
     }
-}
-
-/// 0..n in an order that the seed decides (Fisher and Yates).
-fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..n).collect();
-    for i in (1..n).rev() {
-        order.swap(i, rng::below(i as u64 + 1, seed, stream, i as u64) as usize);
-    }
-    order
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::plan;
-    use nsim_files::training::TrainingFile;
-    use nsim_ir::base::diagnostic::SourceText;
+    use crate::plan::planned;
 
     #[test]
     fn dropout_keeps_the_mean_and_is_drawn_by_sample_and_epoch() {
@@ -345,8 +303,7 @@ mod tests {
             layers: [(name: \"h\", from: [\"a\"], size: 500), (name: \"o\", from: [\"h\"], size: 3)],
             neuron: Loihi(tau_u_ms: Same(3), tau_v_ms: Same(5), weight_scale: 16, theta: 10),
             loss: SpikeCount(right: 6, wrong: 1), optimiser: Adam(rate: 1), dropout: 0.4, batch: 1, epochs: 1, seed: 7)";
-        let source = SourceText::new("x", text);
-        let plan = plan(&TrainingFile::parse(&source).unwrap(), &source).unwrap();
+        let plan = planned(text);
         let mut work = Workspace::new(&plan.topology);
         let mut drawn = |sample, epoch| {
             plan.drop_units(sample, epoch, &mut work);

@@ -179,14 +179,12 @@ impl Job {
     }
 
     /// Stratified folds of samples from a fixed seed: the same for every setting.
-    #[must_use]
     pub fn folds(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
         let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();
         Job::folds_by_label(&labels, k)
     }
 
     /// The same of samples of which only the labels are known.
-    #[must_use]
     pub fn folds_by_label(labels: &[u32], k: u32) -> Vec<Vec<usize>> {
         stratified_folds(labels, k as usize, FOLD_SEED)
     }
@@ -203,7 +201,7 @@ impl Job {
         mut each: impl FnMut(&Plan, &[Example]) -> Result<TrainingState>,
     ) -> Result<Trained> {
         let weights = self.plan.result(&state);
-        let score = |examples: &[Example]| self.plan.score(weights, examples).accuracy;
+        let score = |examples: &[Example]| self.plan.accuracy(weights, examples);
         let test_accuracy = (!data.test.is_empty()).then(|| score(&data.test));
         let seen = if data.test.is_empty() { &data.train } else { &data.test };
         let outcome = |(output, _): &(Raster, _)| Outcome { spikes: output.events().collect(), ..Outcome::default() };
@@ -261,7 +259,6 @@ impl Job {
 }
 
 /// Where the weights of a model file are.
-#[must_use]
 pub fn weights_path(model: &Path) -> PathBuf {
     model.with_extension("safetensors")
 }
@@ -284,12 +281,11 @@ pub fn cross_validate(
     };
     let state = train(plan, &part(false))?;
     let weights = plan.result(&state).clone();
-    Ok((plan.score(&weights, &part(true)).accuracy, weights))
+    Ok((plan.accuracy(&weights, &part(true)), weights))
 }
 
 impl Checkpoint {
     /// The file in which a training of these samples is saved.
-    #[must_use]
     pub fn new(path: &Path, plan: &Plan, examples: &[Example]) -> Self {
         Checkpoint { path: path.to_path_buf(), fingerprint: checkpoint::fingerprint(plan, examples) }
     }
@@ -323,16 +319,15 @@ pub fn train(
     let begin = Instant::now();
     let state = kept.map(|kept| checkpoint::load(&kept.path, plan, &kept.fingerprint)).transpose()?.flatten();
     let mut state = state.unwrap_or_else(|| plan.start());
-    let mut saved = Ok(());
-    plan.run(&mut state, examples, |state| {
-        after(state);
+    let mut workers = Vec::new();
+    while state.epoch < plan.epochs {
+        let Ok(()) = plan.epoch(&plan.topology, &mut state, examples, &mut workers);
+        after(&state);
         if let Some(kept) = kept
             && (state.epoch.is_multiple_of(10) || state.epoch == plan.epochs)
         {
-            saved = kept.save(state);
+            kept.save(&state)?;
         }
-        saved.is_ok()
-    });
-    saved?;
+    }
     Ok((state, begin.elapsed().as_secs_f64()))
 }

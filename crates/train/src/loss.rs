@@ -72,7 +72,6 @@ pub struct Loss {
 
 impl Loss {
     /// The class that an output decides for, as `nsim run` decides.
-    #[must_use]
     pub fn class(&self, trace: &Trace) -> Option<u32> {
         match self.potentials(trace) {
             Some(potentials) => potentials.class(),
@@ -176,7 +175,6 @@ fn squares(excess: &[f32]) -> f64 {
 }
 
 /// The output with most spikes, the lowest on a tie, none when silent, as `nsim run` decides.
-#[must_use]
 pub fn class_of(counts: &[f32]) -> Option<u32> {
     let most = counts.iter().copied().fold(0.0, f32::max);
     (most > 0.0).then(|| counts.iter().position(|&count| count == most).map(|class| class as u32)).flatten()

@@ -34,19 +34,16 @@ pub struct Mantissas {
 impl Mantissas {
     /// The nearest even mantissa of 8 signed bits, ties to even multiples of 2 (as
     /// `nsim_quantise::quantise` rounds).
-    #[must_use]
     pub fn mantissa(&self, weight: f32) -> i16 {
         (2.0 * (weight * self.scale / 2.0).round_ties_even()).clamp(-256.0, 254.0) as i16
     }
 
     /// What a mantissa adds, in units of 64.
-    #[must_use]
     pub fn adds(&self, mantissa: i16) -> i32 {
         scaled_weight(mantissa, self.exponent) >> 6
     }
 
     /// What a trained weight of 1 adds, in units of 64.
-    #[must_use]
     pub fn unit(&self) -> f32 {
         self.scale * f32::from(self.exponent.get()).exp2()
     }
@@ -83,30 +80,27 @@ pub type Weights = Vec<Vec<f32>>;
 
 impl Topology {
     /// Number of outputs.
-    #[must_use]
     pub fn classes(&self) -> usize {
-        self.layers.last().map_or(0, |layer| layer.cells.len())
+        self.layers.last().map_or(0, |layer| layer.cells.count())
     }
 
     /// Weights of zero.
-    #[must_use]
     pub fn zeros(&self) -> Weights {
-        self.layers.iter().map(|layer| vec![0.0; layer.fan_in * layer.cells.len()]).collect()
+        self.layers.iter().map(|layer| vec![0.0; layer.fan_in * layer.cells.count()]).collect()
     }
 
     fn size_of(&self, source: Source) -> usize {
         match source {
             Source::Input(input) => self.inputs[input],
-            Source::Layer(layer) => self.layers[layer].cells.len(),
+            Source::Layer(layer) => self.layers[layer].cells.count(),
         }
     }
 
     /// The weights that the forward pass multiplies with, computed once a minibatch.
-    #[must_use]
     pub fn deploy(&self, weights: &Weights, spiking: Spiking) -> Deployed {
         let mut deployed = Deployed::default();
         for (layer, trained) in self.layers.iter().zip(weights) {
-            let n = layer.cells.len();
+            let n = layer.cells.count();
             let (adds, means): (Vec<f32>, Vec<f32>) = match &layer.mantissas {
                 Some(m) if spiking == Spiking::Hard => {
                     let adds: Vec<f32> = trained.iter().map(|&w| m.adds(m.mantissa(w)) as f32).collect();
@@ -154,7 +148,6 @@ pub struct Workspace {
 
 impl Workspace {
     /// For a network.
-    #[must_use]
     pub fn new(topology: &Topology) -> Self {
         Workspace {
             traces: topology.layers.iter().map(|_| Trace::default()).collect(),
@@ -165,7 +158,6 @@ impl Workspace {
     }
 
     /// The trace of the last layer.
-    #[must_use]
     pub fn output(&self) -> &Trace {
         &self.traces[self.traces.len() - 1]
     }
@@ -186,7 +178,7 @@ impl Topology {
     pub fn forward(&self, deployed: &Deployed, inputs: &[Raster], spiking: Spiking, work: &mut Workspace) {
         let steps = inputs.first().map_or(0, Raster::steps);
         for (index, layer) in self.layers.iter().enumerate() {
-            let n = layer.cells.len();
+            let n = layer.cells.count();
             let rows = &deployed.adds[index];
             work.drive.clear();
             work.drive.resize(steps * n, 0.0);
@@ -218,13 +210,13 @@ impl Topology {
         let steps = inputs.first().map_or(0, Raster::steps);
         let last = self.layers.len() - 1;
         for index in 0..last {
-            let size = steps * self.layers[index].cells.len();
+            let size = steps * self.layers[index].cells.count();
             work.errors[index].clear();
             work.errors[index].resize(size, 0.0);
         }
         for index in (0..self.layers.len()).rev() {
             let layer = &self.layers[index];
-            let n = layer.cells.len();
+            let n = layer.cells.count();
             let (earlier_errors, from) = work.errors.split_at_mut(index);
             let error = &mut from[0];
             if let Some(factors) = work.factors.get(index) {
@@ -284,20 +276,16 @@ fn factor(factors: Option<&[f32]>, unit: usize) -> f32 {
 mod tests {
     use super::*;
     use crate::fit::Plan;
-    use crate::plan::plan;
-    use nsim_files::training::TrainingFile;
-    use nsim_ir::base::diagnostic::SourceText;
+    use crate::plan::planned;
     use nsim_ir::base::rng;
 
     fn smooth_plan(neuron: &str, output: &str, loss: &str) -> Plan {
-        let text = format!(
+        planned(&format!(
             "Training(name: \"x\", timestep_ms: 1, inputs: [(name: \"a\", shape: [5]), (name: \"b\", shape: [7])],
             layers: [(name: \"p\", from: [\"a\"], size: 4), (name: \"q\", from: [\"b\"], size: 3),
                      (name: \"o\", from: [\"p\", \"b\", \"q\"], size: 3{output})],
             neuron: {neuron}, loss: {loss}, optimiser: Adam(rate: 1), surrogate: (0.5, 0.5), batch: 1, epochs: 1, seed: 7)"
-        );
-        let source = SourceText::new("x", text);
-        plan(&TrainingFile::parse(&source).unwrap(), &source).unwrap()
+        ))
     }
 
     /// The gradient of the smoothed network against central differences of its loss.

@@ -69,7 +69,7 @@ pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
                 fan_in += inputs[input];
             } else if let Some(layer) = layers.iter().position(|layer| &layer.name == name) {
                 sources.push(Source::Layer(layer));
-                fan_in += layers[layer].cells.len();
+                fan_in += layers[layer].cells.count();
             } else {
                 let message = format!("layer '{}' reads '{name}', which is no input and no layer before it", desc.name);
                 return Err(problems.at("train.layer", desc.span, message));
@@ -287,4 +287,11 @@ fn loihi2(
     let (rows, turns) = build(threshold);
     let (theta, weight_unit, unit) = (theta as f32, mantissas.unit(), unit as f32);
     Ok((Cells::Loihi2(Loihi2 { kind, rows, turns, theta, weight_unit, unit }), Some(mantissas)))
+}
+
+/// The plan of a training file's text.
+#[cfg(test)]
+pub(super) fn planned(text: &str) -> Plan {
+    let source = SourceText::new("x", text);
+    plan(&TrainingFile::parse(&source).unwrap(), &source).unwrap()
 }

@@ -16,13 +16,11 @@ pub struct Raster {
 
 impl Raster {
     /// A raster without steps, to be filled by [`Raster::push`] and [`Raster::end_step`].
-    #[must_use]
     pub fn new(units: usize) -> Self {
         Raster { units, first: vec![0], unit: Vec::new(), value: Vec::new() }
     }
 
     /// Spikes from (step, unit) pairs; duplicates count once, pairs outside are dropped.
-    #[must_use]
     pub fn from_events(units: usize, steps: usize, mut events: Vec<(u32, u32)>) -> Self {
         events.retain(|&(step, unit)| (step as usize) < steps && (unit as usize) < units);
         events.sort_unstable();
@@ -59,27 +57,18 @@ impl Raster {
     }
 
     /// Number of channels or neurons.
-    #[must_use]
     pub fn units(&self) -> usize {
         self.units
     }
 
     /// Number of timesteps.
-    #[must_use]
     pub fn steps(&self) -> usize {
         self.first.len() - 1
     }
 
     /// Number of events.
-    #[must_use]
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.unit.len()
-    }
-
-    /// Whether nothing happens.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.unit.is_empty()
     }
 
     /// (unit, value) of the events of a step, in ascending order of units.
@@ -94,7 +83,6 @@ impl Raster {
     }
 
     /// Summed values of each unit.
-    #[must_use]
     pub fn counts(&self) -> Vec<f32> {
         let mut counts = vec![0.0; self.units];
         for (&unit, &value) in self.unit.iter().zip(&self.value) {
@@ -111,7 +99,7 @@ mod tests {
     #[test]
     fn events_are_grouped_and_counted_once() {
         let raster = Raster::from_events(3, 4, vec![(2, 1), (0, 2), (2, 0), (2, 1), (4, 0), (1, 3)]);
-        assert_eq!((raster.steps(), raster.len(), raster.units()), (4, 3, 3));
+        assert_eq!((raster.steps(), raster.count(), raster.units()), (4, 3, 3));
         assert_eq!(raster.at(2).collect::<Vec<_>>(), [(0, 1.0), (1, 1.0)]);
         assert_eq!(raster.events().collect::<Vec<_>>(), [(0, 2), (2, 0), (2, 1)]);
         assert_eq!(raster.counts(), [1.0, 1.0, 1.0]);

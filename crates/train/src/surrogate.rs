@@ -20,20 +20,17 @@ impl Surrogate {
     }
 
     /// For a threshold; `tau_rho` is the width in thresholds.
-    #[must_use]
     pub fn new(theta: f32, tau_rho: f32, scale_rho: f32) -> Self {
         Surrogate { theta, steepness: 1.0 / (tau_rho * theta), scale: scale_rho }
     }
 
     /// The surrogate derivative at a potential.
     #[inline]
-    #[must_use]
     pub fn slope(&self, u: f32) -> f32 {
         self.scale * self.steepness * exp_minus(((u - self.theta) * self.steepness).abs())
     }
 
     /// The integral of [`Surrogate::slope`], which the smoothed network uses as its spike.
-    #[must_use]
     pub fn smooth(&self, u: f32) -> f32 {
         let x = (u - self.theta) * self.steepness;
         self.scale * if x < 0.0 { exp_minus(-x) } else { 2.0 - exp_minus(x) }
@@ -41,14 +38,12 @@ impl Surrogate {
 
     /// A pulse at 0 of area 1, as wide as the slope: what a zero crossing has instead of a step.
     #[inline]
-    #[must_use]
     pub fn pulse(&self, x: f32) -> f32 {
         0.5 * self.steepness * exp_minus((x * self.steepness).abs())
     }
 
     /// The derivative of [`Surrogate::pulse`].
     #[inline]
-    #[must_use]
     pub fn pulse_slope(&self, x: f32) -> f32 {
         -self.steepness * x.signum() * self.pulse(x)
     }

@@ -23,7 +23,6 @@ pub struct Trace {
 
 impl Trace {
     /// The trace of another network in place of these neurons; potentials are `[step][neuron]`.
-    #[must_use]
     pub fn of_stand_in(potential: Vec<f32>, spikes: Raster) -> Trace {
         // Credit of spike response neurons does not depend on what a neuron did.
         Trace { potential, spikes, ..Trace::default() }

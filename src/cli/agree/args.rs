@@ -87,8 +87,12 @@ pub struct Args {
 pub(super) fn answer(args: &Args, report: &AgreeReport<'_>) -> Answer {
     let fired = report.layers.iter().any(|row| row.comparison.tally.spikes_a > 0);
     let exact = fired && report.layers.iter().all(|row| row.comparison.first_divergence.is_none());
-    let enough =
-        args.require_class_agreement.is_none_or(|share| report.class_agreement().is_some_and(|is| is >= share));
+    within_bounds(args, report.class_agreement(), exact)
+}
+
+/// The same, of the share of samples of the same class and of whether every spike is the same.
+pub(super) fn within_bounds(args: &Args, class_agreement: Option<f64>, exact: bool) -> Answer {
+    let enough = args.require_class_agreement.is_none_or(|share| class_agreement.is_some_and(|is| is >= share));
     if enough && (exact || !args.require_exact) { Answer::Yes } else { Answer::No }
 }
 

@@ -12,14 +12,13 @@ use std::path::Path;
 
 use crate::cli::agree::args::{answer, deployed_warnings, draw};
 use crate::cli::args::input::select;
-use crate::cli::args::jobs::Refusal;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_agree::attribution::attribute;
 use nsim_agree::compare::{Counterpart, Deployed, compare, output_layer};
 use nsim_agree::ladder::layers;
-use nsim_compile::{CompileError, Form, Options, compile};
+use nsim_compile::Form;
 use nsim_files::target::target_with_neurons;
 use nsim_import::spikes::read_source;
 use nsim_ir::graph::Graph;
@@ -66,38 +65,22 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let wanted = args.calibration_samples as usize;
     let integers = args.conversion.integers((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
     let ladder = integers.ladder(&graph)?;
-    let compiled = match compile(ladder.deployed().clone(), &target, &Options::default()) {
-        Ok(compiled) => compiled,
-        Err(CompileError::DoesNotFit(reasons)) => {
-            return Refusal::new(&args.model, target, reasons).say(nsim_report::agree::nothing(), context);
-        }
-        Err(other) => return Err(other.into()),
-    };
+    let Some(compiled) = models::deployed(&args.model, ladder.deployed(), on)? else { return Ok(Answer::No) };
     let attributed = against.is_real() && matches!(args.attribution, Switch::On);
     if args.plot_causes.is_some() && !attributed {
         let message =
             "--plot-causes draws the causes of disagreement, which --against srm or cuba has, with --attribution on";
         return Err(Error::Usage(message.to_string()));
     }
-    let program = &compiled.program;
-    let deployed = Deployed {
-        graph: &graph,
-        fits: &integers.fits,
-        ladder: &ladder,
-        program,
-        samples: &samples,
-        steps: args.steps,
-    };
+    let (fits, program, steps) = (&integers.fits, &compiled.program, args.steps);
+    let deployed = Deployed { graph: &graph, fits, ladder: &ladder, program, samples: &samples, steps };
     let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
     output::warn_all(&deployed_warnings(&compiled, &samples)?);
-    let attribution = match attributed {
-        true => {
-            let some = &samples[..samples.len().min(args.attribution_samples as usize)];
-            let _busy = output::busy("attributing the disagreement to causes");
-            Some(attribute(&ladder, &output_layer(ladder.deployed()), some))
-        }
-        false => None,
-    };
+    let some = &samples[..samples.len().min(args.attribution_samples as usize)];
+    let attribution = attributed.then(|| {
+        let _busy = output::busy("attributing the disagreement to causes");
+        attribute(&ladder, &output_layer(ladder.deployed()), some)
+    });
     let words = output::typed();
     let drawn = ["--plot".to_string(), "first.svg".to_string()];
     let closer = args.plot.is_none().then(|| words.iter().cloned().chain(drawn).collect());
@@ -107,10 +90,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         conversion: (args.conversion.conversion, args.conversion.copies.most()),
         closer,
     };
-    let next = attribution.as_ref().and_then(|attribution| {
-        let some = &samples[..samples.len().min(args.attribution_samples as usize)];
-        next(&typed, (&graph, &ladder), attribution, some)
-    });
+    let next = attribution.as_ref().and_then(|attribution| next(&typed, (&graph, &ladder), attribution, some));
     if let (Some(path), Some(attribution)) = (&args.plot_causes, &attribution) {
         let svg = nsim_report::agree::bars(&graph.facts().name, attribution);
         output::write_picture(path, &svg, context)?;
@@ -122,7 +102,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         found: integers.found.as_ref(),
         fits: &named_fits(&graph, &integers.fits),
         attribution: attribution.as_ref(),
-        attribution_samples: samples.len().min(args.attribution_samples as usize),
+        attribution_samples: some.len(),
         next: next.as_ref(),
         files: &files,
         target: Some(target.name()),

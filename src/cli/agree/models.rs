@@ -7,11 +7,11 @@
 
 use std::path::Path;
 
-use crate::cli::agree::args::{Args, answer, deployed_warnings, draw};
+use crate::cli::agree::args::{Args, answer, deployed_warnings, draw, within_bounds};
 use crate::cli::args::jobs::Refusal;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use nsim_agree::compare::{Agreement, compare_models};
+use nsim_agree::compare::compare_models;
 use nsim_compile::{CompileError, Form, Mapping, Options, compile};
 use nsim_files as io;
 use nsim_import::kind::FileKind;
@@ -48,71 +48,50 @@ pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
     Ok(models)
 }
 
-/// Why networks are not compared: one does not fit, which is an answer, or something cannot be
-/// used.
-enum Obstacle {
-    Refused(Refusal),
-    Error(Error),
-}
-
-impl<E: Into<Error>> From<E> for Obstacle {
-    fn from(error: E) -> Self {
-        Obstacle::Error(error.into())
-    }
-}
-
-impl Obstacle {
-    fn say(self, context: Context) -> Result<Answer, Error> {
-        match self {
-            Obstacle::Refused(refusal) => refusal.say(nsim_report::agree::nothing(), context),
-            Obstacle::Error(error) => Err(error),
-        }
-    }
-}
-
-/// A network on simulated cores.
-fn deployed(model: &str, network: &Quantised, target: &Target) -> Result<Mapping, Obstacle> {
+/// A network on simulated cores; none where it does not fit, which is said.
+pub(super) fn deployed(
+    model: &str,
+    network: &Quantised,
+    (target, context): (&Target, Context),
+) -> Result<Option<Mapping>, Error> {
     match compile(network.clone(), target, &Options::default()) {
-        Ok(compiled) => Ok(compiled),
-        Err(CompileError::DoesNotFit(reasons)) => Err(Obstacle::Refused(Refusal::new(model, target.clone(), reasons))),
+        Ok(compiled) => Ok(Some(compiled)),
+        Err(CompileError::DoesNotFit(reasons)) => {
+            Refusal::new(model, target.clone(), reasons).say(nsim_report::agree::nothing(), context)?;
+            Ok(None)
+        }
         Err(other) => Err(other.into()),
     }
 }
 
-/// A model file on simulated cores.
-struct Other {
-    name: String,
-    role: &'static str,
-    cores: usize,
-}
-
-/// The network as it was trained, and other files in integers, each compared with it.
+/// The network as it was trained, and other files in integers, each compared with it, and what it
+/// is; none where one of them does not fit.
 fn compared(
     args: &Args,
     (graph, integers): (&Graph, &Quantised),
     files: &[&str],
     samples: &[&Sample],
     (target, context): (&Target, Context),
-) -> Result<Vec<(Agreement, Other)>, Obstacle> {
+) -> Result<Option<Vec<(Compared, &'static str)>>, Error> {
     // A network in real numbers is not mapped: it runs as it was trained.
-    let mapped = match is_real(graph) {
-        true => None,
-        false => Some(deployed(&args.model, integers, target)?),
-    };
+    let mapped = if is_real(graph) { None } else { deployed(&args.model, integers, (target, context))? };
+    if mapped.is_none() && !is_real(graph) {
+        return Ok(None);
+    }
     let mut all = Vec::new();
     for file in files {
         let (trained, second) = real_and_integers(&args.timestep.load(file)?)?;
         Form::require_written("nsim agree", &second, 1)?;
-        let compiled = deployed(file, &second, target)?;
+        let Some(compiled) = deployed(file, &second, (target, context))? else { return Ok(None) };
         let first = (graph, integers, mapped.as_ref().map(|mapped| &mapped.program));
         let agreement = output::with_progress(context, samples.len(), "samples", |done| {
             compare_models(first, (&second, &compiled.program), samples, args.steps, done)
         })?;
         output::warn_all(&deployed_warnings(&compiled, samples)?);
-        let name = second.parts().name.clone();
-        all.push((agreement, Other { name, role: role(&trained), cores: compiled.program.cores().len() }));
+        let (against, name) = ((*file).to_string(), second.parts().name.clone());
+        all.push((Compared { against, name, cores: compiled.program.cores().len(), agreement }, role(&trained)));
     }
-    Ok(all)
+    Ok(Some(all))
 }
 
 /// A network as it was trained beside another model file.
@@ -123,14 +102,13 @@ pub(super) fn with_one(
     (stimulus, samples): (&Stimulus, &[&Sample]),
     (target, context): (&Target, Context),
 ) -> Result<Answer, Error> {
-    let mut all = match compared(args, (graph, integers), &[other], samples, (target, context)) {
-        Ok(all) => all,
-        Err(obstacle) => return obstacle.say(context),
+    let all = compared(args, (graph, integers), &[other], samples, (target, context))?;
+    let Some((Compared { name, agreement, .. }, second)) = all.and_then(|mut all| all.pop()) else {
+        return Ok(Answer::No);
     };
-    let Some((agreement, second)) = all.pop() else { return Ok(Answer::No) };
     let files = draw(args, &graph.facts().name, &agreement.layers, context)?;
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
-    let two = AgreeReport::of_two([(&graph.facts().name, role(graph)), (&second.name, second.role)], shown, &agreement);
+    let two = AgreeReport::of_two([(&graph.facts().name, role(graph)), (&name, second)], shown, &agreement);
     let report = AgreeReport { files: &files, target: Some(target.name()), ..two };
     report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
     if args.plot.as_deref().is_none_or(|path| !io::text::is_standard_stream(path)) {
@@ -151,26 +129,15 @@ pub(super) fn with_several(
         let message = "--plot, --plot-causes and --update show one comparison: give one --against";
         return Err(Error::Usage(message.to_string()));
     }
-    let all = match compared(args, (graph, integers), files, samples, (target, context)) {
-        Ok(all) => all,
-        Err(obstacle) => return obstacle.say(context),
-    };
-    let row = |(file, (agreement, other)): (&&str, (Agreement, Other))| Compared {
-        against: (*file).to_string(),
-        name: other.name,
-        cores: other.cores,
-        agreement,
-    };
+    let all = compared(args, (graph, integers), files, samples, (target, context))?;
+    let Some(all) = all else { return Ok(Answer::No) };
     let report = SideBySideReport {
         model: &graph.facts().name,
         input: &stimulus.origin,
         seed: stimulus.seed,
         samples: samples.len(),
-        networks: files.iter().zip(all).map(row).collect(),
+        networks: all.into_iter().map(|(compared, _)| compared).collect(),
     };
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
-    let enough = args
-        .require_class_agreement
-        .is_none_or(|share| report.class_agreement().is_some_and(|agreement| agreement >= share));
-    Ok(if enough && (report.exact() || !args.require_exact) { Answer::Yes } else { Answer::No })
+    Ok(within_bounds(args, report.class_agreement(), report.exact()))
 }

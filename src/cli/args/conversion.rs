@@ -28,7 +28,6 @@ pub struct CopiesArgs {
 
 impl CopiesArgs {
     /// The greatest number of copies.
-    #[must_use]
     pub fn most(&self) -> usize {
         self.delayed_copies as usize
     }

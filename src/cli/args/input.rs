@@ -1,6 +1,8 @@
 //! `--input` and what goes with it: which samples a run takes.
 
-use crate::cli::args::values::SampleRange;
+use std::ops::Range;
+
+use crate::cli::args::values::sample_range;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_quantise::prune::check_stimulus;
@@ -18,8 +20,8 @@ pub struct InputArgs {
     #[arg(long, value_name = "FILE.npy", requires = "input")]
     pub labels: Option<String>,
     /// Only these samples, such as 0..20
-    #[arg(long, value_name = "A..B")]
-    pub samples: Option<SampleRange>,
+    #[arg(long, value_name = "A..B", value_parser = sample_range)]
+    pub samples: Option<Range<usize>>,
     /// Run all samples N times; each starts from rest
     #[arg(
         long, value_name = "N", default_value_t = 1,
@@ -40,9 +42,8 @@ impl InputArgs {
         let mut sources = self.input.clone();
         if let (Some(labels), Some(first)) = (&self.labels, sources.first_mut()) {
             if labels.contains(['?', '&']) || first.contains("scene:") {
-                return Err(Error::Usage(format!(
-                    "--labels {labels}: labels are a file beside recordings, without ? and &"
-                )));
+                let message = "labels are a file beside recordings, without ? and &";
+                return Err(Error::Usage(format!("--labels {labels}: {message}")));
             }
             let begun = first.rsplit_once('?').is_some_and(|(_, query)| query.contains('='));
             *first = format!("{first}{}labels={labels}", if begun { '&' } else { '?' });
@@ -51,7 +52,6 @@ impl InputArgs {
     }
 
     /// The options that give these samples again.
-    #[must_use]
     pub fn words(&self) -> Vec<String> {
         let sources = self.sources().unwrap_or_default().into_iter().map(|source| ("--input", source));
         let options = sources.chain(self.seed.map(|seed| ("--seed", seed.to_string())));
@@ -72,13 +72,10 @@ pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sam
 /// # Errors
 /// [`Error::Usage`] when the range holds no sample, `input.too-many`.
 pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Error> {
-    let range = args.samples.as_ref().map_or(0..usize::MAX, |range| range.0.clone());
+    let range = args.samples.clone().unwrap_or(0..usize::MAX);
     if range.end != usize::MAX && range.end > samples {
-        let (start, end) = (range.start, range.end);
-        return Err(Error::Usage(format!(
-            "--samples {start}..{end}: there are {samples} samples, 0 to {}",
-            samples.max(1) - 1
-        )));
+        let (start, end, last) = (range.start, range.end, samples.max(1) - 1);
+        return Err(Error::Usage(format!("--samples {start}..{end}: there are {samples} samples, 0 to {last}")));
     }
     let chosen = range.start..range.end.min(samples);
     if chosen.is_empty() {
@@ -92,7 +89,7 @@ pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Er
 /// # Errors
 /// `input.pruned`.
 pub fn check_pruned(network: &Quantised, samples: &[&Sample], args: &InputArgs) -> Result<(), Error> {
-    let first = args.samples.as_ref().map_or(0, |range| range.0.start);
+    let first = args.samples.as_ref().map_or(0, |range| range.start);
     let once = samples.len() / args.repeat as usize;
     Ok(check_stimulus(network, &samples[..once], first)?)
 }

@@ -70,7 +70,6 @@ pub struct JobArgs {
 
 impl JobArgs {
     /// A model on the default target, unpruned.
-    #[must_use]
     pub fn for_model(model: &str) -> Self {
         JobArgs {
             model: model.to_string(),
@@ -84,7 +83,6 @@ impl JobArgs {
     }
 
     /// What is asked for, of a network that has been loaded.
-    #[must_use]
     pub fn request<'a>(&'a self, network: &'a Network, integers: Integers<'a>) -> Request<'a> {
         Request {
             target: TargetChoice::Named(self.target.as_deref()),
@@ -116,14 +114,12 @@ pub struct Refusal {
 
 impl Refusal {
     /// That this model does not fit this target for these reasons, to the user of this command.
-    #[must_use]
     pub fn new(model: &str, target: Target, mut reasons: Vec<Reason>) -> Self {
         reasons.iter_mut().for_each(|reason| reason.help = with_owners(&reason.help));
         Refusal { model: model.to_string(), target: Box::new(target), reasons }
     }
 
     /// The reasons.
-    #[must_use]
     pub fn reasons(&self) -> &[Reason] {
         &self.reasons
     }

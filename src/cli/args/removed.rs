@@ -42,7 +42,6 @@ pub const REMOVED: &[(&str, &str)] = &[
 ];
 
 /// An error of clap, or what to use instead where a removed name is its cause.
-#[must_use]
 pub fn explained(error: clap::Error, line: &[OsString], command: &mut clap::Command) -> clap::Error {
     let wrong = [ContextKind::InvalidSubcommand, ContextKind::InvalidArg, ContextKind::InvalidValue];
     let is_cause = |word: &str| {

@@ -10,7 +10,6 @@ use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim_session::error::Error;
 
 /// Whether a name is that of a saved result.
-#[must_use]
 pub fn is_result(name: &str) -> bool {
     Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
 }

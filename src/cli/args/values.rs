@@ -1,20 +1,9 @@
 //! Values that are typed: a switch, a range of samples, a duration.
 
 use std::ops::Range;
-use std::str::FromStr;
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-
-/// Values of a type that has no names of its own, each with the name that is typed.
-pub fn one_of_named<T: Clone + Send + Sync + 'static>(
-    values: &'static [(&'static str, T)],
-) -> impl TypedValueParser<Value = T> {
-    PossibleValuesParser::new(values.iter().map(|(name, _)| *name)).try_map(|typed| {
-        let found = values.iter().find(|(name, _)| *name == typed);
-        found.map(|(_, value)| value.clone()).ok_or("unknown value")
-    })
-}
 
 /// On or off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -35,18 +24,15 @@ pub fn one_of<T: Copy + Send + Sync + 'static>(
 }
 
 /// `A..B` of samples.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SampleRange(pub Range<usize>);
-
-impl FromStr for SampleRange {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("'{text}' is not a range of samples such as 0..20");
-        let (from, to) = text.split_once("..").ok_or_else(wrong)?;
-        let from = if from.is_empty() { 0 } else { from.parse().map_err(|_| wrong())? };
-        let to = if to.is_empty() { usize::MAX } else { to.parse().map_err(|_| wrong())? };
-        if from >= to { Err(wrong()) } else { Ok(SampleRange(from..to)) }
-    }
+///
+/// # Errors
+/// What a range is.
+pub fn sample_range(text: &str) -> Result<Range<usize>, String> {
+    let wrong = || format!("'{text}' is not a range of samples such as 0..20");
+    let (from, to) = text.split_once("..").ok_or_else(wrong)?;
+    let from = if from.is_empty() { 0 } else { from.parse().map_err(|_| wrong())? };
+    let to = if to.is_empty() { usize::MAX } else { to.parse().map_err(|_| wrong())? };
+    if from >= to { Err(wrong()) } else { Ok(from..to) }
 }
 
 /// Seconds as an argument.
@@ -66,10 +52,10 @@ mod tests {
 
     #[test]
     fn ranges_of_samples_parse() {
-        assert_eq!("0..20".parse(), Ok(SampleRange(0..20)));
-        assert_eq!("5..".parse(), Ok(SampleRange(5..usize::MAX)));
+        assert_eq!(sample_range("0..20"), Ok(0..20));
+        assert_eq!(sample_range("5.."), Ok(5..usize::MAX));
         for bad in ["", "3", "4..4", "5..2", "a..b"] {
-            assert!(bad.parse::<SampleRange>().is_err(), "{bad}");
+            assert!(sample_range(bad).is_err(), "{bad}");
         }
     }
 }

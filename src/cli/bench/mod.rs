@@ -31,8 +31,8 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
-use nsim_report::bench::mapping::MapReport;
-use nsim_report::bench::step::{StepReport, StepRow};
+use nsim_report::bench as report;
+use nsim_report::bench::step::StepRow;
 use nsim_session::error::Error;
 use nsim_session::ranks::part_of;
 use nsim_study::mapping;
@@ -63,7 +63,6 @@ pub struct Args {
 
 impl Args {
     /// Whether several processes can share the work.
-    #[must_use]
     pub fn has_ranks(&self) -> bool {
         matches!(self.bench, Which::Step(_))
     }
@@ -128,7 +127,7 @@ pub struct StepArgs {
 }
 
 fn standard(name: &str) -> Result<StandardNetwork, String> {
-    StandardNetwork::named(name).ok_or_else(|| {
+    StandardNetwork::ALL.into_iter().find(|standard| standard.name() == name).ok_or_else(|| {
         let names: Vec<&str> = StandardNetwork::ALL.iter().map(|standard| standard.name()).collect();
         format!("standard networks are: {}", names.join(", "))
     })
@@ -173,8 +172,9 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
         }
         Ok::<_, Error>(rows)
     })?;
-    let report = MapReport { environment: &environment, rows: &rows };
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    let json = || report::mapping::json(&environment, &rows);
+    let text = || report::mapping::text(&environment, &rows);
+    output::print(context.format, text, json, || report::mapping::csv_of(&json()))?;
     Ok(Answer::Yes)
 }
 
@@ -207,8 +207,9 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     }
     bar.finish_and_clear();
     ranks::leave_to_first();
-    let report = StepReport { environment: &environment, rows: &rows };
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    let json = || report::step::json(&environment, &rows);
+    let text = || report::step::text(&environment, &rows);
+    output::print(context.format, text, json, || report::step::csv_of(&json()))?;
     Ok(Answer::Yes)
 }
 

@@ -104,7 +104,7 @@ fn priced(
         Prepared::Ready(job) => job,
         Prepared::DoesNotFit(refusal) => return Ok(Err(refusal.reasons().iter().map(Refused::from).collect())),
     };
-    let workload = workload(&prepared, &args.input)?;
+    let workload = workload(&prepared, None, &args.input)?;
     let plan = Plan::new(&args.model, None, Some(1))?;
     let options =
         CostOptions { mode: args.mode, host: args.host, accounting: args.accounting, ..CostOptions::usual(Some(&[]))? };

@@ -7,7 +7,7 @@ use crate::cli::args::jobs::{JobArgs, Prepared};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::args::CostArgs;
-use crate::cli::energy::workload::{simulate, simulate_recorded, workload, workload_of};
+use crate::cli::energy::workload::{simulate, simulate_recorded, workload};
 use crate::cli::output;
 use crate::cli::process::ranks;
 use nsim_energy::evaluate;
@@ -46,14 +46,8 @@ pub fn evaluate(
         }
     };
     // The network of a published job is mapped as that was.
-    let of_job = match job.mapped() {
-        Some((compiled, target)) => plan.job_mapped(compiled, target)?.map(|compiled| (compiled, target)),
-        None => None,
-    };
-    let workload = match &of_job {
-        Some((compiled, target)) => workload_of((compiled, target), &job, &args.input)?,
-        None => workload(&job, &args.input)?,
-    };
+    let of_job = job.mapped().map(|(compiled, target)| plan.job_mapped(compiled, target)).transpose()?.flatten();
+    let workload = workload(&job, of_job.as_ref(), &args.input)?;
     // Other hardware runs the network without what the chip needs, such as relays.
     let alone = match of_job.is_some() || options.baselines.cpu && workload.copies > 1 {
         true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, Some(1), &[])?),

@@ -75,7 +75,6 @@ mod tests {
     use nsim_files::network::USUAL_TARGET;
 
     use super::*;
-    use crate::cli::args::values::SampleRange;
     use nsim_cost::job::{Accounting, Convention, Mode};
     use nsim_energy::published::scenario::shipped_for;
 
@@ -108,7 +107,7 @@ mod tests {
     fn arguments_parse_or_are_refused() {
         let given =
             args(&["m.ron", "--samples", "3..5", "--deployment", "saved.ron", "--baseline", "a,b"]).unwrap().cost;
-        assert_eq!((given.input.samples, given.deployment), (Some(SampleRange(3..5)), Some("saved.ron".to_string())));
+        assert_eq!((given.input.samples, given.deployment), (Some(3..5), Some("saved.ron".to_string())));
         assert_eq!(given.baseline, Some(vec!["a".to_string(), "b".to_string()]));
         assert_eq!(args(&["--baseline"]).unwrap().cost.baseline, Some(vec![]));
         for wrong in

@@ -12,7 +12,6 @@ use nsim_compile::Mapping;
 use nsim_cost::{MeterSettings, StepMeter};
 use nsim_energy::workload::Workload;
 use nsim_files as io;
-use nsim_ir::hardware::Target;
 use nsim_ir::spikes::Sample;
 use nsim_session::decision::EarlyExit;
 use nsim_session::error::Error;
@@ -20,26 +19,15 @@ use nsim_session::obtain::Job;
 use nsim_session::samples::{Run, Running};
 use nsim_session::{Keep, inputs};
 
-/// A mapped job with its input.
+/// A mapped job, or another mapping of its network, with its input.
 ///
 /// # Errors
 /// [`Error`] when the input cannot be used.
-pub fn workload<'j>(job: &'j Job, input: &InputArgs) -> Result<Workload<'j>, Error> {
+pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs) -> Result<Workload<'j>, Error> {
     let Some((compiled, target)) = job.mapped() else {
         return Err(Error::Fault("energy needs a mapped job".to_string()));
     };
-    workload_of((compiled, target), job, input)
-}
-
-/// The same of another mapping of the job's network.
-///
-/// # Errors
-/// As [`workload`].
-pub fn workload_of<'j>(
-    (compiled, target): (&'j Mapping, &'j Target),
-    job: &Job,
-    input: &InputArgs,
-) -> Result<Workload<'j>, Error> {
+    let compiled = other.unwrap_or(compiled);
     let stimulus = inputs::stimulus(&compiled.one, &input.sources()?, job.scene(), input.seed)?;
     let order = select_numbers(stimulus.samples.len(), input)?;
     let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();

@@ -15,7 +15,7 @@ use nsim_import::foreign::hdf5::{Group, Item};
 use nsim_import::foreign::{Imported, Options, torch};
 use nsim_import::kind::{EventFormat, FileKind, RECORDINGS};
 use nsim_import::spikes::EventOptions;
-use nsim_import::spikes::events::event::{Counts, Event, Remark, Sink};
+use nsim_import::spikes::events::event::{Counts, Event, Sink};
 use nsim_import::spikes::events::{nir_data, read};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::inspect::{Findings, FindingsTable, number};
@@ -79,8 +79,7 @@ pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<F
 fn unknown(kind: FileKind) -> Diagnostic {
     Diagnostic::new("inspect.kind", format!("this is {kind}, which is not inspected")).help(format!(
         "known are .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; {RECORDINGS}; \
-         folders of \
-         recordings"
+         folders of recordings"
     ))
 }
 
@@ -93,12 +92,11 @@ fn found(kind: &'static str, importable: Option<String>, rows: Vec<Vec<Value>>) 
 /// Whether a file becomes a model as it is, in words.
 fn import_summary(imported: &Result<Imported, Diagnostic>) -> String {
     match imported {
-        Ok(Imported { model, .. }) => format!(
-            "as it is: {} populations, {} projections, timestep {} ms",
-            model.populations.len(),
-            model.projections.len(),
-            model.timestep_ms
-        ),
+        Ok(Imported { model, .. }) => {
+            let (populations, projections) = (model.populations.len(), model.projections.len());
+            let timestep = model.timestep_ms;
+            format!("as it is: {populations} populations, {projections} projections, timestep {timestep} ms")
+        }
         Err(problem) => {
             let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
             format!("not as it is: {}{help}", problem.message)
@@ -162,8 +160,8 @@ impl Sink for Extent {
         Ok(())
     }
 
-    fn remark(&mut self, remark: Remark) {
-        self.counts.remark(remark);
+    fn counts(&mut self) -> &mut Counts {
+        &mut self.counts
     }
 }
 

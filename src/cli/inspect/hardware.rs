@@ -145,6 +145,7 @@ pub(super) fn baseline_findings(baseline: &Baseline) -> Findings {
         let figures = figures.into_iter().chain(printed).map(|figure| json!(figure.value));
         std::iter::once(json!(row.mode.name())).chain(figures).collect()
     });
+    let columns = &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"];
     Findings {
         kind: "baseline",
         facts: vec![
@@ -158,10 +159,6 @@ pub(super) fn baseline_findings(baseline: &Baseline) -> Findings {
             ("source", json!(file.source)),
             ("notes", json!(file.notes)),
         ],
-        tables: vec![FindingsTable::new(
-            "rows",
-            &["mode", "static_mw", "dynamic_mw", "total_mw", "latency_us", "printed_energy_uj", "printed_edp"],
-            rows,
-        )],
+        tables: vec![FindingsTable::new("rows", columns, rows)],
     }
 }

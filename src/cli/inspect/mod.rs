@@ -7,7 +7,7 @@
 mod foreign;
 mod hardware;
 pub mod help;
-mod network;
+pub(in crate::cli) mod network;
 pub mod show;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -37,7 +37,6 @@ use nsim_ir::locate::root_name;
 use nsim_ir::mapping::check_unchanged;
 use nsim_ir::mapping::{MappingFile, PrunedFile, Run};
 use nsim_ir::stimulus::{InputArg, InputSource};
-use nsim_ir::tensor::Tensor;
 use nsim_report::inspect::{Findings, FindingsTable, number};
 use nsim_session::error::Error;
 
@@ -66,12 +65,8 @@ pub struct Args {
 /// When the file cannot be read, or its kind is not known.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let findings = inspect(&args.file, args.timestep.dt_ms)?;
-    output::print(
-        context.format,
-        || findings.text(&args.file),
-        || findings.json("nsim.inspect/1", &args.file),
-        || findings.csv(),
-    )?;
+    let json = || findings.json("nsim.inspect/1", &args.file);
+    output::print(context.format, || findings.text(&args.file), json, || findings.csv())?;
     Ok(Answer::Yes)
 }
 
@@ -117,9 +112,8 @@ fn inspect_shipped(name: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnosti
             return inspect_ron(found.source(), Origin::Shipped, dt_ms);
         }
     }
-    let mut names: Vec<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
-    names.sort_unstable();
-    names.dedup();
+    let names: BTreeSet<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
+    let names: Vec<&str> = names.into_iter().collect();
     Err(Diagnostic::new("inspect.unknown", format!("there is no file and nothing shipped named '{name}'"))
         .help(format!("shipped are: {}", names.join(", "))))
 }
@@ -138,18 +132,15 @@ fn inspect_ron(source: SourceText, origin: Origin, dt_ms: Option<f64>) -> Result
             Ok(mapping_findings(&mapping))
         }
         "DataSet" => Ok(dataset_findings(&manifest::from_source(source)?)),
-        other => Err(Diagnostic::new(
-            "inspect.kind",
-            if other.is_empty() {
-                "the file does not say what it is".to_string()
-            } else {
-                format!("'{other}' is not a kind of file of nsim")
-            },
-        )
-        .help(
-            "a .ron file begins with Network(, Target(, Chip(, Constants(, Baseline(, Scenario(, Mapping( or DataSet(",
-        )
-        .in_file(source.path())),
+        other => {
+            let message = match other {
+                "" => "the file does not say what it is".to_string(),
+                other => format!("'{other}' is not a kind of file of nsim"),
+            };
+            let begins = "Network(, Target(, Chip(, Constants(, Baseline(, Scenario(, Mapping( or DataSet(";
+            let help = format!("a .ron file begins with {begins}");
+            Err(Diagnostic::new("inspect.kind", message).help(help).in_file(source.path()))
+        }
     }
 }
 
@@ -232,16 +223,11 @@ fn dataset_findings(manifest: &spikes::Manifest) -> Findings {
     }
 }
 
-/// Least, greatest, and how many are not zero.
-fn value_range(tensor: &Tensor) -> (Option<f64>, Option<f64>, usize) {
-    let non_zero = tensor.reals().filter(|&x| x != 0.0).count();
-    (tensor.reals().reduce(f64::min), tensor.reals().reduce(f64::max), non_zero)
-}
-
 fn inspect_npy(path: &Path) -> Result<Findings, Diagnostic> {
     let array = npy::open(path)?;
     let (dtype, tensor) = (array.dtype(), array.tensor()?);
-    let (least, greatest, non_zero) = value_range(&tensor);
+    let (least, greatest) = (tensor.reals().reduce(f64::min), tensor.reals().reduce(f64::max));
+    let non_zero = tensor.reals().filter(|&x| x != 0.0).count();
     let density = (!tensor.is_empty()).then(|| non_zero as f64 / tensor.len() as f64);
     Ok(Findings {
         kind: "npy",
@@ -305,9 +291,7 @@ fn inspect_folder(path: &Path, options: &EventOptions) -> Result<Findings, Diagn
             shapes.push(array.shape().to_vec());
         }
     }
-    let mut steps: Vec<usize> = shapes.iter().filter_map(|shape| shape.last().copied()).collect();
-    steps.sort_unstable();
-    steps.dedup();
+    let steps: BTreeSet<usize> = shapes.iter().filter_map(|shape| shape.last().copied()).collect();
     let arrays = !shapes.is_empty();
     let mut facts = vec![
         ("samples", json!(listed.len())),

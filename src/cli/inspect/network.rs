@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use serde_json::{Value, json};
 
-use nsim_files::network::{Network, Parameter, ProjectionDesc, ProjectionKind};
+use nsim_files::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_report::inspect::{Findings, FindingsTable};
 
 fn units_of(shape: &[u64]) -> Option<u64> {
@@ -56,22 +56,22 @@ fn synapses(network: &Network, shapes: &HashMap<&str, &[u64]>, projection: &Proj
     }
 }
 
+/// What a population is, and its parameters, in words.
+pub(in crate::cli) fn kind_and_parameters(population: &PopulationDesc) -> (String, String) {
+    let real = population.srm.into_iter().flatten().map(|(name, x)| format!("{name} {x}"));
+    let parameters = population.loihi.iter().flatten().map(|(name, parameter)| match parameter {
+        Parameter::Same(x) => format!("{name} {x}"),
+        Parameter::Each(_) | Parameter::From(_) => format!("{name} each"),
+    });
+    (population.kind_name().to_lowercase(), parameters.chain(real).collect::<Vec<_>>().join(", "))
+}
+
 pub(super) fn network_findings(network: &Network) -> Findings {
     let file = network.file();
-    let populations: Vec<Value> = file
-        .populations
-        .iter()
-        .map(|population| {
-            let real = population.srm.into_iter().flatten().map(|(name, x)| format!("{name} {x}"));
-            let parameters = population.loihi.iter().flatten().map(|(name, parameter)| match parameter {
-                Parameter::Same(x) => format!("{name} {x}"),
-                Parameter::Each(_) | Parameter::From(_) => format!("{name} each"),
-            });
-            let parameters = parameters.chain(real).collect::<Vec<_>>().join(", ");
-            let (kind, shape) = (population.kind_name().to_lowercase(), &population.shape);
-            json!([population.name, kind, shape, units_of(shape), parameters])
-        })
-        .collect();
+    let populations = file.populations.iter().map(|population| {
+        let ((kind, parameters), shape) = (kind_and_parameters(population), &population.shape);
+        json!([population.name, kind, shape, units_of(shape), parameters])
+    });
     let shapes = file.populations.iter().map(|one| (one.name.as_str(), one.shape.as_slice())).collect();
     let projections: Vec<Value> = file
         .projections

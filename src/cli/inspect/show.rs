@@ -80,10 +80,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let Some(name) = &args.name else {
         let names: Vec<&str> = all().map(without_extension).collect();
         let text = match context.format {
-            Format::Json => {
-                let object = json!({ "schema": "nsim.show/1", "names": names });
-                format!("{object:#}\n")
-            }
+            Format::Json => format!("{:#}\n", json!({ "schema": "nsim.show/1", "names": names })),
             _ => names.iter().map(|name| format!("{name}\n")).collect(),
         };
         io::write::stdout(&text)?;
@@ -147,11 +144,9 @@ fn find(name: &str) -> Result<&'static Shipped, Error> {
         [] => Err(Error::Usage(format!("no shipped file is called {name}; nsim show lists them"))),
         several => {
             let names: Vec<&str> = several.iter().map(|file| without_extension(file)).collect();
-            Err(Error::Usage(format!(
-                "{name} is the name of several files; type one, as in nsim show {}: {}",
-                names[0],
-                names.join(", ")
-            )))
+            let (first, names) = (names[0], names.join(", "));
+            let help = format!("type one, as in nsim show {first}: {names}");
+            Err(Error::Usage(format!("{name} is the name of several files; {help}")))
         }
     }
 }

@@ -168,14 +168,10 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
         let Some((compiled, target)) = job.mapped() else {
             return Err(Error::Fault("a map needs a mapped job".to_string()));
         };
-        return write(
-            args,
-            &board::svg(compiled, target, &compiled.links_at(&Rates::assumed(DEFAULT_RATE))),
-            taken,
-            context,
-        );
+        let links = compiled.links_at(&Rates::assumed(DEFAULT_RATE));
+        return write(args, &board::svg(compiled, target, &links), taken, context);
     }
-    let workload = workload(&job, &cost.input)?;
+    let workload = workload(&job, None, &cost.input)?;
     let network = &workload.compiled.one;
     let samples = workload.samples();
     let Some(sample) = samples.first() else {
@@ -187,7 +183,7 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
         let quantity = if args.what == What::Messages { Quantity::Message } else { Quantity::V };
         workload.timeline(settings, sample, (ids, quantity))
     };
-    let number = cost.input.samples.as_ref().map_or(0, |range| range.0.start);
+    let number = cost.input.samples.as_ref().map_or(0, |range| range.start);
     let label = sample.label().map_or(String::new(), |label| {
         let name = network.parts().classes.get(label as usize).cloned().unwrap_or_else(|| label.to_string());
         format!(", class {name}")

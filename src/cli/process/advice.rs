@@ -25,7 +25,6 @@ pub fn runs(matches: &ArgMatches, all: fn() -> Commands) {
 }
 
 /// Advice of the running command.
-#[must_use]
 pub fn with_owners(advice: &str) -> String {
     match RUNS.get() {
         Some((runs, all)) if advice.contains("--") => completed(advice, runs, &all()),

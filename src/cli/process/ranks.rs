@@ -27,6 +27,7 @@ const HEARING: Duration = Duration::from_millis(10);
 #[cfg(feature = "mpi")]
 const LONGEST: u32 = 4;
 
+/// The job that this process is one rank of, several or not.
 static HERE: OnceLock<Ranks> = OnceLock::new();
 /// Whether rank 0 needs the whole program.
 static WHOLE: AtomicBool = AtomicBool::new(false);
@@ -40,15 +41,9 @@ pub fn start() {
     }
 }
 
-/// The job that this process is one rank of, several or not.
-fn here() -> Option<&'static Ranks> {
-    HERE.get()
-}
-
 /// The processes of the job, where there are several.
-#[must_use]
 pub fn several() -> Option<&'static Ranks> {
-    here().filter(|ranks| ranks.ranks() > 1)
+    HERE.get().filter(|ranks| ranks.ranks() > 1)
 }
 
 /// Refuses what runs in one process.
@@ -56,12 +51,8 @@ pub fn several() -> Option<&'static Ranks> {
 /// # Errors
 /// [`Error::Usage`] where there are several.
 pub fn alone(what: &str) -> Result<(), Error> {
-    match several() {
-        None => Ok(()),
-        Some(_) => {
-            Err(Error::Usage(format!("{what} runs in one process: start it without mpirun or srun, or with one task")))
-        }
-    }
+    let message = || format!("{what} runs in one process: start it without mpirun or srun, or with one task");
+    several().map_or(Ok(()), |_| Err(Error::Usage(message())))
 }
 
 /// Lets rank 0 hold the whole program, which prices it.
@@ -70,7 +61,6 @@ pub fn price() {
 }
 
 /// What of a program this process is to hold.
-#[must_use]
 pub fn share() -> Share {
     several().map_or(Share::ALL, |ranks| {
         let whole = ranks.rank() == 0 && WHOLE.load(Ordering::SeqCst);
@@ -79,9 +69,8 @@ pub fn share() -> Share {
 }
 
 /// What each process held in a run; also where one is all of a job.
-#[must_use]
 pub fn rows(of_run: &[RankRow], program: Option<&Program>) -> Vec<RankRow> {
-    match (here(), program) {
+    match (HERE.get(), program) {
         (Some(_), Some(program)) if of_run.is_empty() => vec![RankRow::here(program, 0)],
         _ => of_run.to_vec(),
     }
@@ -98,7 +87,7 @@ pub fn leave_to_first() {
 /// Leaves the job in peace, once every rank does.
 pub fn finish() {
     #[cfg(feature = "mpi")]
-    if here().is_some() {
+    if HERE.get().is_some() {
         nsim_machine::ranks::mpi::finish();
     }
 }
@@ -122,7 +111,6 @@ pub fn before_failing() {
 }
 
 /// Whether a signal that ends this process has been said, or is said, by another.
-#[must_use]
 pub fn is_said_elsewhere() -> bool {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = several() {

@@ -28,7 +28,6 @@ static LAST: Mutex<Option<Last>> = Mutex::new(None);
 pub struct Ending(());
 
 /// What a signal does before it ends the process, until the value is dropped.
-#[must_use]
 pub fn at_end(last: impl FnOnce() -> Option<String> + Send + 'static) -> Ending {
     if let Ok(mut place) = LAST.lock() {
         *place = Some(Box::new(last));

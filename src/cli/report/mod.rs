@@ -60,10 +60,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return saved_results(args, context);
     }
     if let Some(other) = &args.other {
-        return Err(Error::Usage(format!(
-            "{}: a second file is compared with a first that is a result, too",
-            other.display()
-        )));
+        let message = "a second file is compared with a first that is a result, too";
+        return Err(Error::Usage(format!("{}: {message}", other.display())));
     }
     evaluate(&args.cost, None, context, |workload, evaluated| page(args, workload, &evaluated, context))
 }
@@ -108,13 +106,10 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Co
             origins.push(origin_of_file("input", &path)?);
         }
     }
-    for path in [args.cost.job.target.as_deref().map(Path::new), args.cost.job.mapping.as_deref()].into_iter().flatten()
-    {
-        if path.is_file() {
-            origins.push(origin_of_file(
-                if args.cost.job.mapping.as_deref() == Some(path) { "mapping" } else { "target" },
-                path,
-            )?);
+    let job = &args.cost.job;
+    for (what, path) in [("target", job.target.as_deref().map(Path::new)), ("mapping", job.mapping.as_deref())] {
+        if let Some(path) = path.filter(|path| path.is_file()) {
+            origins.push(origin_of_file(what, path)?);
         }
     }
     let title = format!("{} on {}", network.parts().name, target.name());
@@ -141,10 +136,8 @@ fn write(
         false => format!("'{}'", word.replace('\'', "'\\''")),
     };
     // Replacing a file is no part of what is in it.
-    let words = std::env::args_os()
-        .skip(1)
-        .filter(|word| word != "--force")
-        .map(|word| quoted(word.to_string_lossy().into_owned()));
+    let words = std::env::args_os().skip(1).filter(|word| word != "--force");
+    let words = words.map(|word| quoted(word.to_string_lossy().into_owned()));
     let command = std::iter::once("nsim".to_string()).chain(words).collect::<Vec<_>>().join(" ");
     let page = html(title, sections, &Provenance { command, origins });
     io::write::text(&args.output, context.force, &page)?;

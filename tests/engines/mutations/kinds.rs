@@ -395,80 +395,50 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     // Routes.
     ("a message too few", |p, d| {
-        messages(
-            p,
-            d,
-            |list| !list.is_empty(),
-            |lists, at| {
-                edit(lists, |lists| shorten(&mut lists[at]));
-                Some(NotClosed)
-            },
-        )
+        messages(p, d, 1, |lists, at| {
+            edit(lists, |lists| shorten(&mut lists[at]));
+            Some(NotClosed)
+        })
     }),
     ("a message twice", |p, d| {
-        messages(
-            p,
-            d,
-            |list| !list.is_empty(),
-            |lists, at| {
-                let again = |lists: &mut Vec<Vec<AxonTarget>>| {
-                    let copy = lists[at][0];
-                    lists[at].push(copy);
-                };
-                edit(lists, again);
-                Some(NotClosed)
-            },
-        )
+        messages(p, d, 1, |lists, at| {
+            let again = |lists: &mut Vec<Vec<AxonTarget>>| {
+                let copy = lists[at][0];
+                lists[at].push(copy);
+            };
+            edit(lists, again);
+            Some(NotClosed)
+        })
     }),
     ("a message to a core that is not there", |p, d| {
         let cores = p.cores.len() as i64;
         let core = CoreId(d.from(cores, cores + 99) as u32);
-        messages(
-            p,
-            d,
-            |list| !list.is_empty(),
-            |lists, at| {
-                lists.get_mut(at)[0].core = core;
-                Some(NotClosed)
-            },
-        )
+        messages(p, d, 1, |lists, at| {
+            lists.get_mut(at)[0].core = core;
+            Some(NotClosed)
+        })
     }),
     ("a message to another core", |p, d| {
         let cores = p.cores.len() as i64;
         let core = CoreId(d.from(0, cores - 1) as u32);
         // Two messages then meet at one axon, or none does at another.
-        messages(
-            p,
-            d,
-            |list| !list.is_empty(),
-            |lists, at| {
-                lists.get_mut(at)[0].core = core;
-                Some(NotClosed)
-            },
-        )
+        messages(p, d, 1, |lists, at| {
+            lists.get_mut(at)[0].core = core;
+            Some(NotClosed)
+        })
     }),
     ("a message to another axon", |p, d| {
         let bits = d.from(1, 9) as u16;
-        messages(
-            p,
-            d,
-            |list| !list.is_empty(),
-            |lists, at| {
-                lists.get_mut(at)[0].axon ^= bits;
-                Some(NotClosed)
-            },
-        )
+        messages(p, d, 1, |lists, at| {
+            lists.get_mut(at)[0].axon ^= bits;
+            Some(NotClosed)
+        })
     }),
     ("messages in descending order", |p, d| {
-        messages(
-            p,
-            d,
-            |list| list.len() > 1,
-            |lists, at| {
-                lists.get_mut(at).reverse();
-                Some(Breaks(|v| matches!(v, Violation::Multicast(_))))
-            },
-        )
+        messages(p, d, 2, |lists, at| {
+            lists.get_mut(at).reverse();
+            Some(Breaks(|v| matches!(v, Violation::Multicast(_))))
+        })
     }),
     ("messages of two channels swapped", |p, d| {
         let [a, b] = [0, 1].map(|_| d.from(0, p.channels.len() as i64 - 1) as usize);
@@ -485,21 +455,16 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("axons of two messages swapped", |p, d| {
         let populations = p.classes.iter().any(|class| !class.inputs.populations.is_empty());
         let chosen = d.from(0, i64::from(u16::MAX)) as usize;
-        messages(
-            p,
-            d,
-            |list| !list.is_empty(),
-            |lists, a| {
-                let first = lists.get(a)[0];
-                let at_core = |list: &[AxonTarget]| list.iter().any(|m| m.core == first.core && m.axon != first.axon);
-                let others: Vec<usize> = (0..lists.len()).filter(|&b| b != a && at_core(lists.get(b))).collect();
-                let b = *others.get(chosen.checked_rem(others.len())?)?;
-                let second = lists.get_mut(b).iter_mut().find(|m| m.core == first.core)?;
-                let axon = std::mem::replace(&mut second.axon, first.axon);
-                lists.get_mut(a)[0].axon = axon;
-                Some(if populations { Closed } else { Verified })
-            },
-        )
+        messages(p, d, 1, |lists, a| {
+            let first = lists.get(a)[0];
+            let at_core = |list: &[AxonTarget]| list.iter().any(|m| m.core == first.core && m.axon != first.axon);
+            let others: Vec<usize> = (0..lists.len()).filter(|&b| b != a && at_core(lists.get(b))).collect();
+            let b = *others.get(chosen.checked_rem(others.len())?)?;
+            let second = lists.get_mut(b).iter_mut().find(|m| m.core == first.core)?;
+            let axon = std::mem::replace(&mut second.axon, first.axon);
+            lists.get_mut(a)[0].axon = axon;
+            Some(if populations { Closed } else { Verified })
+        })
     }),
     // Sites.
     ("a core outside its mesh", |p, d| {
@@ -679,19 +644,19 @@ fn edit_out<T>(out: &mut AxonsOut, change: impl FnOnce(&mut Csr<AxonTarget>) -> 
     result
 }
 
-/// Changes the messages of all channels or of a core's compartments, at any of the lists that
-/// something is true of.
+/// Changes the messages of all channels or of a core's compartments, at any of the lists that have
+/// at least so many.
 fn messages(
     parts: &mut Parts,
     draw: &mut Draw,
-    fits: impl Fn(&[AxonTarget]) -> bool,
+    least: usize,
     change: impl FnOnce(&mut Csr<AxonTarget>, usize) -> Option<Expected>,
 ) -> Option<Expected> {
-    let fitting = |core: &CoreId| parts.cores[*core].axons_out.iter().any(|list| fits(&list.collect::<Vec<_>>()));
+    let fitting = |core: &CoreId| parts.cores[*core].axons_out.iter().any(|list| list.count() >= least);
     let fitting: Vec<CoreId> = parts.cores.ids().filter(fitting).collect();
     let from_core = (!fitting.is_empty()).then(|| draw.one_of(&fitting)).filter(|_| draw.chance(50));
     let at_any = |lists: &mut Csr<AxonTarget>| {
-        let fitting: Vec<usize> = (0..lists.len()).filter(|&at| fits(lists.get(at))).collect();
+        let fitting: Vec<usize> = (0..lists.len()).filter(|&at| lists.get(at).len() >= least).collect();
         if fitting.is_empty() { None } else { change(lists, draw.one_of(&fitting)) }
     };
     match from_core {

@@ -38,6 +38,9 @@ pub const MODEL: &str = r#"Network(
 )
 "#;
 
+/// The weights of the model.
+const WEIGHTS: &str = "[[2, 2, 2, 2], [4, 4, 4, 4]]";
+
 const TARGET: &str = r#"Target(
     name: "t", notes: "",
     chip: "tiny",
@@ -124,7 +127,7 @@ pub fn cases() -> Vec<Case> {
         ("word for a number", "du: 1024", "du: fast", syntax, 6, ""),
         ("string for a number", "du: 1024", "du: \"1024\"", syntax, 6, "expected a number"),
         ("negative shape", "shape: [4]", "shape: [-4]", syntax, 5, ""),
-        ("number for weights", "[[2, 2, 2, 2], [4, 4, 4, 4]]", "2", syntax, 9, "list of rows"),
+        ("number for weights", WEIGHTS, "2", syntax, 9, "list of rows"),
         ("ragged weights", "[4, 4, 4, 4]", "[4, 4, 4]", syntax, 9, "3 here, 4 before"),
         ("weights of mixed depth", "[4, 4, 4, 4]", "4", syntax, 9, "other rows have a list"),
         ("a list among numbers", "[4, 4, 4, 4]", "[4, 4, [4], 4]", syntax, 9, "other rows have a number"),
@@ -134,20 +137,13 @@ pub fn cases() -> Vec<Case> {
         ("NaN among weights", "[4, 4, 4, 4]", "[4, 4, NaN, 4]", syntax, 9, "NaN"),
         ("infinity among weights", "[4, 4, 4, 4]", "[4, 4, -inf, 4]", syntax, 9, "inf"),
         ("NaN parameter", "du: 1024", "du: NaN", syntax, 6, "expected a number"),
-        ("unknown source", "[[2, 2, 2, 2], [4, 4, 4, 4]]", "Npz(\"a\")", syntax, 9, "Npz"),
+        ("unknown source", WEIGHTS, "Npz(\"a\")", syntax, 9, "Npz"),
         ("unknown sign", "weight_exp: 0", "sign: Both", syntax, 9, "Both"),
         ("number beyond 64 bits", "shape: [4]", "shape: [99999999999999999999999]", syntax, 5, ""),
         ("fractional delay", "delay: 0", "delay: 1.5", syntax, 9, "expected a whole number and found 1.5"),
         ("weights without a comma", "[4, 4, 4, 4]", "[4, 4 4, 4]", syntax, 9, "comma"),
         ("weights that do not end", "[4, 4, 4, 4]]", "[4, 4, 4, 4]", syntax, 9, "closing bracket"),
-        (
-            "range from high to low",
-            "[[2, 2, 2, 2], [4, 4, 4, 4]]",
-            "Uniform(low: 2, high: 1, seed: 1)",
-            "model.uniform",
-            9,
-            "2 to 1 is no range",
-        ),
+        ("range downward", WEIGHTS, "Uniform(low: 2, high: 1, seed: 1)", "model.uniform", 9, "2 to 1 is no range"),
         ("NaN timestep", "1.0", "NaN", "model.timestep", 3, "NaN"),
         ("no timestep", "1.0", "0", "model.timestep", 3, "0"),
         ("decay too large", "du: 1024", "du: 5000", "model.range", 6, "decay 5000 is outside 0..=4096"),
@@ -174,14 +170,7 @@ pub fn cases() -> Vec<Case> {
         ("unknown source population", "from: [\"in\"]", "from: [\"inn\"]", "model.unknown-population", 9, "'inn'"),
         ("unknown output", "output: \"o\"", "output: \"z\"", "model.unknown-population", 11, "'z'"),
         ("output that is an input", "output: \"o\"", "output: \"in\"", "model.output", 11, "'in'"),
-        (
-            "class names of another number",
-            "output: \"o\"",
-            "output: \"o\", classes: [\"a\"]",
-            "model.classes",
-            11,
-            "1 class",
-        ),
+        ("too few classes", "output: \"o\"", "output: \"o\", classes: [\"a\"]", "model.classes", 11, "1 class"),
     ];
     for (name, from, to, code, line, says) in replaced {
         assert!(MODEL.contains(from), "{name}");
@@ -191,18 +180,10 @@ pub fn cases() -> Vec<Case> {
     add("empty", Through::Model, "m.ron", vec![], vec![], syntax, 1, "");
     add("truncated", Through::Model, "m.ron", MODEL[..150].into(), vec![], syntax, 6, "");
     add("noise", Through::Model, "m.ron", noise(4096), vec![], "io.utf8", 1, "not UTF-8");
-    add(
-        "an array as a model",
-        Through::Model,
-        "m.ron",
-        npy("'|u1'", "(1,)", &[1]),
-        vec![],
-        "import.slayer",
-        0,
-        "none of the files of a network",
-    );
+    let (array, none) = (npy("'|u1'", "(1,)", &[1]), "none of the files of a network");
+    add("an array as a model", Through::Model, "m.ron", array, vec![], "import.slayer", 0, none);
     add("pointer as a model", Through::Model, "m.ron", lfs_pointer(), vec![], "io.lfs-pointer", 0, "git lfs pull");
-    let deep = MODEL.replace("[[2, 2, 2, 2], [4, 4, 4, 4]]", &"[".repeat(200_000));
+    let deep = MODEL.replace(WEIGHTS, &"[".repeat(200_000));
     add("brackets without end", Through::Model, "m.ron", deep.into(), vec![], syntax, 9, "");
     let braces = "(".repeat(200_000);
     add("only brackets", Through::Model, "m.ron", braces.into(), vec![], syntax, 1, "");
@@ -210,7 +191,7 @@ pub fn cases() -> Vec<Case> {
     add("comments without end", Through::Model, "m.ron", comment.into(), vec![], syntax, 1, "");
 
     // Arrays beside a model.
-    let with = |source: &str| MODEL.replace("[[2, 2, 2, 2], [4, 4, 4, 4]]", source).into_bytes();
+    let with = |source: &str| MODEL.replace(WEIGHTS, source).into_bytes();
     let arrays: [(&str, Vec<u8>, &'static str, &'static str); 13] = [
         ("random bytes", noise(4096), "npy.format", "w.npy: this is not a NumPy array"),
         ("empty array file", vec![], "npy.format", "w.npy"),
@@ -261,6 +242,8 @@ pub fn cases() -> Vec<Case> {
     add("damaged chip", Through::Target, "t.ron", TARGET.into(), vec![("tiny.ron", bad_chip)], "chip.syntax", 1, "");
 
     // Spikes.
+    let empty = b"DataSet(name: \"\", populations: {\"a\": \"a\"}, samples: [])";
+    let absent = b"DataSet(name: \"\", populations: {\"a\": \"in\"},\nsamples: [(files: {\"a\": \"x.npy\"})])";
     type Spikes = (&'static str, &'static str, Vec<u8>, &'static str, usize, &'static str);
     let spikes: [Spikes; 14] = [
         ("spikes of noise", "s.npy", noise(4096), "npy.format", 0, "not a NumPy array"),
@@ -275,22 +258,8 @@ pub fn cases() -> Vec<Case> {
         ("unknown header", "s.csv", b"a,b,c\n0,1,2\n".to_vec(), "input.csv", 1, "timestep,channel"),
         ("no event", "s.csv", b"\n".to_vec(), "input.empty", 0, "# steps"),
         ("unknown kind", "s.xyz", b"0,1\n".to_vec(), "input.kind", 0, ".csv"),
-        (
-            "manifest without samples",
-            "s.ron",
-            b"DataSet(name: \"\", populations: {\"a\": \"a\"}, samples: [])".to_vec(),
-            "dataset.samples",
-            0,
-            "no sample",
-        ),
-        (
-            "manifest of absent files",
-            "s.ron",
-            b"DataSet(name: \"\", populations: {\"a\": \"in\"},\nsamples: [(files: {\"a\": \"x.npy\"})])".to_vec(),
-            "io.missing",
-            2,
-            "x.npy",
-        ),
+        ("manifest without samples", "s.ron", empty.to_vec(), "dataset.samples", 0, "no sample"),
+        ("manifest of absent files", "s.ron", absent.to_vec(), "io.missing", 2, "x.npy"),
     ];
     for (name, file, bytes, code, line, says) in spikes {
         add(name, Through::Spikes, file, bytes, vec![], code, line, says);

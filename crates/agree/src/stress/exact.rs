@@ -57,13 +57,11 @@ fn wrapped(x: i128, bits: u32) -> i128 {
 }
 
 /// Equation (3): the quotient rounds toward zero.
-#[must_use]
 pub fn decayed(x: i128, d: i128) -> i128 {
     x * (4096 - d) / 4096
 }
 
 /// Equation (1): what a spike over a weight adds.
-#[must_use]
 pub fn scaled(weight: i128, exponent: i32) -> i128 {
     match u32::try_from(exponent) {
         Ok(up) => weight * 64 * 2i128.pow(up),
@@ -81,13 +79,7 @@ impl Compartment {
         let input = wrapped(with_bias, 23);
         let free = decayed(self.v, p.dv) + input;
         let (low, high) = (1 - 2i128.pow(p.vmin), 2i128.pow(9 + 2 * p.vmax) - 1);
-        let v = if free < low {
-            low
-        } else if free > high {
-            high
-        } else {
-            free
-        };
+        let v = free.clamp(low, high);
         let held = self.last.is_some_and(|last| now - last < p.refractory.max(1));
         let spiked = !held && v > 64 * p.vth;
         self.v = if held || spiked { 0 } else { v };
@@ -103,7 +95,6 @@ impl Compartment {
     }
 
     /// What decides how it goes on, apart from its inputs: the state, and how long v is still held.
-    #[must_use]
     pub fn fingerprint(&self, now: u64, p: &Parameters) -> (i128, i128, u64) {
         let held = self.last.map_or(0, |last| (last + p.refractory.max(1)).saturating_sub(now + 1));
         (self.u, self.v, held)

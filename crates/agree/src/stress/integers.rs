@@ -303,12 +303,8 @@ pub(super) fn biases(target: &Target) -> Outcome {
         |&(bias_mant, bias_exp)| [0, 128].map(|dv| Parameters { bias_mant, bias_exp, dv, vth: 131_071, ..PLAIN });
     let plan =
         Plan { channels: 1, neurons: ends.iter().flat_map(neuron).collect(), links: vec![uniform(1, 12, -256, 3)] };
-    plan.outcome(
-        target,
-        2000,
-        |step| if step % 7 == 0 { vec![0] } else { Vec::new() },
-        |seen| seen.v_clipped > 0 && seen.spikes > 0,
-    )
+    let drive = |step: u32| if step.is_multiple_of(7) { vec![0] } else { Vec::new() };
+    plan.outcome(target, 2000, drive, |seen| seen.v_clipped > 0 && seen.spikes > 0)
 }
 
 pub(super) fn refractory(target: &Target) -> Outcome {
@@ -353,12 +349,8 @@ pub(super) fn delays(target: &Target) -> Outcome {
         links: vec![all(62, 40, false), all(61, -20, false), all(62, 254, true), all(0, -2, true)],
     };
     // The last spikes' deliveries fall after the end.
-    plan.outcome(
-        target,
-        1000,
-        |step| if step % 61 < 3 || step > 930 { vec![0, 1] } else { Vec::new() },
-        |seen| seen.spikes > 100,
-    )
+    let drive = |step: u32| if step % 61 < 3 || step > 930 { vec![0, 1] } else { Vec::new() };
+    plan.outcome(target, 1000, drive, |seen| seen.spikes > 100)
 }
 
 pub(super) fn ten_million(target: &Target) -> Outcome {
@@ -408,11 +400,9 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
             check("golden", &mut golden)?;
         }
     }
+    let periodic = format!("exactly periodic: {period} steps from step {before} on, no drift; {spikes} spikes");
     match spikes > 1000 && period < 50_000 {
-        true => Ok((
-            STEPS.into(),
-            format!("exactly periodic: {period} steps from step {before} on, no drift; {spikes} spikes"),
-        )),
+        true => Ok((STEPS.into(), periodic)),
         false => Err((STEPS.into(), format!("the compartment does too little: {spikes} spikes, period {period}"))),
     }
 }

@@ -41,7 +41,6 @@ pub struct Case {
 
 impl Case {
     /// Runs it; the target's limits on profiles are lifted, since a case has many kinds.
-    #[must_use]
     pub fn run(&self, target: &Target) -> Verdict {
         let outcome = (self.run)(target);
         let pass = outcome.is_ok();

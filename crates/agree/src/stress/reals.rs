@@ -46,29 +46,11 @@ fn input(step: u64) -> f64 {
     if number < 64.0 { 0.0 } else { (number - 112.0) / 64.0 }
 }
 
-/// Greatest error of a filter over the first and the last tenth, and the bound.
-struct Growth {
-    early: f64,
-    late: f64,
-    bound: f64,
-}
-
-impl Growth {
-    fn verdict(&self, what: &str) -> Outcome {
-        let Growth { early, late, bound } = self;
-        let detail =
-            format!("{what}: greatest error {early:.2e} in the first tenth, {late:.2e} in the last; bound {bound:.2e}");
-        match early.max(*late) <= *bound && *late > 0.0 {
-            true => Ok((STEPS, detail)),
-            false => Err((STEPS, detail)),
-        }
-    }
-}
-
-/// Runs a recursion and compares it with the kernel `(k, weight)` over its inputs.
-fn growth(unit: f64, kernel: &[f64], mut next: impl FnMut(f64) -> f64) -> Growth {
-    let mut growth = Growth { early: 0.0, late: 0.0, bound: 0.0 };
-    growth.bound = unit * 1.25 * kernel.iter().enumerate().map(|(k, a)| a.abs() * (4.0 * k as f64 + 4.0)).sum::<f64>();
+/// Runs a recursion and compares it with the kernel `(k, weight)` over its inputs: says the greatest
+/// error over the first and the last tenth, and the bound.
+fn growth(what: &str, unit: f64, kernel: &[f64], mut next: impl FnMut(f64) -> f64) -> Outcome {
+    let (mut early, mut late) = (0.0f64, 0.0f64);
+    let bound = unit * 1.25 * kernel.iter().enumerate().map(|(k, a)| a.abs() * (4.0 * k as f64 + 4.0)).sum::<f64>();
     for step in 0..STEPS {
         let value = next(input(step));
         if !step.is_multiple_of(EVERY) {
@@ -79,12 +61,17 @@ fn growth(unit: f64, kernel: &[f64], mut next: impl FnMut(f64) -> f64) -> Growth
         kernel[..reach].iter().enumerate().for_each(|(k, a)| exact.add(a * input(step - k as u64)));
         let error = (value - exact.get()).abs();
         if step < STEPS / 10 {
-            growth.early = growth.early.max(error);
+            early = early.max(error);
         } else if step >= STEPS - STEPS / 10 {
-            growth.late = growth.late.max(error);
+            late = late.max(error);
         }
     }
-    growth
+    let detail =
+        format!("{what}: greatest error {early:.2e} in the first tenth, {late:.2e} in the last; bound {bound:.2e}");
+    match early.max(late) <= bound && late > 0.0 {
+        true => Ok((STEPS, detail)),
+        false => Err((STEPS, detail)),
+    }
 }
 
 /// An alpha kernel from one step after the input on.
@@ -97,12 +84,11 @@ pub(super) const REFRACTORY: Alpha = Alpha { peak: -20.0, tau: 1.0 };
 
 pub(super) fn filter<F: Real>(alpha: Alpha, epsilon: f64, what: &str) -> Outcome {
     let mut filter = Filter::<F>::new(&alpha, Kernel::Exact, 1);
-    growth(epsilon / 2.0, &taps(&alpha), |x| {
+    growth(what, epsilon / 2.0, &taps(&alpha), |x| {
         let mut out = [F::default()];
         filter.step(&[F::from_f64(x)], &mut out);
         out[0].into()
     })
-    .verdict(what)
 }
 
 pub(super) fn cuba_f64() -> Outcome {
@@ -122,11 +108,10 @@ pub(super) fn cuba_f64() -> Outcome {
             (libm::pow(p.keep_v, f64::from(k + 1)) - libm::pow(p.keep_u, f64::from(k + 1))) / (p.keep_v - p.keep_u)
         })
         .collect();
-    growth(f64::EPSILON / 2.0, &kernel, |x| {
+    growth("current and voltage, du 1024, dv 128, f64", f64::EPSILON / 2.0, &kernel, |x| {
         population.step(&[x], |_| ());
         population.voltage()[0]
     })
-    .verdict("current and voltage, du 1024, dv 128, f64")
 }
 
 /// One arrival, then silence: states sink through denormal numbers to zero, harmlessly.

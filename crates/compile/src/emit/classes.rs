@@ -29,7 +29,6 @@ impl Classes {
     }
 
     /// The first core of the class of a core.
-    #[must_use]
     pub fn first(&self, core: CoreId) -> CoreId {
         self.firsts[self.of[core]]
     }

@@ -33,13 +33,11 @@ use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::resource::Limits;
 use nsim_ir::spikes::Message;
 use nsim_partition::resources::axon_sharing::{EqualPlace, Places};
-use nsim_partition::resources::by_core;
-use nsim_partition::resources::by_core::{Key, by_core_from};
-use nsim_partition::resources::counter::stored;
+use nsim_partition::resources::by_core::{self, Key};
 use nsim_partition::resources::exact::{StoredLists, group_of, longest_delays};
 use nsim_partition::resources::fan_in::first_source;
 use nsim_partition::resources::formats::Formats;
-use nsim_partition::resources::packing::{Compression, Group, Widths};
+use nsim_partition::resources::packing::{Compression, Group, Widths, stored};
 
 /// The program of a network, this many equal copies that share nothing, on its places. What equal
 /// cores store is written once. Of a program that is dealt out and held in part,
@@ -77,9 +75,9 @@ pub fn route(
     }
     let populations = of_copy(network.populations().len());
     let counts = |id: PopulationId| written_down.get((id.0 / populations) as usize).copied().unwrap_or(true);
-    let longest = longest_delays(network, partition.seats(), partition.cores(), counts);
-    let wanted = (counts, holds);
-    let written = by_core_from(network, &tables.formats, partition.seats(), partition.cores(), wanted, |core, keys| {
+    let (seats, cores) = (partition.seats(), partition.cores());
+    let longest = longest_delays(network, seats, cores, counts);
+    let written = by_core::by_core(network, &tables.formats, seats, cores, (counts, holds), |core, keys| {
         (classes.first(core) == core).then(|| match holds(core) {
             true => tables.class(core, keys, longest[core]),
             false => Ok((CoreClass::without_tables(parameters(network, members(core))), Vec::new())),
@@ -241,7 +239,7 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    /// The number of the format of a group of this make-up.
+    /// The number of the format of a group of this make-up, a new one where the core has none.
     fn number(&mut self, (format, made): (u16, Group)) -> Option<u8> {
         if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
             return Some(number);
@@ -256,7 +254,11 @@ impl Writer<'_> {
                 _ => None,
             },
         };
-        let number = number_of(&mut self.known, stored)?;
+        let number = self.known.iter().position(|&known| known == stored).unwrap_or_else(|| {
+            self.known.push(stored);
+            self.known.len() - 1
+        });
+        let number = u8::try_from(number).ok()?;
         self.last = Some(((format, made), number));
         Some(number)
     }
@@ -298,8 +300,8 @@ fn write_lists(
     let all: Vec<&[Key]> = by_core::lists(keys).collect();
     let (mut populations, mut members) = (Vec::new(), vec![None; all.len()]);
     for (alike, places) in shared {
-        let first = alike.places.first()?;
-        let (table, atoms) = (writer.lists.len() as u32, alike.atoms());
+        let (first, table) = (&alike[0], writer.lists.len() as u32);
+        let atoms = first.atoms();
         let mut of_atoms = first.lists.iter().peekable();
         for atom in 0..atoms {
             match of_atoms.next_if(|(of, _)| *of == atom) {
@@ -307,7 +309,7 @@ fn write_lists(
                 None => writer.lists.end(),
             }
         }
-        for EqualPlace { base, lists, .. } in &alike.places[..places as usize] {
+        for EqualPlace { base, lists, .. } in &alike[..places as usize] {
             let axon = u16::try_from(populations.len()).ok()?;
             populations.push(PopulationAxon { table, atoms, base: *base });
             lists.iter().for_each(|&(atom, number)| members[number as usize] = Some(InputAxon::Member { axon, atom }));
@@ -434,14 +436,4 @@ fn axons_out(
         AxonsOut::new(cores, lists[alike.of[core]].clone()).map_err(|_| core)
     };
     sent.enumerate().map(of_core).collect()
-}
-
-/// The number of a format on its core, which is new when the core has not had it yet.
-fn number_of(formats: &mut Vec<CoreFormat>, format: CoreFormat) -> Option<u8> {
-    let known = formats.iter().position(|&f| f == format);
-    let number = known.unwrap_or_else(|| {
-        formats.push(format);
-        formats.len() - 1
-    });
-    u8::try_from(number).ok()
 }

@@ -21,11 +21,10 @@ use std::collections::BTreeMap;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::program::{CoreClass, CoreFormat, InputAxon, Synapse};
 use nsim_ir::resource::{Limits, Packing, Resource};
-use nsim_partition::resources::packing;
-use nsim_partition::resources::packing::{Compression, Group, Widths};
+use nsim_partition::resources::packing::{self, Compression, Group, Widths};
 use nsim_testing::{limits, random_network, slip, target};
 
-use crate::{Compiled, Options, compile};
+use crate::{Mapping, Options, compile};
 
 /// Bits of a word.
 const WORD: usize = 64;
@@ -91,8 +90,7 @@ impl<'a> Layout<'a> {
             dense: how == Compression::Dense,
             skip: format.skip_bits,
         };
-        let words = if in_table { packing::words_in_table } else { packing::words_as };
-        words(group, how, self.widths, self.limits) as usize * WORD
+        packing::words_as(group, how, in_table, self.widths, self.limits) as usize * WORD
     }
 
     /// The bits of a list, and the first slots of its dense groups.
@@ -234,7 +232,7 @@ fn decode(memory: &Memory, class: &CoreClass, limits: &Limits) -> Option<Vec<Vec
 }
 
 /// Encodes and decodes every core of a program; returns how many of its formats have runs.
-pub fn proved(compiled: &Compiled, limits: &Limits, what: &str) -> usize {
+pub fn proved(compiled: &Mapping, limits: &Limits, what: &str) -> usize {
     for core in compiled.program.cores().ids() {
         let class = compiled.program.class_of(core);
         let memory = encode(class, limits);

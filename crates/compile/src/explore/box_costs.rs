@@ -1,12 +1,11 @@
 //! What placed boxes are expected to carry and cost, at a rate for each population.
 //!
-//! Input: boxes and places, and how often the sources of each population spike. Output: traffic,
-//! link loads and the [`Score`] of a step, counted as [`crate::explore::traffic`] and
+//! Input: boxes and places, and how often the sources of each population spike. Output: traffic
+//! and the [`Score`] of a step, counted as [`crate::explore::traffic`] and
 //! [`crate::explore::cost_estimate`] count those of a program.
 
 use crate::explore::cost_estimate::{Score, score_of};
-use crate::explore::traffic;
-use crate::explore::traffic::{Links, Traffic};
+use crate::explore::traffic::{self, Traffic};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::{CoreId, Id};
@@ -41,12 +40,6 @@ impl<'a> PlacedBoxes<'a> {
     #[must_use]
     pub fn traffic(self, rates: &PopulationRates) -> Traffic {
         traffic::of_flows(self.placement, self.flows(rates)).traffic()
-    }
-
-    /// The expected messages over each link.
-    #[must_use]
-    pub fn links(self, rates: &PopulationRates) -> Links {
-        traffic::of_flows(self.placement, self.flows(rates)).links()
     }
 
     /// What a mean step with this traffic, that at these rates, is expected to cost.

@@ -29,7 +29,6 @@ const SEED: u64 = 0xb0_4575;
 
 /// Rates of steps in which all sources spike, and in which those of one population do, for as many
 /// as are affordable.
-#[must_use]
 pub fn bursts(network: &Quantised) -> Vec<Rates> {
     let mut bursts = vec![Rates::assumed(1.0)];
     for population in network.populations().iter().take(MOST_BURSTS) {
@@ -43,7 +42,6 @@ pub fn bursts(network: &Quantised) -> Vec<Rates> {
 }
 
 /// [`bursts`], at a rate for each population.
-#[must_use]
 pub fn population_bursts(network: &Quantised) -> Vec<PopulationRates> {
     let once = Rates::assumed(1.0);
     let of_one = network.populations().ids().take(MOST_BURSTS).map(|id| only(network, id, &once));
@@ -51,7 +49,6 @@ pub fn population_bursts(network: &Quantised) -> Vec<PopulationRates> {
 }
 
 /// Messages when every compartment of a program spikes once.
-#[must_use]
 pub fn messages(program: &Program) -> u64 {
     program.cores().iter().map(|core| core.axons_out.items().len() as u64).sum()
 }

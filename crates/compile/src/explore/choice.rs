@@ -120,11 +120,10 @@ impl<'p, M, B: Bursts<M>> Choice<'p, M, B> {
             return Ok(false);
         }
         let expected = self.bursts.expected(&other.kept)?;
-        let least = match self.expected.take() {
-            Some(least) => least,
-            None => self.bursts.expected(&self.plain.kept)?,
-        };
-        let least = &*self.expected.insert(least);
+        if self.expected.is_none() {
+            self.expected = Some(self.bursts.expected(&self.plain.kept)?);
+        }
+        let least = self.expected.as_deref().unwrap_or_default();
         tracing::debug!(candidate = ?other.found.candidate, ?expected, ?least, "steps of bursts");
         let all = expected.first().zip(least.first());
         let everywhere = all.is_none_or(|(all, plain)| all.on_chip_us() < EVERYWHERE * plain.on_chip_us());
@@ -164,7 +163,6 @@ fn no_slower(times: &[f64], plain: &[f64], slack: f64) -> bool {
 }
 
 /// Those that no other is better than in everything: cores, energy and time.
-#[must_use]
 pub fn front(found: &[Found]) -> Vec<&Found> {
     let dominated = |one: &Found| found.iter().any(|other| other.score.dominates(&one.score));
     let mut front: Vec<&Found> = Vec::new();

@@ -109,7 +109,6 @@ pub fn first_constants(target: &Target) -> Result<CostTable, Diagnostic> {
 }
 
 /// Expected counts of as many steps as rates count.
-#[must_use]
 pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
     let cores = program.cores().as_slice();
     let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
@@ -208,13 +207,11 @@ fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
 
 impl Score {
     /// Time of a mean step on the chips, injection left out, in microseconds.
-    #[must_use]
     pub fn on_chip_us(&self) -> f64 {
         self.step_us - self.host_us
     }
 
     /// Which of two is better for an objective; ties fall to the other measures.
-    #[must_use]
     pub fn better(&self, other: &Score, objective: Objective) -> Ordering {
         let cores = self.cores.cmp(&other.cores);
         let energy = self.energy_uj.total_cmp(&other.energy_uj);
@@ -228,7 +225,6 @@ impl Score {
     }
 
     /// Whether nothing of another is better and something is worse: the other is not on the front.
-    #[must_use]
     pub fn dominates(&self, other: &Score) -> bool {
         let pairs =
             [(self.cores as f64, other.cores as f64), (self.energy_uj, other.energy_uj), (self.step_us, other.step_us)];

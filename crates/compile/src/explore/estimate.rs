@@ -1,8 +1,7 @@
 //! What a mapping is expected to carry and cost at the rates that it was made for.
 
 use crate::explore::cost_estimate::{Score, expected, score_at, score_of};
-use crate::explore::traffic;
-use crate::explore::traffic::{Links, Traffic};
+use crate::explore::traffic::{self, Links, Traffic};
 use crate::mapping::Mapping;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::firing_rates::Rates;
@@ -10,13 +9,11 @@ use nsim_ir::hardware::Target;
 
 impl Mapping {
     /// The expected traffic.
-    #[must_use]
     pub fn traffic(&self) -> Traffic {
         traffic::traffic(&self.program, &self.rates)
     }
 
     /// The expected messages over each link.
-    #[must_use]
     pub fn links(&self) -> Links {
         traffic::of_program(&self.program, &self.rates).links()
     }
@@ -39,7 +36,6 @@ impl Mapping {
     }
 
     /// The messages over each link when the sources of each copy spike at these rates.
-    #[must_use]
     pub fn links_at(&self, rates: &Rates) -> Links {
         traffic::of_program(&self.program, &rates.copies(self.options.copies)).links()
     }

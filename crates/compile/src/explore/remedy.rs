@@ -76,7 +76,6 @@ pub struct Refused<'a> {
 
 /// Remedies for a network that does not fit, the cheapest change first; `boards` are larger
 /// targets, ascending.
-#[must_use]
 pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) -> Vec<Remedy> {
     let Refused { one, target, options, reasons, .. } = refused;
     let synapses = one.synapses().saturating_mul(u64::from(options.copies));
@@ -87,16 +86,17 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     let quick = Options { effort: Effort::Work(0), objective: Objective::Cores, place: false, ..*options };
     let rates = Rates::assumed(DEFAULT_RATE);
     // What has cores fits: routes and tables follow from them.
-    let tried = |front: Front, target: &Target, copies: u32| -> Result<Fitting, CompileError> {
-        let made = front.partition(target, &Options { copies, ..quick }, &rates)?;
-        Ok(Fitting { cores: made.partition.cores() as u32, copies })
+    let tried = |front: Front, target: &Target, options: &Options| -> Result<Fitting, CompileError> {
+        let made = front.partition(target, options, &rates)?;
+        Ok(Fitting { cores: made.partition.cores() as u32, copies: options.copies })
     };
-    let fits = |front: Front, target: &Target, copies: u32| tried(front, target, copies).ok();
+    let fits = |front: Front, target: &Target| tried(front, target, &quick).ok();
+    let changed = |changes: &[String]| if changes.is_empty() { None } else { changed(changes) };
     // A board has the cores that are known to be taken; of a large network one alone is tried.
     let taken = reasons.iter().filter(|reason| reason.resource == Capacity::Cores).map(|reason| reason.need).max();
     let large_enough = boards.iter().filter(|board| u64::from(board.cores()) >= taken.unwrap_or(0));
     let mut on_board = large_enough.take(if few { usize::MAX } else { 1 }).filter_map(|board| {
-        let fitting = fits(one.clone().into(), board, options.copies)?;
+        let fitting = fits(one.clone().into(), board)?;
         Some((format!("use a larger board: --target {}", board.name()), fitting))
     });
     let mut found = Vec::new();
@@ -109,18 +109,12 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     }
     if options.strategy != Strategy::default() {
         let options = Options { effort: Options::default().effort, strategy: Strategy::default(), ..quick };
-        let made = Front::from(one.clone()).partition(target, &options, &rates);
-        if let Ok(made) = made {
-            let (strategy, cores) = (options.strategy.name(), made.partition.cores() as u32);
-            keep(
-                "strategy",
-                format!("use another strategy: --strategy {strategy}"),
-                Fitting { cores, copies: options.copies },
-            );
+        if let Ok(fitting) = tried(one.clone().into(), target, &options) {
+            keep("strategy", format!("use another strategy: --strategy {}", options.strategy.name()), fitting);
         }
     }
     if let Ok(pruned) = prune(one, &Plan::fixed())
-        && let Some(fitting) = fits(pruned.into(), target, options.copies)
+        && let Some(fitting) = fits(pruned.into(), target)
     {
         keep("prune", "leave out what can change no output: --prune static".to_string(), fitting);
     }
@@ -133,22 +127,20 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
                 format!("add {relays} relay compartments{steps}: --relays")
             }
         };
-        if let Some(fitting) = fits(front, target, options.copies) {
+        if let Some(fitting) = fits(front, target) {
             keep("relays", change, fitting);
         }
     }
+    let of_copies = |copies: u32| tried(one.clone().into(), target, &Options { copies, ..quick }).ok();
     if options.copies > 1
-        && let Some(fitting) = most_copies(options.copies, |copies| fits(one.clone().into(), target, copies))
+        && let Some(fitting) = most_copies(options.copies, of_copies)
     {
         let most = fitting.copies;
         keep("copies", format!("map {most} of the {} copies: --copies {most}", options.copies), fitting);
     }
     for bits in BITS {
         let changes = refused.fewer_bits(bits);
-        let Some((front, target)) = Some(&changes).filter(|changes| !changes.is_empty()).and_then(|all| changed(all))
-        else {
-            continue;
-        };
+        let Some((front, target)) = changed(&changes) else { continue };
         let (before, after) = (non_zero(one), non_zero(front.quantised()));
         // Without any weight between two populations it is another network.
         if before.iter().any(|(ends, count)| *count > 0 && after.get(ends) == Some(&0)) {
@@ -156,7 +148,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         }
         let (all, kept): (u64, u64) = (before.values().sum(), after.values().sum());
         let zeros = if kept < all { format!(", {} of {all} become 0", all - kept) } else { String::new() };
-        let Some(fitting) = fits(front, &target, options.copies) else { continue };
+        let Some(fitting) = fits(front, &target) else { continue };
         let typed = typed(&changes);
         let words = format!("store weights in {bits} bits; check the accuracy, weights get coarser{zeros}: {typed}");
         keep("weight_bits", words, fitting);
@@ -166,7 +158,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         let of_a_column = u64::from(target.cores() / target.chips_x().max(1));
         let changes = [format!("target.chips_x={}", taken?.div_ceil(of_a_column.max(1)))];
         let (front, target) = changed(&changes)?;
-        Some((format!("use more chips: {}", typed(&changes)), fits(front, &target, options.copies)?))
+        Some((format!("use more chips: {}", typed(&changes)), fits(front, &target)?))
     };
     on_board.next().or_else(more_chips).into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
     let most = reasons.iter().find_map(|reason| match &reason.taken {
@@ -177,7 +169,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         let Some(Tightest { resource, limit, .. }) = most else { break };
         let changes = [format!("target.limits.{}={}", resource.name(), limit.saturating_mul(factor))];
         let Some((front, target)) = changed(&changes) else { break };
-        if let Some(fitting) = fits(front, &target, options.copies) {
+        if let Some(fitting) = fits(front, &target) {
             let words = format!("change the chip, {factor} times the limit that is met: {}", typed(&changes));
             keep("doubled_limit", words, fitting);
             break;
@@ -195,11 +187,8 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         }
         let limit = |(resource, least): (&Resource, &u64)| format!("target.limits.{}={least}", resource.name());
         let changes: Vec<String> = limits.iter().map(limit).collect();
-        let Some((front, target)) = Some(&changes).filter(|changes| !changes.is_empty()).and_then(|all| changed(all))
-        else {
-            break;
-        };
-        match tried(front, &target, options.copies) {
+        let Some((front, target)) = changed(&changes) else { break };
+        match tried(front, &target, &quick) {
             Ok(fitting) => {
                 keep("limit", format!("change the chip, by these limits at least: {}", typed(&changes)), fitting);
                 break;

@@ -105,12 +105,6 @@ struct KeptBursts<'a> {
     chance: Option<f64>,
 }
 
-impl<'a> KeptBursts<'a> {
-    fn new(target: &'a Target, copies: u32) -> Self {
-        KeptBursts { target, copies, rates: None, chance: None }
-    }
-}
-
 impl Bursts<Kept> for KeptBursts<'_> {
     fn expected(&mut self, kept: &Kept) -> Result<Vec<Score>> {
         match kept {
@@ -160,7 +154,8 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> R
         return Err(CompileError::Fault("there is no candidate".to_string()));
     }
     let (plain, found) = (made.remove(0), made.iter().map(|made| made.found).collect::<Vec<_>>());
-    let mut choice = Choice::new(&plain, options.objective, KeptBursts::new(target, options.copies));
+    let bursts = KeptBursts { target, copies: options.copies, rates: None, chance: None };
+    let mut choice = Choice::new(&plain, options.objective, bursts);
     let mut taken = choice.best_of(made)?;
     if let (None, Some(way)) = (&taken, search.further(&ways, &found)) {
         taken = choice.best_of(search.all(&[way], ways.len())?)?;

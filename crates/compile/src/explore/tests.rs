@@ -3,20 +3,20 @@
 use crate::emit::boxes::route_boxes;
 use crate::emit::route::route;
 use crate::explore::box_costs::PlacedBoxes;
+use crate::explore::bursts::bursts;
 use crate::mapping_file::one_copy;
 use crate::*;
 use nsim_check::equivalence::check_copies;
 use nsim_check::verify;
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::base::id::{CoreId, IdVec};
+use nsim_ir::base::id::{CoreId, Id, IdVec};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{PerCompartment, Shape, Window};
-use nsim_ir::mapping::{MappedLayer, OnChip};
+use nsim_ir::mapping::{MappedCore, MappedLayer, OnChip};
 use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::resource::{Limits, OutputAxons, Packing, Resource};
-use nsim_partition::resources::fan_in::first_source;
 use nsim_partition::strategy::box_fan_out::{everywhere, only};
 use nsim_partition::strategy::lattice;
 use nsim_partition::strategy::members::row_of_chips;
@@ -152,18 +152,14 @@ fn counts_and_costs_of_boxes_are_those_of_the_program() {
         // spike.
         let ids: Vec<_> = network.populations().ids().collect();
         let id = ids[seed as usize % ids.len()];
-        let mut spikes = vec![0; (network.channels() + network.compartments()) as usize];
-        let (first, population) = (first_source(network, &network.populations()[id]), &network.populations()[id]);
-        spikes[first as usize..(first + population.shape.len()) as usize].fill(1);
-        let (channels, compartments) = spikes.split_at(network.channels() as usize);
         let at_places = PlacedBoxes { network, boxes: &boxes, placement };
-        let burst = Mapping { rates: Rates::profile(channels, compartments, 1), ..made.clone() };
+        let burst = Mapping { rates: bursts(network).swap_remove(1 + id.index()), ..made.clone() };
         let of_burst = only(network, id, &Rates::assumed(1.0));
         for (mapping, rates) in [(&made, everywhere(network, &made.rates)), (&burst, of_burst)] {
             let traffic = mapping.traffic();
             assert_eq!(at_places.traffic(&rates), traffic, "seed {seed}");
             let score = at_places.score(&rates, &traffic, &board, options.copies).unwrap();
-            assert_eq!(score, mapping.score(&traffic, &board).unwrap(), "seed {seed} {}", population.name);
+            assert_eq!(score, mapping.score(&traffic, &board).unwrap(), "seed {seed} {id}");
         }
         several += usize::from(made.partition.cores() > 8);
     }
@@ -245,10 +241,10 @@ fn a_saved_mapping_is_made_again_and_also_written_out() {
         assert_eq!(again.traffic(), traffic, "seed {seed}");
         assert_eq!(again.score(&traffic, &board).unwrap(), made.score(&traffic, &board).unwrap(), "seed {seed}");
         // A network that can be written out takes the same file.
-        let written = compile_saved(layered(seed), &board, &options, &file).unwrap();
+        let written = load(layered(seed), &board, &options, &file).unwrap();
         assert_eq!((&written.partition, &written.placement), (&made.partition, &made.placement), "seed {seed}");
         let one = Options { copies: 1, ..options };
-        let first = compile_saved(layered(seed), &board, &one, &one_copy(&file)).unwrap();
+        let first = load(layered(seed), &board, &one, &one_copy(&file)).unwrap();
         let of_first = written.placement.sites().as_slice();
         assert_eq!(first.placement.sites().as_slice(), &of_first[..first.partition.cores()], "seed {seed}");
     }
@@ -302,11 +298,8 @@ fn files_that_say_what_cannot_be_are_refused() {
         refused(&taken, "mapping.site", "same physical core");
     }
     refused(&|f| f.layers[1].places[0].cores[0] = f.layers[0].places[0].cores[0], "mapping.site", "same physical core");
+    let listed = || MappedCore { chip: 0, x: 0, y: 0, core: 0, holds: Vec::new() };
     refused(&|f| f.cores.push(listed()), "mapping.layers", "core by core");
-}
-
-fn listed() -> nsim_ir::mapping::MappedCore {
-    nsim_ir::mapping::MappedCore { chip: 0, x: 0, y: 0, core: 0, holds: Vec::new() }
 }
 
 #[test]
@@ -335,7 +328,7 @@ fn no_file_makes_it_contradict_itself() {
         }
         for result in [
             load(front(layered(3)), &board, &options, &file).map(drop),
-            compile_saved(layered(3), &board, &options, &file).map(drop),
+            load(layered(3), &board, &options, &file).map(drop),
         ] {
             match result {
                 Ok(()) => loaded += 1,
@@ -354,13 +347,12 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
         // The cores of a real chip, and nothing spent on places: what differs is the size of boxes.
         let board = target(8, 8, limits());
         let options = Options { effort: Effort::Work(1), place: false, ..Options::default() };
-        let found =
-            explore::candidates(&front(layered(seed)), &board, &options, &Rates::assumed(DEFAULT_RATE)).unwrap();
+        let (front, rates) = (front(layered(seed)), Rates::assumed(DEFAULT_RATE));
+        let found = explore::candidates(&front, &board, &options, &rates).unwrap();
         assert!(found.len() > 2 && !found[0].candidate.placed && found[0].candidate.divisor == 1, "seed {seed}");
         for (which, objective) in [Objective::Energy, Objective::Latency].into_iter().enumerate() {
             let options = Options { objective, ..options };
-            let found =
-                explore::candidates(&front(layered(seed)), &board, &options, &Rates::assumed(DEFAULT_RATE)).unwrap();
+            let found = explore::candidates(&front, &board, &options, &rates).unwrap();
             let made = by_kernels(layered(seed), &board, &options).unwrap();
             let score = made.score(&made.traffic(), &board).unwrap();
             assert!(found.iter().any(|one| one.score == score), "seed {seed}: the mapping is one of the candidates");
@@ -372,12 +364,9 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
                 assert!(score.step_us <= plain.step_us, "seed {seed}");
                 let all = Rates::assumed(1.0);
                 let burst = made.score_at(&all, &board).unwrap().step_us;
-                let unplaced = by_kernels(
-                    layered(seed),
-                    &board,
-                    &Options { place: false, objective: Objective::Cores, ..options },
-                );
-                let unplaced = unplaced.unwrap().score_at(&all, &board).unwrap().step_us;
+                let options = Options { place: false, objective: Objective::Cores, ..options };
+                let unplaced = by_kernels(layered(seed), &board, &options).unwrap();
+                let unplaced = unplaced.score_at(&all, &board).unwrap().step_us;
                 assert!(burst <= unplaced, "seed {seed}: {burst} and {unplaced} when all spike");
             }
             changed[which] += usize::from(score.cores > plain.cores);

@@ -50,26 +50,22 @@ pub struct Links {
 
 impl Links {
     /// Over the link from a tile of the board to its eastern neighbour and back.
-    #[must_use]
     pub fn east_west(&self, x: u32, y: u32) -> f64 {
         self.east_west.get(y as usize * self.columns + x as usize).copied().unwrap_or(0.0)
     }
 
     /// Over the link from a tile of the board to its southern neighbour and back.
-    #[must_use]
     pub fn north_south(&self, x: u32, y: u32) -> f64 {
         self.north_south.get(x as usize * self.rows + y as usize).copied().unwrap_or(0.0)
     }
 
     /// The most over any link.
-    #[must_use]
     pub fn busiest(&self) -> f64 {
         self.east_west.iter().chain(&self.north_south).copied().fold(0.0, f64::max)
     }
 }
 
 /// The expected traffic of a program whose sources spike at these rates.
-#[must_use]
 pub fn traffic(program: &Program, rates: &Rates) -> Traffic {
     of_program(program, rates).traffic()
 }
@@ -86,7 +82,6 @@ pub struct Counts<'a> {
 
 /// What flows come to: the core that sends, none for inputs; the cores reached; spikes in as many
 /// steps as rates count.
-#[must_use]
 pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
     placement: &Placement,
     flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,
@@ -111,7 +106,6 @@ pub(crate) fn parts(items: usize) -> Vec<Range<usize>> {
 }
 
 /// What the messages of a program come to.
-#[must_use]
 pub fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
     let cores = program.cores().as_slice();
     let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
@@ -188,7 +182,6 @@ impl<'a> Counts<'a> {
     }
 
     /// The expected messages of a step.
-    #[must_use]
     pub fn traffic(&self) -> Traffic {
         let (columns, rows) = (self.mesh.chips_x * self.mesh.width, self.mesh.chips_y * self.mesh.height);
         let [most, between, hops] = self.loads.greatest(self.mesh);
@@ -206,7 +199,6 @@ impl<'a> Counts<'a> {
     }
 
     /// The expected messages over each link in a step.
-    #[must_use]
     pub fn links(&self) -> Links {
         let [east_west, north_south] = self.loads.both_ways();
         let in_a_step = |loads: Vec<u64>| loads.into_iter().map(|load| load as f64 / UNIT).collect();

@@ -6,7 +6,7 @@
 //! hold as many entries.
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId};
+use nsim_ir::base::id::{CoreId, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::{MappedLayer, MappingFile, OnChip};
 use nsim_ir::placement::{Mesh, Placement, Site};
@@ -14,12 +14,10 @@ use nsim_ir::quantised::Quantised;
 use nsim_partition::resources::closed_form::Layer;
 use nsim_partition::resources::packing::MOST_SLOTS;
 use nsim_partition::strategy::boxes::Lattices;
-use nsim_partition::strategy::lattice;
-use nsim_partition::strategy::lattice::Lattice;
+use nsim_partition::strategy::lattice::{self, Lattice};
 use nsim_partition::strategy::members::Members;
 
 /// The layers of a file.
-#[must_use]
 pub fn layers_of(network: &Quantised, lattices: &Lattices, placement: &Placement) -> Vec<MappedLayer> {
     let (mesh, mut sites) = (placement.mesh(), placement.sites().iter());
     let mut layers = Vec::new();
@@ -42,7 +40,7 @@ pub fn layers_of(network: &Quantised, lattices: &Lattices, placement: &Placement
 ///
 /// # Errors
 /// `mapping.site` when there is none.
-pub fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site> {
+fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site> {
     let inside = chip < mesh.chips_x * mesh.chips_y && core < mesh.cores_per_chip;
     let site = inside.then(|| mesh.site(chip * mesh.cores_per_chip + core)).flatten();
     let none =
@@ -74,34 +72,26 @@ pub fn outline(
         let MappedLayer { population: name, size, .. } = mapped;
         let id = network.population_named(name);
         let Some(id) = id.filter(|&id| network.populations()[id].first_compartment().is_some()) else {
-            return wrong(
-                "mapping.population",
-                format!("the mapping holds boxes of {name}, which is no population of compartments"),
-            );
+            let message = format!("the mapping holds boxes of {name}, which is no population of compartments");
+            return wrong("mapping.population", message);
         };
         if found[id].is_some() {
             return wrong("mapping.twice", format!("layer {name} is mapped twice"));
         }
         let (shape, (channels, rows, columns)) = (layers[id].shape, *size);
         let Some(lattice) = Lattice::new(shape, *size) else {
-            return wrong(
-                "mapping.box",
-                format!("boxes of {channels} x {rows} x {columns} do not fit {name}, which has {shape:?}"),
-            );
+            let message = format!("boxes of {channels} x {rows} x {columns} do not fit {name}, which has {shape:?}");
+            return wrong("mapping.box", message);
         };
         let held = u64::from(channels) * u64::from(rows) * u64::from(columns);
         if held > u64::from(MOST_SLOTS) {
-            return wrong(
-                "mapping.slots",
-                format!("a box of {name} holds {held} compartments, more than {MOST_SLOTS}"),
-            );
+            let message = format!("a box of {name} holds {held} compartments, more than {MOST_SLOTS}");
+            return wrong("mapping.slots", message);
         }
         let (boxes, places) = (u64::from(lattice.boxes()), mapped.places().count() as u64);
         if boxes != places {
-            return wrong(
-                "mapping.places",
-                format!("layer {name} has {boxes} boxes, and the mapping places for {places}"),
-            );
+            let message = format!("layer {name} has {boxes} boxes, and the mapping places for {places}");
+            return wrong("mapping.places", message);
         }
         found[id] = Some((lattice, mapped));
     }
@@ -129,7 +119,7 @@ pub fn outline(
 ///
 /// # Errors
 /// As [`outline`]; `mapping.layers` when the network is not made of layers.
-pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, IdVec<CoreId, Site>)> {
+pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, Placement)> {
     let not_layers = || {
         let message = "the mapping is of boxes of layers, and the network has projections that are neither windows \
                        nor all \
@@ -141,9 +131,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
     let mut members = Members::new();
     for (id, population) in network.populations().enumerate() {
         let (Some(first), Some(lattice)) = (population.first_compartment(), lattices[id]) else { continue };
-        for held in lattice.members(&layers[id]) {
-            members.push(held.into_iter().map(|index| CompartmentId(first.0 + index)).collect());
-        }
+        lattice.members(&layers[id], first).for_each(|held| _ = members.push(held));
     }
-    Ok((members, placement.sites().clone()))
+    Ok((members, placement))
 }

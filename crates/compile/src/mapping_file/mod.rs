@@ -9,6 +9,7 @@
 pub mod layers;
 pub mod pruned;
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use crate::mapping::Mapping;
@@ -16,8 +17,7 @@ use crate::mapping_file::pruned::pruned_file;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
-use nsim_ir::mapping::check_unchanged;
-use nsim_ir::mapping::{MappedCore, MappingFile, Run};
+use nsim_ir::mapping::{MappedCore, MappingFile, Run, check_unchanged};
 use nsim_ir::partition::{Partition, seats};
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::Quantised;
@@ -31,11 +31,13 @@ use nsim_partition::strategy::members::{Members, partition_of};
 
 impl Mapping {
     /// The mapping as a file.
-    #[must_use]
     pub fn mapping_file(&self) -> MappingFile {
         let Mapping { quantised, partition, placement, target, options, .. } = self;
         match &self.lattices {
-            None => file_of_cores(quantised, partition, placement, target, options),
+            None => {
+                let cores = cores_of(quantised, partition, placement);
+                MappingFile { cores, ..empty(quantised, target, options) }
+            }
             Some(lattices) => file_of_boxes(quantised, lattices, placement, target, options),
         }
     }
@@ -57,7 +59,6 @@ fn empty(network: &Quantised, target: &str, options: &Options) -> MappingFile {
 }
 
 /// The file of boxes and their places.
-#[must_use]
 pub fn file_of_boxes(
     network: &Quantised,
     lattices: &Lattices,
@@ -68,32 +69,22 @@ pub fn file_of_boxes(
     MappingFile { layers: layers::layers_of(network, lattices, placement), ..empty(network, target, options) }
 }
 
-/// The file of a partition and placement.
-fn file_of_cores(
-    network: &Quantised,
-    partition: &Partition,
-    placement: &Placement,
-    target: &str,
-    options: &Options,
-) -> MappingFile {
+/// The cores of a file.
+fn cores_of(network: &Quantised, partition: &Partition, placement: &Placement) -> Vec<MappedCore> {
     let population_of = populations_of(network);
-    let cores = partition
-        .members()
-        .enumerate()
-        .map(|(core, held)| {
-            let Site { chip, x, y, core } = placement.site(core);
-            let mut holds: Vec<Run> = Vec::new();
-            for &id in held {
-                let (name, first) = population_of(id);
-                match holds.last_mut() {
-                    Some(run) if run.population == name && run.first + run.count == first => run.count += 1,
-                    _ => holds.push(Run { population: name.to_string(), first, count: 1 }),
-                }
+    let mapped = |(core, held): (CoreId, &Vec<CompartmentId>)| {
+        let Site { chip, x, y, core } = placement.site(core);
+        let mut holds: Vec<Run> = Vec::new();
+        for &id in held {
+            let (name, first) = population_of(id);
+            match holds.last_mut() {
+                Some(run) if run.population == name && run.first + run.count == first => run.count += 1,
+                _ => holds.push(Run { population: name.to_string(), first, count: 1 }),
             }
-            MappedCore { chip, x, y, core, holds }
-        })
-        .collect();
-    MappingFile { cores, ..empty(network, target, options) }
+        }
+        MappedCore { chip, x, y, core, holds }
+    };
+    partition.members().enumerate().map(mapped).collect()
 }
 
 /// The partition and the placement that a file gives for all copies of a network, and where it cuts
@@ -108,31 +99,23 @@ pub fn load(
     target: &Target,
     form: Form,
 ) -> Result<(Partition, Placement, Option<Lattices>), CompileError> {
-    let loaded = loaded(file, all, target, form)?;
+    let limits = target.limits();
+    let loaded = match form {
+        Form::Symbolic => {
+            belongs(file, all, target)?;
+            let layers = Layers::new(all)?;
+            let (lattices, placement) = layers::outline(file, all, &layers.layers, target)?;
+            let boxes = Boxes::of_lattices(&layers, &lattices, limits);
+            let (partition, _) = boxes.into_partition(all, &chips_of(placement.sites()), limits)?;
+            (partition, placement, Some(lattices))
+        }
+        Form::Written => {
+            let (members, placement) = membership(file, all, target)?;
+            (partition_on(all, members, placement.sites(), target)?, placement, None)
+        }
+    };
     check_unchanged(file)?;
     Ok(loaded)
-}
-
-/// As [`load`], of a file that may have been changed.
-fn loaded(
-    file: &MappingFile,
-    all: &Quantised,
-    target: &Target,
-    form: Form,
-) -> Result<(Partition, Placement, Option<Lattices>), CompileError> {
-    let limits = target.limits();
-    if form == Form::Symbolic {
-        belongs(file, all, target)?;
-        let layers = Layers::new(all)?;
-        let (lattices, placement) = layers::outline(file, all, &layers.layers, target)?;
-        let boxes = Boxes::of_lattices(&layers, &lattices, limits);
-        let (partition, _) = boxes.into_partition(all, &chips_of(&placement), limits)?;
-        return Ok((partition, placement, Some(lattices)));
-    }
-    let (members, sites) = membership(file, all, target)?;
-    let partition = partition_on(all, members, &sites, target)?;
-    let placement = Placement::new(Mesh::for_target(target), sites).map_err(CompileError::fault)?;
-    Ok((partition, placement, None))
 }
 
 /// The partition of these members on cores at these sites, counted exactly.
@@ -150,17 +133,15 @@ pub fn partition_on(
         return Err(CompileError::fault("the mapping is of another network"));
     }
     let seats = seats(all.compartments(), &members).map_err(CompileError::fault)?;
-    let chips = sites.iter().map(|site| site.chip).collect();
-    let usage = usage(all, &members, &seats, &chips, target.limits());
+    let usage = usage(all, &members, &seats, &chips_of(sites), target.limits());
     partition_of(all, members, usage, target.limits())
 }
 
-fn chips_of(placement: &Placement) -> IdVec<CoreId, u32> {
-    placement.sites().iter().map(|site| site.chip).collect()
+fn chips_of(sites: &IdVec<CoreId, Site>) -> IdVec<CoreId, u32> {
+    sites.iter().map(|site| site.chip).collect()
 }
 
 /// The first copy alone, on the cores that hold a part of it.
-#[must_use]
 pub fn one_copy(file: &MappingFile) -> MappingFile {
     // Populations of further copies are called name@k, and no population of a model has such a
     // name.
@@ -206,19 +187,16 @@ pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Resu
 }
 
 /// An error about a saved mapping, with its file and what to do.
-#[must_use]
 pub fn explained(error: CompileError, path: &Path, model: &str) -> CompileError {
     match error {
         CompileError::Input(diagnostic) if diagnostic.code.starts_with("mapping.") => {
-            let help = || {
-                format!(
-                    "use it with the model, target and copies that it was made for, or make another: nsim map {model} \
-                     -o FILE"
-                )
-            };
+            let help = format!(
+                "use it with the model, target and copies that it was made for, or make another: nsim map {model} \
+                 -o FILE"
+            );
             let has_help = diagnostic.help.is_some();
             let diagnostic = diagnostic.or_in_file(path);
-            CompileError::Input(if has_help { diagnostic } else { diagnostic.help(help()) })
+            CompileError::Input(if has_help { diagnostic } else { diagnostic.help(help) })
         }
         other => other,
     }
@@ -239,29 +217,18 @@ pub fn of_copies(file: &MappingFile, copies: u32) -> Result<()> {
     )))
 }
 
-/// The places of all cores of a file, in order.
-///
-/// # Errors
-/// `mapping.site` for a core that the mesh does not have, and for one that is named twice.
-pub fn placement(file: &MappingFile, mesh: Mesh) -> Result<Placement> {
-    let listed = file.cores.iter().map(|at| Ok(Site { chip: at.chip, x: at.x, y: at.y, core: at.core }));
-    let boxes = file.places().map(|place| layers::site(&mesh, place));
-    let sites = listed.chain(boxes).collect::<Result<_>>()?;
-    Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))
-}
-
 /// The membership and the places that a file gives; `network` is all copies that the file is for.
 ///
 /// # Errors
 /// A diagnostic that names what does not match: the model, the target, a population, a run, a
 /// compartment, a place.
-pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, IdVec<CoreId, Site>)> {
+pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, Placement)> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
     belongs(file, network, target)?;
     if !file.layers.is_empty() {
         return layers::membership(file, network, target);
     }
-    let names: std::collections::HashMap<&str, (PopulationId, u32, u32)> = network
+    let names: HashMap<&str, (PopulationId, u32, u32)> = network
         .populations()
         .enumerate()
         .filter_map(|(id, p)| Some((p.name.as_str(), (id, p.first_compartment()?.0, network.units_shown(id)))))
@@ -278,27 +245,22 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
         let mut held = Vec::new();
         for Run { population, first, count } in &core.holds {
             let Some(&(id, base, size)) = names.get(population.as_str()) else {
-                return wrong(
-                    "mapping.population",
-                    format!("core {number} of the mapping holds {population}, which is no population of the model"),
-                );
+                let message =
+                    format!("core {number} of the mapping holds {population}, which is no population of the model");
+                return wrong("mapping.population", message);
             };
             if first.checked_add(*count).is_none_or(|end| end > size) {
-                return wrong(
-                    "mapping.run",
-                    format!(
-                        "core {number} of the mapping: {population} has {size} compartments, not {first} + {count}"
-                    ),
+                let message = format!(
+                    "core {number} of the mapping: {population} has {size} compartments, not {first} + {count}"
                 );
+                return wrong("mapping.run", message);
             }
             for shown in *first..first + count {
                 let Some(index) = network.index_of_shown(id, shown) else {
-                    return wrong(
-                        "mapping.pruned",
-                        format!(
-                            "compartment {shown} of {population} is mapped, but there is nothing to map: it is pruned"
-                        ),
+                    let message = format!(
+                        "compartment {shown} of {population} is mapped, but there is nothing to map: it is pruned"
                     );
+                    return wrong("mapping.pruned", message);
                 };
                 if std::mem::replace(&mut seated[(base + index) as usize], true) {
                     return wrong("mapping.twice", format!("compartment {shown} of {population} is mapped twice"));
@@ -308,10 +270,8 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
         }
         if held.len() > MOST_SLOTS as usize {
             let (many, most) = (held.len(), MOST_SLOTS);
-            return wrong(
-                "mapping.slots",
-                format!("core {number} of the mapping holds {many} compartments, more than {most}"),
-            );
+            let message = format!("core {number} of the mapping holds {many} compartments, more than {most}");
+            return wrong("mapping.slots", message);
         }
         members.push(held);
         sites.push(site);
@@ -323,16 +283,14 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
     if let Some(core) = members.iter().position(Vec::is_empty) {
         return wrong("mapping.empty", format!("core {core} of the mapping holds no compartment"));
     }
-    match Placement::new(mesh, sites.clone()) {
-        Ok(_) => Ok((members, sites)),
-        Err(error) => wrong("mapping.site", error.to_string()),
-    }
+    let placement = Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))?;
+    Ok((members, placement))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CopyPlacement, Options, compile, compile_saved};
+    use crate::{CopyPlacement, Options, compile, load};
     use nsim_testing::{limits, slip, target};
 
     fn saved() -> (Quantised, Target, MappingFile) {
@@ -340,18 +298,6 @@ mod tests {
         let options = Options { copies: 3, ..Options::default() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
         (network, target, compiled.mapping_file())
-    }
-
-    #[test]
-    fn a_saved_mapping_compiles_to_the_same_program() {
-        let (network, target, file) = saved();
-        let text = ron::to_string(&file).unwrap();
-        let read: MappingFile = ron::from_str(&text).unwrap();
-        assert_eq!(read, file);
-        let options = Options { copies: 3, ..Options::default() };
-        let first = compile(network.clone(), &target, &options).unwrap();
-        let again = compile_saved(network, &target, &options, &read).unwrap();
-        assert_eq!(first.program, again.program);
     }
 
     #[test]
@@ -364,7 +310,7 @@ mod tests {
         assert!(file.cores[0].holds.iter().any(|run| run.population.ends_with("@1")));
         let one = one_copy(&file);
         assert_eq!((one.copies, one.cores.len()), (1, 1));
-        let compiled = compile_saved(network, &target, &Options::default(), &one).unwrap();
+        let compiled = load(network, &target, &Options::default(), &one).unwrap();
         assert_eq!(compiled.partition.members().as_slice()[0].len(), 62);
         assert_eq!(one_copy(&one), one);
     }

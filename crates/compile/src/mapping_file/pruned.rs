@@ -3,12 +3,10 @@
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::mapping::{PrunedFile, Run};
-use nsim_ir::quantised::Pruned;
-use nsim_ir::quantised::Quantised;
+use nsim_ir::quantised::{Pruned, Quantised};
 use nsim_quantise::prune::{Plan, Scene};
 
 /// What a file records so that the same is left out again.
-#[must_use]
 pub fn pruned_file(pruned: &Pruned) -> PrunedFile {
     let populations = pruned.original.populations();
     let mut dead: Vec<Run> = Vec::new();

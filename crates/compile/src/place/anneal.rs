@@ -67,7 +67,6 @@ pub struct Search<'a> {
 
 impl<'a> Search<'a> {
     /// As options say, for sources of the whole network that spike this often.
-    #[must_use]
     pub fn new(options: &Options, rates: &'a Rates) -> Self {
         let (work, end) = (options.effort.work(PLACED_PER_SECOND), options.effort.end());
         Search { objective: options.objective, rates, seed: options.seed, work, end, tree: TREE }
@@ -75,7 +74,6 @@ impl<'a> Search<'a> {
 }
 
 /// Places near the cores that exchange messages with each.
-#[must_use]
 pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
     let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites, search.objective).objective(search.objective);
     let mut best = start;
@@ -84,15 +82,14 @@ pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Sear
     }
     let cores: Vec<CoreId> = best.ids().collect();
     let chips: Vec<&[CoreId]> = cores.chunks(mesh.cores_per_chip as usize).collect();
-    let rounds = ROUNDS;
-    let work = search.work / rounds / chips.len().max(1) as u64;
+    let work = search.work / ROUNDS / chips.len().max(1) as u64;
     // A few proposals among many cores change nothing that is worth counting all nets for.
     let worthwhile = chips.iter().any(|cores| proposals(nets, cores, work) * FEW >= cores.len() as u64);
     if !worthwhile {
         return best;
     }
     let mut least = cost(&best);
-    for round in 0..rounds {
+    for round in 0..ROUNDS {
         if is_over(search.end) {
             break;
         }

@@ -30,7 +30,6 @@ const MOST_UNITS: usize = 1_024;
 const ROUNDS: usize = 16;
 
 /// The rank of each core.
-#[must_use]
 pub fn deal(network: &Quantised, partition: &Partition, placement: &Placement, ranks: u32) -> IdVec<CoreId, u32> {
     let load = |core: CoreId| partition.usage()[core].synapses + COMPARTMENT * partition.members()[core].len() as u64;
     let loads: Vec<u64> = partition.members().ids().map(load).collect();

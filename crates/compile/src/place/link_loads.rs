@@ -24,34 +24,27 @@ impl Lines {
         self.differences[start + high as usize] -= weight;
     }
 
-    /// The load of the link after each tile.
-    fn each(&self) -> Vec<u64> {
-        let mut loads = Vec::with_capacity(self.differences.len());
-        for line in self.differences.chunks(self.length.max(1)) {
-            let mut load = 0i64;
-            for difference in line {
-                load += difference;
-                loads.push(load as u64);
-            }
-        }
-        loads
+    /// The load of the link after each tile, line by line.
+    fn each(&self) -> impl Iterator<Item = u64> {
+        self.differences.chunks(self.length.max(1)).flat_map(|line| {
+            line.iter().scan(0i64, |load, difference| {
+                *load += difference;
+                Some(*load as u64)
+            })
+        })
     }
 
     /// The greatest load, the greatest after every this many tiles, where a chip ends, and the sum
-    /// of loads.
+    /// of loads; lines are of whole chips.
     fn loads(&self, of_chip: u32) -> [u64; 3] {
         let (mut most, mut between, mut sum) = (0, 0, 0);
-        for line in self.differences.chunks(self.length.max(1)) {
-            let mut load = 0i64;
-            for (tile, difference) in (1..).zip(line) {
-                load += difference;
-                most = most.max(load as u64);
-                sum += load as u64;
-                if tile % of_chip.max(1) == 0 {
-                    between = between.max(load as u64);
-                }
+        self.each().enumerate().for_each(|(tile, load)| {
+            most = most.max(load);
+            sum += load;
+            if (tile + 1).is_multiple_of(of_chip.max(1) as usize) {
+                between = between.max(load);
             }
-        }
+        });
         [most, between, sum]
     }
 }
@@ -61,7 +54,6 @@ pub struct LinkLoads([Lines; 4]);
 
 impl LinkLoads {
     /// No load on any link of a board.
-    #[must_use]
     pub fn new(mesh: &Mesh) -> Self {
         let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
         let (of_rows, of_columns) = (|| Lines::new(rows, columns), || Lines::new(columns, rows));
@@ -89,7 +81,6 @@ impl LinkLoads {
     }
 
     /// The greatest load, the greatest between two chips, and the sum of loads.
-    #[must_use]
     pub fn greatest(&self, mesh: &Mesh) -> [u64; 3] {
         let of_chips = [mesh.width, mesh.width, mesh.height, mesh.height];
         let loads = self.0.iter().zip(of_chips).map(|(lines, of_chip)| lines.loads(of_chip));
@@ -98,9 +89,8 @@ impl LinkLoads {
 
     /// The loads of both directions together: from each tile eastwards, row by row, and southwards,
     /// column by column.
-    #[must_use]
     pub fn both_ways(&self) -> [Vec<u64>; 2] {
-        let together = |a: &Lines, b: &Lines| a.each().into_iter().zip(b.each()).map(|(a, b)| a + b).collect();
+        let together = |a: &Lines, b: &Lines| a.each().zip(b.each()).map(|(a, b)| a + b).collect();
         let [east, west, south, north] = &self.0;
         [together(east, west), together(south, north)]
     }

@@ -69,14 +69,13 @@ pub fn place(
     target: &Target,
     search: Search<'_>,
 ) -> Result<(Placement, &'static str), Reason> {
-    let plain = sequential(partition.cores(), target)?;
+    let (cores, sources) = (partition.cores(), u64::from(network.channels() + network.compartments()));
+    let plain = sequential(cores, target)?;
     // A source reaches at most one core a synapse.
-    if network.synapses().min(u64::from(network.channels() + network.compartments()) * partition.cores() as u64)
-        > MOST_MESSAGES
-    {
+    if network.synapses().min(sources * cores as u64) > MOST_MESSAGES {
         return Ok((plain, SEQUENTIAL));
     }
-    place_nets(&Nets::new(network, partition, search.rates), partition.cores(), target, search)
+    place_nets(&Nets::new(network, partition, search.rates), cores, target, search)
 }
 
 /// A place for the core of each box, near those it exchanges messages with; and the name of how it
@@ -142,18 +141,14 @@ fn hilbert(plain: &Placement, nets: &Nets) -> IdVec<CoreId, Site> {
         let chip = plain.site(of_chip[0]).chip;
         // All sites of the chip in the order of the curve.
         let all = curve.iter().flat_map(|&(x, y)| (0..mesh.cores_per_tile).map(move |core| Site { chip, x, y, core }));
-        let all = all.filter(|&site| mesh.number(site).is_some());
+        let mut all: Vec<Site> = all.filter(|&site| mesh.number(site).is_some()).collect();
         let mut order = of_chip.to_vec();
-        let talks = of_chip.iter().any(|&core| nets.sends(core));
-        if !talks {
+        if !of_chip.iter().any(|&core| nets.sends(core)) {
             // Nothing but inputs: the nearest sites to the corner for the most of them.
             order.sort_by_key(|&core| std::cmp::Reverse(nets.input(core)));
-            let mut nearest: Vec<Site> = all.collect();
-            nearest.sort_by_key(|site| (site.x + site.y, site.y, site.core));
-            order.iter().zip(nearest).for_each(|(&core, site)| sites[core] = site);
-        } else {
-            order.iter().zip(all).for_each(|(&core, site)| sites[core] = site);
+            all.sort_by_key(|site| (site.x + site.y, site.y, site.core));
         }
+        order.into_iter().zip(all).for_each(|(core, site)| sites[core] = site);
     }
     sites
 }

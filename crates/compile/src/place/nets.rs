@@ -58,7 +58,6 @@ pub struct Costs {
 
 impl Costs {
     /// What is to be small, as one number.
-    #[must_use]
     pub fn objective(&self, objective: Objective) -> u128 {
         let hops = 2 * u128::from(self.multicast) + u128::from(self.unicast);
         match objective {
@@ -78,7 +77,6 @@ pub struct Columns {
 
 impl Columns {
     /// For a board.
-    #[must_use]
     pub fn new(mesh: &Mesh) -> Self {
         Columns { of: vec![(0, 0, 0); (mesh.chips_x * mesh.width) as usize], stamp: 0, used: Vec::new() }
     }
@@ -106,7 +104,6 @@ impl Columns {
 
 impl Nets {
     /// The nets of a partition whose cores are numbered chip by chip.
-    #[must_use]
     pub fn new(network: &Quantised, partition: &Partition, rates: &Rates) -> Self {
         let core_of = partition.seats().iter().map(|seat| seat.core).collect();
         let flows: Vec<(Option<u32>, u64, Vec<u32>)> =
@@ -120,7 +117,6 @@ impl Nets {
 
     /// The nets of this many cores, given as (core, none for inputs; rate; cores reached,
     /// ascending).
-    #[must_use]
     pub fn from_flows(all_cores: usize, flows: impl Iterator<Item = (Option<u32>, u64, Vec<u32>)>) -> Self {
         let mut known: HashMap<(Option<u32>, Vec<u32>), usize> = HashMap::new();
         let (mut nets, mut reached): (Vec<Net>, Csr<u32>) = (Vec::new(), Csr::default());
@@ -137,35 +133,29 @@ impl Nets {
             nets[at].weight += weight;
         }
         drop(known);
-        let mut of_core: Vec<Vec<u32>> = vec![Vec::new(); all_cores];
-        for (net, Net { source, .. }) in nets.iter().enumerate() {
-            let net = net as u32;
-            let cores = reached.get(net as usize);
-            cores.iter().for_each(|&core| of_core[core as usize].push(net));
-            if let Some(source) = source.filter(|source| cores.binary_search(source).is_err()) {
-                of_core[source as usize].push(net);
+        let of_core = Csr::by_row(all_cores, |put| {
+            for (net, (Net { source, .. }, cores)) in (0..).zip(nets.iter().zip(reached.iter())) {
+                cores.iter().for_each(|&core| put(core as usize, net));
+                if let Some(source) = source.filter(|source| cores.binary_search(source).is_err()) {
+                    put(source as usize, net);
+                }
             }
-        }
-        let mut lists = Csr::default();
-        of_core.into_iter().for_each(|list| lists.push(list));
-        Nets { nets, reached, of_core: lists }
+        });
+        Nets { nets, reached, of_core }
     }
 
     /// Whether a core sends messages to another.
-    #[must_use]
     pub fn sends(&self, core: CoreId) -> bool {
         self.of_core.get(core.index()).iter().any(|&net| self.nets[net as usize].source.is_some())
     }
 
     /// Rate of inputs into a core.
-    #[must_use]
     pub fn input(&self, core: CoreId) -> u64 {
         let of = self.of_core.get(core.index()).iter().map(|&net| self.nets[net as usize]);
         of.filter(|net| net.source.is_none()).map(|net| net.weight).sum()
     }
 
     /// Links of the multicast tree and of all single routes of one net.
-    #[must_use]
     pub fn links(&self, net: u32, mesh: &Mesh, sites: &[Site], columns: &mut Columns) -> (u64, u64) {
         let reached = self.reached.get(net as usize);
         let tile = |core: u32| mesh.tile(sites[core as usize]);
@@ -194,13 +184,11 @@ impl Nets {
 
     /// What places cost; the busiest link and the longest route only where the objective looks at
     /// them.
-    #[must_use]
     pub fn costs(&self, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
         self.costs_of_every(1, mesh, sites, objective)
     }
 
     /// What places cost by every so-many-th net, for comparing places.
-    #[must_use]
     pub fn costs_of_every(&self, nth: usize, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
         let (sites, of_links) = (sites.as_slice(), objective == Objective::Latency);
         let of_part = |part: std::ops::Range<usize>| {

@@ -10,13 +10,14 @@
 //! others.
 
 use crate::stages::{Front, Placed};
-use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
+use nsim_ir::base::id::{CoreId, IdVec};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_partition::error::Result;
 use nsim_partition::form::Form;
 use nsim_partition::options::{CopyPlacement, Options};
+use nsim_partition::strategy::copies::Pattern;
 use nsim_partition::strategy::members::Members;
 
 /// All copies, given how `one` maps a single copy; `None` where they are to be packed.
@@ -40,13 +41,7 @@ pub fn spread(
     }
     let (members, placement, name) = one(front.clone(), &Options { copies: 1, ..*options })?;
     let Some(sites) = sites_of_copies(&placement, Mesh::for_target(target), copies) else { return Ok(None) };
-    let of_copy = front.quantised().compartments();
-    let shifted = |copy: u32| {
-        let moved =
-            move |held: &Vec<CompartmentId>| held.iter().map(|id| CompartmentId(copy * of_copy + id.0)).collect();
-        members.iter().map(moved)
-    };
-    let all: Members = (0..copies).flat_map(shifted).collect();
+    let all = Pattern::repeated(front.quantised(), members, copies).members();
     front.clone().place_on(target, options, rates, (all, sites), name).map(Some)
 }
 
@@ -67,23 +62,21 @@ fn sites_of_copies(one: &Placement, mesh: Mesh, copies: u32) -> Option<IdVec<Cor
     // Several copies on a chip: one after the other in the chip's own order, each as far from the
     // corner as it has to be.
     let size = numbers.len() as u32;
-    let mut order: Vec<usize> = (0..numbers.len()).collect();
-    order.sort_by_key(|&core| numbers[core]);
-    let mut rank = vec![0; numbers.len()];
-    order.iter().zip(0..).for_each(|(&core, place)| rank[core] = place);
+    let mut sorted = numbers.clone();
+    sorted.sort_unstable();
+    let rank = |number: &u32| sorted.partition_point(|other| other < number) as u32;
     if layers * size > mesh.cores_per_chip {
         return None;
     }
     let of_copy = |copy: u32| {
         let first = slot(copy) + copy / slots * size;
-        rank.iter().map(move |place| mesh.site(first + place)).collect::<Vec<_>>()
+        numbers.iter().map(|number| mesh.site(first + rank(number))).collect::<Vec<_>>()
     };
     (0..copies).flat_map(of_copy).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::{Options, compile};
     use nsim_testing::{limits, random_network, target};
 
@@ -102,14 +95,5 @@ mod tests {
             let expected = |chip: u32| cores * (copies / 4 + u32::from(chip < copies % 4));
             assert_eq!(on_chip, [0, 1, 2, 3].map(expected), "{copies} copies");
         }
-    }
-
-    #[test]
-    fn what_does_not_fit_so_is_packed() {
-        let network = random_network(3);
-        let target = target(1, 1, limits());
-        let packed = Options { placement: CopyPlacement::Packed, copies: 2, ..Options::default() };
-        let made = compile(network.clone(), &target, &packed).unwrap();
-        assert!(made.placement.len() <= 2 * compile(network, &target, &Options::default()).unwrap().placement.len());
     }
 }

@@ -91,7 +91,6 @@ impl Timing {
     }
 
     /// The parts of a step's time without cores and messages, whose time is 0.
-    #[must_use]
     pub fn host_and_barrier(&self, spikes_in: u64, table: &CostTable) -> StepTime {
         StepTime {
             injection: self.injection(spikes_in, table),
@@ -106,7 +105,6 @@ impl Timing {
 impl MessageRoutes {
     /// The times of a step under each preset, (11), (17) or (21); the memory is reused between
     /// steps.
-    #[must_use]
     pub fn step_times(
         &self,
         step: &StepActivity,
@@ -124,26 +122,25 @@ impl MessageRoutes {
                 busiest = std::array::from_fn(|of| busiest[of].max(here[of]));
             }
         }
-        let analytic = |table: &CostTable| {
-            let cores = step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default();
-            let way = if sent { route_time(crossed.longest, table) } else { Picoseconds(0) };
-            // The first message finds its link free.
-            let wait = |link: Picoseconds, load: u32| link.0.saturating_mul(u64::from(load.saturating_sub(1)));
-            let wait = wait(table.link_time, busiest[0]).max(wait(table.link_chip_time, busiest[1]));
-            (cores, Picoseconds(way.0.saturating_add(wait)))
-        };
-        // (21): the messages of the busiest link pass it while cores work.
-        let overlapped = |table: &CostTable| {
-            let cores = step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default();
-            let link = |link: Picoseconds, load: u32| link.0.saturating_mul(load.into());
-            let link = link(table.link_time, busiest[0]).max(link(table.link_chip_time, busiest[1]));
-            (cores, Picoseconds(link.saturating_sub(cores.0)))
+        let cores = |table: &CostTable| step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default();
+        // The time in which the busiest link passes its messages but for those that find it free.
+        let passing = |table: &CostTable, free: u32| {
+            let link = |link: Picoseconds, load: u32| link.0.saturating_mul(load.saturating_sub(free).into());
+            link(table.link_time, busiest[0]).max(link(table.link_chip_time, busiest[1]))
         };
         let mut time = |table: &CostTable| {
             let fixed = timing.host_and_barrier(spikes_in, table);
             let (slowest_core, transport) = match timing.transport {
-                _ if overlaps(table) => overlapped(table),
-                Transport::Analytic => analytic(table),
+                // (21): the messages of the busiest link pass it while cores work.
+                _ if overlaps(table) => {
+                    let cores = cores(table);
+                    (cores, Picoseconds(passing(table, 0).saturating_sub(cores.0)))
+                }
+                Transport::Analytic => {
+                    let way = if sent { route_time(crossed.longest, table) } else { Picoseconds(0) };
+                    // The first message finds its link free.
+                    (cores(table), Picoseconds(way.0.saturating_add(passing(table, 1))))
+                }
                 Transport::Queued => self.followed(step, table, fixed.injection, memory),
             };
             StepTime { slowest_core, transport, ..fixed }
@@ -162,7 +159,7 @@ impl MessageRoutes {
         let most = self.regions.iter().map(|region| region.most_spikes(self, step)).max().unwrap_or(0).max(1);
         let (mut alone, mut took) = (0, 0);
         for region in &self.regions {
-            let (cores, added) = Queue::new(self, region, table, memory).run(step, injection, most);
+            let (cores, added) = Queue::new(self, region, table, memory).run(step, injection, most, true);
             (alone, took) = (alone.max(cores.0), took.max(cores.0 + added.0));
         }
         (Picoseconds(alone), Picoseconds(took - alone))
@@ -315,17 +312,6 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_receiver_handles_one_message_after_the_other() {
-        let sana = table("sanafe-calibrated");
-        let list: Vec<&[(u32, u32)]> = vec![&[(0, 50)]; 12];
-        let routes = routes(&[(1, 0)], &list, &[&[] as &[_]; 10]);
-        let each = 16_000 + 50 * 3_800;
-        let all: Vec<u32> = (0..12).collect();
-        // The first arrives over one link.
-        assert_eq!(queued(&routes, &step(1, &all, &[]), &sana), 4_100 + 12 * each);
-    }
-
-    #[test]
     fn a_link_passes_one_message_after_the_other() {
         let mut constants = preset("sanafe-calibrated");
         constants.link_time.value = 1_000.0.into();
@@ -381,6 +367,7 @@ pub(crate) mod tests {
             let (alone, added) = routes.followed(&step, &sana, Picoseconds(injection), &mut memory);
             alone.0 + added.0
         };
+        // The first arrives over one link, and the receiver handles one after the other.
         assert_eq!(time(0), 4_100 + 12 * each);
         // The receiver is slower than the injection: it began with the first of twelve spikes.
         assert_eq!(time(12 * 1_000), 1_000 + 4_100 + 12 * each - 12 * 1_000);

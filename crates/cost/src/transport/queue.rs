@@ -272,13 +272,9 @@ impl<'w> Queue<'w> {
         (leaves, done[to])
     }
 
-    /// The busiest core's time and what the mesh adds, both from the end of the injection.
-    pub(super) fn run(self, step: &StepActivity, injection: Picoseconds, most: u64) -> (Picoseconds, Picoseconds) {
-        self.follow(step, injection, most, true)
-    }
-
-    /// The same; every message is followed unless `skip`.
-    fn follow(
+    /// The busiest core's time and what the mesh adds, both from the end of the injection; every
+    /// message is followed unless `skip`.
+    pub(super) fn run(
         mut self,
         step: &StepActivity,
         injection: Picoseconds,
@@ -402,7 +398,7 @@ mod tests {
             let skips = Queue::new(&routes, region, &sana, &mut memory).inputs_meet_nobody(&step, injection.0, most)
                 && most > 1;
             (left_out, followed) = (left_out + u32::from(skips), followed + u32::from(!skips));
-            let mut time = |skip| Queue::new(&routes, region, &sana, &mut memory).follow(&step, injection, most, skip);
+            let mut time = |skip| Queue::new(&routes, region, &sana, &mut memory).run(&step, injection, most, skip);
             assert_eq!(time(true), time(false), "{seed}");
         }
         assert!(left_out > 50 && followed > 50, "{left_out} {followed}");

@@ -223,7 +223,6 @@ fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
 
 impl MessageRoutes {
     /// The routes of a program's messages.
-    #[must_use]
     pub fn of_program(program: &Program) -> Self {
         let kind = Kind {
             cores: 0..program.cores().len() as u32,
@@ -236,7 +235,6 @@ impl MessageRoutes {
     }
 
     /// The routes of the messages of all groups, in the numbers of their common program.
-    #[must_use]
     pub fn of_groups(groups: &CoreGroups) -> Self {
         let of_group = groups.groups.iter().map(|group| (group.kind, group.sites.as_slice()));
         MessageRoutes::new(&groups.program, &groups.kinds, &of_group.collect::<Vec<_>>())
@@ -312,24 +310,19 @@ impl MessageRoutes {
     }
 
     /// The counts of all cores of all groups in a step.
-    #[must_use]
     pub fn sum_of_cores(&self, step: &StepActivity) -> CoreCounts {
         if self.is_whole() {
-            return sum_of_cores(step);
+            return sum_of_cores(step.cores.as_slice());
         }
         let mut all = CoreCounts::default();
         for KindOfGroup { kind, groups } in &self.kinds {
-            let mut sum = CoreCounts::default();
-            step.cores.as_slice()[kind.cores.start as usize..kind.cores.end as usize]
-                .iter()
-                .for_each(|core| sum += *core);
-            all += sum.times(*groups);
+            let of_kind = kind.cores.start as usize..kind.cores.end as usize;
+            all += sum_of_cores(&step.cores.as_slice()[of_kind]).times(*groups);
         }
         all
     }
 
     /// The links that the messages of all groups cross in a step.
-    #[must_use]
     pub fn hops(&self, step: &StepActivity) -> HopCounts {
         self.crossed_in(step).hops
     }

@@ -57,7 +57,6 @@ impl Effects {
 /// The lanes with each of the lowest N bits. Bits that no lane has, and what all lanes have, are
 /// common: they take no further work.
 #[inline(always)]
-#[must_use]
 pub fn lanes_with<const N: usize>(flags: &Flags) -> [u64; N] {
     /// The lowest bit of each byte.
     const LOWEST: u64 = 0x0101_0101_0101_0101;

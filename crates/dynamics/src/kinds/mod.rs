@@ -18,11 +18,11 @@ mod resonator;
 mod sigma_delta;
 
 pub use block::{Block, Effects, Flags, MOST_LANES, Updater, lanes_with};
-pub use neuron::{Arrived, CHUNK, Columns, Emission, Left, Neuron};
+pub use neuron::CHUNK;
 
 use std::marker::PhantomData;
 
-use neuron::choice;
+use neuron::{Columns, Emission, Left, Neuron, choice};
 use nsim_ir::neurons::{NeuronKind, Row};
 
 /// The update of a block, compartment by compartment, in chunks that compilers turn into vectors.
@@ -139,7 +139,6 @@ fn chunked<N: Neuron>(rows: &[Row]) -> Option<Box<dyn Updater>> {
 
 /// The update of compartments with these parameters, at most [`MOST_LANES`]; `None` for a kind with
 /// the registers of Loihi 1.
-#[must_use]
 pub fn updater(kind: NeuronKind, rows: &[Row]) -> Option<Box<dyn Updater>> {
     match kind {
         NeuronKind::Loihi | NeuronKind::If | NeuronKind::SoftReset => None,

@@ -23,14 +23,12 @@ pub struct Emission {
 impl Emission {
     /// A message that carries nothing of its own, or none.
     #[inline(always)]
-    #[must_use]
     pub fn spike(spikes: bool) -> Emission {
         Emission { sends: mask(spikes), value: 0 }
     }
 
     /// A message with an integer, none with 0.
     #[inline(always)]
-    #[must_use]
     pub fn value(value: i32) -> Emission {
         Emission { sends: mask(value != 0), value }
     }
@@ -82,21 +80,18 @@ impl Left {
 
     /// Whether any wrapped.
     #[inline(always)]
-    #[must_use]
     pub fn any_wrapped(self) -> bool {
         self.wrapped < 0
     }
 
     /// Whether any was clipped.
     #[inline(always)]
-    #[must_use]
     pub fn any_clipped(self) -> bool {
         self.clipped < 0
     }
 
     /// Whether any left its bits.
     #[inline(always)]
-    #[must_use]
     pub fn any(self) -> bool {
         self.wrapped | self.clipped < 0
     }

@@ -46,16 +46,11 @@ columns!(
 /// How a change is sent.
 #[derive(Debug, Clone, Copy)]
 struct Sending {
+    /// It fits 31 bits: an exponent is at most 7 and the mantissa has 17 bits.
     threshold: i32,
     state_exp: i32,
     cum_error: i32,
     corrected: i32,
-}
-
-/// The threshold of a change: an exponent is at most 7 and the mantissa has 17 bits, so that it
-/// fits 31.
-fn threshold(vth: i32, shift: i32) -> i32 {
-    vth << shift
 }
 
 impl Sending {
@@ -109,7 +104,7 @@ impl Neuron for SigmaDelta {
         Parameters {
             bias: bias << shift,
             least: if relu == 0 { i32::MIN } else { 0 },
-            threshold: threshold(vth, shift),
+            threshold: vth << shift,
             state_exp,
             // The corrected form has no error.
             cum_error: mask(cum_error != 0 && corrected == 0),
@@ -142,7 +137,7 @@ impl Neuron for Delta {
 
     fn prepare(&Row([vth, spike_exp, state_exp, cum_error, ..]): &Row) -> Encoding {
         let shift = spike_exp + state_exp;
-        Encoding { shift, threshold: threshold(vth, shift), state_exp, cum_error: mask(cum_error != 0) }
+        Encoding { shift, threshold: vth << shift, state_exp, cum_error: mask(cum_error != 0) }
     }
 
     #[inline(always)]

@@ -87,17 +87,13 @@ pub fn measurements(source: &SourceText) -> Result<MeasurementsFile> {
         known("unit", &cell.unit, &UNITS)?;
         known("figure", &cell.figure, &FIGURES)?;
         if cell.value().is_none() {
-            return Err(Diagnostic::new(
-                "measurements.cell",
-                format!("'{}' is no positive decimal", cell.printed.value),
-            )
-            .at(source, cell.printed.span));
+            let message = format!("'{}' is no positive decimal", cell.printed.value);
+            return Err(Diagnostic::new("measurements.cell", message).at(source, cell.printed.span));
         }
     }
     if file.copies == 0 || file.cells.is_empty() {
-        return Err(
-            Diagnostic::new("measurements.cell", "a table has at least one copy and one cell").in_file(source.path())
-        );
+        let message = "a table has at least one copy and one cell";
+        return Err(Diagnostic::new("measurements.cell", message).in_file(source.path()));
     }
     Ok(file)
 }

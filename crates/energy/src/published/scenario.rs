@@ -45,7 +45,6 @@ pub struct ScenarioFile {
 
 impl ScenarioFile {
     /// Whether this is the target that it ran on, as its name says and unchanged.
-    #[must_use]
     pub fn is_on(&self, target: &Target) -> bool {
         self.target == target.name() && !target.is_changed()
     }

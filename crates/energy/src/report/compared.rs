@@ -58,7 +58,7 @@ pub struct PerDecision {
 }
 
 /// Power times time of a row in uJ.
-pub(super) fn energy(row: &EnergyRow) -> Option<f64> {
+fn energy(row: &EnergyRow) -> Option<f64> {
     Some(row.total_mw? * row.latency_us? / 1e3)
 }
 
@@ -169,27 +169,12 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nsim_cost::estimate::{Convention, Shares};
+    use nsim_cost::estimate::Convention;
 
     fn row(hardware: &str, total_mw: f64, latency_us: f64) -> EnergyRow {
-        EnergyRow {
-            hardware: hardware.to_string(),
-            unit: "total",
-            convention: Convention::Published,
-            static_mw: Some(0.0),
-            dynamic_mw: Some(total_mw),
-            total_mw: Some(total_mw),
-            latency_us: Some(latency_us),
-            energy_uj: Some(1.0),
-            edp_pjs: Some(1.0),
-            low: None,
-            high: None,
-            share: None,
-            shares: Shares::default(),
-            busy: None,
-            source: FigureSource::Published,
-            power_source: FigureSource::Published,
-        }
+        let (powers, published) = ((0.0, Some(total_mw)), FigureSource::Published);
+        let row = EnergyRow::new(hardware, "total", Convention::Published, powers, Some(latency_us), published, None);
+        EnergyRow { energy_uj: Some(1.0), edp_pjs: Some(1.0), ..row }
     }
 
     #[test]

@@ -1,5 +1,4 @@
 //! The results of `nsim energy`: the table with its breakdown, and what it compares with.
 
 pub mod compared;
-mod format;
 pub mod table;

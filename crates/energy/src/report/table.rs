@@ -9,7 +9,6 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::compared::Comparison;
-use super::format::{brief, readable, unknown};
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
@@ -199,6 +198,27 @@ fn row_name(row: &EnergyRow, chip: &str) -> String {
 /// Whether a publication printed it of the chip.
 fn is_printed(row: &EnergyRow) -> bool {
     row.source == FigureSource::Published && row.hardware.ends_with(", printed")
+}
+
+/// What stands for a figure that is not known.
+fn unknown() -> String {
+    "unknown".to_string()
+}
+
+/// Three digits; of less than a thousandth as a power of ten.
+fn readable(x: f64) -> String {
+    if x > 0.0 && x < 1e-3 { format!("{x:.2e}") } else { three(x) }
+}
+
+/// An end of an interval: two significant digits, `2.8k` for thousands.
+fn brief(x: f64) -> String {
+    match x {
+        1e6.. => format!("{}M", digits(x / 1e6, 2)),
+        1e3.. => format!("{}k", digits(x / 1e3, 2)),
+        100.0.. => format!("{x:.0}"),
+        0.0..1e-3 if x > 0.0 => format!("{x:.1e}"),
+        _ => digits(x, 2),
+    }
 }
 
 /// A line of the table.
@@ -422,15 +442,12 @@ impl EnergyReport {
 
     fn head(&self) -> String {
         let Deployment { copies, cores_used, chips_used, x86_cores, .. } = &self.deployment;
-        let cores = if *x86_cores > 0 {
-            format!("{}, {}", count(*cores_used, "neuron core"), count(*x86_cores, "x86 core"))
-        } else {
-            format!("{}, no x86 core", count(*cores_used, "neuron core"))
-        };
-        let copies = if *copies == 1 { "1 copy".to_string() } else { format!("{copies} copies") };
-        let chips = count(*chips_used, "chip");
+        let (copies, chips) = (count(*copies, "copy"), count(*chips_used, "chip"));
+        let cores = count(*cores_used, "neuron core");
+        let x86 = if *x86_cores > 0 { count(*x86_cores, "x86 core") } else { "no x86 core".to_string() };
         let mode = if self.mode == Mode::Offline { "offline" } else { "real time" };
-        let mut out = wrapped(&format!("{} on {}: {copies} on {chips} ({cores}), {mode}", self.model, self.target));
+        let (model, target) = (&self.model, &self.target);
+        let mut out = wrapped(&format!("{model} on {target}: {copies} on {chips} ({cores}, {x86}), {mode}"));
         let shown = self.input.first().map_or("", String::as_str);
         // The number of samples and the seed say nothing of the scene; its other fields do.
         let (scene, fields) = shown.split_once('?').unwrap_or((shown, ""));
@@ -454,7 +471,7 @@ impl EnergyReport {
         out
     }
 
-    /// The table with its heading.
+    /// The table with its heading and what is said below it.
     fn table(&self, every_interval: bool) -> String {
         let mut out = self.head();
         let groups = ["", "power", "(mW)", "latency", "energy", "EDP"].map(str::to_string);
@@ -480,6 +497,9 @@ impl EnergyReport {
         out += &line(&widths, "", &self.headings(), "");
         for (name, cells, source) in lines {
             out += &line(&widths, &name, &cells, &source);
+        }
+        for remark in self.remarks().iter().chain(&self.of_constants) {
+            out += &wrapped(remark);
         }
         out
     }
@@ -586,18 +606,11 @@ impl EnergyReport {
     /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
     pub fn headline(&self) -> String {
         let mut out = self.table(false);
-        for remark in self.remarks().iter().chain(&self.of_constants) {
-            out += &wrapped(remark);
-        }
         if let Some(saved) = self.early_exit {
-            let percent = |share: f64| digits(100.0 * share, 2);
             let shares = saved.energy_saved_share.zip(saved.idle_saved_share);
             let share = shares.map_or(String::new(), |(off, idle)| {
-                format!(
-                    ", and {} % of energy if the chip is off after the decision, {} % if it idles",
-                    percent(off),
-                    percent(idle)
-                )
+                let [off, idle] = [off, idle].map(|share| digits(100.0 * share, 2));
+                format!(", and {off} % of energy if the chip is off after the decision, {idle} % if it idles")
             });
             out += &wrapped(&format!(
                 "early exit {}: {} of {} samples decided early; saves {} of {} timesteps{share}. {}",
@@ -642,9 +655,6 @@ impl EnergyReport {
     /// The whole report for people: what a reader asks first comes first.
     pub fn text(&self) -> String {
         let mut out = self.table(true);
-        for remark in self.remarks().iter().chain(&self.of_constants) {
-            out += &wrapped(remark);
-        }
         out.push('\n');
         out.push_str(&self.breakdown());
         out.push_str(&self.shares());
@@ -656,7 +666,7 @@ impl EnergyReport {
                 "At these mean rates nsim map --profile expects {} uJ of the whole job of {} mapped here, and {} us of \
                  a timestep: every compartment active, spikes spread evenly.",
                 three(energy_uj),
-                if self.copies_counted == 1 { "1 copy".to_string() } else { format!("{} copies", self.copies_counted) },
+                count(self.copies_counted, "copy"),
                 three(step_us)
             ));
             out.push('\n');

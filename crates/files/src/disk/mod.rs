@@ -72,21 +72,15 @@ impl Input {
 impl Read for Input {
     /// Goes on after a signal: `BufRead::fill_buf` does not.
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize> {
-        loop {
-            match self.read_once(buffer) {
-                Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                read => return read,
-            }
-        }
-    }
-}
-
-impl Input {
-    fn read_once(&mut self, buffer: &mut [u8]) -> Result<usize> {
         if buffer.is_empty() {
             return Ok(0);
         }
-        let read = self.file.read(buffer)?;
+        let read = loop {
+            match self.file.read(buffer) {
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                read => break read?,
+            }
+        };
         if read == 0 && self.left > 0 {
             return Err(Error::other(format!("it ends {} bytes before its length", self.left)));
         }

@@ -51,7 +51,6 @@ pub enum Source {
 
 impl Source {
     /// The array of a file.
-    #[must_use]
     pub fn array(&self) -> Option<ArrayRef> {
         match self {
             Source::Npy(file) => Some(ArrayRef::Npy(file.clone())),
@@ -75,7 +74,6 @@ impl Weights {
     ///
     /// # Panics
     /// When they are elsewhere, a mistake of the caller.
-    #[must_use]
     pub fn tensor(&self) -> &Tensor {
         match self {
             Weights::InPlace(tensor) => tensor,
@@ -88,7 +86,6 @@ impl Weights {
 ///
 /// # Panics
 /// When the numbers do not fill the shape, a mistake of the caller.
-#[must_use]
 pub fn tensor(shape: Vec<usize>, numbers: Vec<f64>) -> Weights {
     let whole = numbers.iter().all(|&x| f64::from(x as i32).to_bits() == x.to_bits());
     let numbers = match whole {
@@ -111,7 +108,6 @@ pub enum Parameter {
 
 impl Parameter {
     /// One for all when all are equal.
-    #[must_use]
     pub fn from_values(values: Vec<f64>) -> Parameter {
         match values.first() {
             Some(&first) if values.iter().all(|value| value.to_bits() == first.to_bits()) => Parameter::Same(first),
@@ -123,7 +119,6 @@ impl Parameter {
     ///
     /// # Panics
     /// When there is one for each and `index` is not one of them.
-    #[must_use]
     pub fn get(&self, index: usize) -> f64 {
         match self {
             Parameter::Same(value) => *value,
@@ -133,7 +128,6 @@ impl Parameter {
     }
 
     /// The values that are in place: one for all, or one each.
-    #[must_use]
     pub fn values(&self) -> &[f64] {
         match self {
             Parameter::Same(value) => std::slice::from_ref(value),
@@ -143,7 +137,6 @@ impl Parameter {
     }
 
     /// Changes every value that is in place.
-    #[must_use]
     pub fn map(&self, f: impl Fn(f64) -> f64) -> Parameter {
         match self {
             Parameter::Same(value) => Parameter::Same(f(*value)),
@@ -179,19 +172,16 @@ pub struct PopulationDesc {
 
 impl PopulationDesc {
     /// Channels that a stimulus drives.
-    #[must_use]
     pub fn input(name: &str, shape: Vec<u64>) -> Self {
         PopulationDesc { name: name.to_string(), shape, ..PopulationDesc::default() }
     }
 
     /// Compartments with these parameters.
-    #[must_use]
     pub fn loihi(name: &str, shape: Vec<u64>, parameters: Vec<(&'static str, Parameter)>) -> Self {
         PopulationDesc { loihi: Some(parameters), ..PopulationDesc::input(name, shape) }
     }
 
     /// The name of its kind in model files.
-    #[must_use]
     pub fn kind_name(&self) -> &'static str {
         match (self.srm, &self.loihi) {
             (Some(_), _) => "Srm",
@@ -201,13 +191,11 @@ impl PopulationDesc {
     }
 
     /// Channels or compartments.
-    #[must_use]
     pub fn units(&self) -> u64 {
         self.shape.iter().fold(1, |product: u64, &axis| product.saturating_mul(axis))
     }
 
     /// A parameter by name.
-    #[must_use]
     pub fn parameter(&self, name: &str) -> Option<&Parameter> {
         self.loihi.as_ref()?.iter().find(|(key, _)| *key == name).map(|(_, value)| value)
     }
@@ -291,7 +279,6 @@ pub struct ProjectionDesc {
 
 impl ProjectionDesc {
     /// A projection with the default format of synapses.
-    #[must_use]
     pub fn new(from: &str, to: &str, kind: ProjectionKind) -> Self {
         ProjectionDesc {
             from: vec![from.to_string()],
@@ -307,7 +294,6 @@ impl ProjectionDesc {
     }
 
     /// The name of its kind in model files.
-    #[must_use]
     pub fn kind_name(&self) -> &'static str {
         match &self.kind {
             ProjectionKind::Dense(_) => "Dense",
@@ -319,7 +305,6 @@ impl ProjectionDesc {
     }
 
     /// The weights, for the kinds that have an array of them.
-    #[must_use]
     pub fn weights(&self) -> Option<&Weights> {
         match &self.kind {
             ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => Some(weights),
@@ -331,7 +316,6 @@ impl ProjectionDesc {
 /// Silent places after an axis of `source` places that a window with this reach, stride and
 /// padding before the axis needs to give `target` outputs: as many as before where that gives them,
 /// else the fewest that do.
-#[must_use]
 pub fn padding_after(source: u64, target: u64, reach: u64, stride: u64, before: u64) -> u64 {
     let last = target.saturating_sub(1).saturating_mul(stride).saturating_add(reach);
     let fewest = last.saturating_sub(source.saturating_add(before));
@@ -396,13 +380,11 @@ pub struct NetworkFile {
 
 impl NetworkFile {
     /// A network without populations.
-    #[must_use]
     pub fn new(name: &str, timestep_ms: f64) -> Self {
         NetworkFile { name: name.to_string(), timestep_ms, ..NetworkFile::default() }
     }
 
     /// The target that was named, or else its own, or else the usual one.
-    #[must_use]
     pub fn target_or_usual<'n>(&'n self, named: Option<&'n str>) -> &'n str {
         named.or(self.target.as_deref()).unwrap_or(USUAL_TARGET)
     }
@@ -428,13 +410,11 @@ impl NetworkFile {
     }
 
     /// A population by name.
-    #[must_use]
     pub fn population(&self, name: &str) -> Option<&PopulationDesc> {
         self.populations.iter().find(|population| population.name == name)
     }
 
     /// Every array that the file refers to, and the path at which it does.
-    #[must_use]
     pub fn arrays(&self) -> Vec<(ArrayRef, String)> {
         let mut arrays = Vec::new();
         for (index, population) in self.populations.iter().enumerate() {
@@ -491,7 +471,6 @@ impl Network {
     }
 
     /// Another file with the same arrays; `None` when it refers to others.
-    #[must_use]
     pub fn with_file(&self, file: NetworkFile, source: SourceText) -> Option<Self> {
         let known = file.arrays().iter().all(|(array, _)| self.arrays.contains_key(array));
         let Network { arrays, conventions, .. } = self.clone();
@@ -505,31 +484,26 @@ impl Network {
     }
 
     /// How it was read where another tool wrote it.
-    #[must_use]
     pub fn conventions(&self) -> &Conventions {
         &self.conventions
     }
 
     /// The content of the model file.
-    #[must_use]
     pub fn file(&self) -> &NetworkFile {
         &self.file
     }
 
     /// The text, for messages.
-    #[must_use]
     pub fn source(&self) -> &SourceText {
         &self.source
     }
 
     /// The array of a reference.
-    #[must_use]
     pub fn array(&self, reference: &ArrayRef) -> &Tensor {
         &self.arrays[reference]
     }
 
     /// The numbers of weights; none for seeded ones.
-    #[must_use]
     pub fn tensor<'a>(&'a self, weights: &'a Weights) -> Option<&'a Tensor> {
         match weights {
             Weights::InPlace(tensor) => Some(tensor),
@@ -539,7 +513,6 @@ impl Network {
 }
 
 /// The place of a path in the text of a model, or that of the nearest value around it.
-#[must_use]
 pub fn place(source: &SourceText, path: &str) -> Span {
     let whole = Span { start: 0, end: source.text().len() };
     let ends = path.rmatch_indices('.').map(|(at, _)| at);

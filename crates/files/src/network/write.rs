@@ -51,6 +51,15 @@ impl Serialize for Weights {
     }
 }
 
+/// Writes a field that has a value other than the usual one.
+fn given<F: SerializeStructVariant>(
+    fields: &mut F,
+    name: &'static str,
+    value: Option<impl Serialize>,
+) -> Result<(), F::Error> {
+    value.map_or(Ok(()), |value| fields.serialize_field(name, &value))
+}
+
 impl Serialize for PopulationDesc {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut fields = serializer.serialize_struct_variant("Population", 0, self.kind_name(), 0)?;
@@ -62,15 +71,9 @@ impl Serialize for PopulationDesc {
         for (name, parameter) in self.loihi.iter().flatten() {
             fields.serialize_field(name, parameter)?;
         }
-        if self.start_step != 0 {
-            fields.serialize_field("start_step", &self.start_step)?;
-        }
-        if let Some(payload) = self.payload {
-            fields.serialize_field("payload", &payload)?;
-        }
-        if let Some(bits) = self.message_bits {
-            fields.serialize_field("message_bits", &bits)?;
-        }
+        given(&mut fields, "start_step", (self.start_step != 0).then_some(self.start_step))?;
+        given(&mut fields, "payload", self.payload)?;
+        given(&mut fields, "message_bits", self.message_bits)?;
         fields.end()
     }
 }
@@ -109,31 +112,18 @@ impl Serialize for ProjectionDesc {
                 fields.serialize_field("seed", seed)?;
             }
         }
-        if let Some(exponent) = self.weight_exp {
-            fields.serialize_field("weight_exp", &exponent)?;
-        }
-        if self.sign != SignMode::Mixed {
-            fields.serialize_field("sign", &self.sign)?;
-        }
-        if self.weight_bits != 8 {
-            fields.serialize_field("weight_bits", &self.weight_bits)?;
-        }
-        if self.delay != 0 {
-            fields.serialize_field("delay", &self.delay)?;
-        }
-        if let Some(scale) = self.weight_scale {
-            fields.serialize_field("weight_scale", &scale)?;
-        }
-        if !self.port.is_first() {
-            fields.serialize_field("port", &self.port)?;
-        }
+        given(&mut fields, "weight_exp", self.weight_exp)?;
+        given(&mut fields, "sign", (self.sign != SignMode::Mixed).then_some(self.sign))?;
+        given(&mut fields, "weight_bits", (self.weight_bits != 8).then_some(self.weight_bits))?;
+        given(&mut fields, "delay", (self.delay != 0).then_some(self.delay))?;
+        given(&mut fields, "weight_scale", self.weight_scale)?;
+        given(&mut fields, "port", (!self.port.is_first()).then_some(self.port))?;
         fields.end()
     }
 }
 
 impl NetworkFile {
     /// The model with its long lists as tensors of `file`, and these.
-    #[must_use]
     pub fn split(mut self, file: &str) -> (NetworkFile, BTreeMap<String, Tensor>) {
         let mut tensors = BTreeMap::new();
         // Under a key that no other has.
@@ -234,30 +224,27 @@ impl NetworkFile {
     pub fn write_under(&self, comment: &str, path: &Path, force: bool) -> Result<Vec<String>> {
         Self::check_name(path)?;
         let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
-        let arrays = path.with_file_name(format!("{stem}.safetensors"));
-        let name = arrays.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let name = format!("{stem}.safetensors");
+        let arrays = path.with_file_name(&name);
         let (text, tensors) = self.ron(&name)?;
         let head = comment.lines().map(|line| format!("// {line}").trim_end().to_string() + "\n");
         let text = head.collect::<String>() + &text;
-        let mut files = vec![path.display().to_string()];
         write::check_free(path, force)?;
         if tensors.is_empty() {
             write::text(path, force, &text)?;
-        } else {
-            if text::is_standard_stream(path) {
-                return Err(Diagnostic::new("write.arrays", "the model has arrays, which need a file next to it")
-                    .help("give -o MODEL.ron"));
-            }
-            let bytes = serialise(&tensors).map_err(|error| {
-                Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&arrays)
-            })?;
-            let mut batch = write::Batch::new(force);
-            batch.add(&arrays, |out| out.write_all(&bytes))?;
-            batch.add(path, |out| out.write_all(text.as_bytes()))?;
-            batch.commit()?;
-            files.push(arrays.display().to_string());
+            return Ok(vec![path.display().to_string()]);
         }
-        Ok(files)
+        if text::is_standard_stream(path) {
+            return Err(Diagnostic::new("write.arrays", "the model has arrays, which need a file next to it")
+                .help("give -o MODEL.ron"));
+        }
+        let failed = |error| Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&arrays);
+        let bytes = serialise(&tensors).map_err(failed)?;
+        let mut batch = write::Batch::new(force);
+        batch.add(&arrays, |out| out.write_all(&bytes))?;
+        batch.add(path, |out| out.write_all(text.as_bytes()))?;
+        batch.commit()?;
+        Ok(vec![path.display().to_string(), arrays.display().to_string()])
     }
 }
 

@@ -10,8 +10,7 @@ use std::path::{Path, PathBuf};
 
 use super::temporary::Temporary;
 use crate::disk;
-use crate::text;
-use crate::text::is_standard_stream;
+use crate::text::{self, is_standard_stream};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 fn exists(path: &Path) -> Diagnostic {
@@ -87,7 +86,6 @@ pub struct Batch {
 
 impl Batch {
     /// No files yet. Existing ones are replaced if `force` says so.
-    #[must_use]
     pub fn new(force: bool) -> Batch {
         Batch { force, parts: Vec::new() }
     }

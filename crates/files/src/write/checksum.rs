@@ -16,7 +16,6 @@ pub const FIELD: &str = "checksum";
 const TIMES: [&str; 3] = ["wall_s", "us_per_timestep", "seconds"];
 
 /// The checksum of an object's other fields.
-#[must_use]
 pub fn checksum_of(object: &Value) -> String {
     let mut object = object.clone();
     if let Some(fields) = object.as_object_mut() {
@@ -27,7 +26,6 @@ pub fn checksum_of(object: &Value) -> String {
 }
 
 /// An object with its checksum.
-#[must_use]
 pub fn with(mut object: Value) -> Value {
     object[FIELD] = checksum_of(&object).into();
     object
@@ -37,14 +35,12 @@ pub fn with(mut object: Value) -> Value {
 const READ: [&str; 5] = ["nsim.agree/1", "nsim.bench/1", "nsim.energy/1", "nsim.map/1", "nsim.run/1"];
 
 /// A result as it is printed and as Python has it: with its checksum, if it may be read again.
-#[must_use]
 pub fn printed(result: Value) -> Value {
     let is_read = READ.iter().any(|schema| result["schema"] == *schema);
     if is_read { with(result) } else { result }
 }
 
 /// Whether an object has the checksum of its other fields; `None` when it has none.
-#[must_use]
 pub fn holds(object: &Value) -> Option<bool> {
     Some(*object.get(FIELD)? == checksum_of(object))
 }

@@ -28,7 +28,6 @@ use nsim_ir::base::names::printable;
 static PRINTING: AtomicBool = AtomicBool::new(false);
 
 /// Whether something has been, or is being, printed to stdout: nothing may be added to a result.
-#[must_use]
 pub fn has_printed() -> bool {
     PRINTING.load(Ordering::SeqCst)
 }
@@ -42,7 +41,6 @@ pub fn be_silent(silent: bool) {
 }
 
 /// Whether this process prints nothing.
-#[must_use]
 pub fn is_silent() -> bool {
     SILENT.load(Ordering::SeqCst)
 }
@@ -68,7 +66,6 @@ pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::
 
 /// Removes the temporary files of this process, which is about to end, and lets it begin no more.
 /// Returns the folders that stay unfinished.
-#[must_use]
 pub fn abandon() -> Vec<PathBuf> {
     temporary::abandon();
     folder::unfinished()

@@ -92,31 +92,26 @@ pub struct Numbers {
 
 impl Numbers {
     /// The axes; none for a scalar.
-    #[must_use]
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
 
     /// How many.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.bytes.len() / self.element.bytes()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()
     }
 
     /// Whether they are integers.
-    #[must_use]
     pub fn is_integer(&self) -> bool {
         !self.element.is_real()
     }
 
     /// The type of an element as NumPy writes it: kind and bytes.
-    #[must_use]
     pub fn dtype(&self) -> String {
         self.element.dtype()
     }
@@ -125,19 +120,16 @@ impl Numbers {
     ///
     /// # Panics
     /// When the numbers do not fill the shape, a mistake of the caller; the other makers alike.
-    #[must_use]
     pub fn f64(shape: &[usize], reals: &[f64]) -> Numbers {
         Numbers::from_bytes(shape, Element::F(8), reals.iter().flat_map(|x| x.to_le_bytes()).collect())
     }
 
     /// Reals of 32 bits.
-    #[must_use]
     pub fn f32(shape: &[usize], reals: &[f32]) -> Numbers {
         Numbers::from_bytes(shape, Element::F(4), reals.iter().flat_map(|x| x.to_le_bytes()).collect())
     }
 
     /// Integers of 64 bits.
-    #[must_use]
     pub fn i64(shape: &[usize], integers: &[i64]) -> Numbers {
         Numbers::from_bytes(shape, Element::I(8), integers.iter().flat_map(|x| x.to_le_bytes()).collect())
     }
@@ -186,7 +178,6 @@ impl Group {
     }
 
     /// A member by its path.
-    #[must_use]
     pub fn get(&self, path: &str) -> Option<&Item> {
         match path.split_once('/') {
             Some((first, rest)) => self.group(first)?.get(rest),
@@ -195,7 +186,6 @@ impl Group {
     }
 
     /// A group among the members.
-    #[must_use]
     pub fn group(&self, path: &str) -> Option<&Group> {
         match self.get(path)? {
             Item::Group(group) => Some(group),
@@ -204,7 +194,6 @@ impl Group {
     }
 
     /// An array among the members.
-    #[must_use]
     pub fn numbers(&self, path: &str) -> Option<&Numbers> {
         match self.get(path)? {
             Item::Numbers(numbers) => Some(numbers),
@@ -213,14 +202,12 @@ impl Group {
     }
 
     /// The only number of a member: a scalar or an array of one.
-    #[must_use]
     pub fn number(&self, path: &str) -> Option<f64> {
         let numbers = self.numbers(path)?;
         (numbers.len() == 1).then(|| numbers.reals().next())?
     }
 
     /// The path and type of a member of a type that is not read.
-    #[must_use]
     pub fn unread(&self) -> Option<(String, &str)> {
         self.items.iter().find_map(|(name, item)| match item {
             Item::Other(what) => Some((name.clone(), what.as_str())),
@@ -230,7 +217,6 @@ impl Group {
     }
 
     /// The only text of a member.
-    #[must_use]
     pub fn text(&self, path: &str) -> Option<&str> {
         match self.get(path)? {
             Item::Texts(_, texts) if texts.len() == 1 => Some(&texts[0]),
@@ -253,10 +239,7 @@ impl Reading<'_> {
     }
 
     fn wrong(&self, what: &dyn std::fmt::Display) -> Diagnostic {
-        let mut what = what.to_string();
-        if what.len() > 300 {
-            what = what.chars().take(300).collect();
-        }
+        let what: String = what.to_string().chars().take(300).collect();
         let layout = ["data layout", "chunk index", "external files", "filter"].iter().any(|part| what.contains(part));
         let mut problem = Diagnostic::new("hdf5.format", format!("the HDF5 file cannot be read: {what}"));
         if layout {

@@ -7,6 +7,7 @@ use nsim_files::network::{NetworkFile, Parameter};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::{Delay, ThresholdMantissa};
+use nsim_ir::base::names::named_variants;
 
 /// The greatest threshold mantissa: what a compartment gets that should not spike.
 pub(super) const NEVER: f64 = ThresholdMantissa::MAX.get() as f64;
@@ -44,6 +45,11 @@ pub struct Options {
     pub state_exp: Option<u8>,
 }
 
+/// The problem of an option that is lacking, or that a file contradicts.
+pub(super) fn wrong_option(message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new("import.option", message)
+}
+
 impl Options {
     /// Refuses the options that a kind of file has no use for: all that are given but these.
     pub(super) fn refuse_unused(&self, file: &str, used: &[&str]) -> Result<()> {
@@ -60,9 +66,7 @@ impl Options {
         ];
         match given.into_iter().find(|(name, given)| *given && !used.contains(name)) {
             None => Ok(()),
-            Some((name, _)) => {
-                Err(Diagnostic::new("import.option", format!("{name} says nothing of {file}")).help("leave it out"))
-            }
+            Some((name, _)) => Err(wrong_option(format!("{name} says nothing of {file}")).help("leave it out")),
         }
     }
 }
@@ -76,6 +80,8 @@ pub enum DecayRule {
     Exponential,
 }
 
+nsim_ir::named_variants!(DecayRule { Euler = "euler", Exponential = "exponential" });
+
 /// What a neuron does to its voltage when it spikes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ResetMode {
@@ -88,20 +94,7 @@ pub enum ResetMode {
     SubtractLater,
 }
 
-impl ResetMode {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Zero, Self::Subtract, Self::SubtractLater];
-
-    /// Its name in options and results.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Zero => "zero",
-            Self::Subtract => "subtract",
-            Self::SubtractLater => "subtract-later",
-        }
-    }
-}
+named_variants!(ResetMode { Zero = "zero", Subtract = "subtract", SubtractLater = "subtract-later" });
 
 /// A model that was read from a foreign file.
 #[derive(Debug, Clone)]

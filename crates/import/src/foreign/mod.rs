@@ -31,7 +31,6 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// Whether a model argument is a file of another tool. What cannot be opened is for the reader of
 /// models to say.
-#[must_use]
 pub fn is_foreign(path: &Path) -> bool {
     let own = [FileKind::Folder, FileKind::Stream, FileKind::Ron];
     FileKind::detect(path).map_or_else(|problem| problem.code == "io.lfs-pointer", |kind| !own.contains(&kind))
@@ -56,9 +55,7 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
         FileKind::Npy => slayer::read_set(path, options),
         kind => Err(unknown(path, &bytes, kind)),
     };
-    let mut imported = imported.map_err(|problem| problem.or_in_file(path))?;
-    imported.model.decision = options.decision.unwrap_or(imported.model.decision);
-    Ok(imported)
+    imported.map_err(|problem| problem.or_in_file(path))
 }
 
 /// Reads a graph of NIR nodes that are in memory. Where neurons return to zero, those of the nodes `held` stay there in
@@ -75,9 +72,7 @@ pub fn from_nodes(
 ) -> Result<Imported> {
     options.refuse_unused("a NIR graph", &["--reset", "--decay"])?;
     let root = hdf5::Group::default().with("node", nir_export::nir_graph(nodes, edges));
-    let mut imported = nir::read(&root, name, options)?.held(held);
-    imported.model.decision = options.decision.unwrap_or(imported.model.decision);
-    Ok(imported)
+    Ok(nir::read(&root, name, options)?.held(held))
 }
 
 fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
@@ -138,20 +133,19 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
         return Diagnostic::new("import.kind", format!("this is {kind}, not a network"))
             .help("spikes are an input of a network: nsim run MODEL --input FILE");
     }
-    let described = match extension.as_deref() {
-        _ if bytes.is_empty() => "the file is empty",
-        Some("yml" | "yaml") => "a YAML file describes neurons and holds no weights",
-        _ if bytes.starts_with(b"MATLAB 5.0") => "this is a MATLAB file",
-        _ if bytes.starts_with(b"\x1f\x8b") => "the file is compressed with gzip",
-        _ => "the file is of no kind that is imported",
+    let is_yaml = matches!(extension.as_deref(), Some("yml" | "yaml"));
+    let described = match () {
+        () if bytes.is_empty() => "the file is empty",
+        () if is_yaml => "a YAML file describes neurons and holds no weights",
+        () if bytes.starts_with(b"MATLAB 5.0") => "this is a MATLAB file",
+        () if bytes.starts_with(b"\x1f\x8b") => "the file is compressed with gzip",
+        () => "the file is of no kind that is imported",
     };
-    let help = match extension.as_deref() {
-        Some("yml" | "yaml") => "give it with --neuron beside the weights: nsim import weights.pt --neuron config.yml",
-        _ => {
-            "imported are lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a \
-             model of \
-             nsim's own begins with Network("
-        }
+    let help = if is_yaml {
+        "give it with --neuron beside the weights: nsim import weights.pt --neuron config.yml"
+    } else {
+        "imported are lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a model \
+         of nsim's own begins with Network("
     };
     Diagnostic::new("import.kind", described).help(help)
 }

@@ -5,13 +5,14 @@
 //! register divided by 64 for models in integers and in their own units for models in real numbers,
 //! `w_in` and `r` such that a weight counts 1. What NIR has no word for (weight exponents,
 //! refractory periods, clips, resets, semantics) stands in the graph's metadata, as the whole text
-//! of the model and its arrays. [`restore`] takes the model from there, provided that exporting it
+//! of the model and its arrays. `restore` takes the model from there, provided that exporting it
 //! again gives the file that it was found in: a file that somebody changed is read like any other.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::{Group, Item, Numbers};
 use super::imported::{NEVER, every_step};
+use super::window::Step;
 use nsim_files::network::{ArrayRef, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::neurons::NeuronKind;
@@ -22,15 +23,13 @@ use nsim_ir::tensor::Tensor;
 const VERSION: &str = "1.0.8";
 /// The key of the model's text in the metadata.
 const TEXT: &str = "nsim_model";
-/// The paths of nodes and edges.
-const GRAPH: [&str; 2] = ["node/nodes", "node/edges"];
 /// What the text calls the file of its arrays.
 const ARRAYS: &str = "arrays";
 /// What a decay of zero is written as: a time constant, in steps, at which `4096 dt / tau` is 0
 /// though `dt / tau` is not.
 pub(super) const ENDLESS: f64 = 4_503_599_627_370_496.0;
 /// The most numbers that a list of synapses may take as a matrix.
-const MOST_MATRIX: u64 = 1 << 24;
+pub(super) const MOST_MATRIX: u64 = 1 << 24;
 
 fn unsupported(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("export.unsupported", message)
@@ -48,8 +47,7 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
         return Err(unsupported(format!("population '{name}', whose messages carry integers, cannot be exported")));
     }
     let dt = model.timestep_ms / 1e3;
-    let mut graph =
-        Graph { nodes: Group::default(), edges: Vec::new(), notes: Vec::new(), dt, biases: BTreeMap::new() };
+    let mut graph = Graph { dt, ..Graph::default() };
     let wires = Wires::new(model);
     let biases = model.populations.iter().filter(|population| graph.takes_biases_of(&wires, population));
     let biases: BTreeSet<&String> = biases.map(|population| &population.name).collect();
@@ -87,19 +85,20 @@ pub(super) fn text_of(model: &NetworkFile) -> Result<Group> {
     Ok(Group::default().with(TEXT, text.as_str()).with("nsim_arrays", stored))
 }
 
-/// The model of [`text_of`], or why it is none; nothing where there is no text.
-pub(super) fn read_text(metadata: &Group) -> Option<Result<NetworkFile, String>> {
-    Some(restored(metadata, metadata.text(TEXT)?))
-}
-
-/// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not
+/// The model that nsim wrote into a file, whose metadata have its text, or why it is not to be
+/// trusted: these parts are other `what` than those that `export` writes; nothing when nsim did not
 /// write it.
-#[must_use]
-pub fn restore(root: &Group) -> Option<Result<NetworkFile, String>> {
-    Some(read_text(root.group("node/metadata")?)?.and_then(|model| match export(&model) {
+pub(super) fn restore(
+    root: &Group,
+    metadata: &str,
+    (parts, what): ([&str; 2], &str),
+    export: impl Fn(&NetworkFile) -> Result<(Group, Vec<String>)>,
+) -> Option<Result<NetworkFile, String>> {
+    let metadata = root.group(metadata)?;
+    Some(restored(metadata, metadata.text(TEXT)?).and_then(|model| match export(&model) {
         // The text may be that of another version, which writes the same model otherwise.
-        Ok((again, _)) if GRAPH.iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
-        Ok(_) => Err("its nodes are not those that it was written with".to_string()),
+        Ok((again, _)) if parts.iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
+        Ok(_) => Err(format!("its {what} are not those that it was written with")),
         Err(problem) => Err(problem.to_string()),
     }))
 }
@@ -109,10 +108,11 @@ fn restored(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
     let file = NetworkFile::parse(&source).map_err(|problem| problem.to_string())?;
     let mut arrays = BTreeMap::new();
     for item in metadata.group("nsim_arrays").into_iter().flat_map(|group| group.items.values()) {
-        let Item::Group(entry) = item else { return Err("an array of its metadata is none".to_string()) };
-        let (Some(key), Some(numbers)) = (entry.text("key"), entry.numbers("numbers")) else {
-            return Err("an array of its metadata is none".to_string());
+        let entry = match item {
+            Item::Group(entry) => entry.text("key").zip(entry.numbers("numbers")),
+            _ => None,
         };
+        let (key, numbers) = entry.ok_or("an array of its metadata is none")?;
         let reals: Vec<f64> = numbers.reals().collect();
         let numbers_of = if numbers.is_integer() {
             let whole: Option<Vec<i32>> =
@@ -145,6 +145,11 @@ fn shape(axes: &[u64]) -> Numbers {
     Numbers::i64(&[axes.len()], &axes)
 }
 
+/// A shape as that of an array.
+fn sides(shape: &[u64]) -> Vec<usize> {
+    shape.iter().map(|&axis| axis as usize).collect()
+}
+
 /// A tensor in a type that holds its numbers.
 fn array(tensor: &Tensor) -> Numbers {
     match tensor.numbers() {
@@ -156,6 +161,7 @@ fn array(tensor: &Tensor) -> Numbers {
 }
 
 /// The populations of a model by name, and the projections that enter and leave each.
+#[derive(Default)]
 struct Wires<'a> {
     output: &'a str,
     populations: BTreeMap<&'a str, &'a PopulationDesc>,
@@ -166,8 +172,7 @@ struct Wires<'a> {
 impl<'a> Wires<'a> {
     fn new(model: &'a NetworkFile) -> Self {
         let populations = model.populations.iter().map(|population| (population.name.as_str(), population)).collect();
-        let mut wires =
-            Wires { output: &model.output, populations, entering: BTreeMap::new(), leaving: BTreeMap::new() };
+        let mut wires = Wires { output: &model.output, populations, ..Wires::default() };
         for projection in &model.projections {
             wires.entering.entry(&projection.to).or_default().push(projection);
             for from in projection.from.iter().collect::<BTreeSet<_>>() {
@@ -190,6 +195,7 @@ impl<'a> Wires<'a> {
     }
 }
 
+#[derive(Default)]
 struct Graph {
     nodes: Group,
     edges: Vec<(String, String)>,
@@ -253,14 +259,11 @@ impl Graph {
     }
 
     fn population(&mut self, population: &PopulationDesc) -> Result<()> {
-        let axes: Vec<usize> = population.shape.iter().map(|&axis| axis as usize).collect();
+        let axes = sides(&population.shape);
         let units = population.units() as usize;
         let name = &population.name;
         if population.units() > MOST_MATRIX {
-            return Err(unsupported(format!(
-                "'{name}' has {} units: parameters of NIR are one for each",
-                population.units()
-            )));
+            return Err(unsupported(format!("'{name}' has {units} units: parameters of NIR are one for each")));
         }
         let Some(parameters) = &population.loihi else {
             self.nodes.insert(name, node("Input").with("shape", shape(&population.shape)));
@@ -284,11 +287,7 @@ impl Graph {
                 return Err(unsupported(format!("'{name}' has {kind} neurons, which no node of NIR describes")));
             }
         };
-        let threshold = match (get("vth_mant"), get("vth")) {
-            (Some(mantissa), _) => mantissa.clone(),
-            (None, Some(real)) => real.clone(),
-            (None, None) => Parameter::Same(NOTHING),
-        };
+        let threshold = get("vth_mant").or(get("vth")).cloned().unwrap_or(Parameter::Same(NOTHING));
         let bias = |unit: usize| match (get("bias_mant"), get("bias")) {
             (Some(mantissa), _) => mantissa.get(unit) * get("bias_exp").map_or(0.0, |e| e.get(unit)).exp2() / 64.0,
             (None, Some(real)) => real.get(unit),
@@ -317,14 +316,10 @@ impl Graph {
                 "NIR has no reset by subtraction: other tools will reset '{name}' to zero, only nsim sees what it does"
             ));
         }
+        let usual = [("refractory", 1.0), ("vmin_exp", 23.0), ("vmax_exp", 7.0)];
         let lost: Vec<&str> = parameters
             .iter()
-            .filter(|(key, value)| match *key {
-                "refractory" => *value != Parameter::Same(1.0),
-                "vmin_exp" => *value != Parameter::Same(23.0),
-                "vmax_exp" => *value != Parameter::Same(7.0),
-                _ => false,
-            })
+            .filter(|(key, value)| usual.iter().any(|(name, usual)| name == key && *value != Parameter::Same(*usual)))
             .map(|(key, _)| *key)
             .chain((population.start_step > 0).then_some("start_step"))
             .collect();
@@ -395,13 +390,15 @@ impl Graph {
     ) -> Result<Vec<Group>> {
         let (rows, columns) = (target.units(), source.units());
         let mut chain = Vec::new();
-        let flatten = || {
-            node("Flatten")
-                .with("start_dim", Numbers::i64(&[], &[0]))
-                .with("end_dim", Numbers::i64(&[], &[-1]))
-                .with("input_type", shape(&source.shape))
-        };
-        let pair = |(y, x): (u64, u64)| Numbers::i64(&[2], &[y as i64, x as i64]);
+        let is_matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
+        if is_matrix && source.shape.len() > 1 {
+            chain.push(
+                node("Flatten")
+                    .with("start_dim", Numbers::i64(&[], &[0]))
+                    .with("end_dim", Numbers::i64(&[], &[-1]))
+                    .with("input_type", shape(&source.shape)),
+            );
+        }
         let matrix = |weights: Vec<f64>| {
             let weights: Vec<f64> = weights.iter().map(|w| w * unit).collect();
             let linear = node(if bias.is_some() { "Affine" } else { "Linear" })
@@ -413,9 +410,6 @@ impl Graph {
         };
         match &projection.kind {
             ProjectionKind::Dense(weights) => {
-                if source.shape.len() > 1 {
-                    chain.push(flatten());
-                }
                 let slice = (0..rows).flat_map(|row| (0..columns).map(move |c| (row * together + first + c) as usize));
                 chain.push(matrix(slice.map(|at| weights.tensor().real(at)).collect()));
             }
@@ -426,9 +420,6 @@ impl Graph {
                          {MOST_MATRIX} numbers",
                         target.name
                     )));
-                }
-                if source.shape.len() > 1 {
-                    chain.push(flatten());
                 }
                 let mut weights = vec![0.0; (rows * columns) as usize];
                 for (from, to, weight) in synapses {
@@ -442,13 +433,8 @@ impl Graph {
                 let weights = weights.tensor();
                 let scaled: Vec<f64> = weights.reals().map(|weight| weight * unit).collect();
                 let kernel = (weights.shape(), scaled.as_slice());
-                chain.push(self.convolution(
-                    (source, target),
-                    kernel,
-                    (*stride, *padding, *dilation),
-                    *groups,
-                    bias,
-                )?);
+                let step = [*stride, *padding, *dilation];
+                chain.push(self.convolution((source, target), kernel, step, *groups, bias)?);
             }
             ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight }
                 if padding != padding_after =>
@@ -457,19 +443,18 @@ impl Graph {
                 let channels = source.shape.first().copied().unwrap_or(1);
                 let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize);
                 let weights = vec![weight * unit; axes.iter().product()];
-                let step = (*stride, *padding, (1, 1));
+                let step = [*stride, *padding, (1, 1)];
                 chain.push(self.convolution((source, target), (&axes, &weights), step, channels, None)?);
             }
             ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
                 chain.push(
                     node("SumPool2d")
-                        .with("kernel_size", pair(*kernel))
-                        .with("stride", pair(*stride))
-                        .with("padding", pair(*padding)),
+                        .with("kernel_size", shape(&[kernel.0, kernel.1]))
+                        .with("stride", shape(&[stride.0, stride.1]))
+                        .with("padding", shape(&[padding.0, padding.1])),
                 );
-                let axes: Vec<usize> = target.shape.iter().map(|&axis| axis as usize).collect();
                 let scale = vec![weight * unit; rows as usize];
-                chain.push(node("Scale").with("scale", Numbers::f64(&axes, &scale)));
+                chain.push(node("Scale").with("scale", Numbers::f64(&sides(&target.shape), &scale)));
             }
             ProjectionKind::Arrays(_) | ProjectionKind::Random { .. } => {
                 return Err(unsupported(format!("synapses to '{}' that are not in place", target.name)));
@@ -479,11 +464,8 @@ impl Graph {
         // The target's own shape, where weights make a line of it.
         if delay > 0 {
             let seconds = vec![f64::from(delay) * self.dt; rows as usize];
-            let line = [rows as usize];
-            let volume: Vec<usize> = target.shape.iter().map(|&axis| axis as usize).collect();
-            let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
-            let axes = if matrix { &line[..] } else { &volume[..] };
-            chain.push(node("Delay").with("delay", Numbers::f64(axes, &seconds)));
+            let axes = if is_matrix { vec![rows as usize] } else { sides(&target.shape) };
+            chain.push(node("Delay").with("delay", Numbers::f64(&axes, &seconds)));
         }
         Ok(chain)
     }
@@ -496,7 +478,7 @@ impl Graph {
         &mut self,
         (source, target): (&PopulationDesc, &PopulationDesc),
         (axes, weights): (&[usize], &[f64]),
-        (stride, before, dilation): Step,
+        [stride, before, dilation]: Step,
         groups: u64,
         bias: Option<Vec<f64>>,
     ) -> Result<Group> {
@@ -505,22 +487,9 @@ impl Graph {
         else {
             return Err(unsupported(format!("the convolution to '{}' has no volumes", target.name)));
         };
-        let rows = Axis {
-            from: from_h,
-            to: to_h,
-            kernel: kh as u64,
-            stride: stride.0,
-            before: before.0,
-            dilation: dilation.0,
-        };
-        let columns = Axis {
-            from: from_w,
-            to: to_w,
-            kernel: kw as u64,
-            stride: stride.1,
-            before: before.1,
-            dilation: dilation.1,
-        };
+        let axis = |(from, to), kernel, stride, before, dilation| Axis { from, to, kernel, stride, before, dilation };
+        let rows = axis((from_h, to_h), kh as u64, stride.0, before.0, dilation.0);
+        let columns = axis((from_w, to_w), kw as u64, stride.1, before.1, dilation.1);
         let least = rows.kernel.max(columns.kernel);
         let sizes = least..=2 * least + rows.before + columns.before + 2;
         let square = sizes.clone().find_map(|size| Some((rows.widened(size)?, columns.widened(size)?)));
@@ -529,8 +498,7 @@ impl Graph {
             None => {
                 self.notes.push(format!(
                     "the kernel to '{}' is {kh} x {kw} and cannot be made square: nir.read of Python may refuse the \
-                     file, nsim \
-                     reads it",
+                     file, nsim reads it",
                     target.name
                 ));
                 let own = |axis: Axis| (axis.kernel..=*sizes.end()).find_map(|size| axis.widened(size));
@@ -559,20 +527,16 @@ impl Graph {
             let group = if in_one { channel / (out / (all / inner)) } else { 0 };
             wide[((channel * planes + group * inner + within) * height + y) * width + x] = *weight;
         }
-        let pair = |y: u64, x: u64| Numbers::i64(&[2], &[y as i64, x as i64]);
         Ok(node("Conv2d")
             .with("weight", Numbers::f64(&[out, planes, height, width], &wide))
             .with("bias", Numbers::f64(&[out], &bias.unwrap_or_else(|| vec![0.0; out])))
-            .with("stride", pair(rows.stride, columns.stride))
-            .with("padding", pair(rows.padding, columns.padding))
-            .with("dilation", pair(dilation.0, dilation.1))
+            .with("stride", shape(&[rows.stride, columns.stride]))
+            .with("padding", shape(&[rows.padding, columns.padding]))
+            .with("dilation", shape(&[dilation.0, dilation.1]))
             .with("groups", Numbers::i64(&[], &[groups as i64]))
             .with("input_shape", shape(&source.shape[1..])))
     }
 }
-
-/// Stride, padding before and dilation of a window, as (y, x).
-type Step = ((u64, u64), (u64, u64), (u64, u64));
 
 /// A window along one axis.
 #[derive(Clone, Copy)]
@@ -629,7 +593,7 @@ fn written_delay(projection: &ProjectionDesc, source: &PopulationDesc, target: &
 }
 
 /// One bias a channel, where all units of a channel have the same.
-fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Vec<f64>> {
+pub(super) fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Vec<f64>> {
     let &[channels, height, width] = shape else { return None };
     let plane = (height * width) as usize;
     let equal = plane > 0 && biases.len() as u64 == channels * height * width;

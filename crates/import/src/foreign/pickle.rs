@@ -82,6 +82,7 @@ fn known(module: &str, name: &str) -> bool {
     )
 }
 
+#[derive(Default)]
 struct Machine<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -97,15 +98,7 @@ type Result<T> = std::result::Result<T, PickleError>;
 
 /// Reads the pickle that begins here: its value, and how many bytes it takes.
 pub fn load(bytes: &[u8]) -> Result<(Arena, ValueId, usize)> {
-    let mut machine = Machine {
-        bytes,
-        at: 0,
-        values: Vec::new(),
-        stack: Vec::new(),
-        marks: Vec::new(),
-        memo: HashMap::new(),
-        entries: 0,
-    };
+    let mut machine = Machine { bytes, ..Machine::default() };
     while !machine.step()? {}
     let top = machine.pop()?;
     Ok((Arena { values: machine.values }, top, machine.at))
@@ -132,17 +125,11 @@ impl<'a> Machine<'a> {
         Ok(array)
     }
 
-    fn size1(&mut self) -> Result<usize> {
-        Ok(u8::from_le_bytes(self.fixed()?).into())
-    }
-
-    fn size4(&mut self) -> Result<usize> {
-        Ok(u32::from_le_bytes(self.fixed()?) as usize)
-    }
-
-    fn size8(&mut self) -> Result<usize> {
-        let size = u64::from_le_bytes(self.fixed()?);
-        usize::try_from(size).or_else(|_| self.wrong("a size beyond all memory"))
+    /// A size of this many bytes.
+    fn size(&mut self, width: usize) -> Result<usize> {
+        let mut size = [0; 8];
+        size[..width].copy_from_slice(self.take(width)?);
+        usize::try_from(u64::from_le_bytes(size)).or_else(|_| self.wrong("a size beyond all memory"))
     }
 
     fn line(&mut self) -> Result<&'a str> {
@@ -232,25 +219,18 @@ impl<'a> Machine<'a> {
         }
     }
 
-    /// The name at a place, and whether calls of it are data.
-    fn name_of(&self, id: ValueId) -> Result<(&str, &str)> {
-        match &self.values[id.0 as usize] {
-            Value::Name(module, name) => Ok((module, name)),
-            _ => self.wrong("a call of what has no name"),
-        }
-    }
-
     fn reduce(&mut self) -> Result<()> {
         let (arguments, function) = (self.pop()?, self.pop()?);
-        let (module, name) = self.name_of(function)?;
+        let Value::Name(module, name) = &self.values[function.0 as usize] else {
+            return self.wrong("a call of what has no name");
+        };
         if !known(module, name) {
             return Err(PickleError::Class(format!("{module}.{name}")));
         }
-        let name = name.to_string();
-        let arguments = match &self.values[arguments.0 as usize] {
-            Value::Tuple(arguments) => arguments.clone(),
-            _ => return self.wrong("a call without arguments"),
+        let Value::Tuple(arguments) = &self.values[arguments.0 as usize] else {
+            return self.wrong("a call without arguments");
         };
+        let (name, arguments) = (name.clone(), arguments.clone());
         self.grow(arguments.len())?;
         match name.as_str() {
             // Pairs as an argument are how protocol 0 and 1 of old Pythons wrote it.
@@ -301,7 +281,7 @@ impl<'a> Machine<'a> {
                 (_, line) => Value::Int(line.trim_end_matches('L').parse().or_else(|_| self.wrong(NO_NUMBER))?),
             },
             0x8a | 0x8b => {
-                let size = if opcode == 0x8a { self.size1()? } else { self.size4()? };
+                let size = self.size(if opcode == 0x8a { 1 } else { 4 })?;
                 let bytes = self.take(size)?;
                 if size <= 8 {
                     let negative = bytes.last().is_some_and(|byte| byte & 0x80 != 0);
@@ -316,11 +296,11 @@ impl<'a> Machine<'a> {
             b'F' => Value::Float(self.line()?.parse().or_else(|_| self.wrong(NO_NUMBER))?),
             b'V' | b'S' => Value::Text(self.line()?.trim_matches(['\'', '"']).to_string()),
             b'X' | b'T' | 0x8c | b'U' | 0x8d | b'B' | b'C' | 0x8e | 0x96 => {
-                let size = match opcode {
-                    0x8c | b'U' | b'C' => self.size1()?,
-                    b'X' | b'T' | b'B' => self.size4()?,
-                    _ => self.size8()?,
-                };
+                let size = self.size(match opcode {
+                    0x8c | b'U' | b'C' => 1,
+                    b'X' | b'T' | b'B' => 4,
+                    _ => 8,
+                })?;
                 let bytes = self.take(size)?;
                 match opcode {
                     b'B' | b'C' | 0x8e | 0x96 => Value::Bytes(bytes.to_vec()),
@@ -338,7 +318,7 @@ impl<'a> Machine<'a> {
     /// An opcode that works on the stack, the marks or the memo.
     fn operate(&mut self, opcode: u8) -> Result<()> {
         match opcode {
-            0x80 => match self.size1()? {
+            0x80 => match self.size(1)? {
                 0..=5 => Ok(()),
                 _ => self.wrong("a protocol that is not known"),
             },
@@ -475,12 +455,13 @@ mod tests {
 
     #[test]
     fn what_would_be_executed_is_named_and_refused() {
-        let system = b"cos\nsystem\n(S'echo hello'\ntR.";
-        assert_eq!(load(system).unwrap_err(), PickleError::Class("os.system".to_string()));
-        let object = b"\x80\x02cmodels\nNet\n)\x81}b.";
-        assert_eq!(load(object).unwrap_err(), PickleError::Class("models.Net".to_string()));
-        let eval = b"\x80\x04\x8c\x08builtins\x8c\x04eval\x93\x8c\x01x\x85R.";
-        assert_eq!(load(eval).unwrap_err(), PickleError::Class("builtins.eval".to_string()));
+        for (pickle, named) in [
+            (&b"cos\nsystem\n(S'echo hello'\ntR."[..], "os.system"),
+            (b"\x80\x02cmodels\nNet\n)\x81}b.", "models.Net"),
+            (b"\x80\x04\x8c\x08builtins\x8c\x04eval\x93\x8c\x01x\x85R.", "builtins.eval"),
+        ] {
+            assert_eq!(load(pickle).unwrap_err(), PickleError::Class(named.to_string()));
+        }
     }
 
     #[test]

@@ -14,14 +14,15 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::encode;
-use super::imported::{Imported, LayerWeights, Options};
+use super::imported::{Imported, LayerWeights, Options, wrong_option};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_files::text::{decode, read_bytes, unreadable};
 use nsim_files::{disk, npy};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
+use nsim_ir::base::fixed::SignMode;
 
 /// The most bytes of a YAML file.
-pub const MOST_YAML: u64 = 1 << 20;
+const MOST_YAML: u64 = 1 << 20;
 
 /// The neuron of a network config.
 #[derive(Debug, Clone, PartialEq)]
@@ -93,11 +94,6 @@ enum Field {
     Number(f64),
     Text(String),
     Other(IgnoredAny),
-}
-
-/// Reads a network config.
-pub fn read_config(path: &Path) -> Result<Neuron> {
-    config(&decode(path, read_bytes(path, MOST_YAML)?)?)
 }
 
 /// Reads the text of a network config.
@@ -236,7 +232,7 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
     let (prefix, part) = stem.rsplit_once('-').map_or((None, stem.as_str()), |(prefix, part)| (Some(prefix), part));
     let Some(set) = SETS.iter().find(|set| set.contains(&part)) else {
         let message = format!("'{stem}.npy' is none of the files of a network");
-        return Err(Diagnostic::new("import.slayer", message)
+        return Err(slayer(message)
             .help("VT_SNN names them NNN-tact.npy, NNN-vis.npy, NNN-combi.npy, or NNN-fc1.npy, NNN-fc2.npy")
             .in_file(path));
     };
@@ -253,7 +249,7 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
         let tensor = npy::read(&path)?;
         let &[targets, sources] = tensor.shape() else {
             let message = format!("the array is {:?}, no matrix [target, source]", tensor.shape());
-            return Err(Diagnostic::new("import.slayer", message).in_file(path));
+            return Err(slayer(message).in_file(path));
         };
         let weights = tensor.reals().collect();
         matrices.push(Matrix { name: (*part).to_string(), targets, sources, weights, ..Matrix::default() });
@@ -269,12 +265,12 @@ fn slayer(message: impl Into<String>) -> Diagnostic {
 
 /// The neuron that the user describes, and the note on it.
 pub(super) fn neuron_of(options: &Options) -> Result<(Neuron, Vec<String>)> {
-    let Some(config) = &options.neuron else {
-        return Err(Diagnostic::new("import.option", "the file holds weights and says nothing of the neurons").help(
-            format!("add --neuron CONFIG.yml, a mapping 'neuron' with the type and parameters of training; {KINDS}"),
-        ));
+    let Some(path) = &options.neuron else {
+        return Err(wrong_option("the file holds weights and says nothing of the neurons").help(format!(
+            "add --neuron CONFIG.yml, a mapping 'neuron' with the type and parameters of training; {KINDS}"
+        )));
     };
-    let neuron = read_config(config)?;
+    let neuron = config(&decode(path, read_bytes(path, MOST_YAML)?)?)?;
     let described = match &neuron.kind {
         NeuronKind::Loihi { vth_mant, dv, du, refractory, weight_exp, .. } => {
             let decay = |decay: &Option<f64>| decay.map_or("of the weights' file".to_string(), |d| d.to_string());
@@ -298,7 +294,7 @@ pub(super) fn neuron_of(options: &Options) -> Result<(Neuron, Vec<String>)> {
             )
         }
     };
-    let note = format!("neurons of {}: {described}", config.display());
+    let note = format!("neurons of {}: {described}", path.display());
     Ok((neuron, vec![note]))
 }
 
@@ -333,9 +329,8 @@ pub(super) fn build(
         }
         _ if scale == 1.0 => "weights are round(w / 2) * 2, ties to even; one step of delay between layers".to_string(),
         _ => format!(
-            "weights are round({scale} w / 2) * 2, ties to even, from -256 to 254, as lava-dl quantises them; one \
-             step of \
-             delay between layers"
+            "weights are round({scale} w / 2) * 2, ties to even, from -256 to 254, as lava-dl quantises them; one step \
+             of delay between layers"
         ),
     });
     let neurons = |matrix: &Matrix| -> Result<PopulationDesc> {
@@ -351,7 +346,7 @@ pub(super) fn build(
                     (Some((du, dv)), _, _) => (Parameter::from_values(du.clone()), Parameter::from_values(dv.clone())),
                     (None, Some(du), Some(dv)) => (Parameter::Same(du), Parameter::Same(dv)),
                     (None, _, _) => {
-                        return Err(Diagnostic::new("import.option", format!("nothing says how '{name}' decays"))
+                        return Err(wrong_option(format!("nothing says how '{name}' decays"))
                             .help("add current_decay and voltage_decay, shares of 0 to 1, to the neuron of --neuron"));
                     }
                 };
@@ -393,12 +388,9 @@ pub(super) fn build(
         let own = matrix.recurrent.map(|weights| (vec![matrix.name.clone()], weights, matrix.targets));
         for (from, given, sources) in [Some((from, matrix.weights, matrix.sources)), own].into_iter().flatten() {
             let shape = vec![matrix.targets, sources];
-            let mut projection =
-                ProjectionDesc { from, ..ProjectionDesc::new("", &matrix.name, ProjectionKind::Sparse(Vec::new())) };
-            let line = if matches!(neuron.kind, NeuronKind::SrmAlpha { .. }) {
+            let (line, weights, weight_exp, sign) = if matches!(neuron.kind, NeuronKind::SrmAlpha { .. }) {
                 let line = LayerWeights::new(&matrix.name, &shape, 1.0, &given, &given);
-                projection.kind = ProjectionKind::Dense(tensor(shape, given));
-                line
+                (line, given, None, SignMode::Mixed)
             } else {
                 let even = |w: &f64| (scale * w / 2.0).round_ties_even() * 2.0 + 0.0;
                 // lava-dl clips, SLAYER does not.
@@ -413,21 +405,20 @@ pub(super) fn build(
                     ));
                 }
                 let line = LayerWeights::new(&matrix.name, &shape, scale, &given, &encoded.in_units(weight_exp as i64));
-                projection = ProjectionDesc { weight_exp: encoded.exponent(), sign: encoded.sign, ..projection };
-                projection.kind = ProjectionKind::Dense(tensor(shape, encoded.weights));
-                line
+                let weight_exp = encoded.exponent();
+                (line, encoded.weights, weight_exp, encoded.sign)
             };
             if line.is_lost() {
                 return Err(slayer(format!("the weights are too small for a core: {line}")).help(format!(
                     "weights of these neurons count in steps of {}; a network trained with neurons of real numbers \
                      needs theirs: --neuron CONFIG.yml with 'neuron: {{type: Leaky, beta: 0.9, threshold: 1}}' as \
-                     snnTorch \
-                     has them, type CUBA of lava-dl or type LIF of Norse, or export it as .nir",
+                     snnTorch has them, type CUBA of lava-dl or type LIF of Norse, or export it as .nir",
                     2.0 / scale
                 )));
             }
             layers.push(line);
-            model.projections.push(projection);
+            let projection = ProjectionDesc::new("", &matrix.name, ProjectionKind::Dense(tensor(shape, weights)));
+            model.projections.push(ProjectionDesc { from, weight_exp, sign, ..projection });
         }
         model.output = matrix.name;
     }
@@ -444,7 +435,7 @@ pub(super) fn input_shape(options: &Options, units: usize) -> Result<Vec<u64>> {
     }
     let message =
         format!("--input-shape {given:?} has {} channels, the first layer has {units} inputs", product.unwrap_or(0));
-    Err(Diagnostic::new("import.option", message).help("write CHANNELS,HEIGHT,WIDTH of the first layer's input"))
+    Err(wrong_option(message).help("write CHANNELS,HEIGHT,WIDTH of the first layer's input"))
 }
 
 #[cfg(test)]
@@ -453,18 +444,6 @@ mod tests {
 
     fn parse(text: &str) -> Result<Neuron> {
         config(&SourceText::new("n.yml", text))
-    }
-
-    #[test]
-    fn both_kinds_of_neurons_are_read() {
-        let text = "simulation:\n    Ts: 2.0 # ms\n    tSample: 150\nneuron:\n    type: LOIHI\n    vThMant: 80\n    \
-                    vDecay: 128\n    iDecay: 1024\n    refDelay: 1\n    wgtExp: 0\n    tauRho: 1\ntraining:\n    \
-                    error:\n        type: NumSpikes\n";
-        let (dv, du) = (Some(128.0), Some(1024.0));
-        let loihi = NeuronKind::Loihi { vth_mant: 80.0, dv, du, refractory: 1.0, weight_exp: 0.0, scale: 1.0 };
-        assert_eq!(parse(text).unwrap(), Neuron { kind: loihi, dt_ms: Some(2.0) });
-        let srm = parse("neuron: {type: SRMALPHA, theta: 10, tauSr: 10.0, tauRef: 1, scaleRef: 2}").unwrap();
-        assert!(matches!(srm.kind, NeuronKind::SrmAlpha { theta: 10.0, .. }));
     }
 
     #[test]

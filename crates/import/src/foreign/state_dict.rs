@@ -16,7 +16,7 @@
 use std::collections::BTreeMap;
 
 use super::hdf5::{Group, Numbers};
-use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, population_name};
+use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, population_name, wrong_option};
 use super::nir_export::{ENDLESS, nir_graph, node};
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
@@ -112,10 +112,9 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
 }
 
 /// The note on the order in which layers were taken, and on what a state dict lacks.
-fn in_order(layers: &[String], lacking: &str) -> String {
+fn in_order(layers: &str, lacking: &str) -> String {
     format!(
-        "layers in the order of definition: {}; a state dict lacks the sums and functions of forward(){lacking}",
-        layers.join(" -> ")
+        "layers in the order of definition: {layers}; a state dict lacks the sums and functions of forward(){lacking}"
     )
 }
 
@@ -129,11 +128,8 @@ pub fn read(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported> {
     }
     if modules.iter().any(|module| module.has(Role::Beta)) {
         if options.neuron.is_some() {
-            return Err(Diagnostic::new(
-                "import.option",
-                "the file has the parameters of its neurons (beta, threshold)",
-            )
-            .help("leave --neuron out"));
+            let message = "the file has the parameters of its neurons (beta, threshold)";
+            return Err(wrong_option(message).help("leave --neuron out"));
         }
         return real("PyTorch state dict of snnTorch", name, modules, None, notes, options);
     }
@@ -223,7 +219,9 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
     for array in arrays {
         let last = array.key.rsplit('.').next().unwrap_or_default();
         let of_training = array.key.split('.').any(|part| OF_TRAINING.contains(&part));
-        if of_training || WITHOUT_MEANING.contains(&last) {
+        // A delay of nothing is what layers without delays may store.
+        let undelayed = last == "delay" && array.numbers.iter().all(|&delay| delay < 1.0);
+        if of_training || undelayed || WITHOUT_MEANING.contains(&last) {
             ignored.push(array.key);
             continue;
         }
@@ -233,11 +231,6 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
             )));
         }
         if last == "delay" {
-            // A delay of nothing is what layers without delays may store.
-            if array.numbers.iter().all(|&delay| delay < 1.0) {
-                ignored.push(array.key);
-                continue;
-            }
             return Err(wrong(format!("'{}' holds learned delays", array.key))
                 .help("export the network with lava-dl as .net, which says what they delay"));
         }
@@ -248,18 +241,16 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
         let of_neuron = neurons.iter().any(|module| array.key.strip_prefix(module.as_str()) == Some(last));
         if role.is_none() && of_neuron {
             let kind = OF_OTHER_NEURONS.iter().find(|(name, _)| *name == last).map(|(_, kind)| format!(" ({kind})"));
-            return Err(wrong(format!(
-                "'{}' belongs to a neuron of another kind than Leaky, Synaptic, RLeaky and RSynaptic{}",
-                array.key,
-                kind.unwrap_or_default()
-            ))
-            .help(format!("without this tensor it would be read as a neuron that it is not: {FROM_TORCH}")));
+            let (key, kind) = (&array.key, kind.unwrap_or_default());
+            let message =
+                format!("'{key}' belongs to a neuron of another kind than Leaky, Synaptic, RLeaky and RSynaptic{kind}");
+            return Err(wrong(message)
+                .help(format!("without this tensor it would be read as a neuron that it is not: {FROM_TORCH}")));
         }
         let Some((name, role)) = role else {
             return Err(wrong(format!("nothing is known of the tensor '{}' {:?}", array.key, array.shape)).help(
                 "known are the layers and neurons of lava-dl, SLAYER, snnTorch and Norse (docs/import.md); if the \
-                 network does \
-                 not depend on it, remove it before saving: del state['NAME']",
+                 network does not depend on it, remove it before saving: del state['NAME']",
             ));
         };
         let index = modules.iter().position(|module| module.name == name).unwrap_or_else(|| {
@@ -304,21 +295,17 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
         let covers = match (before, layers.get(place + 1)) {
             _ if axes.len() == 2 => true,
             (Some(before), _) => before == sources,
-            (None, _) if options.input_shape.is_some() => options
-                .input_shape
-                .as_ref()
-                .is_some_and(|given| given.iter().map(|&axis| axis as usize).eq(kernel.iter().copied())),
-            (None, Some((_, next))) => next.len() == 2 && next[1] == targets,
-            (None, None) => {
-                return Err(Diagnostic::new(
-                    "import.option",
-                    format!(
-                        "'{}' is {:?}: a convolution, or a dense layer on an image {kernel:?}",
-                        array.key, array.shape
-                    ),
-                )
-                .help(format!("if it is a dense layer say so: --input-shape {}", listed(kernel))));
-            }
+            (None, next) => match (&options.input_shape, next) {
+                (Some(given), _) => given.iter().map(|&axis| axis as usize).eq(kernel.iter().copied()),
+                (None, Some((_, next))) => next.len() == 2 && next[1] == targets,
+                (None, None) => {
+                    let (key, shape) = (&array.key, &array.shape);
+                    let message =
+                        format!("'{key}' is {shape:?}: a convolution, or a dense layer on an image {kernel:?}");
+                    return Err(wrong_option(message)
+                        .help(format!("if it is a dense layer say so: --input-shape {}", listed(kernel))));
+                }
+            },
         };
         if !covers {
             let message = format!("'{}' is {:?}, the kernel of a convolution", array.key, array.shape);
@@ -401,13 +388,14 @@ fn integers(
             notes.push("the decays are those of the weights' file, not those of --neuron".to_string());
         }
     }
-    let names: Vec<String> = matrices.iter().map(|matrix| matrix.name.clone()).collect();
-    let assumed = in_order(&names, "");
+    let names: Vec<&str> = matrices.iter().map(|matrix| matrix.name.as_str()).collect();
+    let assumed = in_order(&names.join(" -> "), "");
     notes.push(assumed.clone());
     Ok(Imported { assumed: Some(assumed), ..slayer::build(kind, name, matrices, &neuron, notes, options)? })
 }
 
 /// Parameters of a layer's neurons in steps, one for all or one each.
+#[derive(Default)]
 struct RealNeuron {
     name: String,
     /// Share of the current that a step takes away; none for a current without memory.
@@ -441,15 +429,11 @@ fn real(
     // Modules of neurons, in the order of the file.
     let neurons: Vec<&Module> = modules.iter().filter(|module| module.has(Role::Beta)).collect();
     if neuron.is_none() && neurons.len() != layers.len() {
-        let names =
-            |modules: &[&Module]| modules.iter().map(|module| module.name.clone()).collect::<Vec<_>>().join(", ");
-        let weights: Vec<&Module> = layers.iter().map(|(index, _)| &modules[*index]).collect();
-        return Err(wrong(format!(
-            "layers of weights ({}) and of neurons ({}) are not as many",
-            names(&weights),
-            names(&neurons)
-        ))
-        .help(format!("layers may share neurons, or have none: {FROM_TORCH}, which sees what follows what")));
+        let weights: Vec<&str> = layers.iter().map(|(index, _)| modules[*index].name.as_str()).collect();
+        let neurons: Vec<&str> = neurons.iter().map(|module| module.name.as_str()).collect();
+        let (weights, neurons) = (weights.join(", "), neurons.join(", "));
+        return Err(wrong(format!("layers of weights ({weights}) and of neurons ({neurons}) are not as many"))
+            .help(format!("layers may share neurons, or have none: {FROM_TORCH}, which sees what follows what")));
     }
     let mut reset: Option<(bool, String)> = None;
     let mut own_reset = |subtracts: bool, whose: &str| match &reset {
@@ -492,9 +476,8 @@ fn real(
                     name: layer.name.clone(),
                     synapse: alpha.map(|alpha| vec![1.0 - alpha]),
                     membrane: vec![1.0 - beta],
-                    gain: None,
-                    leak: 0.0,
                     threshold: vec![threshold],
+                    ..RealNeuron::default()
                 }
             }
             Some(&NeuronKind::Lif { tau_syn_inv, tau_mem_inv, v_leak, v_th }) => {
@@ -517,23 +500,24 @@ fn real(
         // A recurrent layer's weights stand with its neurons in snnTorch, with its weights in
         // Norse.
         let owner = if neuron.is_none() { neurons[place] } else { layer };
+        let mut own = Vec::new();
         if let Some(array) = owner.arrays.get(&Role::Recurrent) {
             if array.numbers.len() != matrix.targets * matrix.targets {
                 return Err(wrong(format!("'{}' is {:?}, not square", array.key, array.shape)));
             }
             let size = (matrix.targets, matrix.targets);
-            let own = weights_node(&array.numbers, size, owner, Role::RecurrentBias)?;
-            let back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
-            graph.edge(&back, &population);
+            own.push(weights_node(&array.numbers, size, owner, Role::RecurrentBias)?);
         }
         if let Some(array) = owner.arrays.get(&Role::OneToOne) {
             let scale = each(&array.key, &array.numbers, matrix.targets)?;
-            let own = node("Scale").with("scale", Numbers::f64(&[matrix.targets], &scale));
-            let back = graph.follow(&population, &format!("{}.recurrent", described.name), own);
+            own.push(node("Scale").with("scale", Numbers::f64(&[matrix.targets], &scale)));
+        }
+        let recurrent = !own.is_empty();
+        for node in own {
+            let back = graph.follow(&population, &format!("{}.recurrent", described.name), node);
             graph.edge(&back, &population);
         }
         let norse = matches!(neuron.map(|neuron| &neuron.kind), Some(NeuronKind::Lif { .. }));
-        let recurrent = owner.has(Role::Recurrent) || owner.has(Role::OneToOne);
         chain.push(layer.name.clone());
         if neuron.is_none() {
             let (back, kind) = (["", "R"][usize::from(recurrent)], described.synapse.as_ref().map(|_| "Synaptic"));
@@ -543,13 +527,8 @@ fn real(
             held.push(population_name(&population));
         }
         last = population;
-        lines.push(LayerWeights::new(
-            &described.name,
-            &[matrix.targets, matrix.sources],
-            1.0,
-            &matrix.weights,
-            &matrix.weights,
-        ));
+        let shape = [matrix.targets, matrix.sources];
+        lines.push(LayerWeights::new(&described.name, &shape, 1.0, &matrix.weights, &matrix.weights));
     }
     graph.follow(&last, "output", node("Output"));
     check_used(modules, &layers, &neurons)?;
@@ -559,7 +538,8 @@ fn real(
         Some(NeuronKind::Lif { .. }) => ", and which cells its neurons are: all are taken for LIFCell",
         Some(_) => "",
     };
-    let assumed = format!("{}; nsim.from_torch(module, sample) in Python reads them", in_order(&chain, lacking));
+    let assumed =
+        format!("{}; nsim.from_torch(module, sample) in Python reads them", in_order(&chain.join(" -> "), lacking));
     notes.extend([assumed.clone(), format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds")]);
     let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };
     let root = Group::default().with("node", nir_graph(graph.nodes, graph.edges));
@@ -576,14 +556,13 @@ fn chosen_reset(of_file: Option<(bool, String)>, options: &Options) -> Result<Op
         (None, given) => Ok(given),
         (Some((true, _)), None) => Ok(Some(ResetMode::SubtractLater)),
         (Some((false, _)), None) => Ok(Some(ResetMode::Zero)),
-        (Some((true, name)), Some(ResetMode::Zero)) => Err(Diagnostic::new(
-            "import.option",
-            format!("'{name}' subtracts its threshold, which --reset zero contradicts"),
-        )
-        .help("leave --reset out; nsim convert makes such neurons reset to zero and measures the loss")),
+        (Some((true, name)), Some(ResetMode::Zero)) => {
+            let message = format!("'{name}' subtracts its threshold, which --reset zero contradicts");
+            Err(wrong_option(message)
+                .help("leave --reset out; nsim convert makes such neurons reset to zero and measures the loss"))
+        }
         (Some((false, name)), Some(ResetMode::Subtract | ResetMode::SubtractLater)) => {
-            Err(Diagnostic::new("import.option", format!("'{name}' resets to zero, which --reset contradicts"))
-                .help("leave --reset out"))
+            Err(wrong_option(format!("'{name}' resets to zero, which --reset contradicts")).help("leave --reset out"))
         }
         (Some(_), given) => Ok(given),
     }
@@ -598,13 +577,8 @@ fn check_used(modules: &[Module], layers: &[(usize, Matrix)], neurons: &[&Module
             let used = match role {
                 Role::Weight => true,
                 Role::Bias => is_layer,
-                Role::Recurrent | Role::RecurrentBias | Role::OneToOne => {
-                    if neurons.is_empty() {
-                        is_layer
-                    } else {
-                        is_neuron
-                    }
-                }
+                Role::Recurrent | Role::RecurrentBias | Role::OneToOne if neurons.is_empty() => is_layer,
+                Role::Recurrent | Role::RecurrentBias | Role::OneToOne => is_neuron,
                 Role::CurrentDecay | Role::VoltageDecay => false,
                 Role::Alpha | Role::Beta | Role::Threshold | Role::Reset | Role::GradedSpikes => is_neuron,
             };
@@ -659,7 +633,7 @@ fn snntorch(module: &Module) -> Result<(RealNeuron, Option<bool>)> {
         return Err(wrong(message).help(format!("{FROM_TORCH}, which sees the classes")));
     }
     let (name, synapse) = (module.name.clone(), get(Role::Alpha).map(taken));
-    Ok((RealNeuron { name, synapse, membrane, gain: None, leak: 0.0, threshold }, subtracts))
+    Ok((RealNeuron { name, synapse, membrane, threshold, ..RealNeuron::default() }, subtracts))
 }
 
 /// The node of a layer's neurons: NIR's equations with the shares that a step takes away.
@@ -694,13 +668,10 @@ fn neuron_node(neuron: &RealNeuron, units: usize, dt: f64) -> Result<Group> {
 
 /// Weights with their bias, if there is one.
 fn weights_node(weights: &[f64], (targets, sources): (usize, usize), module: &Module, bias: Role) -> Result<Group> {
-    let linear = |kind: &str| node(kind).with("weight", Numbers::f64(&[targets, sources], weights));
-    match module.arrays.get(&bias) {
-        None => Ok(linear("Linear")),
-        Some(array) => {
-            Ok(linear("Affine").with("bias", Numbers::f64(&[targets], &each(&array.key, &array.numbers, targets)?)))
-        }
-    }
+    let weights = Numbers::f64(&[targets, sources], weights);
+    let Some(array) = module.arrays.get(&bias) else { return Ok(node("Linear").with("weight", weights)) };
+    let bias = Numbers::f64(&[targets], &each(&array.key, &array.numbers, targets)?);
+    Ok(node("Affine").with("weight", weights).with("bias", bias))
 }
 
 /// A graph that is being built.

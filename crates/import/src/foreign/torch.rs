@@ -264,7 +264,6 @@ impl Checkpoint {
     }
 
     /// The type of a tensor's numbers as NumPy writes it, or `bf16`.
-    #[must_use]
     pub fn dtype(&self, name: &str) -> Option<String> {
         let (_, view) = self.views.iter().find(|(key, _)| key == name)?;
         Some(view.element.dtype())

@@ -13,6 +13,9 @@ use nsim_files::network::{ProjectionDesc, ProjectionKind, padding_after};
 /// The most synapses that are listed one by one, for a whole model.
 pub const MOST_LISTED: usize = 1 << 20;
 
+/// Stride, padding before and dilation of a window, each as (vertical, horizontal).
+pub type Step = [(u64, u64); 3];
+
 /// A window from one volume to another; pairs are (vertical, horizontal), volumes
 /// `[channels, height, width]`.
 #[derive(Debug, Clone, Copy)]
@@ -43,7 +46,7 @@ impl Sliding {
     pub fn new(
         (source, target): (&[u64], &[u64]),
         size: (u64, u64),
-        [stride, padding, dilation]: [(u64, u64); 3],
+        [stride, padding, dilation]: Step,
         groups: u64,
     ) -> Option<Self> {
         let volume = |shape: &[u64]| Some(<[u64; 3]>::try_from(shape).ok()?.map(|axis| axis as usize));
@@ -158,15 +161,8 @@ mod tests {
     /// written out.
     #[test]
     fn each_output_receives_its_window() {
-        let sliding = Sliding {
-            source: [2, 3, 3],
-            target: [2, 2, 2],
-            size: (2, 2),
-            stride: (2, 2),
-            padding: (1, 1),
-            dilation: (1, 1),
-            groups: 2,
-        };
+        let step = [(2, 2), (1, 1), (1, 1)];
+        let sliding = Sliding::new((&[2, 3, 3], &[2, 2, 2]), (2, 2), step, 2).unwrap();
         let of = |target: u64| -> Vec<(u64, usize)> {
             let all = sliding.synapses().unwrap();
             all.filter(|synapse| synapse.1 == target).map(|(from, _, kernel)| (from, kernel)).collect()
@@ -180,15 +176,8 @@ mod tests {
     /// What is too large to list is not begun.
     #[test]
     fn too_many_are_not_listed() {
-        let window = Sliding {
-            source: [1, 1 << 20, 1 << 20],
-            target: [1, 1 << 20, 1 << 20],
-            size: (1, 1),
-            stride: (1, 1),
-            padding: (0, 0),
-            dilation: (1, 1),
-            groups: 1,
-        };
+        let (shape, step) = ([1, 1 << 20, 1 << 20], [(1, 1), (0, 0), (1, 1)]);
+        let window = Sliding::new((&shape, &shape), (1, 1), step, 1).unwrap();
         assert!(window.synapses().is_none());
     }
 }

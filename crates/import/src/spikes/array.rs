@@ -104,7 +104,7 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
     };
     u32::try_from(units).map_err(|_| wrong(format!("{units} channels cannot be numbered")))?;
     let rows = units as usize * if polarity == Polarity::Both { 1 } else { 2 };
-    let mut recordings = PopulationSpikes::silent(samples, units, steps, path);
+    let mut recordings = PopulationSpikes::silent(samples, units, steps, path.display().to_string());
     array.each_non_zero(|index, number| {
         if !options.is_spike(number, path)? {
             return Ok(());

@@ -35,7 +35,6 @@ impl Columns {
 }
 
 /// Whether a row is the header of such a file.
-#[must_use]
 pub fn is_header(row: &str) -> bool {
     Columns::from_header(&fields(row).collect::<Vec<_>>()).is_some()
 }
@@ -144,18 +143,9 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
         let message = format!("{} samples of {steps} timesteps: {exceeded}", samples.len());
         return Err(Diagnostic::new("input.step", message).in_file(source.path()));
     }
-    let name = source.path().display().to_string();
-    Ok(samples
-        .into_iter()
-        .map(|events| PopulationSpikes {
-            units: None,
-            steps,
-            label: comments.label,
-            events,
-            values: Vec::new(),
-            name: name.clone(),
-        })
-        .collect())
+    let (name, label) = (source.path().display().to_string(), comments.label);
+    let spikes = |events| PopulationSpikes { steps, label, events, name: name.clone(), ..Default::default() };
+    Ok(samples.into_iter().map(spikes).collect())
 }
 
 /// What comments say about the recording.
@@ -177,12 +167,8 @@ impl Comments {
                 if let Some((field, range)) = field {
                     let number = value.trim().parse::<u32>().ok().filter(|number| range.contains(number));
                     *field = Some(number.ok_or_else(|| {
-                        let message = format!(
-                            "'{}' is not a whole number from {} to {}",
-                            shortened(value.trim()),
-                            range.start(),
-                            range.end()
-                        );
+                        let (value, least, most) = (shortened(value.trim()), range.start(), range.end());
+                        let message = format!("'{value}' is not a whole number from {least} to {most}");
                         problem(source, at, "input.csv", message)
                     })?);
                 }

@@ -20,12 +20,9 @@ fn sample_name(name: &str) -> Option<(u64, u32)> {
 
 /// A sort key that compares the numbers within a name by their value.
 fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
-    let mut parts: Vec<(Option<u128>, String)> = Vec::new();
-    for run in name.chars().collect::<Vec<_>>().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit()) {
-        let text: String = run.iter().collect();
-        parts.push((text.parse().ok(), text));
-    }
-    parts
+    let letters: Vec<char> = name.chars().collect();
+    let runs = letters.chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit()).map(String::from_iter);
+    runs.map(|run| (run.parse().ok(), run)).collect()
 }
 
 /// Sample number, label and path of each recording of a folder, sorted by number. When no name has
@@ -42,12 +39,10 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
         unfinished |= write::is_unfinished(one, MANIFEST).map_err(unreadable)?;
     }
     if unfinished {
-        return Err(Diagnostic::new(
-            "input.unfinished",
-            "its recordings are not complete: the command that wrote them was ended",
-        )
-        .help("run `nsim scene .. -o` on this folder again")
-        .in_file(folder));
+        let message = "its recordings are not complete: the command that wrote them was ended";
+        return Err(Diagnostic::new("input.unfinished", message)
+            .help("run `nsim scene .. -o` on this folder again")
+            .in_file(folder));
     }
     let mut found = BTreeMap::new();
     let mut others = Vec::new();

@@ -26,7 +26,7 @@ pub fn read(path: &Path) -> Result<Vec<u32>> {
 pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
     let wrong = |message: String| Diagnostic::new("input.labels", message).in_file(array.path());
     let length: usize = array.shape().iter().product();
-    if array.shape().iter().filter(|&&axis| axis == length).count() == 0 {
+    if !array.shape().contains(&length) {
         let message = format!("labels of shape {:?} are not one number for each sample", array.shape());
         return Err(wrong(message).help(match array.shape() {
             [_, 1] => "an array of one axis: labels[:, 0]",

@@ -17,9 +17,7 @@ use super::events::text::is_header;
 use super::labels;
 use super::options::ArrayOptions;
 use super::population::PopulationSpikes;
-use nsim_files::budget::MOST_ARRAY;
 use nsim_files::npy;
-use nsim_files::text::read_bytes;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// Bytes of an array of an archive: compressed, few bytes claim many.
@@ -29,12 +27,7 @@ const MOST_ARRAYS: usize = 4096;
 const SPIKES: [&str; 4] = ["spikes", "x", "data", "arr_0"];
 const LABELS: [&str; 3] = ["labels", "y", "targets"];
 
-/// Reads a file for a population of `units` channels.
-pub(super) fn read(path: &Path, population: &str, units: u64, options: ArrayOptions) -> Result<Vec<PopulationSpikes>> {
-    from_bytes(path, read_bytes(path, MOST_ARRAY)?, population, units, options)
-}
-
-/// Reads the bytes of a file.
+/// Reads the bytes of a file for a population of `units` channels.
 pub fn from_bytes(
     path: &Path,
     bytes: Vec<u8>,

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use nsim_files::budget::MOST_STEPS;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::names::named_variants;
 
 /// What becomes of the polarities.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -18,6 +19,8 @@ pub enum Polarity {
     /// Only falling events.
     Off,
 }
+
+named_variants!(Polarity { Both = "both", Merge = "merge", On = "on", Off = "off" });
 
 /// Which moment is step 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,22 +44,16 @@ pub enum TimeUnit {
     Nanoseconds,
 }
 
+named_variants!(TimeUnit { Seconds = "s", Milliseconds = "ms", Microseconds = "us", Nanoseconds = "ns" });
+
 impl TimeUnit {
     /// The unit of a name: `s`, `ms`, `us` or `ns`.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
-        Some(match name {
-            "s" => TimeUnit::Seconds,
-            "ms" => TimeUnit::Milliseconds,
-            "us" => TimeUnit::Microseconds,
-            "ns" => TimeUnit::Nanoseconds,
-            _ => return None,
-        })
+        Self::ALL.into_iter().find(|unit| unit.name() == name)
     }
 
     /// A time of this unit in whole microseconds, downward; what its rounding took off a whole one
     /// is given back.
-    #[must_use]
     pub fn microseconds(self, time: f64) -> i64 {
         let us = time
             * match self {
@@ -98,8 +95,7 @@ pub struct EventOptions {
 
 /// Every option, for messages.
 const OPTIONS: &str = "options are size=W,H crop=X,Y,W,H pool=N bin_ms=T round=down|even steps=N start=first \
-                       start_ms=T \
-    polarity=both|merge|on|off least=N unit=s|ms|us|ns stream=N, joined by &";
+                       start_ms=T polarity=both|merge|on|off least=N unit=s|ms|us|ns stream=N, joined by &";
 
 /// The options that arrays take.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -146,14 +142,10 @@ impl ArrayOptions {
 
 impl EventOptions {
     /// The options of an array, where no others are given.
-    #[must_use]
     pub fn of_array(&self) -> Option<ArrayOptions> {
         let &EventOptions { polarity, least, .. } = self;
-        (*self == EventOptions { polarity, least, ..EventOptions::default() }).then_some(ArrayOptions {
-            polarity,
-            least,
-            values: false,
-        })
+        let of_array = ArrayOptions { polarity, least, values: false };
+        (*self == EventOptions { polarity, least, ..EventOptions::default() }).then_some(of_array)
     }
 
     /// Options as `key=value` pairs of an argument.
@@ -170,11 +162,8 @@ impl EventOptions {
                     .ok_or_else(|| bad(&format!("{count:?} whole numbers from {least} to 65536 are expected")))
             };
             let milliseconds = || -> Result<f64> {
-                value
-                    .parse()
-                    .ok()
-                    .filter(|x: &f64| x.is_finite() && x.abs() <= 1e15)
-                    .ok_or_else(|| bad("no number of milliseconds"))
+                let number = value.parse().ok().filter(|x: &f64| x.is_finite() && x.abs() <= 1e15);
+                number.ok_or_else(|| bad("no number of milliseconds"))
             };
             match key.as_str() {
                 "size" => options.size = numbers(2..=2, 1)?.get(..2).map(|p| (p[0], p[1])),
@@ -197,13 +186,8 @@ impl EventOptions {
                 "start" if value == "first" => options.start = Some(Origin::First),
                 "start_ms" => options.start = Some(Origin::At((milliseconds()? * 1e3) as i64)),
                 "polarity" => {
-                    options.polarity = match value.as_str() {
-                        "both" => Polarity::Both,
-                        "merge" => Polarity::Merge,
-                        "on" => Polarity::On,
-                        "off" => Polarity::Off,
-                        _ => return Err(bad("it is both, merge, on or off")),
-                    }
+                    let polarity = Polarity::ALL.into_iter().find(|polarity| polarity.name() == value);
+                    options.polarity = polarity.ok_or_else(|| bad("it is both, merge, on or off"))?;
                 }
                 "unit" => {
                     let unit = TimeUnit::from_name(value);

@@ -1,12 +1,10 @@
 //! The spikes of one sample on one population.
 
-use std::path::Path;
-
 use nsim_files::budget::MOST_EVENTS;
 use nsim_ir::base::diagnostic::Diagnostic;
 
 /// The spikes of one sample on the channels of one population.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PopulationSpikes {
     /// How many channels the source has, if it says so.
     pub units: Option<u64>,
@@ -24,11 +22,8 @@ pub struct PopulationSpikes {
 
 impl PopulationSpikes {
     /// This many samples of `units` channels without a spike.
-    pub(super) fn silent(samples: usize, units: u64, steps: u32, path: &Path) -> Vec<Self> {
-        let name = path.display().to_string();
-        let silent =
-            PopulationSpikes { units: Some(units), steps, label: None, events: Vec::new(), values: Vec::new(), name };
-        vec![silent; samples]
+    pub fn silent(samples: usize, units: u64, steps: u32, name: String) -> Vec<Self> {
+        vec![PopulationSpikes { units: Some(units), steps, name, ..Self::default() }; samples]
     }
 }
 

@@ -39,7 +39,10 @@ pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSp
             Ok(vec![spikes])
         }
         FileKind::Hdf5 => read_nir_data(path, request),
-        FileKind::Npz => npz::read(path, request.population, units, array_options(path, request)?),
+        FileKind::Npz => {
+            let options = array_options(path, request)?;
+            npz::from_bytes(path, read_bytes(path, MOST_ARRAY)?, request.population, units, options)
+        }
         FileKind::Npy => array::from_array(&npy::open(path)?, units, array_options(path, request)?),
         FileKind::SpikeList => {
             takes_no_options(path, options)?;
@@ -79,8 +82,7 @@ fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<
 fn unknown(kind: FileKind) -> Diagnostic {
     Diagnostic::new("input.kind", format!("this is {kind}, which is not read as spikes")).help(format!(
         "read are .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), {RECORDINGS}, \
-         a \
-         .ron data-set manifest, and a folder of sample_<i>_label_<c>.npy or of recordings"
+         a .ron data-set manifest, and a folder of sample_<i>_label_<c>.npy or of recordings"
     ))
 }
 
@@ -89,12 +91,8 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
     if *options == EventOptions::default() {
         return Ok(());
     }
-    Err(Diagnostic::new(
-        "input.kind",
-        "options after '?' are for recordings of events, for arrays (polarity, least) and for scenes",
-    )
-    .help(format!("options are for {RECORDINGS}"))
-    .in_file(path))
+    let message = "options after '?' are for recordings of events, for arrays (polarity, least) and for scenes";
+    Err(Diagnostic::new("input.kind", message).help(format!("options are for {RECORDINGS}")).in_file(path))
 }
 
 /// The options that an array takes.
@@ -133,11 +131,8 @@ fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpik
 /// Reads a source that holds exactly one sample.
 pub(super) fn read_sample(path: &Path, request: Request<'_>) -> Result<PopulationSpikes> {
     if matches!(FileKind::detect(path)?, FileKind::Folder | FileKind::Stream) {
-        return Err(Diagnostic::new(
-            "input.kind",
-            "a sample of a data set is a .npy or a .csv file, or a recording of events",
-        )
-        .in_file(path));
+        let message = "a sample of a data set is a .npy or a .csv file, or a recording of events";
+        return Err(Diagnostic::new("input.kind", message).in_file(path));
     }
     let mut recordings = read(path, request)?;
     match (recordings.pop(), recordings.len()) {

@@ -167,16 +167,6 @@ mod tests {
         assert!(error.message.contains("row 2") && error.file().unwrap().ends_with("sample_4_label_1.tact"), "{error}");
     }
 
-    #[test]
-    fn other_kinds_of_files_are_answered_with_the_known_ones() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.avi");
-        assert_eq!(read_source(&path, 1).unwrap_err().code, "io.missing");
-        std::fs::write(&path, "x").unwrap();
-        let error = read_source(&path, 1).unwrap_err();
-        assert!(error.code == "input.kind" && error.help.unwrap().contains(".csv"));
-    }
-
     /// One that names itself would be read without end.
     #[test]
     fn a_data_set_is_no_recording_of_a_data_set() {

@@ -56,30 +56,10 @@ impl<T> Csr<T> {
     }
 
     /// No row yet, with room for this many rows and items.
-    #[must_use]
     pub fn with_capacity(rows: usize, items: usize) -> Self {
         let mut first = Vec::with_capacity(rows + 1);
         first.push(0);
         Csr { first, items: Vec::with_capacity(items) }
-    }
-
-    /// Rows of these lengths, of the same item.
-    ///
-    /// # Panics
-    /// As [`Csr::push`].
-    #[must_use]
-    pub fn from_counts(counts: &[u32], item: T) -> Self
-    where
-        T: Clone,
-    {
-        let mut first = Vec::with_capacity(counts.len() + 1);
-        let mut sum = 0u32;
-        first.push(0);
-        for &count in counts {
-            sum = sum.checked_add(count).expect("fewer than 2^32 items");
-            first.push(sum);
-        }
-        Csr { first, items: vec![item; sum as usize] }
     }
 
     /// This many rows from (row, item) pairs in any order; the items of a row keep theirs. `visit`
@@ -87,24 +67,26 @@ impl<T> Csr<T> {
     ///
     /// # Panics
     /// As [`Csr::push`], and when a row does not exist.
-    #[must_use]
     pub fn by_row(rows: usize, mut visit: impl FnMut(&mut dyn FnMut(usize, T))) -> Self
     where
         T: Clone,
     {
-        let (mut counts, mut any) = (vec![0u32; rows], None);
+        let (mut first, mut any) = (vec![0u32; rows + 1], None);
         visit(&mut |row, item| {
-            counts[row] += 1;
+            first[row + 1] += 1;
             any.get_or_insert(item);
         });
-        let Some(item) = any else { return Csr { first: vec![0; rows + 1], items: Vec::new() } };
-        let mut csr = Csr::from_counts(&counts, item);
-        let mut next = csr.first.clone();
+        let Some(item) = any else { return Csr { first, items: Vec::new() } };
+        for row in 0..rows {
+            first[row + 1] = first[row].checked_add(first[row + 1]).expect("fewer than 2^32 items");
+        }
+        let mut items = vec![item; first[rows] as usize];
+        let mut next = first.clone();
         visit(&mut |row, item| {
-            csr.items[next[row] as usize] = item;
+            items[next[row] as usize] = item;
             next[row] += 1;
         });
-        csr
+        Csr { first, items }
     }
 
     /// Appends a row.
@@ -130,39 +112,33 @@ impl<T> Csr<T> {
     }
 
     /// Number of rows.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.first.len() - 1
     }
 
     /// Whether there is no row.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// One row.
     #[inline]
-    #[must_use]
     pub fn get(&self, row: usize) -> &[T] {
         &self.items[self.first[row] as usize..self.first[row + 1] as usize]
     }
 
     /// One row, to be changed in place.
     #[inline]
-    #[must_use]
     pub fn get_mut(&mut self, row: usize) -> &mut [T] {
         &mut self.items[self.first[row] as usize..self.first[row + 1] as usize]
     }
 
     /// Where each row begins among all items, and where the last ends.
-    #[must_use]
     pub fn firsts(&self) -> &[u32] {
         &self.first
     }
 
     /// The items of all rows.
-    #[must_use]
     pub fn items(&self) -> &[T] {
         &self.items
     }

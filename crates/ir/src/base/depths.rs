@@ -10,7 +10,6 @@ use petgraph::algo::tarjan_scc;
 use petgraph::graph::{DiGraph, NodeIndex};
 
 /// Depths, and the ways `(from, to)` that close a loop.
-#[must_use]
 pub fn depths(sources: &[Vec<usize>], is_input: impl Fn(usize) -> bool) -> (Vec<u32>, BTreeSet<(usize, usize)>) {
     let ways = sources.iter().enumerate().flat_map(|(to, from)| from.iter().map(move |&from| (from, to)));
     let mut graph = DiGraph::<(), ()>::new();

@@ -26,25 +26,21 @@ pub struct SourceText {
 
 impl SourceText {
     /// A file's path (or the name of a shipped file) and its content.
-    #[must_use]
     pub fn new(path: impl Into<PathBuf>, text: impl Into<Arc<str>>) -> Self {
         SourceText { path: path.into().into(), text: text.into() }
     }
 
     /// The path, as the user gave it.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// The whole text.
-    #[must_use]
     pub fn text(&self) -> &Arc<str> {
         &self.text
     }
 
     /// Line and column, both from 1, of a byte; columns count characters.
-    #[must_use]
     pub fn position(&self, offset: usize) -> Position {
         let mut offset = offset.min(self.text.len());
         while !self.text.is_char_boundary(offset) {
@@ -177,19 +173,16 @@ pub fn gathered<T>(results: impl IntoIterator<Item = Result<T>>) -> Result<Vec<T
 
 impl Diagnostic {
     /// A problem with this code and message.
-    #[must_use]
     pub fn new(code: &'static str, message: impl Into<String>) -> Self {
         Diagnostic { code, message: message.into(), help: None, place: None, others: None }
     }
 
     /// Further problems of the same input, which have nothing to do with this one.
-    #[must_use]
     pub fn others(&self) -> &[Diagnostic] {
         self.others.as_ref().map_or(&[], |others| &others.0)
     }
 
     /// What to change: what the problem says itself, or else what is usual for its code.
-    #[must_use]
     pub fn advice(&self) -> Option<&str> {
         let is_of = |code: &str| self.code.starts_with(code) || code.starts_with('.') && self.code.ends_with(code);
         let usual = || USUAL.iter().find(|(code, _)| is_of(code)).map(|(_, advice)| *advice);
@@ -224,7 +217,6 @@ impl Diagnostic {
     }
 
     /// The file, if one is to blame.
-    #[must_use]
     pub fn file(&self) -> Option<&Path> {
         match self.place.as_ref()? {
             Place::File(path) => Some(path),
@@ -233,7 +225,6 @@ impl Diagnostic {
     }
 
     /// Line and column, if known.
-    #[must_use]
     pub fn position(&self) -> Option<Position> {
         match self.place.as_ref()? {
             Place::File(_) => None,

@@ -6,7 +6,7 @@ use super::rng;
 const CLASS: u64 = 2 << 32;
 
 /// A seeded permutation of 0..n (Fisher and Yates).
-fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
+pub fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
     let mut order: Vec<usize> = (0..n).collect();
     for i in (1..n).rev() {
         order.swap(i, rng::below(i as u64 + 1, seed, stream, i as u64) as usize);
@@ -17,7 +17,6 @@ fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
 /// For each of `k` folds the samples that it tests on, ascending. Samples are assigned to folds in
 /// turn, class by class in a seeded order, so that folds differ by at most one sample in each class
 /// and in all.
-#[must_use]
 pub fn stratified_folds(labels: &[u32], k: usize, seed: u64) -> Vec<Vec<usize>> {
     let mut folds = vec![Vec::new(); k];
     let mut classes: Vec<u32> = labels.to_vec();

@@ -84,7 +84,6 @@ pub struct IdVec<I, T> {
 
 impl<I: Id, T> IdVec<I, T> {
     /// An empty vector.
-    #[must_use]
     pub fn new() -> Self {
         Vec::new().into()
     }
@@ -96,13 +95,11 @@ impl<I: Id, T> IdVec<I, T> {
     }
 
     /// The number of items.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.items.len()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.items.is_empty()
     }
@@ -128,19 +125,16 @@ impl<I: Id, T> IdVec<I, T> {
     }
 
     /// The item of an id, if the id belongs to this vector.
-    #[must_use]
     pub fn get(&self, id: I) -> Option<&T> {
         self.items.get(id.index())
     }
 
     /// The plain slice.
-    #[must_use]
     pub fn as_slice(&self) -> &[T] {
         &self.items
     }
 
     /// The plain slice, to be changed.
-    #[must_use]
     pub fn as_mut_slice(&mut self) -> &mut [T] {
         &mut self.items
     }

@@ -1,22 +1,24 @@
 //! Names in files, arguments and results.
 //!
-//! Input: an enum with its variants, each with its name; behind a semicolon a variant that holds its
-//! name, which is in no list. Output: the list of the variants and the name of each. Written once,
-//! since a name given in two lists can differ. Input: a text of any origin. Output: the text as it
-//! may be shown.
+//! Input: an enum with its variants, each with its name unless that is the variant's own; behind a
+//! semicolon a variant that holds its name, which is in no list. Output: the list of the variants
+//! and the name of each. Written once, since a name given in two lists can differ. Input: a text of
+//! any origin. Output: the text as it may be shown.
 
 use std::borrow::Cow;
 
 /// Gives an enum the constant `ALL` and the function `name`.
 #[macro_export]
 macro_rules! named_variants {
-    ($enum:ident { $($variant:ident = $name:literal),+ $(,)? $(; $other:pat => $given:expr)? }) => {
+    ($enum:ident { $($variant:ident),+ $(; $other:pat => $given:expr)? }) => {
+        $crate::named_variants!($enum { $($variant = stringify!($variant)),+ $(; $other => $given)? });
+    };
+    ($enum:ident { $($variant:ident = $name:expr),+ $(,)? $(; $other:pat => $given:expr)? }) => {
         impl $enum {
             /// Every variant, in the order in which they are shown.
             pub const ALL: [$enum; [$($name),+].len()] = [$($enum::$variant),+];
 
             /// The name in files, arguments and results.
-            #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
                     $($enum::$variant => $name,)+
@@ -30,7 +32,6 @@ pub use named_variants;
 
 /// Whether a character controls a terminal, changes the order of the text around it, ends a line,
 /// or is none of XML's.
-#[must_use]
 pub fn is_unprintable(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}')
@@ -41,7 +42,6 @@ pub fn is_unprintable(c: char) -> bool {
 /// Names, labels, file names and quoted content come from files that others made. Everything that
 /// shows them to a person goes through here, so that no name moves a cursor, colours a terminal or
 /// makes a picture that no reader takes.
-#[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     let is_replaced = |c: char| is_unprintable(c) && !matches!(c, '\n' | '\t');
     match text.contains(is_replaced) {
@@ -51,7 +51,6 @@ pub fn printable(text: &str) -> Cow<'_, str> {
 }
 
 /// A text as XML and HTML hold it, [`printable`].
-#[must_use]
 pub fn markup(text: &str) -> String {
     printable(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
@@ -61,7 +60,6 @@ const ALIKE: f64 = 0.84;
 
 /// The question whether the name most like a word was meant, with a space behind it; nothing where
 /// none is like it.
-#[must_use]
 pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) -> String {
     let likeness = |name: &'n str| (strsim::jaro_winkler(&word.to_lowercase(), &name.to_lowercase()), name);
     let best = names.into_iter().map(likeness).max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(a.1)));
@@ -72,7 +70,6 @@ pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) ->
 }
 
 /// Whether a name fits a pattern, in which `*` stands for any characters and `?` for one.
-#[must_use]
 pub fn fits_pattern(pattern: &str, name: &str) -> bool {
     let (pattern, name): (Vec<char>, Vec<char>) = (pattern.chars().collect(), name.chars().collect());
     let (mut at, mut from) = (0, 0);

@@ -16,14 +16,12 @@ const fn mix(mut z: u64) -> u64 {
 
 /// A digest of words so far and one more.
 #[inline]
-#[must_use]
 pub const fn digest(so_far: u64, word: u64) -> u64 {
     mix((so_far ^ word).wrapping_add(GOLDEN))
 }
 
 /// 64 uniform bits for this (seed, entity, step).
 #[inline]
-#[must_use]
 pub const fn bits(seed: u64, entity: u64, step: u64) -> u64 {
     let z = mix(seed.wrapping_add(GOLDEN));
     digest(digest(z, entity), step)
@@ -34,7 +32,6 @@ pub const fn bits(seed: u64, entity: u64, step: u64) -> u64 {
 /// # Panics
 /// When `n` is 0.
 #[inline]
-#[must_use]
 pub const fn below(n: u64, seed: u64, entity: u64, step: u64) -> u64 {
     assert!(n > 0);
     ((bits(seed, entity, step) as u128 * n as u128) >> 64) as u64
@@ -42,7 +39,6 @@ pub const fn below(n: u64, seed: u64, entity: u64, step: u64) -> u64 {
 
 /// A uniform real in [0, 1) with 53 bits.
 #[inline]
-#[must_use]
 pub fn unit(seed: u64, entity: u64, step: u64) -> f64 {
     (bits(seed, entity, step) >> 11) as f64 / (1u64 << 53) as f64
 }

@@ -7,7 +7,6 @@
 const CENTRAL_95: f64 = 1.959_964;
 
 /// Mean and standard deviation (of the values themselves, not of their mean); zeros without values.
-#[must_use]
 pub fn mean_sd(values: &[f64]) -> (f64, f64) {
     let n = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -17,7 +16,6 @@ pub fn mean_sd(values: &[f64]) -> (f64, f64) {
 /// The interval that holds the share of successes behind `share` of `trials` in 95 of 100 cases
 /// (Wilson, "Probable inference, the law of succession, and statistical inference", J. Am. Stat.
 /// Assoc. 1927); all of 0 to 1 without trials.
-#[must_use]
 pub fn wilson(share: f64, trials: usize) -> (f64, f64) {
     if trials == 0 {
         return (0.0, 1.0);

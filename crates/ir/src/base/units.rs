@@ -58,7 +58,6 @@ quantity!(
 
 impl Femtojoules {
     /// In microjoules.
-    #[must_use]
     pub fn microjoules(self) -> f64 {
         self.0 as f64 / 1e9
     }
@@ -66,13 +65,11 @@ impl Femtojoules {
 
 impl Picoseconds {
     /// Of a time in milliseconds, to the nearest picosecond.
-    #[must_use]
     pub fn from_milliseconds(milliseconds: f64) -> Self {
         Picoseconds((milliseconds * 1e9).round() as u64)
     }
 
     /// In microseconds.
-    #[must_use]
     pub fn microseconds(self) -> f64 {
         self.0 as f64 / 1e6
     }
@@ -80,7 +77,6 @@ impl Picoseconds {
 
 impl Nanowatts {
     /// In milliwatts.
-    #[must_use]
     pub fn milliwatts(self) -> f64 {
         self.0 as f64 / 1e6
     }

@@ -70,7 +70,6 @@ const TYPED: [(&str, Unit, f64); 11] = [
 
 impl Unit {
     /// What follows a number of this unit.
-    #[must_use]
     pub fn suffix(self) -> &'static str {
         match self {
             Unit::pJ => "pJ",
@@ -200,7 +199,6 @@ impl Constant {
     }
 
     /// The median of the findings of other groups than this one; `None` when there are none.
-    #[must_use]
     pub fn without(&self, group: &str) -> Option<f64> {
         let others = self.findings.iter().filter(|finding| finding.group != group);
         median(others.map(|finding| finding.value).collect())
@@ -228,7 +226,6 @@ impl Constant {
 }
 
 /// The median; of two in the middle their geometric mean. `None` of nothing.
-#[must_use]
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
@@ -457,15 +454,6 @@ macro_rules! constants {
             /// The names of all single-valued constants, in a fixed order.
             pub const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
-            /// The unit in which a constant is written.
-            #[must_use]
-            pub fn unit_of(name: &str) -> Option<Unit> {
-                match name {
-                    $(stringify!($field) => Some(Unit::$unit),)*
-                    _ => None,
-                }
-            }
-
             /// One constant, by its name, to be changed.
             pub fn get_mut(&mut self, name: &str) -> Option<&mut Constant> {
                 match name {
@@ -475,7 +463,6 @@ macro_rules! constants {
             }
 
             /// Name and constant of every single-valued field, in a fixed order.
-            #[must_use]
             pub fn list(&self) -> Vec<(&'static str, &Constant)> {
                 vec![$((stringify!($field), &self.$field),)*]
             }
@@ -511,7 +498,6 @@ macro_rules! constants {
 for_each_constant!(constants);
 
 /// The classes of figures that follow from a constant.
-#[must_use]
 pub fn classes_of(constant: &str) -> &'static [FigureClass] {
     use FigureClass::{CoreDynamic, CoreEnergy, Rails, Static, Time, X86Dynamic};
     match constant {

@@ -93,13 +93,11 @@ pub struct AlternativeLimit {
 
 impl Chip {
     /// What tables of energy call it.
-    #[must_use]
     pub fn hardware(&self) -> &str {
         self.hardware.as_deref().unwrap_or(&self.name)
     }
 
     /// Places of cores on its tiles.
-    #[must_use]
     pub fn places(&self) -> u32 {
         self.width.saturating_mul(self.height).saturating_mul(self.cores_per_tile)
     }
@@ -227,7 +225,6 @@ pub struct TargetChanges {
 impl TargetChanges {
     /// A chip with the changes, which goes by this name where there are any. Sources of limits that
     /// are changed no longer say where they come from.
-    #[must_use]
     pub fn chip(&self, mut chip: Chip, name: &str) -> Chip {
         let sizes = [self.width, self.height, self.cores_per_tile, self.cores_per_chip];
         let x86 = [self.x86_cores, self.x86_cores_in_use];
@@ -289,7 +286,6 @@ impl Target {
     }
 
     /// Whether it has another board or chip than the one of its name.
-    #[must_use]
     pub fn is_changed(&self) -> bool {
         self.is_changed
     }
@@ -363,63 +359,53 @@ impl Target {
     }
 
     /// The target's name.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// Its chip.
-    #[must_use]
     pub fn chip(&self) -> &Chip {
         &self.chip
     }
 
     /// The limits of a core.
-    #[must_use]
     pub fn limits(&self) -> &Limits {
         &self.chip.limits
     }
 
     /// How far predictions by a preset were off on such hardware; nothing where the preset was
     /// measured on other.
-    #[must_use]
     pub fn errors<'c>(&self, preset: &'c Constants) -> &'c [ClassError] {
         if self.is_measured_by(preset) { &preset.errors } else { &[] }
     }
 
     /// Whether a preset is of this chip, or of one that differs in limits of a core alone.
-    #[must_use]
     pub fn is_measured_by(&self, preset: &Constants) -> bool {
         let own = [Some(self.chip.hardware()), self.chip.measured_as.as_deref()];
         own.contains(&Some(preset.hardware.as_str()))
     }
 
     /// Presets of constants; the first is the default.
-    #[must_use]
     pub fn constants(&self) -> &[Constants] {
         &self.constants
     }
 
     /// Number of chips.
-    #[must_use]
     pub fn chips(&self) -> u32 {
         self.chips_x * self.chips_y
     }
 
     /// Chips from west to east.
-    #[must_use]
     pub fn chips_x(&self) -> u32 {
         self.chips_x
     }
 
     /// Chips from north to south.
-    #[must_use]
     pub fn chips_y(&self) -> u32 {
         self.chips_y
     }
 
     /// Number of cores of all chips.
-    #[must_use]
     pub fn cores(&self) -> u32 {
         self.chips() * self.chip.cores
     }

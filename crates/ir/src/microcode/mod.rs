@@ -54,7 +54,6 @@ pub struct Word {
 
 impl Word {
     /// The values that it holds.
-    #[must_use]
     pub fn interval(&self) -> Interval {
         match self.overflow {
             Overflow::Wrap => Interval::of_bits(self.bits),
@@ -147,27 +146,23 @@ impl Microcode {
             scope.declare(name, Variable::Parameter(place), Some(range), &path)?;
         }
         let words = [("state", &declaration.state), ("temporaries", &declaration.temporaries)];
-        for (list, word, place) in words
-            .into_iter()
-            .flat_map(|(list, words)| words.iter().enumerate().map(move |(place, word)| (list, word, place)))
-        {
-            let path = format!("{list}.[{place}]");
-            if !(2..=32).contains(&word.bits) {
-                return Err(Problem::new(path, format!("{} bits are outside 2..=32: narrow the word", word.bits)));
-            }
-            match list {
-                "state" => scope.declare(&word.name, Variable::State(place), Some(word.interval()), &path)?,
-                _ => scope.declare(&word.name, Variable::Temporary(place), None, &path)?,
+        for (list, words) in words {
+            for (place, word) in words.iter().enumerate() {
+                let path = format!("{list}.[{place}]");
+                if !(2..=32).contains(&word.bits) {
+                    return Err(Problem::new(path, format!("{} bits are outside 2..=32: narrow the word", word.bits)));
+                }
+                match list {
+                    "state" => scope.declare(&word.name, Variable::State(place), Some(word.interval()), &path)?,
+                    _ => scope.declare(&word.name, Variable::Temporary(place), None, &path)?,
+                }
             }
         }
         scope.widths = words.map(|(_, words)| words.iter().map(Word::interval).collect());
         let update = assignments("update", &declaration.update, &mut scope)?;
-        let of = |path: &'static str, text: &Option<String>, scope: &mut Scope| match text {
-            Some(text) => Parser::new(path, text, scope).whole().map(Some),
-            None => Ok(None),
-        };
-        let spikes = of("spikes", &declaration.spikes, &mut scope)?;
-        let message = of("message", &declaration.message, &mut scope)?;
+        let mut read = |path: &str, text: &String| Parser::new(path, text, &mut scope).whole();
+        let spikes = declaration.spikes.as_ref().map(|text| read("spikes", text)).transpose()?;
+        let message = declaration.message.as_ref().map(|text| read("message", text)).transpose()?;
         if let Some(needs) = message.as_ref().map(|message| message.interval.bits()).filter(|bits| *bits > 32) {
             let problem = format!("a message of {needs} bits does not fit 32: clip(.., 32) or wrap(.., 32) it");
             return Err(Problem::new("message", problem));
@@ -181,31 +176,26 @@ impl Microcode {
     }
 
     /// The declaration that it was made of.
-    #[must_use]
     pub fn declaration(&self) -> &Declaration {
         &self.declaration
     }
 
     /// Its name.
-    #[must_use]
     pub const fn name(&self) -> &str {
         self.declaration.name.as_str()
     }
 
     /// How many temporaries it has; the first ones are those with a width.
-    #[must_use]
     pub fn temporaries(&self) -> usize {
         self.temporaries
     }
 
     /// How many sums of arrivals it reads, at least 1.
-    #[must_use]
     pub fn ports(&self) -> u8 {
         self.ports
     }
 
     /// The word that is written, unless it is a temporary without a width.
-    #[must_use]
     pub fn width(&self, target: Variable) -> Option<&Word> {
         match target {
             Variable::State(place) => self.declaration.state.get(place),
@@ -215,42 +205,31 @@ impl Microcode {
     }
 
     /// Assignments of every step.
-    #[must_use]
     pub fn update(&self) -> &[Assignment] {
         &self.update
     }
 
     /// Sent is what is not 0 after the update: the test, or the message where there is no test.
-    #[must_use]
     pub fn sends(&self) -> &Expression {
         &self.sends
     }
 
     /// The integer that is sent; none for spikes.
-    #[must_use]
     pub fn message(&self) -> Option<&Expression> {
         self.message.as_ref()
     }
 
     /// Assignments after something was sent.
-    #[must_use]
     pub fn reset(&self) -> &[Assignment] {
         &self.reset
     }
 
     /// Instructions of the program: operations, the assignments of numbers and names, and the
     /// sending.
-    #[must_use]
     pub fn instructions(&self) -> u32 {
         let assigned = self.update.iter().chain(&self.reset).map(|assignment| assignment.value.operations().max(1));
         let message = self.declaration.spikes.as_ref().and(self.message.as_ref());
         assigned.sum::<u32>() + self.sends.operations() + message.map_or(0, Expression::operations) + 1
-    }
-
-    /// Bits of state of a neuron.
-    #[must_use]
-    pub fn state_bits(&self) -> u32 {
-        self.declaration.state.iter().map(|word| word.bits).sum()
     }
 }
 

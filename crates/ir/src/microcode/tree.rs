@@ -11,32 +11,27 @@ pub struct Interval {
 
 impl Interval {
     /// The values of this many bits in two's complement, 1 to 64.
-    #[must_use]
     pub fn of_bits(bits: u32) -> Interval {
         Interval { low: i64::MIN >> (64 - bits), high: i64::MAX >> (64 - bits) }
     }
 
     /// The same without the least.
-    #[must_use]
     pub fn symmetric(bits: u32) -> Interval {
         let high = Interval::of_bits(bits).high;
         Interval { low: -high, high }
     }
 
     /// One value.
-    #[must_use]
     pub fn one(value: i64) -> Interval {
         Interval { low: value, high: value }
     }
 
     /// Whether all of another interval is in this one.
-    #[must_use]
     pub fn holds(self, other: Interval) -> bool {
         self.low <= other.low && other.high <= self.high
     }
 
     /// Bits that each value fits, the sign included.
-    #[must_use]
     pub fn bits(self) -> u32 {
         bits(self.low.into(), self.high.into())
     }
@@ -144,7 +139,6 @@ pub enum Node {
 
 impl Expression {
     /// Operations of the tree.
-    #[must_use]
     pub fn operations(&self) -> u32 {
         match &self.node {
             Node::Apply(_, of) => 1 + of.iter().map(Expression::operations).sum::<u32>(),

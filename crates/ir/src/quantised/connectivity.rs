@@ -104,7 +104,6 @@ pub enum Connectivity {
 
 impl Connectivity {
     /// Whether every weight is a multiple of this.
-    #[must_use]
     pub fn all_multiples_of(&self, unit: i16) -> bool {
         let all = |weights: &[i16]| weights.iter().all(|weight| weight % unit == 0);
         match self {
@@ -116,7 +115,6 @@ impl Connectivity {
     }
 
     /// Number of synapses of this many sources together.
-    #[must_use]
     pub fn count(&self, sources: u64) -> u64 {
         match self {
             // What is the same for every source, or listed, need not be counted one by one.
@@ -193,7 +191,6 @@ impl Connectivity {
 impl Window {
     /// Pairs of a source position and an output position whose window covers it: the synapses of
     /// one pair of channels.
-    #[must_use]
     pub fn positions(&self) -> u64 {
         let of_axis = |axis: fn((u32, u32)) -> u32, source: u32, target: u32| -> u64 {
             let (stride, padding, dilation) = (axis(self.stride), axis(self.padding), axis(self.dilation));

@@ -70,7 +70,6 @@ impl Neuron {
     };
 
     /// The parameter of its kind that is called so in model files, 0 where the kind has none.
-    #[must_use]
     pub fn parameter(&self, name: &str) -> i64 {
         if !self.kind.table().registers {
             let place = self.kind.parameters().iter().position(|parameter| parameter.name == name);
@@ -90,13 +89,11 @@ impl Neuron {
     }
 
     /// What compartments of the same profile share, on a core that has this many profiles.
-    #[must_use]
     pub fn profile(&self) -> (Decay, Decay, Refractory, Row) {
         (self.du, self.dv, self.refractory, self.row.stored_in(self.kind, Storage::Profile))
     }
 
     /// What compartments of the same threshold share, on a core that has this many thresholds.
-    #[must_use]
     pub fn threshold(&self) -> (ThresholdMantissa, Row) {
         (self.vth, self.row.stored_in(self.kind, Storage::Threshold))
     }
@@ -146,7 +143,6 @@ pub struct Population {
 
 impl Population {
     /// The first compartment, when it has compartments.
-    #[must_use]
     pub fn first_compartment(&self) -> Option<CompartmentId> {
         match self.units {
             Units::Input(_) => None,
@@ -155,7 +151,6 @@ impl Population {
     }
 
     /// The first channel, when it is an input.
-    #[must_use]
     pub fn first_channel(&self) -> Option<ChannelId> {
         match self.units {
             Units::Input(first) => Some(first),
@@ -343,7 +338,6 @@ pub struct Pruned {
 
 impl Pruned {
     /// How many of a kind were left out.
-    #[must_use]
     pub fn count(&self, kind: pruned::Kind) -> u64 {
         self.rows.iter().filter(|row| row.kind == kind).map(|row| row.count).sum()
     }
@@ -384,20 +378,15 @@ impl Quantised {
             let Some(end) = population.shape.checked_len().and_then(|units| first.checked_add(units)) else {
                 return wrong("has more units than can be numbered");
             };
-            if let Units::Compartments { neurons: PerCompartment::Each(neurons), .. } = &population.units
-                && neurons.len() != population.shape.len() as usize
-            {
-                return wrong("has not the parameters of one neuron for each compartment");
-            }
-            let carries = match (&population.units, population.message) {
-                (Units::Input(_), _) | (_, Message::Spike) => true,
-                (Units::Compartments { neurons, .. }, message) => {
-                    let computes = |neuron: &Neuron| neuron.kind.table().emits == Emits::Values;
-                    !neurons.any(|neuron| computes(neuron) != matches!(message, Message::Value(_)))
+            if let Units::Compartments { neurons, .. } = &population.units {
+                if matches!(neurons, PerCompartment::Each(each) if each.len() != population.shape.len() as usize) {
+                    return wrong("has not the parameters of one neuron for each compartment");
                 }
-            };
-            if !carries {
-                return wrong("sends messages that its neurons do not have");
+                let values = matches!(population.message, Message::Value(_));
+                let computes = |neuron: &Neuron| neuron.kind.table().emits == Emits::Values;
+                if population.message != Message::Spike && neurons.any(|neuron| computes(neuron) != values) {
+                    return wrong("sends messages that its neurons do not have");
+                }
             }
             *counter = end;
         }
@@ -457,20 +446,17 @@ impl Quantised {
     }
 
     /// What was left out, when the network was pruned.
-    #[must_use]
     pub fn pruned(&self) -> Option<&Arc<Pruned>> {
         self.pruned.as_ref()
     }
 
     /// The network as it was before it was pruned: itself, unless it was; of several copies, one.
-    #[must_use]
     pub fn original(&self) -> &Quantised {
         self.pruned.as_ref().map_or(self, |pruned| &pruned.original)
     }
 
     /// The indices that a population's compartments had before pruning, ascending; `None` when it
     /// lost none.
-    #[must_use]
     pub fn kept(&self, population: PopulationId) -> Option<&[u32]> {
         let pruned = self.pruned.as_ref()?;
         let of_copy = PopulationId(population.0 % pruned.kept.len() as u32);
@@ -478,21 +464,18 @@ impl Quantised {
     }
 
     /// The number of units that a population had before pruning.
-    #[must_use]
     pub fn units_shown(&self, population: PopulationId) -> u32 {
         let original = self.original().populations();
         original[PopulationId(population.0 % original.len() as u32)].shape.len()
     }
 
     /// The index in its population by which people know a compartment: the one before pruning.
-    #[must_use]
     pub fn index_shown(&self, population: PopulationId, index: u32) -> u32 {
         self.kept(population).map_or(index, |kept| kept[index as usize])
     }
 
     /// The inverse of [`Quantised::index_shown`]; `None` for a compartment that was pruned or never
     /// was.
-    #[must_use]
     pub fn index_of_shown(&self, population: PopulationId, shown: u32) -> Option<u32> {
         match self.kept(population) {
             Some(kept) => kept.binary_search(&shown).ok().map(|index| index as u32),
@@ -501,7 +484,6 @@ impl Quantised {
     }
 
     /// The parts.
-    #[must_use]
     pub fn parts(&self) -> &Parts {
         &self.parts
     }
@@ -510,7 +492,6 @@ impl Quantised {
     ///
     /// # Panics
     /// Never: the constructor has checked that the output has compartments.
-    #[must_use]
     pub fn output(&self) -> Output {
         let (output, decision) = (&self.parts.populations[self.parts.output], self.parts.decision);
         let Units::Compartments { first, start_step, .. } = output.units else {
@@ -522,31 +503,26 @@ impl Quantised {
     }
 
     /// Populations in the order of the file.
-    #[must_use]
     pub fn populations(&self) -> &IdVec<PopulationId, Population> {
         &self.parts.populations
     }
 
     /// Projections in the order of the file.
-    #[must_use]
     pub fn projections(&self) -> &IdVec<ProjectionId, Projection> {
         &self.parts.projections
     }
 
     /// Input channels of all input populations.
-    #[must_use]
     pub fn channels(&self) -> u32 {
         self.channels
     }
 
     /// Compartments of all populations.
-    #[must_use]
     pub fn compartments(&self) -> u32 {
         self.compartments
     }
 
     /// Projections that leave a population, in the order of the file.
-    #[must_use]
     pub fn outgoing(&self, population: PopulationId) -> &[ProjectionId] {
         &self.outgoing[population]
     }
@@ -573,7 +549,6 @@ impl Quantised {
     }
 
     /// A population by name.
-    #[must_use]
     pub fn population_named(&self, name: &str) -> Option<PopulationId> {
         self.parts.populations.enumerate().find(|(_, p)| p.name == name).map(|(id, _)| id)
     }
@@ -582,7 +557,6 @@ impl Quantised {
     ///
     /// # Panics
     /// When the compartment is not of this network.
-    #[must_use]
     pub fn population_of(&self, compartment: CompartmentId) -> (PopulationId, u32) {
         // Of populations that begin at one compartment, all but the last are empty.
         let after = self.firsts.partition_point(|&(first, _)| first <= compartment.0);
@@ -591,20 +565,12 @@ impl Quantised {
         (id, compartment.0 - first)
     }
 
-    /// Every source of spikes: channels, then compartments.
-    pub fn sources(&self) -> impl Iterator<Item = SpikeSource> + use<> {
-        let channels = (0..self.channels).map(|c| SpikeSource::Channel(ChannelId(c)));
-        channels.chain((0..self.compartments).map(|c| SpikeSource::Compartment(CompartmentId(c))))
-    }
-
     /// The number of synapses.
-    #[must_use]
     pub fn synapses(&self) -> u64 {
         self.parts.projections.ids().map(|id| self.synapses_of(id)).sum()
     }
 
     /// The number of synapses of a projection.
-    #[must_use]
     pub fn synapses_of(&self, projection: ProjectionId) -> u64 {
         let projection = &self.parts.projections[projection];
         projection.connectivity.count(self.parts.populations[projection.source].shape.len().into())

@@ -40,12 +40,12 @@ impl Residual {
         self.by_source.get(source as usize).map_or(0, |&residual| residual.into())
     }
 
-    /// The sum of n(s) r(s): n of the channels, and n of each shard's lanes with their
-    /// compartments.
+    /// The sum of n(s) r(s): n of the channels, n of the compartments that others hold by their
+    /// number, or of none, and n of each shard's lanes with their compartments.
     pub fn events<'a>(
         &self,
         arch: pulp::Arch,
-        channels: &[u32],
+        (channels, remote): (&[u32], &[u32]),
         shards: impl Iterator<Item = (&'a [CompartmentId], &'a [u32])>,
     ) -> i64 {
         if self.by_source.is_empty() {
@@ -62,17 +62,8 @@ impl Residual {
             #[inline(always)]
             || of_channels.iter().zip(channels).map(product).sum::<i64>(),
         );
-        sum + shards.map(of_shard).sum::<i64>()
-    }
-
-    /// The same for n of compartments by their number, or of none.
-    pub fn events_by_number(&self, compartments: &[u32]) -> i64 {
-        if self.by_source.is_empty() || compartments.is_empty() {
-            return 0;
-        }
-        let first = self.by_source.len() - compartments.len();
-        let product = |(&residual, &spikes): (&i32, &u32)| i64::from(residual) * i64::from(spikes);
-        self.by_source[first..].iter().zip(compartments).map(product).sum()
+        let of_remote = of_compartments.iter().zip(remote).map(product).sum::<i64>();
+        sum + shards.map(of_shard).sum::<i64>() + of_remote
     }
 
     /// Bytes of memory that it holds.

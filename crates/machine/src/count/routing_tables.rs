@@ -39,11 +39,8 @@ impl<'p> Core<'p> {
 /// The list that a message selects.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Selected<'p> {
-    /// The core.
     pub core: CoreId,
-    /// The input axon.
     pub axon: u16,
-    /// The stored list.
     pub list: usize,
     /// Formats of the core.
     pub formats: &'p [CoreFormat],

@@ -87,7 +87,7 @@ impl SpikeCounts {
 
     fn residual(&self, image: &Image, shards: &[ShardState], arch: pulp::Arch) -> i64 {
         let lanes = image.shards.iter().zip(shards).map(|(shard, state)| (&*shard.names, &*state.fired));
-        image.residual.events(arch, &self.channels, lanes) + image.residual.events_by_number(&self.remote)
+        image.residual.events(arch, (&self.channels, &self.remote), lanes)
     }
 
     /// What all steps did since this was last asked, by core and by source.

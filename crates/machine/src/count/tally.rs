@@ -27,6 +27,7 @@ use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::placement::{Route, Site};
 use nsim_ir::program::{CoreClass, CoreFormat, Program, Synapse};
+use nsim_ir::quantised::Output;
 
 /// The shortest and the longest delay field of a class's synapses; zeros where it has none.
 fn delays(class: &CoreClass) -> (u8, u8) {
@@ -39,7 +40,7 @@ fn is_dense(format: &CoreFormat) -> bool {
     format.index_bits.is_none()
 }
 
-use nsim_ir::quantised::Output;
+/// How many synapses of each stored list are dense.
 #[derive(Debug)]
 enum ListKinds {
     /// Only dense ones.
@@ -154,24 +155,8 @@ self_cell!(
     impl {Debug}
 );
 
-impl ProgramTally {
-    /// The counts of a program.
-    #[must_use]
-    pub fn for_program(program: &Arc<Program>) -> Self {
-        ProgramTally::new(program.clone(), |program| Tally::new(program))
-    }
-
-    /// The counts.
-    #[inline]
-    #[must_use]
-    pub fn get(&self) -> &Tally<'_> {
-        self.borrow_dependent()
-    }
-}
-
 impl<'p> Tally<'p> {
     /// The counts of a program.
-    #[must_use]
     pub fn new(program: &'p Program) -> Self {
         let sites = program.cores().iter().map(|image| image.site).collect();
         let delays: IdVec<ClassId, _> = program.classes().iter().map(delays).collect();
@@ -189,13 +174,11 @@ impl<'p> Tally<'p> {
     }
 
     /// The longest delay field.
-    #[must_use]
     pub fn longest_delay(&self) -> u32 {
         self.longest_delay
     }
 
     /// Bytes of memory that it holds, the program not included.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         let of = |kinds: &ListKinds| if let ListKinds::Both(dense) = kinds { size_of_val(dense.as_slice()) } else { 0 };
         let kinds: usize = self.kinds.iter().map(|kinds| size_of::<ListKinds>() + of(kinds)).sum();
@@ -227,7 +210,6 @@ impl<'p> Tally<'p> {
 
     /// Synaptic events of a spike of each of these sources, of those synapses whose delay field is
     /// below `reach`. Sources are numbered channels first.
-    #[must_use]
     pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
         if reach == 0 {
             return 0;
@@ -237,15 +219,6 @@ impl<'p> Tally<'p> {
             dense + sparse
         };
         self.tables.resolve(sources).map(events).sum()
-    }
-
-    /// Adds what one spike of each of these sources causes, counting synapses whose delay field is
-    /// below `reach`.
-    fn add_spikes(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
-        for source in sources.clone() {
-            self.add_sent(source, self.tables.messages(source).len() as u64, sum);
-        }
-        self.each_caused(sources, reach, |_, caused| caused.add(1, sum));
     }
 
     /// Adds a spike of a source that sends this many messages.
@@ -297,10 +270,14 @@ impl<'p> Tally<'p> {
         kept.as_ref()
     }
 
-    /// Adds what one spike of each of these sources causes.
+    /// Adds what one spike of each of these sources causes, counting synapses whose delay field is
+    /// below `reach`.
     fn add_each(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
         let Some(kept) = self.kept().filter(|_| reach > self.longest_delay) else {
-            return self.add_spikes(sources, reach, sum);
+            for source in sources.clone() {
+                self.add_sent(source, self.tables.messages(source).len() as u64, sum);
+            }
+            return self.each_caused(sources, reach, |_, caused| caused.add(1, sum));
         };
         for source in sources {
             let messages = kept.get(source as usize);
@@ -463,11 +440,4 @@ fn counted(stored: &[Synapse], formats: &[CoreFormat], reach: u32) -> (u64, u64)
         }
     }
     (dense, sparse)
-}
-
-/// Adds compartments that were not at rest.
-pub fn add_active(active: &[(CoreId, u32)], step: &mut StepActivity) {
-    for &(core, count) in active {
-        step.cores[core].active += u64::from(count);
-    }
 }

@@ -501,15 +501,9 @@ fn add_source<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: u
 mod tests {
     use super::*;
     use crate::layout::flatten::Flattened;
-    use crate::layout::lists::{LaneWeight, ListBuilder};
+    use crate::layout::lists::LaneWeight;
     use nsim_ir::base::id::{ChannelId, Id};
     use nsim_ir::base::rng;
-
-    fn flattened(sources: &[Vec<LaneWeight>], lanes: usize) -> FanOuts {
-        let mut builder = ListBuilder::new(lanes);
-        sources.iter().for_each(|synapses| builder.append(&[synapses.len() as u32], synapses));
-        FanOuts::new(vec![(1, Flattened::lists(builder))], &std::sync::Arc::default(), lanes).unwrap()
-    }
 
     /// Sums, marked skip blocks and numbers of synapses are those of adding one synapse after the
     /// other.
@@ -520,7 +514,8 @@ mod tests {
         };
         let sources: Vec<Vec<LaneWeight>> =
             (0..300).map(|source| (0..synapses).map(|index| of(source, index)).collect()).collect();
-        let fan_outs = flattened(&sources, lanes);
+        let flattened = vec![(1, Flattened::lists(&sources, lanes))];
+        let fan_outs = FanOuts::new(flattened, &std::sync::Arc::default(), lanes).unwrap();
         let lanes = lanes.next_multiple_of(SKIP_BLOCK);
         let compact = fan_outs.lists.as_ref().is_some_and(|table| table.synapses.is_compact());
         let arch = pulp::Arch::new();
@@ -575,11 +570,7 @@ mod tests {
                     (delay, (0..90).map(of).collect())
                 })
                 .into();
-            let flattened = lists.iter().map(|(delay, lists)| {
-                let mut builder = ListBuilder::new(lanes);
-                lists.iter().for_each(|list| builder.append(&[list.len() as u32], list));
-                (*delay, Flattened::lists(builder))
-            });
+            let flattened = lists.iter().map(|(delay, lists)| (*delay, Flattened::lists(lists, lanes)));
             let fan_outs = FanOuts::new(flattened.collect(), &std::sync::Arc::default(), lanes).unwrap();
             assert!(fan_outs.by_delay.is_empty());
             let split = matches!(fan_outs.lists.as_ref().unwrap().synapses, ListForm::Split(_));

@@ -29,7 +29,6 @@ pub(crate) struct RowDelivery<'a, S, P> {
     pub marks: &'a mut [u8],
     /// The rows of each source.
     pub table: &'a RowTable,
-    /// The spikes.
     pub spikes: &'a [P],
     /// Scratch memory.
     pub queue: &'a mut Vec<RowPlace>,

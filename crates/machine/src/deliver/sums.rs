@@ -97,7 +97,6 @@ impl Sums {
         self.own(id).unwrap_or_else(|| u32::from(ports) - 1)
     }
 
-    /// A list.
     pub fn get(&self, list: u32) -> &[Sum] {
         &self.lists[list as usize]
     }

@@ -39,7 +39,6 @@ impl DeliveryParts {
     pub const NAMES: [&str; 7] = ["list", "synapse", "block", "range", "chunk", "row", "row chunk"];
 
     /// The numbers, in order.
-    #[must_use]
     pub fn numbers(self) -> [usize; 7] {
         let DeliveryParts { list, synapse, block, range, chunk, row, row_chunk } = self;
         [list, synapse, block, range, chunk, row, row_chunk]

@@ -22,7 +22,6 @@ pub(crate) struct LaneRange {
 }
 
 impl LaneRange {
-    /// Its lanes.
     #[inline(always)]
     pub fn lanes(self) -> Range<usize> {
         self.target as usize..self.target as usize + self.chunks as usize * LANES
@@ -32,11 +31,9 @@ impl LaneRange {
 /// Consecutive sources with weights for the same lanes. An all-to-all projection makes one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct DenseBlock {
-    /// The first source.
     pub first: u32,
     /// The first source after it.
     pub end: u32,
-    /// The lanes.
     pub ranges: Vec<LaneRange>,
     /// Chunk of the first source's weights: range by range, then the next source's.
     pub weights: usize,
@@ -261,7 +258,6 @@ impl BlockWriter {
         self.blocks.push(DenseBlock { first, end, ranges, weights, bytes: false, stride, synapses });
     }
 
-    /// The blocks.
     pub fn finish(mut self) -> DenseBlocks {
         while self.planned.peek().is_some() {
             self.close();
@@ -276,7 +272,7 @@ mod tests {
     use super::*;
     use crate::layout::fan_out::FanOuts;
     use crate::layout::flatten::Flattened;
-    use crate::layout::lists::{LaneWeight, ListBuilder};
+    use crate::layout::lists::LaneWeight;
     use nsim_ir::base::rng;
     use std::collections::BTreeMap;
     use std::sync::Arc;
@@ -284,12 +280,8 @@ mod tests {
     /// Checks that blocks and lists together hold each source's weights by lane and its number of
     /// synapses. Returns the dense blocks and the number of synapses in lists.
     fn laid_out(sources: &[Vec<LaneWeight>], lanes: usize) -> (DenseBlocks, usize) {
-        let mut builder = ListBuilder::new(lanes);
-        for synapses in sources {
-            builder.append(&[synapses.len() as u32], synapses);
-        }
         let FanOuts { mut by_delay, lists: table } =
-            FanOuts::new(vec![(0, Flattened::lists(builder))], &Arc::default(), lanes).unwrap();
+            FanOuts::new(vec![(0, Flattened::lists(sources, lanes))], &Arc::default(), lanes).unwrap();
         let blocks = by_delay.pop().map_or_else(|| BlockWriter::new(Vec::new(), lanes).finish(), |one| one.dense);
         assert!(blocks.blocks.is_sorted_by(|a, b| a.end <= b.first));
         let mut all_listed = 0;

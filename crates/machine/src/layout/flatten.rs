@@ -47,9 +47,9 @@ pub(crate) struct Flattened {
 
 #[cfg(test)]
 impl Flattened {
-    /// Of lists only.
-    pub fn lists(lists: ListBuilder) -> Self {
-        Flattened { lists, rows: RowBuilder::new() }
+    /// These lists, one a source, and no rows.
+    pub fn lists(lists: &[Vec<LaneWeight>], lanes: usize) -> Self {
+        Flattened { lists: ListBuilder::holding(lists, lanes), rows: RowBuilder::new() }
     }
 }
 

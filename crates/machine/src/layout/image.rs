@@ -118,10 +118,10 @@ impl Image {
     /// [`ImageError`] when sums could not be exact or an index would overflow.
     pub fn new(program: &Arc<Program>, shards: usize) -> Result<Arc<Self>, ImageError> {
         let parts = program.parts();
-        let tally = ProgramTally::for_program(program);
+        let tally = ProgramTally::new(program.clone(), |program| Tally::new(program));
         let mut image = Image {
             program: program.clone(),
-            longest_delay: tally.get().longest_delay(),
+            longest_delay: tally.borrow_dependent().longest_delay(),
             tally,
             semantics: parts.semantics,
             reset: parts.reset,
@@ -170,18 +170,16 @@ impl Image {
     }
 
     /// The program.
-    #[must_use]
     pub fn program(&self) -> &Arc<Program> {
         &self.program
     }
 
     /// What spikes cause on the chip.
     pub(crate) fn tally(&self) -> &Tally<'_> {
-        self.tally.get()
+        self.tally.borrow_dependent()
     }
 
     /// Number of compartments, those included that other processes hold.
-    #[must_use]
     pub fn compartments(&self) -> usize {
         self.lanes.len()
     }
@@ -192,20 +190,17 @@ impl Image {
     }
 
     /// Number of sources.
-    #[must_use]
     pub fn sources(&self) -> usize {
         self.channels as usize + self.compartments()
     }
 
     /// Chunks of sixteen weights that several sources share.
-    #[must_use]
     pub fn shared_chunks(&self) -> usize {
-        self.rows.chunks()
+        self.rows.all().len()
     }
 
     /// What it takes to deliver the spikes of these channels, in ascending order, that spike in one
     /// step.
-    #[must_use]
     pub fn delivery_parts(&self, channels: &[ChannelId]) -> DeliveryParts {
         let mut parts = DeliveryParts::default();
         self.shards.iter().for_each(|shard| shard.from_channels.add_parts(channels, &mut parts));
@@ -233,7 +228,6 @@ impl Image {
     }
 
     /// Bytes of memory that it holds, the program not included.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         let shards: usize = self.shards.iter().map(Shard::bytes).sum();
         let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
@@ -282,7 +276,7 @@ impl Image {
                 }
                 let of = |slot: usize| &self.fields[field_of[slot] as usize];
                 let has_words = |slot: usize| !of(slot).neuron.kind.table().registers;
-                if has_words(slot) {
+                let (list, length, taken) = if has_words(slot) {
                     let kind = of(slot).neuron.kind;
                     let list = sums.list(ids[slot], kind.table().ports);
                     let count = sums.get(list).len();
@@ -293,48 +287,42 @@ impl Image {
                         (of(at).neuron.kind, own) == (kind, other)
                     };
                     let length = (slot..field_of.len()).take(room).take_while(same).count();
-                    let starts = of(slot).start_step;
-                    let fields = BlockFields::Each(self.field_of.len() as u32);
-                    self.field_of.extend(&field_of[slot..slot + length]);
-                    blocks.push(CoreBlock { start: lane, length: length as u32, core, fields, starts, sums: list });
-                    for (lane, id) in (lane..).zip(&ids[slot..slot + length]) {
-                        self.lanes[id.index()] = lane;
-                    }
-                    lane += if count > 1 { SKIP_BLOCK as u32 } else { length as u32 };
-                    (last, slot) = (None, slot + length);
-                    continue;
-                }
-                let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
-                let left = (slot..field_of.len()).take(room).take_while(|&slot| !has_words(slot)).count();
-                let kinds = &kind_of[slot..slot + left];
-                let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
-                let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;
-                let alike = long(0);
-                if !alike && lane % LANES as u32 != 0 {
                     last = None;
-                    continue;
-                }
-                let length = match alike {
-                    true => run(0),
-                    false => (1..left).find(|&from| kinds[from] != kinds[from - 1] && long(from)).unwrap_or(left),
+                    (list, length, if count > 1 { SKIP_BLOCK } else { length })
+                } else {
+                    let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
+                    let left = (slot..field_of.len()).take(room).take_while(|&slot| !has_words(slot)).count();
+                    let kinds = &kind_of[slot..slot + left];
+                    let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
+                    let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;
+                    let alike = long(0);
+                    if !alike && lane % LANES as u32 != 0 {
+                        last = None;
+                        continue;
+                    }
+                    let length = match alike {
+                        true => run(0),
+                        false => (1..left).find(|&from| kinds[from] != kinds[from - 1] && long(from)).unwrap_or(left),
+                    };
+                    let vectors = |f: u32| self.vector(BlockFields::Same(f)).is_some();
+                    last = Some(kinds[0]).filter(|&(f, _)| alike && vectors(f));
+                    (0, length, length)
                 };
-                let vectors = |f: u32| self.vector(BlockFields::Same(f)).is_some();
-                last = Some(kinds[0]).filter(|&(f, _)| alike && vectors(f));
-                let fields = match field_of[slot..slot + length].iter().all(|&f| f == field_of[slot]) {
+                let of_block = &field_of[slot..slot + length];
+                let fields = match !has_words(slot) && of_block.iter().all(|&f| f == field_of[slot]) {
                     true => BlockFields::Same(field_of[slot]),
                     false => {
-                        self.field_of.extend(&field_of[slot..slot + length]);
+                        self.field_of.extend(of_block);
                         BlockFields::Each((self.field_of.len() - length) as u32)
                     }
                 };
-                let starts = field_of[slot..slot + length].iter().map(|&f| self.fields[f as usize].start_step).min();
-                let length = length as u32;
-                blocks.push(CoreBlock { start: lane, length, core, fields, starts: starts.unwrap_or(0), sums: 0 });
-                for (offset, &compartment) in ids[slot..slot + length as usize].iter().enumerate() {
-                    self.lanes[compartment.index()] = lane + offset as u32;
+                let starts = of_block.iter().map(|&f| self.fields[f as usize].start_step).min().unwrap_or(0);
+                blocks.push(CoreBlock { start: lane, length: length as u32, core, fields, starts, sums: list });
+                for (lane, id) in (lane..).zip(&ids[slot..slot + length]) {
+                    self.lanes[id.index()] = lane;
                 }
-                lane += length;
-                slot += length as usize;
+                lane += taken as u32;
+                slot += length;
             }
         }
         blocks
@@ -386,7 +374,7 @@ impl Image {
             if current.as_ref().is_none_or(|(index, _)| *index != shard) {
                 self.shards.extend(current.take().map(|(_, shard)| shard));
                 self.bases.push((shard * size * SKIP_BLOCK) as u32);
-                current = Some((shard, Shard::empty()));
+                current = Some((shard, Shard::default()));
             }
             let Some((_, shard)) = current.as_mut() else { continue };
             block.start -= self.bases[self.bases.len() - 1];

@@ -25,7 +25,6 @@ pub(crate) struct ListTable {
     pub places: Vec<ListPlace>,
     /// A bit for each source that has one, if few have: places of the others are not looked up.
     pub few: Option<Vec<u64>>,
-    /// The synapses.
     pub synapses: ListForm,
 }
 
@@ -34,13 +33,10 @@ pub(crate) struct ListTable {
 pub(crate) enum ListForm {
     /// Weights of 8 bits and lanes of 16, all of one delay; longer lists have larger runs.
     Fours(PaddedRuns<Compact, 4>),
-    /// The same.
     Eights(PaddedRuns<Compact, 8>),
-    /// The same.
     Sixteens(PaddedRuns<Compact, 16>),
     /// Target and weight in one word; longer lists have larger runs.
     Packed(PaddedRuns<Packing, 4>),
-    /// The same.
     PackedSixteens(PaddedRuns<Packing, 16>),
     /// Lists of one synapse at most.
     Singles(Singles),
@@ -330,12 +326,12 @@ impl ListBuilder {
         let compact =
             one_delay && lanes >= COMPACT_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
         let lengths = lists().map(|list| list.len());
+        // Of lists that are not padded.
+        let places = || lists().map(|list| ListPlace::new(list.start, list.len())).collect::<Option<Vec<_>>>();
         match words {
             Words::Packed(words) if lists().all(|list| list.len() <= 1) => {
                 let singles = Singles::new(lists(), words.iter().map(|&word| packing.unpack(word)));
-                let place = |list: Range<usize>| ListPlace::new(list.start, list.len());
-                let places: Option<_> = lists().map(place).collect();
-                places.map(|places| (places, ListForm::Singles(singles)))
+                places().map(|places| (places, ListForm::Singles(singles)))
             }
             Words::Packed(words) => {
                 let synapses = words.iter().map(|&word| packing.unpack(word));
@@ -350,11 +346,9 @@ impl ListBuilder {
                 }
             }
             Words::Split { mut targets, mut weights } => {
-                let place = |list: Range<usize>| ListPlace::new(list.start, list.len());
                 targets.shrink_to_fit();
                 weights.shrink_to_fit();
-                let places: Option<_> = lists().map(place).collect();
-                places.map(|places| (places, ListForm::Split(Split { targets, weights })))
+                places().map(|places| (places, ListForm::Split(Split { targets, weights })))
             }
         }
         .ok_or_else(|| ends.last().copied().unwrap_or(0))
@@ -364,6 +358,16 @@ impl ListBuilder {
 /// Positions, and runs as a [`ListForm`].
 fn named<G>(made: Option<(Vec<ListPlace>, G)>, form: fn(G) -> ListForm) -> Option<(Vec<ListPlace>, ListForm)> {
     made.map(|(places, runs)| (places, form(runs)))
+}
+
+#[cfg(test)]
+impl ListBuilder {
+    /// These lists, one a source.
+    pub fn holding(lists: &[Vec<LaneWeight>], lanes: usize) -> Self {
+        let mut builder = ListBuilder::new(lanes);
+        lists.iter().for_each(|list| builder.append(&[list.len() as u32], list));
+        builder
+    }
 }
 
 #[cfg(test)]
@@ -395,10 +399,8 @@ mod tests {
     use nsim_ir::base::rng;
 
     /// What the table of these lists says.
-    fn read(lists: &[Vec<(u32, i16)>], lanes: usize) -> (Vec<Vec<(u32, i16)>>, ListTable) {
-        let mut builder = ListBuilder::new(lanes);
-        lists.iter().for_each(|list| builder.append(&[list.len() as u32], list));
-        let table = ListTable::new(vec![(0, builder)], lanes).unwrap().unwrap();
+    fn read(lists: &[Vec<LaneWeight>], lanes: usize) -> (Vec<Vec<LaneWeight>>, ListTable) {
+        let table = ListTable::new(vec![(0, ListBuilder::holding(lists, lanes))], lanes).unwrap().unwrap();
         ((0..lists.len()).map(|source| table.list(source)).collect(), table)
     }
 
@@ -445,11 +447,8 @@ mod tests {
     fn delays_are_joined() {
         let (lanes, delays) = (300, [3, 4, 20]);
         let lists = delays.map(|delay| draw(50, lanes, 100 + i64::from(delay)));
-        let builders = delays.iter().zip(&lists).map(|(&delay, lists)| {
-            let mut builder = ListBuilder::new(lanes as usize);
-            lists.iter().for_each(|list| builder.append(&[list.len() as u32], list));
-            (delay, builder)
-        });
+        let builders =
+            delays.iter().zip(&lists).map(|(&delay, lists)| (delay, ListBuilder::holding(lists, lanes as usize)));
         let table = ListTable::new(builders.collect(), lanes as usize).unwrap().unwrap();
         assert_eq!((table.shortest, table.longest), (3, 20));
         for source in 0..50 {
@@ -471,12 +470,5 @@ mod tests {
             assert_eq!(out, lists);
             assert!(matches!(table.synapses, ListForm::Singles(_)));
         }
-    }
-
-    #[test]
-    fn an_empty_table_is_none() {
-        let mut builder = ListBuilder::new(100);
-        builder.append(&[0], &[]);
-        assert!(ListTable::new(vec![(0, builder)], 100).unwrap().is_none());
     }
 }

@@ -29,7 +29,6 @@ const ZEROS: [usize; 5] = [1, 3, 6, 12, (COST.block + COST.range) / COST.chunk];
 /// Consecutive sources that become a dense block.
 #[derive(Debug)]
 pub(crate) struct PlannedBlock {
-    /// The first source.
     pub first: u32,
     /// The first source after it.
     pub end: u32,

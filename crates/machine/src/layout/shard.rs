@@ -20,11 +20,9 @@ pub const SKIP_BLOCK: usize = 64;
 /// Compartments of a kind whose state is words.
 #[derive(Debug)]
 pub(crate) struct WordBlock {
-    /// Its first lane.
     pub start: u32,
     /// Where its words begin among those of the shard, in chunks.
     pub first: usize,
-    /// Its update.
     pub updater: Arc<dyn Updater>,
     /// The bits of what each of its messages carries; 0 where it always is the same.
     pub bits: u32,
@@ -60,13 +58,10 @@ pub(crate) enum BlockFields {
 /// Consecutive compartments of one core within a skip block.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CoreBlock {
-    /// The first lane.
     pub start: u32,
     /// Compartments.
     pub length: u32,
-    /// The core.
     pub core: CoreId,
-    /// The fields.
     pub fields: BlockFields,
     /// The earliest step from which one of its compartments is not held at zero.
     pub starts: u32,
@@ -99,7 +94,7 @@ pub(crate) struct VectorRun {
 
 /// The lanes that one thread updates, and the synapses that lead to them. Lanes are counted within
 /// the shard.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Shard {
     /// Number of lanes, padding included.
     pub lanes: usize,
@@ -124,22 +119,6 @@ pub(crate) struct Shard {
 }
 
 impl Shard {
-    /// A shard without lanes.
-    pub fn empty() -> Self {
-        Shard {
-            lanes: 0,
-            names: Vec::new(),
-            blocks: Vec::new(),
-            vector_runs: Vec::new(),
-            skip_blocks: Vec::new(),
-            driven: Vec::new(),
-            wakes: Vec::new(),
-            words: Vec::new(),
-            from_channels: FanOuts::default(),
-            from_compartments: FanOuts::default(),
-        }
-    }
-
     /// Whether a list of synapses addresses lanes by 16 bits.
     pub fn has_compact_lists(&self) -> bool {
         let lists = [&self.from_channels, &self.from_compartments].map(|fan_outs| &fan_outs.lists);

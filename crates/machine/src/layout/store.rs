@@ -45,7 +45,6 @@ impl Store {
         }
     }
 
-    /// The bytes.
     #[inline(always)]
     pub fn bytes(&self) -> &[u8] {
         match self {
@@ -65,7 +64,7 @@ impl Store {
 
 /// Numbers that begin at a cache line, so that a vector of 64 bytes is one line and not parts of
 /// two.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Aligned<T> {
     items: Vec<T>,
     range: Range<usize>,

@@ -80,11 +80,6 @@ impl WeightRows {
         &self.weights
     }
 
-    /// Chunks of all rows.
-    pub fn chunks(&self) -> usize {
-        self.weights.len()
-    }
-
     /// Bytes of memory that they hold.
     pub fn bytes(&self) -> usize {
         size_of_val(self.weights.as_slice())
@@ -137,7 +132,6 @@ pub(crate) struct AxonRow {
     pub delay: u8,
     /// Synapses in it.
     pub synapses: u32,
-    /// The row.
     pub row: WeightRow,
 }
 
@@ -147,7 +141,6 @@ pub(crate) struct ProgramRows {
     /// By core, the place of its axons' rows; none where axons have none.
     places: Vec<Option<u32>>,
     axons: Vec<Csr<AxonRow>>,
-    /// The rows.
     pub rows: Arc<WeightRows>,
 }
 
@@ -215,7 +208,7 @@ impl ProgramRows {
             place_of.push(stored.is_some().then_some(axons.len() as u32));
             axons.extend(stored);
         }
-        tracing::debug!("{} rows of weights in {} chunks", contents.len(), rows.chunks());
+        tracing::debug!("{} rows of weights in {} chunks", contents.len(), rows.all().len());
         ProgramRows { places: same.into_iter().map(|first| place_of[first]).collect(), axons, rows: Arc::new(rows) }
     }
 
@@ -355,13 +348,11 @@ impl RowPlace {
         RowPlace(u64::from(row.0) << u32::BITS | u64::from(lane))
     }
 
-    /// The lane.
     #[inline(always)]
     pub fn lane(self) -> usize {
         self.0 as u32 as usize
     }
 
-    /// The row.
     #[inline(always)]
     pub fn row(self) -> WeightRow {
         WeightRow((self.0 >> u32::BITS) as u32)
@@ -398,7 +389,6 @@ pub(crate) struct Stencil {
 pub(crate) struct Origin {
     /// The first lane of its rows.
     pub lane: u32,
-    /// The stencil.
     pub stencil: u32,
     /// Sources of a group have rows of the same lengths at the same lanes.
     pub group: u32,
@@ -413,7 +403,6 @@ pub(crate) struct RowTable {
     pub stencils: Vec<Stencil>,
     /// The rows of all stencils, and [`UNCHECKED`] more.
     pub places: Vec<RowPlace>,
-    /// The rows.
     pub rows: Arc<WeightRows>,
 }
 
@@ -640,7 +629,7 @@ mod tests {
         let row = |lanes: Range<i16>| Content { synapses: lanes.len() as u32, weights: lanes.collect() };
         let contents = [row(17..49), row(1..65), row(33..60), row(2..18)];
         let (rows, places) = WeightRows::with(&contents);
-        assert_eq!(rows.chunks(), 4 + 2 + 1);
+        assert_eq!(rows.all().len(), 4 + 2 + 1);
         for (content, place) in contents.iter().zip(places) {
             let held = rows.weights(place.unwrap()).as_flattened();
             let (own, padding) = held.split_at(content.weights.len());
@@ -653,7 +642,7 @@ mod tests {
     fn synapses_of_weight_zero_are_counted() {
         let contents = [(vec![3, 4], 2), (vec![3, 4, 0], 3)].map(|(weights, synapses)| Content { weights, synapses });
         let (rows, places) = WeightRows::with(&contents);
-        assert_eq!(rows.chunks(), 1);
+        assert_eq!(rows.all().len(), 1);
         let mut builder = RowBuilder::new();
         let counts = [(1, 2), (1, 3), (1, 2), (1, 2), (1, 3)];
         let places: Vec<RowPlace> = [0, 1, 0, 0, 1].iter().map(|&row| RowPlace::new(7, places[row].unwrap())).collect();

@@ -15,9 +15,7 @@ use nsim_ir::program::Program;
 /// Which of this rank's compartments another rank has axons of.
 #[derive(Debug, Clone)]
 enum Wanted {
-    /// None.
     None,
-    /// All.
     All,
     /// A bit each.
     Some(Vec<u64>),

@@ -30,7 +30,6 @@ const SENDING: Duration = Duration::from_millis(100);
 static JOB: Mutex<Option<Universe>> = Mutex::new(None);
 
 /// Joins the job that this process was started for; `None` where it was started alone.
-#[must_use]
 pub fn start() -> Option<Ranks> {
     if LAUNCHED.iter().all(|name| std::env::var_os(name).is_none()) {
         return None;
@@ -87,7 +86,6 @@ pub fn tell_failed(ranks: &Ranks) {
 }
 
 /// Whether another rank has said that it has failed.
-#[must_use]
 pub fn another_has_failed() -> bool {
     let mut found = 0;
     #[expect(unsafe_code, reason = "MPI is a C library; the answer is written to a live integer")]

@@ -8,17 +8,16 @@ use super::transport::{Ranks, Transport};
 #[derive(Debug)]
 struct Threads {
     rank: u32,
-    senders: Vec<Sender<Vec<u64>>>,
-    receivers: Vec<Receiver<Vec<u64>>>,
+    senders: Vec<Sender<Vec<u32>>>,
+    receivers: Vec<Receiver<Vec<u32>>>,
     to: Vec<bool>,
     from: Vec<bool>,
 }
 
 /// This many ranks, one for each thread to take.
-#[must_use]
 pub fn ranks(count: u32) -> Vec<Ranks> {
-    let mut senders: Vec<Vec<Sender<Vec<u64>>>> = (0..count).map(|_| Vec::new()).collect();
-    let mut receivers: Vec<Vec<Receiver<Vec<u64>>>> = (0..count).map(|_| Vec::new()).collect();
+    let mut senders: Vec<Vec<Sender<Vec<u32>>>> = (0..count).map(|_| Vec::new()).collect();
+    let mut receivers: Vec<Vec<Receiver<Vec<u32>>>> = (0..count).map(|_| Vec::new()).collect();
     for from in &mut senders {
         for to in &mut receivers {
             let (sender, receiver) = channel();
@@ -34,20 +33,16 @@ pub fn ranks(count: u32) -> Vec<Ranks> {
 }
 
 impl Threads {
-    fn send(&self, to: usize, words: Vec<u64>) {
+    fn send(&self, to: usize, words: Vec<u32>) {
         // A rank that has ended needs nothing any more.
         let _ = self.senders[to].send(words);
     }
 
     /// # Panics
     /// When the other rank has ended without a word: its own panic is the one to look at.
-    fn receive(&self, from: usize) -> Vec<u64> {
+    fn receive(&self, from: usize) -> Vec<u32> {
         self.receivers[from].recv().unwrap_or_else(|_| panic!("rank {from} has ended"))
     }
-}
-
-fn wide(words: &[u32]) -> Vec<u64> {
-    words.iter().map(|&word| word.into()).collect()
 }
 
 impl Transport for Threads {
@@ -60,19 +55,19 @@ impl Transport for Threads {
     }
 
     fn swap(&mut self, words: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
-        words.iter().enumerate().for_each(|(to, words)| self.send(to, wide(words)));
-        (0..words.len()).map(|from| self.receive(from).into_iter().map(|word| word as u32).collect()).collect()
+        words.into_iter().enumerate().for_each(|(to, words)| self.send(to, words));
+        (0..self.receivers.len()).map(|from| self.receive(from)).collect()
     }
 
     fn gather(&mut self, bytes: Vec<u8>) -> Vec<Vec<u8>> {
-        self.send(0, bytes.into_iter().map(u64::from).collect());
+        self.send(0, bytes.into_iter().map(u32::from).collect());
         let others = if self.rank == 0 { self.senders.len() } else { 0 };
         (0..others).map(|from| self.receive(from).into_iter().map(|byte| byte as u8).collect()).collect()
     }
 
     fn all(&mut self, here: bool) -> bool {
         (0..self.senders.len()).for_each(|to| self.send(to, vec![here.into()]));
-        let heard: Vec<Vec<u64>> = (0..self.senders.len()).map(|from| self.receive(from)).collect();
+        let heard: Vec<Vec<u32>> = (0..self.senders.len()).map(|from| self.receive(from)).collect();
         heard.iter().all(|heard| *heard == [1])
     }
 
@@ -83,13 +78,13 @@ impl Transport for Threads {
 
     fn post(&mut self, words: &mut [Vec<u32>]) {
         for to in (0..words.len()).filter(|&to| self.to[to]) {
-            self.send(to, wide(&words[to]));
+            self.send(to, words[to].clone());
         }
     }
 
     fn take(&mut self, words: &mut Vec<u32>) {
         for from in (0..self.from.len()).filter(|&from| self.from[from]) {
-            words.extend(self.receive(from).into_iter().map(|word| word as u32));
+            words.extend(self.receive(from));
         }
     }
 }

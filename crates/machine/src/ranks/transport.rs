@@ -49,25 +49,21 @@ pub struct Ranks {
 
 impl Ranks {
     /// This process among others.
-    #[must_use]
     pub fn new(transport: impl Transport + 'static) -> Self {
         Ranks { rank: transport.rank(), ranks: transport.ranks(), transport: Arc::new(Mutex::new(transport)) }
     }
 
     /// The number of this rank.
-    #[must_use]
     pub fn rank(&self) -> u32 {
         self.rank
     }
 
     /// How many there are.
-    #[must_use]
     pub fn ranks(&self) -> u32 {
         self.ranks
     }
 
     /// The number that rank 0 proposes.
-    #[must_use]
     pub fn agreed(&self, number: u64) -> u64 {
         let words = vec![vec![number as u32, (number >> 32) as u32]; self.ranks as usize];
         let heard = self.transport().swap(words);
@@ -79,7 +75,6 @@ impl Ranks {
     ///
     /// # Panics
     /// When they do not: a mistake of the caller.
-    #[must_use]
     pub fn gathered<S: Serialize, T: DeserializeOwned>(&self, found: &S) -> Vec<T> {
         let written = |found| postcard::to_stdvec(found).expect("values without maps and unknown lengths");
         let own = if self.rank == 0 { Vec::new() } else { written(found) };

@@ -62,19 +62,6 @@ impl From<&Fields> for Shared {
     }
 }
 
-/// What a block's update did.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Effects {
-    /// A bit for each lane that spiked.
-    pub spiked: u64,
-    /// A bit for each lane that was not at rest.
-    pub moved: u64,
-    /// Whether any lane is not at rest afterwards.
-    pub busy: bool,
-    /// A bit for each chunk of sixteen lanes in which a value left its field.
-    pub overflowed: u32,
-}
-
 /// Registers of a block.
 #[derive(Debug)]
 pub struct Block<'a, S> {
@@ -93,14 +80,12 @@ pub(crate) const HELD: i32 = 1 << 30;
 /// A voltage and the steps until it is free again, in one register. As on the chip, where the
 /// register of a held voltage counts: v is 0 meanwhile.
 #[inline(always)]
-#[must_use]
 pub fn store(v: i32, hold: u8) -> i32 {
     if hold == 0 { v } else { HELD + i32::from(hold) }
 }
 
 /// The inverse of [`store`].
 #[inline(always)]
-#[must_use]
 pub fn load(stored: i32) -> (i32, u8) {
     if stored < HELD { (stored, 0) } else { (0, (stored - HELD) as u8) }
 }
@@ -110,7 +95,6 @@ pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'sta
     /// Whether its values can leave the 16 bits that the accumulator has for them.
     const WIDE: bool;
     /// Adds a weight.
-    #[must_use]
     fn plus(self, weight: i16) -> Self;
     /// The sum, as the update of registers sees it.
     fn value(self) -> i32;
@@ -180,8 +164,8 @@ pub struct Chunks<'a, S, const N: usize> {
     pub sums: &'a mut [[S; LANES]; N],
 }
 
-/// What the update of some chunks did.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What an update of some lanes did.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Effect {
     /// A bit for each lane that spiked.
     pub spiked: u64,
@@ -189,6 +173,22 @@ pub struct Effect {
     pub moved: u64,
     /// Whether any lane is not at rest afterwards.
     pub busy: bool,
+}
+
+impl Effect {
+    /// Adds what the update of other lanes did.
+    #[inline(always)]
+    pub(crate) fn merge(&mut self, other: Effect) {
+        self.spiked |= other.spiked;
+        self.moved |= other.moved;
+        self.busy |= other.busy;
+    }
+
+    /// The same, this many lanes later.
+    #[inline(always)]
+    pub(crate) fn after(self, lanes: usize) -> Effect {
+        Effect { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
+    }
 }
 
 /// Instructions for chunks.
@@ -252,10 +252,10 @@ impl Vectors for Portable {
 
 /// Updates a block of at most 64 lanes, a multiple of sixteen.
 ///
-/// Chunks in which a value leaves its field are not updated but named in the result: they are rare,
-/// and what happened in them has to be told lane by lane.
+/// Chunks in which a value leaves its field are not updated but have a bit in the second result:
+/// they are rare, and what happened in them has to be told lane by lane.
 #[inline(always)]
-pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
+pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> (Effect, u32) {
     match shared.plain {
         true => chunks::<S, true>(block, shared, vectors),
         false => chunks::<S, false>(block, shared, vectors),
@@ -263,8 +263,12 @@ pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl
 }
 
 #[inline(always)]
-fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> Effects {
-    let mut effects = Effects::default();
+fn chunks<S: Sum, const PLAIN: bool>(
+    block: &mut Block<'_, S>,
+    shared: &Shared,
+    vectors: impl Vectors,
+) -> (Effect, u32) {
+    let (mut effects, mut overflowed) = (Effect::default(), 0);
     let (u, _) = block.u.as_chunks_mut::<LANES>();
     let (v, _) = block.v.as_chunks_mut::<LANES>();
     let (sums, _) = block.sums.as_chunks_mut::<LANES>();
@@ -274,21 +278,17 @@ fn chunks<S: Sum, const PLAIN: bool>(block: &mut Block<'_, S>, shared: &Shared, 
         2 => some::<S, PLAIN, 2>(u, v, sums, shared, vectors),
         _ => None,
     };
-    if let Some(Effect { spiked, moved, busy }) = at_once {
-        return Effects { spiked, moved, busy, overflowed: 0 };
+    if let Some(effect) = at_once {
+        return (effect, 0);
     }
     for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
         let one = Chunks { u: from_mut(u), v: from_mut(v), sums: from_mut(sums) };
         match vectors.update::<S, PLAIN>(one, shared) {
-            Some(effect) => {
-                effects.spiked |= effect.spiked << (index * LANES);
-                effects.moved |= effect.moved << (index * LANES);
-                effects.busy |= effect.busy;
-            }
-            None => effects.overflowed |= 1 << index,
+            Some(effect) => effects.merge(effect.after(index * LANES)),
+            None => overflowed |= 1 << index,
         }
     }
-    effects
+    (effects, overflowed)
 }
 
 /// Updates this many chunks at once.
@@ -368,16 +368,16 @@ mod tests {
     struct Run<'a, S, V>(Block<'a, S>, &'a Shared, V);
 
     impl<S: Sum, V: Vectors> pulp::NullaryFnOnce for Run<'_, S, V> {
-        type Output = Effects;
+        type Output = (Effect, u32);
         #[inline(always)]
-        fn call(self) -> Effects {
+        fn call(self) -> (Effect, u32) {
             let mut block = self.0;
             hardware(&mut block, self.1, self.2)
         }
     }
 
     /// With the vectors that the machine takes; they do to the block what the compiler's do.
-    fn run<S: Sum>(arch: pulp::Arch, block: &mut Block<'_, S>, shared: &Shared) -> Effects {
+    fn run<S: Sum>(arch: pulp::Arch, block: &mut Block<'_, S>, shared: &Shared) -> (Effect, u32) {
         let (mut u, mut v, mut sums) = (block.u.to_vec(), block.v.to_vec(), block.sums.to_vec());
         let plain = arch.dispatch(Run(Block { u: &mut u, v: &mut v, sums: &mut sums }, shared, Portable));
         let same = Block { u: &mut *block.u, v: &mut *block.v, sums: &mut *block.sums };
@@ -418,13 +418,13 @@ mod tests {
         let (before_u, before_v) = (u, v);
         let mut sums = arrived;
         let effects = run(arch, &mut Block { u: &mut u, v: &mut v, sums: &mut sums }, &Shared::from(&f));
-        let mut expected = Effects::default();
+        let (mut expected, mut overflowed) = (Effect::default(), 0u32);
         for chunk in 0..COUNT / LANES {
             let lanes = chunk * LANES..(chunk + 1) * LANES;
             let results: Vec<_> =
                 lanes.clone().map(|lane| update(registers[lane], arrived[lane].value(), &f)).collect();
             if results.iter().any(|(_, effect)| effect.q_wrapped | effect.u_wrapped | effect.v_clipped) {
-                expected.overflowed |= 1 << chunk;
+                overflowed |= 1 << chunk;
                 assert_eq!(
                     (&u[lanes.clone()], &v[lanes.clone()]),
                     (&before_u[lanes.clone()], &before_v[lanes.clone()])
@@ -441,8 +441,8 @@ mod tests {
             }
             assert_eq!(sums[lanes], [S::default(); LANES], "seed {seed} chunk {chunk}");
         }
-        assert_eq!(effects, expected, "seed {seed}");
-        (effects.spiked.count_ones(), effects.overflowed.count_ones())
+        assert_eq!(effects, (expected, overflowed), "seed {seed}");
+        (expected.spiked.count_ones(), overflowed.count_ones())
     }
 
     /// A million lane-updates over random fields and registers, edges included, with sums of both

@@ -43,7 +43,6 @@ pub(crate) enum Phase {
 pub(crate) struct StepInput<'a> {
     /// What of the step is done.
     pub phase: Phase,
-    /// The step.
     pub step: u32,
     /// Steps of the sample that are left, this one included: later arrivals are no events.
     pub left: u32,
@@ -67,13 +66,9 @@ pub(crate) struct StepInput<'a> {
 
 /// A step of a shard.
 pub(crate) struct Step<'a> {
-    /// The shard's state.
     pub state: &'a mut ShardState,
-    /// The image.
     pub image: &'a Image,
-    /// The shard.
     pub shard: &'a Shard,
-    /// Parameters.
     pub input: &'a StepInput<'a>,
     /// Spikes of each channel, which delivery counts unless this is empty.
     pub channel_counts: &'a mut [u32],
@@ -232,7 +227,7 @@ enum Rings {
 }
 
 /// Registers, and what was counted.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct CompartmentState {
     u: Aligned<i32>,
     /// As `kernel::store` writes them; plain where `hold` is not empty.
@@ -301,18 +296,10 @@ impl ShardState {
             sent: image.sent_by(shard),
             busy: shard.wakes.clone(),
             spiked: vec![0; shard.lanes + UNCHECKED],
-            spiking: 0,
-            spikes: Vec::new(),
-            payloads: Vec::new(),
             fired: vec![0; shard.lanes],
-            active: Vec::new(),
-            active_now: 0,
             active_by_block: vec![0; shard.blocks.len()],
             whole: vec![0; shard.vector_runs.len()],
-            events_now: 0,
-            overflow: Overflow::default(),
-            left_fields: Vec::new(),
-            visited: 0,
+            ..CompartmentState::default()
         };
         let compact = shard.has_compact_lists();
         let rings = match image.narrow_sums {
@@ -542,14 +529,13 @@ impl CompartmentState {
         let shared = &image.shared[fields as usize];
         let mut registers =
             kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
-        let updated = kernel::hardware(&mut registers, shared, vectors);
-        let mut effects = RunEffects { spiked: updated.spiked, moved: updated.moved, busy: updated.busy };
-        if updated.overflowed != 0 {
-            effects.merge(self.redo(sums, image, shard, *run, updated.overflowed, input));
+        let (mut effects, overflowed) = kernel::hardware(&mut registers, shared, vectors);
+        if overflowed != 0 {
+            effects.merge(self.redo(sums, image, shard, *run, overflowed, input));
         }
         // With a bias padding is never at rest, without one always.
         let moved = if shared.plain { effects.moved } else { run.mask };
-        self.count(shard, index, RunEffects { spiked: effects.spiked & run.mask, moved, ..effects }, input)
+        self.count(shard, index, kernel::Effect { spiked: effects.spiked & run.mask, moved, ..effects }, input)
     }
 
     /// As [`CompartmentState::update_run`], of a run whose state is words. Apart, so that a step of
@@ -585,7 +571,7 @@ impl CompartmentState {
         shard: &Shard,
         words: &WordBlock,
         input: &StepInput,
-    ) -> RunEffects {
+    ) -> kernel::Effect {
         let WordBlock { start, updater, bits, shift, resets_from, sums: of, .. } = words;
         let (start, lanes) = (*start as usize, updater.lanes());
         let chunks = lanes.div_ceil(CHUNK);
@@ -656,7 +642,7 @@ impl CompartmentState {
                 Effect { spiked: false, q_wrapped: is_in(narrowed), u_wrapped: is_in(wraps), v_clipped: is_in(clips) };
             self.note_overflow(effect, 0, input.step, start + lane, shard);
         }
-        RunEffects { spiked: effects.emitted, moved: effects.active | reached, busy: effects.busy != 0 }
+        kernel::Effect { spiked: effects.emitted, moved: effects.active | reached, busy: effects.busy != 0 }
     }
 
     /// Updates lane by lane the chunks of a vector run in which a value leaves its field.
@@ -669,8 +655,8 @@ impl CompartmentState {
         run: VectorRun,
         overflowed: u32,
         input: StepInput,
-    ) -> RunEffects {
-        let mut effects = RunEffects::default();
+    ) -> kernel::Effect {
+        let mut effects = kernel::Effect::default();
         let blocks = &shard.blocks[run.first as usize..run.end as usize];
         for block in blocks {
             let at = (block.start - run.start) as usize;
@@ -686,7 +672,7 @@ impl CompartmentState {
 
     /// Counts what the update of a vector run did; returns whether it is busy.
     #[inline(always)]
-    fn count(&mut self, shard: &Shard, index: usize, effects: RunEffects, input: StepInput) -> bool {
+    fn count(&mut self, shard: &Shard, index: usize, effects: kernel::Effect, input: StepInput) -> bool {
         let run = &shard.vector_runs[index];
         let start = run.start;
         self.visited += u64::from(run.mask.count_ones());
@@ -746,8 +732,8 @@ impl CompartmentState {
         block: CoreBlock,
         lanes: Range<usize>,
         input: StepInput,
-    ) -> RunEffects {
-        let mut effects = RunEffects::default();
+    ) -> kernel::Effect {
+        let mut effects = kernel::Effect::default();
         for offset in lanes {
             let lane = block.start as usize + offset;
             let fields = match block.fields {
@@ -815,35 +801,11 @@ struct UpdateWords<'a, S> {
 }
 
 impl<S: Sum> NullaryFnOnce for UpdateWords<'_, S> {
-    type Output = RunEffects;
+    type Output = kernel::Effect;
 
     #[inline(always)]
-    fn call(self) -> RunEffects {
+    fn call(self) -> kernel::Effect {
         let UpdateWords { state, sums, image, shard, words, input } = self;
         state.update_words(sums, image, shard, words, input)
-    }
-}
-
-/// What the update of a vector run did.
-#[derive(Debug, Clone, Copy, Default)]
-struct RunEffects {
-    /// A bit for each lane that spiked.
-    spiked: u64,
-    /// A bit for each lane that was not at rest.
-    moved: u64,
-    /// Whether any lane is not at rest afterwards.
-    busy: bool,
-}
-
-impl RunEffects {
-    fn merge(&mut self, other: RunEffects) {
-        self.spiked |= other.spiked;
-        self.moved |= other.moved;
-        self.busy |= other.busy;
-    }
-
-    /// The same, this many lanes later.
-    fn after(self, lanes: usize) -> RunEffects {
-        RunEffects { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
     }
 }

@@ -35,81 +35,72 @@ const ANY: i32 = 0xfe;
 impl Vectors for V4 {
     #[inline(always)]
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect> {
-        update::<S, PLAIN, 1>(self, chunk, shared)
+        self.update_some::<S, PLAIN, 1>(chunk, shared)
     }
 
+    /// The loop over chunks is unrolled, so that none waits for the one before it.
     #[inline(always)]
     fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
         self,
         chunks: Chunks<'_, S, N>,
         shared: &Shared,
     ) -> Option<Effect> {
-        update::<S, PLAIN, N>(self, chunks, shared)
-    }
-}
-
-/// As [`Vectors::update`]: the loop over chunks is unrolled, so that none waits for the one before
-/// it.
-#[inline(always)]
-fn update<S: Sum, const PLAIN: bool, const N: usize>(
-    simd: V4,
-    chunks: Chunks<'_, S, N>,
-    shared: &Shared,
-) -> Option<Effect> {
-    let Chunks { u: currents, v: voltages, sums } = chunks;
-    let f = simd.avx512f;
-    let zero = f._mm512_setzero_si512();
-    let (share_u, share_v) = (f._mm512_set1_ps(shared.share_u), f._mm512_set1_ps(shared.share_v));
-    let (mut next_u, mut next_v) = ([zero; N], [zero; N]);
-    let (mut spiked, mut moved, mut left) = (0u64, 0u64, zero);
-    // Bits that a value in its field does not have, distances from vmin, lanes whose sum is too
-    // wide.
-    let (mut outside, mut highest, mut wrapped) = (zero, zero, 0);
-    for i in 0..N {
-        let arrived: [i32; LANES] = std::array::from_fn(|lane| sums[i][lane].value());
-        let (sum, old_u, stored): (__m512i, __m512i, __m512i) = (cast(arrived), cast(currents[i]), cast(voltages[i]));
-        let unheld = f._mm512_cmplt_epi32_mask(stored, all(simd, HELD));
-        let is_free = f._mm512_cmplt_epi32_mask(stored, all(simd, HELD + 2));
-        let q = match S::WIDE {
-            true => f._mm512_srai_epi32::<10>(f._mm512_slli_epi32::<16>(sum)),
-            false => f._mm512_slli_epi32::<WEIGHT_SHIFT>(sum),
-        };
-        // A float of no bits is 0.
-        let old_v = f._mm512_maskz_cvtepi32_ps(unheld, stored);
-        let kept_u = kept(simd, f._mm512_cvtepi32_ps(old_u), share_u);
-        let kept_v = kept(simd, old_v, share_v);
-        let u = f._mm512_add_epi32(kept_u, q);
-        let mut input = u;
-        outside = f._mm512_or_si512(outside, f._mm512_add_epi32(u, all(simd, 1 << UV_BITS)));
-        if !PLAIN {
-            input = f._mm512_add_epi32(u, all(simd, shared.bias));
-            outside = f._mm512_or_si512(outside, f._mm512_add_epi32(input, all(simd, 1 << UV_BITS)));
+        let Chunks { u: currents, v: voltages, sums } = chunks;
+        let f = self.avx512f;
+        let zero = f._mm512_setzero_si512();
+        let (share_u, share_v) = (f._mm512_set1_ps(shared.share_u), f._mm512_set1_ps(shared.share_v));
+        let (mut next_u, mut next_v) = ([zero; N], [zero; N]);
+        let (mut spiked, mut moved, mut left) = (0u64, 0u64, zero);
+        // Bits that a value in its field does not have, distances from vmin, lanes whose sum is too
+        // wide.
+        let (mut outside, mut highest, mut wrapped) = (zero, zero, 0);
+        for i in 0..N {
+            let arrived: [i32; LANES] = std::array::from_fn(|lane| sums[i][lane].value());
+            let (sum, old_u, stored): (__m512i, __m512i, __m512i) =
+                (cast(arrived), cast(currents[i]), cast(voltages[i]));
+            let unheld = f._mm512_cmplt_epi32_mask(stored, all(self, HELD));
+            let is_free = f._mm512_cmplt_epi32_mask(stored, all(self, HELD + 2));
+            let q = match S::WIDE {
+                true => f._mm512_srai_epi32::<10>(f._mm512_slli_epi32::<16>(sum)),
+                false => f._mm512_slli_epi32::<WEIGHT_SHIFT>(sum),
+            };
+            // A float of no bits is 0.
+            let old_v = f._mm512_maskz_cvtepi32_ps(unheld, stored);
+            let kept_u = kept(self, f._mm512_cvtepi32_ps(old_u), share_u);
+            let kept_v = kept(self, old_v, share_v);
+            let u = f._mm512_add_epi32(kept_u, q);
+            let mut input = u;
+            outside = f._mm512_or_si512(outside, f._mm512_add_epi32(u, all(self, 1 << UV_BITS)));
+            if !PLAIN {
+                input = f._mm512_add_epi32(u, all(self, shared.bias));
+                outside = f._mm512_or_si512(outside, f._mm512_add_epi32(input, all(self, 1 << UV_BITS)));
+            }
+            let free = f._mm512_add_epi32(kept_v, input);
+            highest = f._mm512_max_epu32(highest, f._mm512_maskz_sub_epi32(is_free, free, all(self, shared.vmin)));
+            if S::WIDE {
+                wrapped |= f._mm512_cmpneq_epi32_mask(f._mm512_srai_epi32::<WEIGHT_SHIFT>(q), sum);
+            }
+            let fires = f._mm512_mask_cmpge_epi32_mask(is_free, free, all(self, shared.fires_from));
+            let v = f._mm512_mask_mov_epi32(f._mm512_add_epi32(stored, all(self, -1)), is_free, free);
+            let v = f._mm512_mask_mov_epi32(v, fires, all(self, HELD + shared.refractory));
+            let any = f._mm512_ternarylogic_epi32::<ANY>(old_u, cast(old_v), sum);
+            let mut moves = f._mm512_test_epi32_mask(any, any) | !is_free;
+            if !PLAIN && shared.bias != 0 {
+                moves = __mmask16::MAX;
+            }
+            spiked |= u64::from(fires) << (LANES * i);
+            moved |= u64::from(moves) << (LANES * i);
+            left = f._mm512_ternarylogic_epi32::<ANY>(left, u, v);
+            (next_u[i], next_v[i]) = (u, v);
         }
-        let free = f._mm512_add_epi32(kept_v, input);
-        highest = f._mm512_max_epu32(highest, f._mm512_maskz_sub_epi32(is_free, free, all(simd, shared.vmin)));
-        if S::WIDE {
-            wrapped |= f._mm512_cmpneq_epi32_mask(f._mm512_srai_epi32::<WEIGHT_SHIFT>(q), sum);
+        wrapped |= f._mm512_test_epi32_mask(outside, all(self, -1 << (UV_BITS + 1)));
+        wrapped |= f._mm512_cmpgt_epu32_mask(highest, all(self, shared.span));
+        if wrapped != 0 {
+            return None;
         }
-        let fires = f._mm512_mask_cmpge_epi32_mask(is_free, free, all(simd, shared.fires_from));
-        let v = f._mm512_mask_mov_epi32(f._mm512_add_epi32(stored, all(simd, -1)), is_free, free);
-        let v = f._mm512_mask_mov_epi32(v, fires, all(simd, HELD + shared.refractory));
-        let any = f._mm512_ternarylogic_epi32::<ANY>(old_u, cast(old_v), sum);
-        let mut moves = f._mm512_test_epi32_mask(any, any) | !is_free;
-        if !PLAIN && shared.bias != 0 {
-            moves = __mmask16::MAX;
+        for i in 0..N {
+            (currents[i], voltages[i], sums[i]) = (cast(next_u[i]), cast(next_v[i]), [S::default(); LANES]);
         }
-        spiked |= u64::from(fires) << (LANES * i);
-        moved |= u64::from(moves) << (LANES * i);
-        left = f._mm512_ternarylogic_epi32::<ANY>(left, u, v);
-        (next_u[i], next_v[i]) = (u, v);
+        Some(Effect { spiked, moved, busy: f._mm512_test_epi32_mask(left, left) != 0 })
     }
-    wrapped |= f._mm512_test_epi32_mask(outside, all(simd, -1 << (UV_BITS + 1)));
-    wrapped |= f._mm512_cmpgt_epu32_mask(highest, all(simd, shared.span));
-    if wrapped != 0 {
-        return None;
-    }
-    for i in 0..N {
-        (currents[i], voltages[i], sums[i]) = (cast(next_u[i]), cast(next_v[i]), [S::default(); LANES]);
-    }
-    Some(Effect { spiked, moved, busy: f._mm512_test_epi32_mask(left, left) != 0 })
 }

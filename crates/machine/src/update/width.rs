@@ -29,7 +29,6 @@ pub(super) fn halved() -> pulp::Arch {
 }
 
 /// The vectors that steps use; the widest where the variable makes no sense.
-#[must_use]
 pub fn vectors() -> pulp::Arch {
     FOUND.as_ref().map_or_else(|_| pulp::Arch::new(), |found| *found)
 }
@@ -43,7 +42,6 @@ pub fn check() -> Result<(), String> {
 }
 
 /// What the vectors are called.
-#[must_use]
 pub fn name() -> &'static str {
     match vectors() {
         pulp::Arch::Scalar => "scalar",

@@ -39,7 +39,7 @@
 //! (`nxsdk_modules_ncl/dnn`) pads lists to the longest; here places whose lists differ in words do
 //! not share, so there is nothing to pad but atoms that send nothing. The entry of a population
 //! axon has one base and no more, so the first slot of a dense group stands in the table
-//! ([`packing::words_in_table`]).
+//! ([`packing::words_as`]).
 //!
 //! The rule: a class shares when that takes no more words than lists of its own for each source,
 //! and fewer words or fewer input axons; those that save most come first while there are numbers
@@ -47,12 +47,11 @@
 //! so, [`crate::resources::incremental`] asks so for whole tiles, and
 //! [`crate::resources::closed_form`] counts classes from geometry.
 //!
-//! [`packing::words_in_table`]: crate::resources::packing::words_in_table
+//! [`packing::words_as`]: crate::resources::packing::words_as
 
 use std::collections::HashMap;
 
-use crate::resources::by_core;
-use crate::resources::by_core::Key;
+use crate::resources::by_core::{self, Key};
 use crate::resources::fan_in::first_source;
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::quantised::connectivity::Connectivity;
@@ -77,14 +76,12 @@ pub const MOST_NUMBERED: u64 = 1 << 16;
 pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
 
 /// pop16 axons that a core can number when its tables have this many atoms, at most [`MOST_ATOMS`].
-#[must_use]
 pub fn most_axons(atoms: u16) -> u32 {
     let bits = u16::BITS - atoms.saturating_sub(1).leading_zeros();
     1 << (AXON_BITS - bits.clamp(FREE_ATOM_BITS, MOST_ATOM_BITS) + FREE_ATOM_BITS)
 }
 
 /// Population axons that a core can number: of this many atoms at most, and all together.
-#[must_use]
 pub fn numbers(most_atoms: u16, limits: &Limits) -> (u32, u32) {
     match limits.output_axons {
         OutputAxons::PerCompartment => (most_axons(most_atoms), most_axons(most_atoms)),
@@ -94,7 +91,6 @@ pub fn numbers(most_atoms: u16, limits: &Limits) -> (u32, u32) {
 
 /// Whether a population axon is a pop32 axon.
 #[inline]
-#[must_use]
 pub fn is_long(atoms: u16, base: u16, limits: &Limits) -> bool {
     match limits.output_axons {
         OutputAxons::PerCompartment => false,
@@ -104,7 +100,6 @@ pub fn is_long(atoms: u16, base: u16, limits: &Limits) -> bool {
 
 /// The base of a place whose lists begin at this slot.
 #[inline]
-#[must_use]
 pub fn base_of(first_slot: u16, limits: &Limits) -> u16 {
     let base = first_slot % BASE_END;
     match limits.output_axons {
@@ -156,13 +151,11 @@ impl Places {
     /// Of all populations over space from which a window goes out; and of those whose sources all
     /// reach a population that has more of them than a core has input axons, where these may be
     /// population axons of any atoms.
-    #[must_use]
     pub fn for_network(network: &Quantised, limits: &Limits) -> Self {
         Places::gathered(network, Some(limits))
     }
 
     /// Of all populations over space from which a window goes out, whatever the limits.
-    #[must_use]
     pub fn of_windows(network: &Quantised) -> Self {
         Places::gathered(network, None)
     }
@@ -193,39 +186,33 @@ impl Places {
     }
 
     /// Whether there are places without which a compartment has more sources than input axons.
-    #[must_use]
     pub fn are_of_need(&self) -> bool {
         self.of_need
     }
 
     /// How many places the sources of a population have, if any.
-    #[must_use]
     pub fn positions(&self, network: &Quantised, population: PopulationId) -> Option<u32> {
         let first = first_source(network, &network.populations()[population]);
         self.populations.iter().find(|population| population.first == first).map(|population| population.positions)
     }
 
     /// Whether no source has a place.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.populations.is_empty()
     }
 
     /// Whether compartments have places, and not only input channels.
-    #[must_use]
     pub fn are_of_compartments(&self) -> bool {
         self.of_compartments
     }
 
     /// Whether the sources of a population have places.
-    #[must_use]
     pub fn holds(&self, network: &Quantised, population: PopulationId) -> bool {
         self.of_source(first_source(network, &network.populations()[population])).is_some()
     }
 
     /// The place and the atom of a source.
     #[inline]
-    #[must_use]
     pub fn of_source(&self, source: u32) -> Option<(u32, u16)> {
         let at = self.populations.partition_point(|population| population.end <= source);
         let population = self.populations.get(at).filter(|population| population.first <= source)?;
@@ -252,13 +239,11 @@ pub struct Class {
 
 impl Class {
     /// Words of its table.
-    #[must_use]
     pub fn table(&self) -> u64 {
         u64::from(self.atoms) * u64::from(self.list_words.1)
     }
 
     /// Words that this many places save by sharing; less than none when the table is dearer.
-    #[must_use]
     pub fn saving(&self, places: u32) -> i64 {
         (u64::from(places) * u64::from(self.words)) as i64 - self.table() as i64
     }
@@ -273,7 +258,6 @@ impl Class {
 }
 
 /// How many places of each class share its table.
-#[must_use]
 pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
     let most_atoms = classes.iter().map(|class| class.atoms).max().unwrap_or(1);
     let (mut short, mut left) = numbers(most_atoms, limits);
@@ -308,23 +292,17 @@ pub struct EqualPlace {
     pub lists: Vec<(u16, u32)>,
 }
 
-/// Places of a core whose lists are the same, counted from their bases.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct EqualPlaces {
-    /// Each place, ascending.
-    pub places: Vec<EqualPlace>,
-}
+/// Places of a core whose lists are the same, counted from their bases; ascending, at least one.
+pub type EqualPlaces = Vec<EqualPlace>;
 
-impl EqualPlaces {
+impl EqualPlace {
     /// The highest atom and one.
-    #[must_use]
     pub fn atoms(&self) -> u16 {
-        self.places.first().and_then(|place| place.lists.last()).map_or(0, |&(atom, _)| atom + 1)
+        self.lists.last().map_or(0, |&(atom, _)| atom + 1)
     }
 }
 
 /// Classes of a core's lists, given by their synapses; in the order of their first places.
-#[must_use]
 pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<EqualPlaces> {
     let lists: Vec<&[Key]> = by_core::lists(keys).collect();
     let placed = lists.iter().zip(0u32..).filter_map(|(list, number)| {
@@ -342,11 +320,11 @@ pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<Equal
         let key =
             of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.relative_to(placed.1, base))).collect();
         let class = *known.entry(key).or_insert_with(|| {
-            classes.push(EqualPlaces { places: Vec::new() });
+            classes.push(Vec::new());
             classes.len() - 1
         });
         let lists = of_place.iter().map(|&(_, atom, number)| (atom, number)).collect();
-        classes[class].places.push(EqualPlace { place: of_place[0].0, base, lists });
+        classes[class].push(EqualPlace { place: of_place[0].0, base, lists });
     }
     classes
 }

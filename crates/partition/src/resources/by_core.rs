@@ -53,35 +53,30 @@ const fn field(key: u64, above: u32, bits: u32) -> u64 {
 impl Key {
     /// A synapse; the source is below 2^28, the index of the format below 2^9, the slot below 2^12.
     #[inline]
-    #[must_use]
     pub fn new(source: u32, format: u16, slot: u16, delay: u8, weight: i16) -> Self {
         Key(u64::from(source) << SYNAPSE_BITS | rest(format, slot, delay, weight))
     }
 
     /// Number of the source: channels first, then compartments.
     #[inline]
-    #[must_use]
     pub fn source(self) -> u32 {
         (self.0 >> SYNAPSE_BITS) as u32
     }
 
     /// Index of the format among [`Formats`].
     #[inline]
-    #[must_use]
     pub fn format(self) -> u16 {
         field(self.0, SYNAPSE_BITS - FORMAT_BITS, FORMAT_BITS) as u16
     }
 
     /// The target's slot.
     #[inline]
-    #[must_use]
     pub fn slot(self) -> u16 {
         field(self.0, WEIGHT_BITS + DELAY_BITS, SLOT_BITS) as u16
     }
 
     /// Delay field.
     #[inline]
-    #[must_use]
     pub fn delay(self) -> u8 {
         field(self.0, WEIGHT_BITS, DELAY_BITS) as u8
     }
@@ -89,7 +84,6 @@ impl Key {
     /// Everything but the source: its atom instead, and the slot counted from a base that is not
     /// above it.
     #[inline]
-    #[must_use]
     pub fn relative_to(self, atom: u16, base: u16) -> u64 {
         let rest = field(self.0, 0, SYNAPSE_BITS) - (u64::from(base) << (WEIGHT_BITS + DELAY_BITS));
         u64::from(atom) << SYNAPSE_BITS | rest
@@ -97,7 +91,6 @@ impl Key {
 
     /// Weight mantissa.
     #[inline]
-    #[must_use]
     pub fn weight(self) -> i16 {
         field(self.0, 0, WEIGHT_BITS) as i16 - WEIGHT_ZERO
     }
@@ -143,11 +136,9 @@ fn pieces<'a>(network: &'a Quantised, formats: &Formats, counts: impl Fn(Populat
             continue;
         }
         let (first, size) = (first_source(network, population), population.shape.len());
-        let mut index = 0;
-        while index < size {
+        for index in (0..size).step_by(1 << PIECE_BITS) {
             let length = (size - index).min(1 << PIECE_BITS);
             pieces.push(Piece { source: first + index, index, length, outgoing: outgoing.clone() });
-            index += length;
         }
     }
     pieces
@@ -210,20 +201,9 @@ fn sorted(bucket: &[u64], cores: usize) -> Vec<u64> {
     sorted
 }
 
-/// What `f` makes of each core and its synapses.
+/// What `f` makes of each core and its synapses from the populations that count; cores that are not
+/// wanted have none.
 pub fn by_core<T: Send>(
-    network: &Quantised,
-    formats: &Formats,
-    seats: &IdVec<CompartmentId, Seat>,
-    cores: usize,
-    f: impl Fn(CoreId, &[Key]) -> T + Sync,
-) -> Vec<T> {
-    by_core_from(network, formats, seats, cores, (|_| true, |_| true), f)
-}
-
-/// The same, of the synapses from the populations that count to the cores that are wanted; the
-/// others have none.
-pub fn by_core_from<T: Send>(
     network: &Quantised,
     formats: &Formats,
     seats: &IdVec<CompartmentId, Seat>,
@@ -345,7 +325,7 @@ mod tests {
                 }
             }
             meant.iter_mut().for_each(|keys| keys.sort_unstable());
-            let found = by_core(&network, &formats, &seats, cores, |_, keys| keys.to_vec());
+            let found = by_core(&network, &formats, &seats, cores, (|_| true, |_| true), |_, keys| keys.to_vec());
             assert_eq!(found, meant, "seed {seed}");
         }
     }

@@ -13,11 +13,9 @@ use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::resources::axon_sharing;
-use crate::resources::axon_sharing::{Class, Places};
+use crate::resources::axon_sharing::{self, Class, Places};
 use crate::resources::counter::{CoreTotals, ListCounter, Words, skip_bits_for};
-use crate::resources::formats::Formats;
-use crate::resources::formats::by_channel;
+use crate::resources::formats::{Formats, by_channel};
 use crate::resources::packing::{Group, Widths};
 use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
 use nsim_ir::base::fixed::Delay;
@@ -70,7 +68,6 @@ pub struct Layer {
 impl Layer {
     /// A population and what reaches it; `None` when a projection into it is neither a window nor
     /// all to all.
-    #[must_use]
     pub fn for_population(
         network: &Quantised,
         population: PopulationId,
@@ -114,7 +111,6 @@ impl Layer {
 
     /// What a core uses that holds the box in the middle, whose windows are whole, when boxes have
     /// this size.
-    #[must_use]
     pub fn middle(&self, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
         let at = middle(self.shape, size);
         let channels = Channels::of_part(self, &part(self.shape.0, size.0, at.0));
@@ -135,14 +131,12 @@ pub struct Side {
 
 impl Side {
     /// Of a layer.
-    #[must_use]
     pub fn of_part(layer: &Layer, axis: fn(&Window) -> WindowAxis, part: &Range<u32>) -> Self {
         let fields = |incoming: &Incoming| axis(&incoming.window).uniform(incoming.uniform).fields(part);
         Side { size: part.end - part.start, fields: layer.incoming.iter().map(fields).collect() }
     }
 
     /// The number of a field among those of a projection.
-    #[must_use]
     pub fn number_of(&self, projection: usize, field: &ReceptiveField) -> Option<u32> {
         self.fields[projection].binary_search_by(|(other, _)| other.cmp(field)).ok().map(|at| at as u32)
     }
@@ -160,7 +154,6 @@ pub struct Channels {
 
 impl Channels {
     /// Of a layer.
-    #[must_use]
     pub fn of_part(layer: &Layer, part: &Range<u32>) -> Self {
         let of = |incoming: &Incoming| {
             let window = &incoming.window;
@@ -183,19 +176,16 @@ impl Channels {
 }
 
 /// The box in the middle of a grid, whose windows are whole.
-#[must_use]
 pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
     (middle_of(shape.0, size.0), middle_of(shape.1, size.1), middle_of(shape.2, size.2))
 }
 
 /// A part of an axis that is cut into parts of this size; the last may be smaller.
-#[must_use]
 pub fn part(length: u32, size: u32, at: u32) -> Range<u32> {
     at * size..((at + 1) * size).min(length)
 }
 
 /// The part in the middle of an axis that is cut into parts of this size.
-#[must_use]
 pub fn middle_of(length: u32, size: u32) -> u32 {
     (length.div_ceil(size) - 1) / 2
 }
@@ -245,7 +235,6 @@ pub struct Members {
 
 impl Members {
     /// That of the positions with these fields.
-    #[must_use]
     pub fn get(&self, rows: u32, columns: u32) -> Membership {
         self.of.get(rows as usize * self.columns + columns as usize).copied().unwrap_or_default()
     }
@@ -253,14 +242,12 @@ impl Members {
 
 impl BoxUse {
     /// Whether it needs more than there is.
-    #[must_use]
     pub fn exceeds(&self, limits: &Limits) -> bool {
         self.usage.excesses(limits).next().is_some()
     }
 }
 
 /// What a core uses that holds the box of these channels, rows and columns.
-#[must_use]
 pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, &Side, &Side)) -> BoxUse {
     let (channels, rows, columns) = parts;
     let compartments = channels.size * rows.size * columns.size;
@@ -283,19 +270,18 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
                 for &(reached, of_channels) in &channels.reached[i] {
                     slots.clear();
                     if layer.by_channel {
-                        let height = rows.size;
-                        let row = |c: u32, y: u16| (c * height + u32::from(y)) * columns.size;
-                        let starts = (0..reached).flat_map(|c| reached_rows.iter().map(move |&(y, _)| row(c, y)));
-                        slots.extend(
-                            starts.flat_map(|start| reached_columns.iter().map(move |&(x, _)| start as u16 + x)),
-                        );
+                        for c in 0..reached {
+                            for &(y, _) in reached_rows {
+                                let row = (c * rows.size + u32::from(y)) * columns.size;
+                                slots.extend(reached_columns.iter().map(|&(x, _)| row as u16 + x));
+                            }
+                        }
                     } else {
                         for &(y, _) in reached_rows {
-                            let starts =
-                                reached_columns.iter().map(|&(x, _)| u32::from(y) * columns.size + u32::from(x));
-                            slots.extend(
-                                starts.flat_map(|at| (0..reached).map(move |c| (at * channels.size + c) as u16)),
-                            );
+                            for &(x, _) in reached_columns {
+                                let at = (u32::from(y) * columns.size + u32::from(x)) * channels.size;
+                                slots.extend((0..reached).map(|c| (at + c) as u16));
+                            }
                         }
                     }
                     let group = Group {

@@ -31,31 +31,16 @@
 
 use std::collections::BTreeSet;
 
-use crate::resources::axon_sharing;
-use crate::resources::axon_sharing::Class;
+use crate::resources::axon_sharing::{self, Class};
 use crate::resources::formats::Formats;
-use crate::resources::packing;
-use crate::resources::packing::{Compression, Group, Widths};
+use crate::resources::packing::{self, Compression, Group, LISTS, Widths};
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, ThresholdMantissa};
 use nsim_ir::neurons::Row;
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Limits, PerResource, Resource};
 
-/// A core's lists without runs and with runs.
-pub const LISTS: usize = 2;
-
-/// How a group of a discrete axon is stored without and with runs, and in how many words.
-#[inline]
-#[must_use]
-pub fn stored(group: Group, widths: Widths, limits: &Limits) -> [(Compression, u32); LISTS] {
-    let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
-    let plain = (compression, packing::words(group, widths, limits));
-    if group.dense { [plain; LISTS] } else { [plain, packing::best(group, widths, limits)] }
-}
-
 /// The fewest bits of runs over these distances between slots.
-#[must_use]
 pub fn skip_bits_for(mut distances: impl Iterator<Item = u16>) -> Option<u8> {
     let widest = distances.try_fold(0, |widest: u16, distance| Some(widest.max(distance.checked_sub(1)?)))?;
     packing::skip_bits(widest)
@@ -70,7 +55,6 @@ pub struct FormatCounts {
 
 impl FormatCounts {
     /// Of a core without groups, in a network of this many formats.
-    #[must_use]
     pub fn new(formats: usize) -> Self {
         FormatCounts { groups: vec![[0; 12]; formats], distinct: 0 }
     }
@@ -105,7 +89,6 @@ impl FormatCounts {
     }
 
     /// Formats in use.
-    #[must_use]
     pub fn distinct(&self) -> u32 {
         self.distinct
     }
@@ -131,14 +114,6 @@ pub struct ListTotals {
 }
 
 impl ListTotals {
-    /// This many lists of this many words each.
-    #[inline]
-    pub fn add(&mut self, lists: u64, words: u32) {
-        self.axons += lists;
-        self.words += lists * u64::from(words);
-        self.longest = self.longest.max(words);
-    }
-
     /// Stores the tables of these classes instead of a list for each of their sources; returns how
     /// many places of each class share its table. None does on a core of more sources than a
     /// program can number, which then has too many input axons.
@@ -176,7 +151,6 @@ pub struct ListCounter<'a> {
 
 impl<'a> ListCounter<'a> {
     /// Of a core without lists.
-    #[must_use]
     pub fn new(formats: &Formats, widths: Widths, limits: &'a Limits) -> Self {
         let formats = std::array::from_fn(|_| FormatCounts::new(formats.len()));
         ListCounter { widths, limits, totals: Default::default(), formats }
@@ -184,25 +158,26 @@ impl<'a> ListCounter<'a> {
 
     /// Notes the format of a group; returns what the group takes.
     pub fn group(&mut self, (format, group): (u16, Group)) -> [Words; LISTS] {
-        let ways = stored(group, self.widths, self.limits);
+        let ways = packing::stored(group, self.widths, self.limits);
         for (formats, (compression, _)) in self.formats.iter_mut().zip(ways) {
             formats.add(format, group.delayed, compression);
         }
         ways.map(|(compression, discrete)| Words {
             discrete,
-            in_table: packing::words_in_table(group, compression, self.widths, self.limits),
+            in_table: packing::words_as(group, compression, true, self.widths, self.limits),
         })
     }
 
     /// Counts this many lists of this many words each.
     pub fn lists(&mut self, lists: u64, words: [Words; LISTS]) {
         for (totals, words) in self.totals.iter_mut().zip(words) {
-            totals.add(lists, words.discrete);
+            totals.axons += lists;
+            totals.words += lists * u64::from(words.discrete);
+            totals.longest = totals.longest.max(words.discrete);
         }
     }
 
     /// What was counted.
-    #[must_use]
     pub fn totals(&self) -> [ListTotals; LISTS] {
         std::array::from_fn(|way| ListTotals { formats: self.formats[way].distinct(), ..self.totals[way] })
     }
@@ -230,7 +205,6 @@ pub struct CoreTotals {
 impl CoreTotals {
     /// Of a core with this many compartments and this longest delay, before anything else is
     /// counted.
-    #[must_use]
     pub fn new(compartments: u32, longest_delay: Delay) -> Self {
         CoreTotals {
             compartments,
@@ -244,7 +218,6 @@ impl CoreTotals {
     }
 
     /// Whether the core stores runs: where that takes fewer words and its formats suffice.
-    #[must_use]
     pub fn stores_runs(&self, limits: &Limits) -> bool {
         let [plain, with_runs] = &self.lists;
         with_runs.words < plain.words && with_runs.formats <= limits[Resource::SynapseFormats]
@@ -252,7 +225,6 @@ impl CoreTotals {
 
     /// What the core uses, without output axons.
     #[inline]
-    #[must_use]
     pub fn usage(&self, limits: &Limits) -> CoreUsage {
         let lists = self.lists[usize::from(self.stores_runs(limits))];
         let used = |resource| match resource {
@@ -289,7 +261,6 @@ impl Profiles {
     }
 
     /// Distinct compartment profiles and threshold profiles.
-    #[must_use]
     pub fn counts(&self) -> (u32, u32) {
         (self.compartments.len() as u32, self.thresholds.len() as u32)
     }

@@ -101,7 +101,6 @@ fn most_together(network: &Quantised, id: PopulationId, places: &Places, target:
 
 /// Why evenly drawn synapses cannot fit, for certain; empty where they may. With `relays` a source
 /// may have as many of them as its targets need.
-#[must_use]
 pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) -> Vec<Reason> {
     let (limits, places) = (target.limits(), Places::for_network(network, target.limits()));
     let mut reasons = Vec::new();
@@ -170,7 +169,6 @@ pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) 
 
 /// The output axon slots that a compartment of a population is expected to take for its evenly
 /// drawn targets, in a partition whose cores are full of such compartments.
-#[must_use]
 pub fn expected_slots(network: &Quantised, id: PopulationId, target: &Target) -> u32 {
     let limits = target.limits();
     let population = &network.populations()[id];

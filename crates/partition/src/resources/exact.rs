@@ -4,16 +4,12 @@
 //! a [`CoreUsage`] each, by the rules of [`counter`](crate::resources::counter), which is what
 //! `nsim_compile::emit::route` writes. Limits are not looked at.
 
-use crate::resources::axon_sharing;
-use crate::resources::axon_sharing::{Class, EqualPlace, EqualPlaces, Places};
-use crate::resources::by_core;
-use crate::resources::by_core::Key;
-use crate::resources::counter::{CoreTotals, LISTS, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
-use crate::resources::fan_out;
-use crate::resources::fan_out::{FanOut, MembersOfCores, SharedPlaces};
-use crate::resources::formats::Formats;
-use crate::resources::formats::StoredSynapses;
-use crate::resources::packing::{Group, Widths};
+use crate::resources::axon_sharing::{self, Class, EqualPlace, EqualPlaces, Places};
+use crate::resources::by_core::{self, Key};
+use crate::resources::counter::{CoreTotals, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
+use crate::resources::fan_out::{self, FanOut, MembersOfCores, SharedPlaces};
+use crate::resources::formats::{Formats, StoredSynapses};
+use crate::resources::packing::{Group, LISTS, Widths};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
@@ -22,7 +18,6 @@ use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Limits, Resource};
 
 /// The longest delay of a synapse into each core, of those from the populations that count.
-#[must_use]
 pub fn longest_delays(
     network: &Quantised,
     seats: &IdVec<CompartmentId, Seat>,
@@ -46,7 +41,6 @@ pub fn longest_delays(
 ///
 /// # Panics
 /// When `seats` and `members` differ or `chips` is shorter than `members`: a mistake of the caller.
-#[must_use]
 pub fn usage(
     network: &Quantised,
     members: &IdVec<CoreId, Vec<CompartmentId>>,
@@ -62,25 +56,7 @@ pub fn usage(
     with_fan_out(used, members, &fan_out::network_fan_out(network, &core_of, chips, limits, shared))
 }
 
-/// The use of each core, where the fan-out of compartments is known and [`fan_out::by_position`] is
-/// not asked for.
-///
-/// # Panics
-/// As [`usage`].
-#[must_use]
-pub fn usage_with_fan_out(
-    network: &Quantised,
-    members: &IdVec<CoreId, Vec<CompartmentId>>,
-    seats: &IdVec<CompartmentId, Seat>,
-    fan_out: &FanOut,
-    limits: &Limits,
-) -> IdVec<CoreId, CoreUsage> {
-    let uses = uses(network, members, seats, limits, &Places::for_network(network, limits), |_| true);
-    with_fan_out(uses.into_iter().map(|core| core.usage), members, fan_out)
-}
-
 /// The use of each core, where that of all but output axons is known.
-#[must_use]
 pub fn with_fan_out(
     usage: impl IntoIterator<Item = CoreUsage>,
     members: &IdVec<CoreId, Vec<CompartmentId>>,
@@ -105,7 +81,6 @@ pub struct CoreUse {
 }
 
 /// The uses, and the places.
-#[must_use]
 pub fn unzipped(uses: Vec<CoreUse>) -> (Vec<CoreUsage>, MembersOfCores) {
     let (usage, shared): (_, Vec<_>) = uses.into_iter().map(|core| (core.usage, core.shared)).unzip();
     (usage, shared.into())
@@ -115,7 +90,6 @@ pub fn unzipped(uses: Vec<CoreUse>) -> (Vec<CoreUsage>, MembersOfCores) {
 ///
 /// # Panics
 /// As [`usage`].
-#[must_use]
 pub fn uses(
     network: &Quantised,
     members: &IdVec<CoreId, Vec<CompartmentId>>,
@@ -128,7 +102,7 @@ pub fn uses(
     let profiles = profiles(network, seats, members.len());
     let formats = Formats::for_network(network);
     let stored = limits.is_limited(Resource::StoredSynapses).then(|| StoredSynapses::for_network(network));
-    by_core::by_core_from(network, &formats, seats, members.len(), (|_| true, &wanted), |core, keys| {
+    by_core::by_core(network, &formats, seats, members.len(), (|_| true, &wanted), |core, keys| {
         if !wanted(core) {
             return CoreUse::default();
         }
@@ -169,7 +143,6 @@ pub struct StoredLists {
 
 impl StoredLists {
     /// Of the synapses of a core.
-    #[must_use]
     pub fn new(keys: &[Key], formats: &Formats, widths: Widths, limits: &Limits, places: &Places) -> Self {
         let mut counter = ListCounter::new(formats, widths, limits);
         // Neighbours mostly have the same make-up.
@@ -198,12 +171,12 @@ impl StoredLists {
             lists.equal = axon_sharing::equal_places(keys, places, limits);
             for (way, totals) in lists.totals.iter_mut().enumerate() {
                 let class = |equal: &EqualPlaces| {
-                    let lists = equal.places.first().map_or(&[][..], |place| &place.lists);
+                    let lists = &equal[0].lists;
                     let words = || lists.iter().map(|&(_, number)| of_lists[number as usize][way]);
                     Class {
-                        places: equal.places.len() as u32,
+                        places: equal.len() as u32,
                         lists: lists.len() as u32,
-                        atoms: equal.atoms(),
+                        atoms: equal[0].atoms(),
                         words: words().map(|words| words.discrete).sum(),
                         list_words: words()
                             .map(|words| words.in_table)
@@ -218,7 +191,6 @@ impl StoredLists {
     }
 
     /// Whether the core stores runs.
-    #[must_use]
     pub fn stores_runs(&self, limits: &Limits) -> bool {
         CoreTotals { lists: self.totals, ..CoreTotals::new(0, Delay::MIN) }.stores_runs(limits)
     }
@@ -226,9 +198,9 @@ impl StoredLists {
     /// The places that are members of population axons, ascending, and whether it is a pop32 axon.
     fn members(&self, limits: &Limits) -> Vec<(u32, bool)> {
         let of_class = |(equal, sharing): (&EqualPlaces, u32)| {
-            let atoms = equal.atoms();
+            let atoms = equal[0].atoms();
             let long = |place: &EqualPlace| (place.place, axon_sharing::is_long(atoms, place.base, limits));
-            equal.places[..sharing as usize].iter().map(long).collect::<Vec<_>>()
+            equal[..sharing as usize].iter().map(long).collect::<Vec<_>>()
         };
         let mut members: Vec<(u32, bool)> = self.shared(limits).flat_map(of_class).collect();
         members.sort_unstable();
@@ -242,7 +214,6 @@ impl StoredLists {
 }
 
 /// The make-up of a group, and its format.
-#[must_use]
 pub fn group_of(group: &[Key], formats: &Formats) -> (u16, Group) {
     let format = group[0].format();
     let made = Group {

@@ -24,7 +24,6 @@ use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::resource::{Limits, Resource};
 
 /// Sources of spikes under one number: channels first, then compartments.
-#[must_use]
 pub fn first_source(network: &Quantised, population: &Population) -> u32 {
     match (population.first_channel(), population.first_compartment()) {
         (Some(first), _) => first.0,
@@ -134,14 +133,10 @@ pub struct FanIn {
 
 impl FanIn {
     /// The index of a network.
-    #[must_use]
     pub fn new(network: &Quantised) -> Self {
-        let mut incoming: IdVec<PopulationId, Vec<ProjectionId>> =
-            network.populations().iter().map(|_| Vec::new()).collect();
         let mut known: HashMap<Key, Arc<Transposed>> = HashMap::new();
         let mut projections = IdVec::new();
-        for (id, projection) in network.projections().enumerate() {
-            incoming[projection.target].push(id);
+        for projection in network.projections() {
             let source = &network.populations()[projection.source];
             let (sources, targets) = (source.shape.len(), network.populations()[projection.target].shape.len());
             let mut listed = |key| {
@@ -164,11 +159,12 @@ impl FanIn {
             };
             projections.push((first_source(network, source), backwards));
         }
+        let incoming = |id| network.incoming(id).map(|(id, _)| id).collect();
+        let incoming = network.populations().ids().map(incoming).collect();
         FanIn { incoming, projections, stored: OnceLock::new() }
     }
 
     /// The stored synapses of this index's network, counted once; `None` where they are unlimited.
-    #[must_use]
     pub fn stored(&self, network: &Quantised, limits: &Limits) -> Option<&StoredSynapses> {
         let limited = limits.is_limited(Resource::StoredSynapses);
         limited.then(|| self.stored.get_or_init(|| StoredSynapses::for_network(network)))
@@ -211,12 +207,9 @@ impl FanIn {
             }
         }
     }
-}
 
-impl FanIn {
     /// Synaptic events of each compartment in as many steps as rates count; sources of a bundle are
     /// taken to spike as its first does.
-    #[must_use]
     pub fn events_into(&self, network: &Quantised, rates: &Rates) -> Vec<u64> {
         let of_population = |(id, population): (PopulationId, &Population)| {
             let size = if population.first_compartment().is_some() { population.shape.len() } else { 0 };
@@ -234,7 +227,6 @@ impl FanIn {
 
 /// Channels of a bundle of a population: those of a group where all that it sends goes out through
 /// convolutions of the same groups, one otherwise.
-#[must_use]
 pub fn bundle(network: &Quantised, population: PopulationId) -> u32 {
     let mut bundle = None;
     for &id in network.outgoing(population) {

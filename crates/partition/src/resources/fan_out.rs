@@ -53,13 +53,11 @@ pub struct SharedPlaces<'a> {
 }
 
 /// Whether output axons, which input channels have none of, depend on population axons.
-#[must_use]
 pub fn by_position(places: &Places, limits: &Limits) -> bool {
     places.are_of_compartments() && matches!(limits.output_axons, OutputAxons::PerPosition { .. })
 }
 
 /// The core of each compartment of a membership.
-#[must_use]
 pub fn cores_of(compartments: u32, members: &IdVec<CoreId, Vec<CompartmentId>>) -> IdVec<CompartmentId, CoreId> {
     let mut core_of: IdVec<CompartmentId, CoreId> = vec![CoreId(0); compartments as usize].into();
     for (core, held) in members.enumerate() {
@@ -69,8 +67,7 @@ pub fn cores_of(compartments: u32, members: &IdVec<CoreId, Vec<CompartmentId>>) 
 }
 
 /// Cores of whole populations, for dense layers: all of their sources reach the same ones.
-#[must_use]
-pub fn cores_of_populations(
+fn cores_of_populations(
     network: &Quantised,
     core_of: &IdVec<CompartmentId, CoreId>,
 ) -> IdVec<PopulationId, Vec<CoreId>> {
@@ -86,7 +83,6 @@ pub fn cores_of_populations(
 
 /// The fan-out of each compartment; with the places of population axons where [`by_position`] says
 /// so.
-#[must_use]
 pub fn network_fan_out(
     network: &Quantised,
     core_of: &IdVec<CompartmentId, CoreId>,
@@ -99,13 +95,9 @@ pub fn network_fan_out(
         let (more, together) = shared.map_or((0, ALONE), |shared| shared.of_source(source, reached, limits));
         (slots + more, reached.len() as u32, together)
     });
-    let mut fan_out = FanOut { slots: Vec::new(), axons: Vec::new(), together: Vec::new() };
-    fan_out.slots = counted.iter().map(|of| of.0).collect();
-    fan_out.axons = counted.iter().map(|of| of.1).collect();
-    if shared.is_some() {
-        fan_out.together = counted.iter().map(|of| of.2).collect();
-    }
-    fan_out
+    let together = if shared.is_some() { counted.iter().map(|of| of.2).collect() } else { Vec::new() };
+    let (slots, axons) = counted.into_iter().map(|(slots, axons, _)| (slots, axons)).unzip();
+    FanOut { slots, axons, together }
 }
 
 impl SharedPlaces<'_> {
@@ -129,7 +121,6 @@ impl SharedPlaces<'_> {
 }
 
 /// Output axon slots of a source on a core that reaches these cores.
-#[must_use]
 pub fn axon_slots(
     own: Option<CoreId>,
     reached: impl Iterator<Item = CoreId>,
@@ -142,7 +133,6 @@ pub fn axon_slots(
 }
 
 /// Messages between cores, inputs' included, in as many steps as rates count.
-#[must_use]
 pub fn messages(network: &Quantised, core_of: &IdVec<CompartmentId, CoreId>, cores: usize, rates: &Rates) -> u64 {
     let of = |source: u32, own: Option<CoreId>, reached: &[CoreId]| {
         let others = reached.iter().filter(|&&core| Some(core) != own).count() as u64;
@@ -249,7 +239,6 @@ pub fn by_source<T: Send>(
 }
 
 /// Output axon slots of all compartments of a core together.
-#[must_use]
 pub fn slots_of_core(held: &[CompartmentId], fan_out: &FanOut) -> u64 {
     let slots = |id: &CompartmentId| u64::from(fan_out.slots[id.index()]);
     if fan_out.together.is_empty() {

@@ -28,7 +28,6 @@ pub struct Formats {
 
 impl Formats {
     /// The formats of a network.
-    #[must_use]
     pub fn for_network(network: &Quantised) -> Self {
         let mut distinct: Vec<SynapseFormat> = network.projections().iter().map(|p| p.format).collect();
         distinct.sort_unstable();
@@ -40,25 +39,21 @@ impl Formats {
 
     /// A format by its index.
     #[inline]
-    #[must_use]
     pub fn get(&self, index: u16) -> SynapseFormat {
         self.distinct[usize::from(index)]
     }
 
     /// The index of each projection's format.
-    #[must_use]
     pub fn by_projection(&self) -> &[u16] {
         &self.of_projection
     }
 
     /// How many there are.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.distinct.len()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.distinct.is_empty()
     }
@@ -83,7 +78,6 @@ pub type Kernels = HashSet<(PopulationId, u32)>;
 pub struct StoredSynapses(IdVec<PopulationId, Weights>);
 
 /// Weights of the kernels of each channel of a projection's targets; none where it has no kernel.
-#[must_use]
 pub fn by_channel(projection: &Projection) -> Vec<u64> {
     let stored = |weights: &[i16]| weights.iter().filter(|&&weight| weight != 0).count() as u64;
     match &projection.connectivity {
@@ -100,7 +94,6 @@ pub fn by_channel(projection: &Projection) -> Vec<u64> {
 
 impl StoredSynapses {
     /// Those of a network.
-    #[must_use]
     pub fn for_network(network: &Quantised) -> Self {
         let weights = |(id, population): (PopulationId, &Population)| {
             let size = population.shape.len() as usize;
@@ -124,7 +117,6 @@ impl StoredSynapses {
     }
 
     /// What a core stores in addition once it holds this compartment too.
-    #[must_use]
     pub fn added(&self, population: PopulationId, index: u32, kernels: &mut Kernels) -> u64 {
         let weights = &self.0[population];
         let channel = index / weights.positions;
@@ -133,7 +125,6 @@ impl StoredSynapses {
     }
 
     /// What a core of these compartments stores.
-    #[must_use]
     pub fn of_core(&self, network: &Quantised, members: &[CompartmentId]) -> u64 {
         let mut kernels = Kernels::new();
         let added = |&id: &CompartmentId| {

@@ -14,15 +14,12 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::resources::axon_sharing;
-use crate::resources::axon_sharing::{Class, Places};
-use crate::resources::counter::{CoreTotals, FormatCounts, LISTS, Profiles, stored};
+use crate::resources::axon_sharing::{self, Class, Places};
+use crate::resources::counter::{CoreTotals, FormatCounts, Profiles};
 use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::ALONE;
-use crate::resources::formats::Formats;
-use crate::resources::formats::{Kernels, StoredSynapses};
-use crate::resources::packing;
-use crate::resources::packing::{Compression, Group, MOST_SLOTS, Widths};
+use crate::resources::formats::{Formats, Kernels, StoredSynapses};
+use crate::resources::packing::{self, Compression, Group, LISTS, MOST_SLOTS, Widths, stored};
 use nsim_ir::base::fixed::{Delay, WeightBits};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::base::rng;
@@ -51,7 +48,6 @@ pub struct Newcomer {
 
 impl Newcomer {
     /// A compartment of which it is not known what it sends; `None` for one of no population.
-    #[must_use]
     pub fn new(network: &Quantised, id: CompartmentId) -> Option<Self> {
         let (population, index) = network.population_of(id);
         let Units::Compartments { neurons, .. } = &network.populations()[population].units else { return None };
@@ -225,7 +221,6 @@ pub struct Filling<'a> {
 
 impl<'a> Filling<'a> {
     /// An empty core.
-    #[must_use]
     pub fn new(network: &Quantised, fan_in: &'a FanIn, limits: &'a Limits) -> Self {
         let formats = Formats::for_network(network);
         let places = Places::for_network(network, limits);
@@ -274,13 +269,11 @@ impl<'a> Filling<'a> {
     }
 
     /// Compartments so far.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.members.len()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.members.is_empty()
     }
@@ -307,7 +300,6 @@ impl<'a> Filling<'a> {
     /// What the compartments added one by one use, output axons left out: exactly what is counted
     /// from their synapses. None where lists may be shared, or have become shorter, because only
     /// counting anew tells then.
-    #[must_use]
     pub fn used(&self) -> Option<CoreUsage> {
         self.used
     }
@@ -389,14 +381,9 @@ impl<'a> Filling<'a> {
         if let Some(placed) = &mut axon.placed {
             placed.tell(slot, format, projection, part);
         }
-        let mut at = axon.last;
-        while let Some(index) = at {
-            if self.entries[index as usize].format == format {
-                break;
-            }
-            at = self.entries[index as usize].previous;
-        }
-        let index = at.unwrap_or_else(|| {
+        let mut of_axon = std::iter::successors(axon.last, |&index| self.entries[index as usize].previous);
+        let known = of_axon.find(|&index| self.entries[index as usize].format == format);
+        let index = known.unwrap_or_else(|| {
             let index = self.entries.len() as u32;
             let (previous, last_slot) = (axon.last.replace(index), slot);
             let empty = Entry {
@@ -481,7 +468,7 @@ impl<'a> Filling<'a> {
             let group = entry.group(self.formats.get(entry.format).bits);
             for (way, compression) in entry.compressions().into_iter().enumerate() {
                 in_table[entry.axon as usize][way] +=
-                    packing::words_in_table(group, compression, self.widths, self.limits);
+                    packing::words_as(group, compression, true, self.widths, self.limits);
             }
         }
         let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
@@ -520,14 +507,12 @@ impl<'a> Filling<'a> {
     }
 
     /// What the compartments so far use with lists of their own, output axons left out.
-    #[must_use]
     pub fn usage(&self) -> CoreUsage {
         self.totals().usage(self.limits)
     }
 
     /// What the compartments so far use when lists are shared, output axons left out.
-    #[must_use]
-    pub fn usage_shared(&self) -> CoreUsage {
+    fn usage_shared(&self) -> CoreUsage {
         let mut totals = self.totals();
         for (lists, classes) in totals.lists.iter_mut().zip(self.classes()) {
             lists.share(&classes, self.limits);

@@ -12,7 +12,7 @@
 //!   of at most 31;
 //! - *sparse*, with an index for each synapse.
 //!
-//! Of the last two the one with fewer words is taken ([`best`]), sparse on a tie. Each width of
+//! Of the last two the one with fewer words is taken ([`stored`]), sparse on a tie. Each width of
 //! runs is a format of its own, and a core has few formats; a core on which they would not fit, or
 //! save nothing, stores no runs at all.
 //!
@@ -53,16 +53,17 @@ const NXTF_PER_ENTRY: u32 = 60;
 /// The least width of a stored delay that NxTF uses.
 const NXTF_DELAY_BITS: u8 = 3;
 
+/// A core's lists without runs and with runs.
+pub const LISTS: usize = 2;
+
 /// The fewest legal index bits that hold every slot of a core with this many compartments; `None`
 /// above [`MOST_SLOTS`].
-#[must_use]
 pub fn index_bits(compartments: u32) -> Option<u8> {
     INDEX_BITS.into_iter().find(|&bits| compartments <= 1 << bits)
 }
 
 /// The fewest legal bits that hold a core's longest delay: 0 for none, otherwise 1 to 6 (a delay is
 /// below 64), and at least 3 as NxTF has it.
-#[must_use]
 pub fn delay_bits(longest: Delay, packing: Packing) -> u8 {
     let bits = (u8::BITS - longest.get().leading_zeros()) as u8;
     match packing {
@@ -74,13 +75,11 @@ pub fn delay_bits(longest: Delay, packing: Packing) -> u8 {
 /// Slots of a core's delay ring: the next power of two above its longest delay, at least one. A
 /// compartment has one accumulator in each (D18: 8 slots for 1,024 compartments, more when fewer
 /// compartments are mapped).
-#[must_use]
 pub fn delay_slots(longest: Delay) -> u32 {
     (u32::from(longest.get()) + 1).next_power_of_two()
 }
 
 /// Synapses of an entry at most.
-#[must_use]
 pub fn per_entry(limits: &Limits) -> u32 {
     match limits.packing {
         Packing::Nengo => limits.synapses_per_entry,
@@ -100,7 +99,6 @@ pub struct Widths {
 impl Widths {
     /// The widths of a core with this many compartments and this longest delay. Above
     /// [`MOST_SLOTS`] the index stays at its widest; such a core fits no target.
-    #[must_use]
     pub fn for_core(compartments: u32, longest: Delay, packing: Packing) -> Self {
         Widths { index: index_bits(compartments).unwrap_or(12), delay: delay_bits(longest, packing) }
     }
@@ -134,59 +132,42 @@ pub enum Compression {
 
 /// The fewest bits of a run that hold a gap of this many slots; `None` beyond the widest.
 #[inline]
-#[must_use]
 pub fn skip_bits(gap: u16) -> Option<u8> {
     SKIP_BITS.into_iter().find(|&bits| gap < 1 << bits)
 }
 
 /// Words of one group without runs: dense where its slots follow each other, sparse otherwise.
 #[inline]
-#[must_use]
 pub fn words(group: Group, widths: Widths, limits: &Limits) -> u32 {
-    let compression = if group.dense { Compression::Dense } else { Compression::Sparse };
-    words_as(group, compression, widths, limits)
+    stored(group, widths, limits)[0].1
 }
 
-/// The compression of one group that takes the fewest words, and those.
+/// How a group of a discrete axon is stored without and with runs, and in how many words.
 #[inline]
-#[must_use]
-pub fn best(group: Group, widths: Widths, limits: &Limits) -> (Compression, u32) {
-    let plain = words(group, widths, limits);
-    match group.skip {
-        _ if group.dense => (Compression::Dense, plain),
-        Some(bits) => {
-            let runs = words_as(group, Compression::RunLength(bits), widths, limits);
-            if runs < plain { (Compression::RunLength(bits), runs) } else { (Compression::Sparse, plain) }
-        }
-        None => (Compression::Sparse, plain),
+pub fn stored(group: Group, widths: Widths, limits: &Limits) -> [(Compression, u32); LISTS] {
+    let way = |compression| (compression, words_as(group, compression, false, widths, limits));
+    if group.dense {
+        return [way(Compression::Dense); LISTS];
     }
+    let plain = way(Compression::Sparse);
+    let runs = group.skip.map(|bits| way(Compression::RunLength(bits)));
+    [plain, runs.filter(|runs| runs.1 < plain.1).unwrap_or(plain)]
 }
 
-/// Words of one group stored in this way, in the list of a discrete axon.
+/// Words of one group stored in this way, in the list of a discrete axon or in the table of a
+/// population axon: a dense one begins with its first slot there, whichever way it is counted.
 #[inline]
-#[must_use]
-pub fn words_as(group: Group, compression: Compression, widths: Widths, limits: &Limits) -> u32 {
-    words_with(group, compression, limits.packing == Packing::Nxtf, widths, limits)
-}
-
-/// Words of one group stored in this way, in the table of a population axon: a dense one begins
-/// with its first slot there, whichever way it is counted.
-#[inline]
-#[must_use]
-pub fn words_in_table(group: Group, compression: Compression, widths: Widths, limits: &Limits) -> u32 {
-    words_with(group, compression, true, widths, limits)
-}
-
-fn words_with(group: Group, compression: Compression, dense_first: bool, widths: Widths, limits: &Limits) -> u32 {
+pub fn words_as(group: Group, compression: Compression, in_table: bool, widths: Widths, limits: &Limits) -> u32 {
+    let nxtf = limits.packing == Packing::Nxtf;
     let delay = if group.delayed { widths.delay } else { 0 };
     let (target, first) = match compression {
-        Compression::Dense => (0, dense_first),
+        Compression::Dense => (0, in_table || nxtf),
         Compression::RunLength(bits) => (bits, true),
         Compression::Sparse => (widths.index, false),
     };
     let bits = u64::from(group.weight_bits.get()) + u64::from(delay) + u64::from(target);
     let header = HEADER_BITS + if first { u64::from(widths.index) } else { 0 };
-    let (most, nxtf) = (per_entry(limits), limits.packing == Packing::Nxtf);
+    let most = per_entry(limits);
     let entry = |synapses: u32| {
         let used = u64::from(synapses) * bits + header;
         let rest = used % 64;
@@ -245,17 +226,18 @@ mod tests {
     fn runs_are_taken_where_they_are_smaller() {
         let limits = limits();
         let gaps = |synapses, skip| Group { dense: false, skip, ..dense(synapses) };
+        let with_runs = |group| stored(group, WIDTHS, &limits)[1];
         // 9 x (8 + 4) + 10 + 10 bits are two words, 9 x 18 + 10 are three.
-        assert_eq!(best(gaps(9, Some(4)), WIDTHS, &limits), (Compression::RunLength(4), 2));
+        assert_eq!(with_runs(gaps(9, Some(4))), (Compression::RunLength(4), 2));
         // 3 x 12 + 20 and 3 x 18 + 10 bits are one word each.
-        assert_eq!(best(gaps(3, Some(4)), WIDTHS, &limits), (Compression::Sparse, 1));
-        assert_eq!(best(gaps(9, None), WIDTHS, &limits), (Compression::Sparse, 3));
-        assert_eq!(best(dense(9), WIDTHS, &limits), (Compression::Dense, 2));
+        assert_eq!(with_runs(gaps(3, Some(4))), (Compression::Sparse, 1));
+        assert_eq!(with_runs(gaps(9, None)), (Compression::Sparse, 3));
+        assert_eq!(with_runs(dense(9)), (Compression::Dense, 2));
         assert_eq!([0, 3, 4, 15, 16, 31].map(skip_bits), [Some(2), Some(2), Some(3), Some(4), Some(5), Some(5)]);
         assert_eq!(skip_bits(32), None);
         // NxTF: 58 bits and the rest of a word below six make one word more.
         let nxtf = Limits { packing: Packing::Nxtf, ..limits.clone() };
-        assert_eq!(words_as(gaps(4, Some(2)), Compression::RunLength(2), WIDTHS, &nxtf), 2);
+        assert_eq!(words_as(gaps(4, Some(2)), Compression::RunLength(2), false, WIDTHS, &nxtf), 2);
     }
 
     #[test]

@@ -28,7 +28,6 @@ pub type ReceptiveField = Vec<(u16, u32)>;
 
 impl WindowAxis {
     /// From north to south.
-    #[must_use]
     pub fn rows(window: &Window) -> Self {
         WindowAxis::along(window, |pair| pair.0, window.source.1, window.target.1)
     }
@@ -40,7 +39,6 @@ impl WindowAxis {
     }
 
     /// From west to east.
-    #[must_use]
     pub fn columns(window: &Window) -> Self {
         WindowAxis::along(window, |pair| pair.1, window.source.2, window.target.2)
     }
@@ -90,40 +88,31 @@ impl WindowAxis {
         inside.map(|(at, k)| ((at - part.start) as u16, k)).collect()
     }
 
+    /// The sources that reach a part of the targets, ascending, and what each reaches of it.
+    fn reaching(self, part: &Range<u32>) -> impl Iterator<Item = (u32, ReceptiveField)> {
+        self.under(part).map(move |source| (source, self.field(source, part))).filter(|(_, field)| !field.is_empty())
+    }
+
     /// The first source that reaches a part of the targets, and what each of them reaches of it, by
     /// its distance from the first; parts with equal patterns differ by a shift of all sources.
-    #[must_use]
     pub fn pattern(self, part: &Range<u32>) -> (u32, Vec<(u32, ReceptiveField)>) {
-        let (mut first, mut pattern) = (0, Vec::new());
-        for source in self.under(part) {
-            let field = self.field(source, part);
-            if field.is_empty() {
-                continue;
-            }
-            if pattern.is_empty() {
-                first = source;
-            }
-            pattern.push((source - first, field));
-        }
+        let mut pattern: Vec<(u32, ReceptiveField)> = self.reaching(part).collect();
+        let first = pattern.first().map_or(0, |&(source, _)| source);
+        pattern.iter_mut().for_each(|(source, _)| *source -= first);
         (first, pattern)
     }
 
     /// What sources reach of a part, ascending, and how many sources reach the same.
-    #[must_use]
     pub fn fields(self, part: &Range<u32>) -> Vec<(ReceptiveField, u64)> {
         let mut fields: BTreeMap<ReceptiveField, u64> = BTreeMap::new();
-        for source in self.under(part) {
-            let field = self.field(source, part);
-            if !field.is_empty() {
-                *fields.entry(field).or_default() += 1;
-            }
+        for (_, field) in self.reaching(part) {
+            *fields.entry(field).or_default() += 1;
         }
         fields.into_iter().collect()
     }
 }
 
 /// Targets of a source, counted from where they begin, each with its place in the kernel.
-#[must_use]
 pub fn relative(field: &ReceptiveField) -> ReceptiveField {
     let first = field.first().map_or(0, |&(at, _)| at);
     field.iter().map(|&(at, k)| (at - first, k)).collect()

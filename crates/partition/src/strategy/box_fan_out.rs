@@ -217,7 +217,6 @@ impl Sends {
 }
 
 /// What all sources of a network send.
-#[must_use]
 pub fn fan_out(
     network: &Quantised,
     layers: &IdVec<PopulationId, Layer>,
@@ -256,7 +255,6 @@ pub fn fan_out(
 
 /// Output axon slots of a core's compartments together and the most output axons of one, with cores
 /// numbered chip by chip.
-#[must_use]
 pub fn axons(core: CoreId, sends: &[Sends], chips: &IdVec<CoreId, u32>, limits: &Limits) -> (u64, u32) {
     let more_slots = match limits.output_axons {
         OutputAxons::PerPosition { more_slots, .. } => u64::from(more_slots),
@@ -273,13 +271,11 @@ pub fn axons(core: CoreId, sends: &[Sends], chips: &IdVec<CoreId, u32>, limits: 
 pub type PopulationRates = IdVec<PopulationId, u64>;
 
 /// The same rate for all populations, as it is assumed.
-#[must_use]
 pub fn everywhere(network: &Quantised, rates: &Rates) -> PopulationRates {
     vec![rates.rate_of(0); network.populations().len()].into()
 }
 
 /// The rate of one population; others have that of what never spiked in a profile run.
-#[must_use]
 pub fn only(network: &Quantised, population: PopulationId, rates: &Rates) -> PopulationRates {
     let never = Rates::assumed(0.0);
     network.populations().ids().map(|id| if id == population { rates.rate_of(0) } else { never.rate_of(0) }).collect()

@@ -11,10 +11,8 @@ use crate::reason::Reason;
 use crate::resources::closed_form::{BoxUse, Layer};
 use crate::resources::counter::Profiles;
 use crate::resources::formats::Formats;
-use crate::strategy::box_fan_out;
-use crate::strategy::box_fan_out::{BoxFanOut, Placed, PopulationRates};
-use crate::strategy::lattice;
-use crate::strategy::lattice::{Cut, Lattice};
+use crate::strategy::box_fan_out::{self, BoxFanOut, Placed, PopulationRates};
+use crate::strategy::lattice::{self, Cut, Lattice};
 use crate::strategy::members::{Members, partition_of, row_of_chips};
 use crate::strategy::tiles::most_compartments;
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -64,13 +62,10 @@ impl<'n> Layers<'n> {
             if population.first_compartment().is_none() || cuts[id].is_some() {
                 continue;
             }
+            let reason = |(resource, need, limit)| Reason::of_population(self.network, id, resource, need, limit);
             match Cut::fewest_boxes(&self.layers[id], &self.formats, limits, most[id]) {
                 Ok(cut) => cuts[id] = Some(cut),
-                Err(alone) => reasons.extend(
-                    alone
-                        .excesses(limits)
-                        .map(|(resource, need, limit)| Reason::of_population(self.network, id, resource, need, limit)),
-                ),
+                Err(alone) => reasons.extend(alone.excesses(limits).map(reason)),
             }
         }
         if reasons.is_empty() { Ok(()) } else { Err(CompileError::DoesNotFit(reasons)) }
@@ -82,7 +77,6 @@ impl<'n> Layers<'n> {
 
     /// Whether the boxes of this many copies, of at most this many synapses each, are no more than
     /// the cores of the target, before output axons are counted.
-    #[must_use]
     pub fn may_fit(&self, target: &Target, copies: u64, most_synapses: Option<u64>) -> bool {
         let most = most_compartments(self.network, target.limits(), most_synapses);
         let mut cuts = self.no_cuts();
@@ -166,7 +160,6 @@ impl Boxes {
 
     /// The boxes of these lattices, whether or not they fit; none may hold more than
     /// [`MOST_SLOTS`](crate::resources::packing::MOST_SLOTS) compartments.
-    #[must_use]
     pub fn of_lattices(network: &Layers<'_>, lattices: &Lattices, limits: &Limits) -> Self {
         let cut = |(id, lattice): (PopulationId, &Option<Lattice>)| {
             lattice.map(|lattice| Cut::new(&network.layers[id], lattice, &network.formats, limits))
@@ -183,8 +176,8 @@ impl Boxes {
                 placed.push(None);
                 continue;
             };
-            for held in cut.lattice.members(&network.layers[id]) {
-                members.push(held.into_iter().map(|index| CompartmentId(first.0 + index)).collect());
+            for held in cut.lattice.members(&network.layers[id], first) {
+                members.push(held);
                 layer.push(id);
             }
             uses.extend(cut.lattice.order().map(|at| cut.used(at).clone()));
@@ -197,7 +190,6 @@ impl Boxes {
     }
 
     /// Where every layer is cut.
-    #[must_use]
     pub fn lattices(&self) -> Lattices {
         self.placed.iter().map(|placed| placed.as_ref().map(|placed| placed.cut.lattice)).collect()
     }
@@ -218,7 +210,6 @@ impl Boxes {
     }
 
     /// What every core uses, with its chip given.
-    #[must_use]
     pub fn usage(&self, network: &Quantised, chips: &IdVec<CoreId, u32>, limits: &Limits) -> IdVec<CoreId, CoreUsage> {
         let of = |(core, held): (CoreId, &Vec<CompartmentId>)| {
             let (axons_out, axons_out_per_compartment) =
@@ -233,9 +224,7 @@ impl Boxes {
         };
         self.members.enumerate().map(of).collect()
     }
-}
 
-impl Boxes {
     /// What is sent, inputs first: by which core, none for inputs; to which cores, ascending;
     /// spikes in as many steps as rates count.
     pub fn flows<'a>(&'a self, rates: &'a PopulationRates) -> impl Iterator<Item = (Option<CoreId>, &'a [u32], u64)> {

@@ -55,14 +55,12 @@ fn repeated(starts: &[u32], of_copy: u32) -> Option<(usize, usize)> {
 
 impl Pattern {
     /// One copy's cores for each of this many copies.
-    #[must_use]
     pub fn repeated(one: &Quantised, members: Members, copies: u32) -> Self {
         Pattern(vec![Group { network: one.clone(), members, times: copies }])
     }
 
     /// Cores filled with copies in the order of the file, whatever the fan-out; `None` when a
     /// compartment fits no core.
-    #[must_use]
     pub fn filled(one: &Quantised, all: u32, target: &Target, keep_whole: bool) -> Option<Filled> {
         let fill = |many: u32| {
             let network = copies(one, many).ok()?;
@@ -103,13 +101,11 @@ impl Pattern {
     }
 
     /// Number of cores.
-    #[must_use]
     pub fn cores(&self) -> usize {
         self.0.iter().map(|group| group.members.len() * group.times as usize).sum()
     }
 
     /// The compartments of each core.
-    #[must_use]
     pub fn members(&self) -> Members {
         let (mut all, mut first) = (Vec::with_capacity(self.cores()), 0);
         for Group { network, members, times } in &self.0 {
@@ -124,7 +120,6 @@ impl Pattern {
 
     /// What each core uses when cores are placed chip by chip; `None` when a group is no partition
     /// of its copies.
-    #[must_use]
     pub fn usage(&self, target: &Target) -> Option<IdVec<CoreId, CoreUsage>> {
         let of_chip = target.chip().cores;
         let (mut all, mut first) = (Vec::with_capacity(self.cores()), 0);

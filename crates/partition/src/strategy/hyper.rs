@@ -16,11 +16,13 @@
 //! sources with one sparse projection, an estimate for others. A caller that keeps a refined
 //! partition has it counted exactly afterwards ([`crate::resources::exact`]).
 
+use std::collections::HashMap;
+
 use crate::resources::fan_in::first_source;
-use crate::resources::packing;
-use crate::resources::packing::{Group, Widths};
+use crate::resources::packing::{self, Group, Widths};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::csr::Csr;
+use nsim_ir::base::fixed::{Delay, WeightBits};
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -30,7 +32,6 @@ use nsim_ir::resource::{PerResource, Resource};
 
 /// The lists turned around: for each key below `keys`, the lists that it is in, ascending. `turn`
 /// makes of a list's number and an item the item's key and what the key's list holds.
-#[must_use]
 pub fn transposed<T: Copy, U: Copy + Default>(
     lists: &Csr<T>,
     keys: usize,
@@ -56,7 +57,7 @@ pub struct Net {
     /// Whether all pins are those of dense layers, whose lists need no indices.
     pub dense: bool,
     /// Bits of a weight and a delay, the most of its synapses.
-    pub bits: (u8, bool),
+    pub bits: (WeightBits, bool),
 }
 
 /// A network as nets and pins.
@@ -74,7 +75,6 @@ pub struct Hypergraph {
 impl Hypergraph {
     /// The hypergraph of a network, without the pins of compartments that are `fixed`: they do not
     /// move.
-    #[must_use]
     pub fn new(network: &Quantised, rates: &Rates, fixed: &[bool]) -> Self {
         let mut nets = Vec::new();
         let mut pins: Csr<(u32, u32)> = Csr::default();
@@ -86,8 +86,8 @@ impl Hypergraph {
                 continue;
             }
             let dense = outgoing.iter().all(|(p, _)| matches!(p.connectivity, Connectivity::Dense { .. }));
-            let bits = outgoing.iter().map(|(p, _)| (p.format.bits.get(), p.delay.get() > 0));
-            let bits = bits.fold((0, false), |(bits, delayed), (b, d)| (bits.max(b), delayed | d));
+            let bits = outgoing.iter().map(|(p, _)| (p.format.bits, p.delay > Delay::MIN));
+            let bits = bits.fold((WeightBits::MIN, false), |(bits, delayed), (b, d)| (bits.max(b), delayed | d));
             let (from, size) = (first_source(network, population), population.shape.len());
             let at_once = if dense { size } else { 1 };
             for index in (0..size).step_by(at_once.max(1) as usize) {
@@ -116,8 +116,6 @@ impl Hypergraph {
 /// Compartments that move together.
 #[derive(Debug)]
 pub struct Groups {
-    /// The group of each compartment; `None` for one that does not move.
-    pub of: Vec<Option<u32>>,
     /// Compartments of each group.
     pub members: Csr<u32>,
     /// (net, synapses of one source) that reach each group.
@@ -127,9 +125,8 @@ pub struct Groups {
 }
 
 impl Groups {
-    /// Groups by label; labels are from 0 on without gaps.
-    #[must_use]
-    pub fn new(graph: &Hypergraph, of: Vec<Option<u32>>) -> Self {
+    /// Groups by label, none for compartments that do not move; labels are from 0 on without gaps.
+    pub fn new(graph: &Hypergraph, of: &[Option<u32>]) -> Self {
         let count = of.iter().flatten().max().map_or(0, |&label| label as usize + 1);
         let mut labelled: Vec<(u32, u32)> =
             of.iter().enumerate().filter_map(|(id, label)| Some(((*label)?, id as u32))).collect();
@@ -159,17 +156,15 @@ impl Groups {
             );
         }
         debug_assert_eq!(members.len(), count);
-        Groups { of, members, into, own }
+        Groups { members, into, own }
     }
 
     /// Number of groups.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.members.len()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -200,8 +195,8 @@ pub struct State<'a> {
     limit: Load,
     out_slots: i64,
     /// Words of a list of n synapses by (dense, bits, delayed).
-    words: std::collections::HashMap<(bool, u8, bool), Vec<u32>>,
-    /// What the limits of this target are.
+    words: HashMap<(bool, WeightBits, bool), Vec<u32>>,
+    /// Output axons of a compartment at most.
     most_out: usize,
 }
 
@@ -211,7 +206,6 @@ const TABLE: usize = 4097;
 impl<'a> State<'a> {
     /// The state of a membership. Synapse words are limited to this many hundredths of what a core
     /// has.
-    #[must_use]
     pub fn new(
         graph: &'a Hypergraph,
         members: &IdVec<CoreId, Vec<CompartmentId>>,
@@ -236,21 +230,13 @@ impl<'a> State<'a> {
             }
         }
         let largest = members.iter().map(Vec::len).max().unwrap_or(0) as u32;
-        let widths = Widths::for_core(largest, nsim_ir::base::fixed::Delay::MAX, limits.packing);
-        let mut words = std::collections::HashMap::new();
+        let widths = Widths::for_core(largest, Delay::MAX, limits.packing);
+        let mut words = HashMap::new();
         for net in &graph.nets {
             words.entry((net.dense, net.bits.0, net.bits.1)).or_insert_with(|| {
-                let of = |synapses: usize| {
-                    let bits = nsim_ir::base::fixed::WeightBits::new(net.bits.0.into());
-                    let Ok(weight_bits) = bits else { return 0 };
-                    let synapses = synapses as u32;
-                    packing::words(
-                        Group { weight_bits, synapses, delayed: net.bits.1, dense: net.dense, skip: None },
-                        widths,
-                        limits,
-                    )
-                };
-                (0..TABLE).map(of).collect()
+                let (weight_bits, delayed) = net.bits;
+                let group = |synapses| Group { weight_bits, synapses, delayed, dense: net.dense, skip: None };
+                (0..TABLE as u32).map(|synapses| packing::words(group(synapses), widths, limits)).collect()
             });
         }
         let several = members.len() as u64 > u64::from(target.chip().cores);
@@ -285,12 +271,9 @@ impl<'a> State<'a> {
     }
 
     /// Messages of a step between cores, inputs' included.
-    #[must_use]
     pub fn cost(&self) -> u64 {
-        let mut cost = 0;
-        for (net, cores) in self.graph.nets.iter().zip(&self.held) {
-            cost += net.weight * cores.len() as u64;
-        }
+        let nets = self.graph.nets.iter().zip(&self.held);
+        let cost: u64 = nets.map(|(net, cores)| net.weight * cores.len() as u64).sum();
         let own = self.graph.own.iter().zip(&self.core_of);
         let inside = own.filter_map(|(own, &core)| {
             let (net, rate) = (*own)?;
@@ -306,8 +289,8 @@ impl<'a> State<'a> {
         i64::from(table[synapses as usize % (TABLE - 1)]) + whole as i64 * i64::from(table[TABLE - 1])
     }
 
-    /// What each core already holds of a group's nets: calls `f(core, messages, axons)` once for
-    /// each net and core.
+    /// What each core already holds of a group's nets: calls `f(core, messages)` once for each net
+    /// and core.
     #[inline]
     pub fn for_each_shared(&self, groups: &Groups, group: u32, mut f: impl FnMut(u32, u64)) {
         for &(net, _) in groups.into.get(group as usize) {
@@ -321,7 +304,6 @@ impl<'a> State<'a> {
 
     /// Messages of a step that are saved when a group moves from one core to another; negative when
     /// there are more.
-    #[must_use]
     pub fn gain(&self, groups: &Groups, group: u32, from: u32, to: u32) -> i64 {
         let (into, own) = (groups.into.get(group as usize), groups.own.get(group as usize));
         let mut gain = 0i64;
@@ -355,7 +337,6 @@ impl<'a> State<'a> {
 
     /// Whether a group may move: every core stays within its limits, or as far above them as it
     /// was.
-    #[must_use]
     pub fn may_move(&self, groups: &Groups, group: u32, from: u32, to: u32) -> bool {
         let (before_from, before_to) = (self.loads[from as usize], self.loads[to as usize]);
         let (after_from, after_to) = self.after(groups, group, from, to);
@@ -366,7 +347,6 @@ impl<'a> State<'a> {
     }
 
     /// The loads of the two cores after a move.
-    #[must_use]
     pub fn after(&self, groups: &Groups, group: u32, from: u32, to: u32) -> (Load, Load) {
         let (mut a, mut b) = (self.loads[from as usize], self.loads[to as usize]);
         let size = groups.members.get(group as usize).len() as i64;
@@ -432,13 +412,11 @@ impl<'a> State<'a> {
     }
 
     /// Whether a core is within its limits.
-    #[must_use]
     pub fn within(&self, core: u32) -> bool {
         fits(&self.loads[core as usize], &Load::default(), &self.limit)
     }
 
     /// Whether every core that sends to one of two groups is within its limit of output axons.
-    #[must_use]
     pub fn senders_within(&self, groups: &Groups, a: u32, b: u32) -> bool {
         let nets = groups.into.get(a as usize).iter().chain(groups.into.get(b as usize));
         nets.into_iter().all(|&(net, _)| {
@@ -452,14 +430,12 @@ impl<'a> State<'a> {
     }
 
     /// Number of cores.
-    #[must_use]
     pub fn cores(&self) -> usize {
         self.loads.len()
     }
 
     /// Compartments of each core, ascending; `order` gives compartments that do not move, core by
     /// core, in their slots.
-    #[must_use]
     pub fn members(&self, before: &IdVec<CoreId, Vec<CompartmentId>>) -> IdVec<CoreId, Vec<CompartmentId>> {
         let mut members: Vec<Vec<CompartmentId>> = vec![Vec::new(); self.loads.len()];
         // Those that stay keep their order; newcomers follow, ascending.

@@ -7,16 +7,13 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use serde::{Deserialize, Serialize};
-
 use crate::resources::axon_sharing::Places;
 use crate::resources::closed_form::{BoxUse, Channels, Layer, Side, part, use_of};
 use crate::resources::formats::Formats;
 use crate::resources::packing;
 use crate::resources::receptive_field::WindowAxis;
-use crate::strategy::tiles;
-use crate::strategy::tiles::Grid;
-use nsim_ir::base::id::{IdVec, PopulationId};
+use crate::strategy::tiles::{self, Grid};
+use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId};
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Limits, Resource};
@@ -26,7 +23,6 @@ const TRIALS: usize = 200;
 
 /// The layers of a network, empty for inputs; `None` when a projection is neither a window nor all
 /// to all, or two join the same populations.
-#[must_use]
 pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
     let (formats, places) = (Formats::for_network(network), Places::of_windows(network));
     let of = |id| Layer::for_population(network, id, &formats, &places).filter(|layer| !layer.joined);
@@ -34,7 +30,7 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
 }
 
 /// Where a layer is cut.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lattice {
     /// Channels, rows and columns of a box; those at the end may be smaller.
     pub size: (u32, u32, u32),
@@ -45,7 +41,6 @@ pub struct Lattice {
 impl Lattice {
     /// A layer of this shape in boxes of this size; `None` when a box has no or more sides than the
     /// layer.
-    #[must_use]
     pub fn new(shape: (u32, u32, u32), size: (u32, u32, u32)) -> Option<Self> {
         let within = |length: u32, size: u32| (1..=length).contains(&size).then(|| length.div_ceil(size));
         let along = (within(shape.0, size.0)?, within(shape.1, size.1)?, within(shape.2, size.2)?);
@@ -53,7 +48,6 @@ impl Lattice {
     }
 
     /// Number of boxes.
-    #[must_use]
     pub fn boxes(&self) -> u32 {
         self.along.0 * self.along.1 * self.along.2
     }
@@ -64,15 +58,17 @@ impl Lattice {
     }
 
     /// The place of a box in that order.
-    #[must_use]
     pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
         let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
         (y * self.along.2 + x) * self.along.0 + c
     }
 
-    /// Indices of the compartments of every box, in slot order.
-    pub fn members(self, layer: &Layer) -> impl Iterator<Item = Vec<u32>> + use<'_> {
-        self.order().map(move |at| tiles::cell(layer.shape, self.size, at, layer.by_channel))
+    /// The compartments of every box, in slot order, of a layer that begins with this one.
+    pub fn members(self, layer: &Layer, first: CompartmentId) -> impl Iterator<Item = Vec<CompartmentId>> + use<'_> {
+        self.order().map(move |at| {
+            let indices = tiles::cell(layer.shape, self.size, at, layer.by_channel);
+            indices.into_iter().map(|index| CompartmentId(first.0 + index)).collect()
+        })
     }
 }
 
@@ -107,7 +103,6 @@ fn kinds<T: Eq + std::hash::Hash + Clone>(items: impl Iterator<Item = T>) -> (Ve
 
 impl Cut {
     /// A layer cut here.
-    #[must_use]
     pub fn new(layer: &Layer, lattice: Lattice, formats: &Formats, limits: &Limits) -> Self {
         let ((c, h, w), size) = (layer.shape, lattice.size);
         let (channels, of_channels) = kinds(parts(c, size.0).map(|part| Channels::of_part(layer, &part)));
@@ -145,37 +140,32 @@ impl Cut {
             cut = fits.then_some(found);
             fits
         });
-        cut.map_or_else(
-            || {
-                let alone = layer.middle((1, 1, 1), formats, limits);
-                let lattice = Lattice { size: (1, 1, 1), along: layer.shape };
-                let found = Cut::new(layer, lattice, formats, limits);
-                if found.uses.values().any(|used| used.exceeds(limits)) { Err(alone.usage) } else { Ok(found) }
-            },
-            Ok,
-        )
+        if let Some(cut) = cut {
+            return Ok(cut);
+        }
+        let found = Cut::new(layer, Lattice { size: (1, 1, 1), along: layer.shape }, formats, limits);
+        match found.uses.values().any(|used| used.exceeds(limits)) {
+            true => Err(layer.middle((1, 1, 1), formats, limits).usage),
+            false => Ok(found),
+        }
     }
 
     /// The kind of a box: boxes of one kind use the same.
-    #[must_use]
     pub fn kind(&self, (c, y, x): (u32, u32, u32)) -> (u32, u32, u32) {
         (self.kinds[0][c as usize], self.kinds[1][y as usize], self.kinds[2][x as usize])
     }
 
     /// The rows of the boxes in a row of them.
-    #[must_use]
     pub fn rows(&self, row: u32) -> &Side {
         &self.sides[0][self.kinds[1][row as usize] as usize]
     }
 
     /// The columns of the boxes in a column of them.
-    #[must_use]
     pub fn columns(&self, column: u32) -> &Side {
         &self.sides[1][self.kinds[2][column as usize] as usize]
     }
 
     /// What the core of a box uses.
-    #[must_use]
     pub fn used(&self, at: (u32, u32, u32)) -> &BoxUse {
         &self.uses[&self.kind(at)]
     }

@@ -8,6 +8,8 @@
 //! and are left out. The levels give an order in which related compartments are consecutive, and
 //! the groups that are moved as one during refinement.
 
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 use std::time::Instant;
 
 use crate::options::is_over;
@@ -35,22 +37,13 @@ pub struct Levels {
 impl Levels {
     /// The levels of a hypergraph without the compartments that are `fixed`; none further once it
     /// is the end.
-    #[must_use]
     pub fn new(graph: &Hypergraph, fixed: &[bool], end: Option<Instant>) -> Self {
-        let mut next = 0;
-        let finest: Vec<Option<u32>> = fixed
-            .iter()
-            .map(|fixed| {
-                (!fixed).then(|| {
-                    next += 1;
-                    next - 1
-                })
-            })
-            .collect();
-        let mut labels = vec![finest];
+        let mut numbers = 0u32..;
+        let finest = |&fixed: &bool| if fixed { None } else { numbers.next() };
+        let mut labels: Vec<Vec<Option<u32>>> = vec![fixed.iter().map(finest).collect()];
         for _ in 0..LEVELS {
             let Some(last) = labels.last() else { break };
-            let groups = Groups::new(graph, last.clone());
+            let groups = Groups::new(graph, last);
             if groups.len() < 2 {
                 break;
             }
@@ -64,14 +57,10 @@ impl Levels {
     }
 
     /// All compartments that move, such that those of a group are consecutive on every level.
-    #[must_use]
     pub fn order(&self) -> Vec<u32> {
         let mut ids: Vec<u32> =
             (0..self.labels[0].len() as u32).filter(|&id| self.labels[0][id as usize].is_some()).collect();
-        ids.sort_by_key(|&id| {
-            let key: Vec<Option<u32>> = self.labels.iter().rev().map(|level| level[id as usize]).collect();
-            key
-        });
+        ids.sort_by_key(|&id| self.labels.iter().rev().map(|level| level[id as usize]).collect::<Vec<_>>());
         ids
     }
 }
@@ -150,7 +139,6 @@ fn matched(graph: &Hypergraph, groups: &Groups, end: Option<Instant>) -> Option<
 /// the next in the order of the file starts again; and after `core` compartments what counts is
 /// only who is joined to those that follow. Once it is the end, the rest follow in the order of the
 /// file.
-#[must_use]
 pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize, end: Option<Instant>) -> Vec<u32> {
     let n = fixed.len();
     let pins: Csr<u32> = transposed(&graph.into, graph.nets.len(), |id, (net, _)| (net, id));
@@ -164,22 +152,16 @@ pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize, end: Option<Instan
     }
     let (mut order, mut placed) = (Vec::with_capacity(n), fixed.to_vec());
     let (mut score, mut touched) = (vec![0u64; n], Vec::new());
-    let mut heap = std::collections::BinaryHeap::new();
+    let mut heap = BinaryHeap::new();
     let mut next = 0;
     loop {
         if order.len() % LOOKS == 0 && is_over(end) {
             order.extend((0..n as u32).filter(|&id| !placed[id as usize]));
             return order;
         }
-        let mut found = None;
-        while let Some((said, std::cmp::Reverse(id))) = heap.pop() {
-            if !placed[id as usize] && score[id as usize] == said {
-                found = Some(id);
-                break;
-            }
-        }
-        let id = match found {
-            Some(id) => id,
+        let holds = |&(said, Reverse(id)): &(u64, Reverse<u32>)| !placed[id as usize] && score[id as usize] == said;
+        let id = match std::iter::from_fn(|| heap.pop()).find(holds) {
+            Some((_, Reverse(id))) => id,
             None => {
                 while next < n && placed[next] {
                     next += 1;
@@ -203,7 +185,7 @@ pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize, end: Option<Instan
                     touched.push(other);
                 }
                 score[other as usize] += weight;
-                heap.push((score[other as usize], std::cmp::Reverse(other)));
+                heap.push((score[other as usize], Reverse(other)));
             }
         };
         if let Some((net, rate)) = graph.own[id as usize] {

@@ -12,7 +12,6 @@ use nsim_ir::resource::Limits;
 pub type Members = IdVec<CoreId, Vec<CompartmentId>>;
 
 /// The chip of each core when cores are placed chip by chip.
-#[must_use]
 pub fn row_of_chips(cores: usize, target: &Target) -> IdVec<CoreId, u32> {
     (0..cores as u32).map(|core| core / target.chip().cores).collect()
 }

@@ -42,7 +42,7 @@ use crate::options::{Objective, Options, Strategy, is_over};
 use crate::reason::{Reason, Tightest};
 use crate::resources::axon_sharing::Places;
 use crate::resources::even_draws;
-use crate::resources::exact::{usage, usage_with_fan_out, with_fan_out};
+use crate::resources::exact::{usage, uses, with_fan_out};
 use crate::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::resources::incremental::Filling;
 use crate::strategy::copies::Pattern;
@@ -50,7 +50,6 @@ use crate::strategy::hyper::{Groups, Hypergraph, State};
 use crate::strategy::levels::Levels;
 use crate::strategy::members::{Members, row_of_chips};
 use crate::strategy::order::{Chips, Filler, Found, Indices, Segment, file_order};
-use crate::strategy::refine::Effort;
 use crate::strategy::tiles::Rank;
 use nsim_cost::constants::CostTable;
 use nsim_cost::model::core_time;
@@ -87,7 +86,6 @@ pub struct Search<'a> {
 
 impl<'a> Search<'a> {
     /// As options say, for sources that spike this often.
-    #[must_use]
     pub fn new(options: &Options, rates: &'a Rates) -> Self {
         let (work, end) = (options.effort.work(WORK_PER_SECOND), options.effort.end());
         let explains = options.objective == Objective::Cores && work > 0;
@@ -110,8 +108,6 @@ const FEW_SYNAPSES: u64 = 1 << 23;
 /// How many times as many spikes as in the mean a step has in which networks over space are
 /// compared too.
 const BURST: u64 = 10;
-/// Passes of refinement on a level.
-const PASSES: usize = 3;
 /// Rounds of making tiles smaller because their output axons do not fit.
 const TILE_ROUNDS: usize = 6;
 /// Hundredths of the synapse words that refinement may count on, in the order of trial: words are
@@ -237,16 +233,17 @@ fn partition_copies(
 /// A partition of these members, counted exactly with cores placed chip by chip.
 fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partition, PartitionError> {
     let Found { members, fan_out, usage: filled } = found;
-    let seats = seats(network.compartments(), &members)?;
+    let (seats, limits) = (seats(network.compartments(), &members)?, target.limits());
     let usage = match (fan_out, filled) {
         (None, Some(exact)) => exact,
         (Some(fan_out), Some(filled)) => with_fan_out(filled.iter().copied(), &members, &fan_out),
         (Some(fan_out), None) if fan_out.together.is_empty() => {
-            usage_with_fan_out(network, &members, &seats, &fan_out, target.limits())
+            let uses = uses(network, &members, &seats, limits, &Places::for_network(network, limits), |_| true);
+            with_fan_out(uses.into_iter().map(|core| core.usage), &members, &fan_out)
         }
-        _ => usage(network, &members, &seats, &row_of_chips(members.len(), target), target.limits()),
+        _ => usage(network, &members, &seats, &row_of_chips(members.len(), target), limits),
     };
-    Partition::new(network.compartments(), members, usage, target.limits())
+    Partition::new(network.compartments(), members, usage, limits)
 }
 
 /// The members that a strategy finds for one copy.
@@ -329,19 +326,15 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     }
     // Compartments in the order of the file make lists denser; refined cores take newcomers at
     // their end.
-    let best = fewest(filler, &found, search.rates);
-    match (best, failure) {
-        (Some(best), _) => {
-            let best = found.swap_remove(best);
-            let sorted = sorted(&best.members, &fixed);
-            let sorted = if sorted == best.members { None } else { within_limits(network, sorted, target) };
-            let best = sorted.unwrap_or(best);
-            // Chips that are assumed to be apart are not those that will be.
-            Ok(if chips == Chips::Row { best } else { uncounted(best.members) })
-        }
-        (None, Some(failure)) => Err(failure),
-        (None, None) => Err(CompileError::fault("no strategy had an answer")),
-    }
+    let Some(best) = fewest(filler, &found, search.rates) else {
+        return Err(failure.unwrap_or_else(|| CompileError::fault("no strategy had an answer")));
+    };
+    let best = found.swap_remove(best);
+    let sorted = sorted(&best.members, &fixed);
+    let sorted = if sorted == best.members { None } else { within_limits(network, sorted, target) };
+    let best = sorted.unwrap_or(best);
+    // Chips that are assumed to be apart are not those that will be.
+    Ok(if chips == Chips::Row { best } else { uncounted(best.members) })
 }
 
 /// Cores of tiles with fewer words, population by population: the room that tiles leave may save a
@@ -585,12 +578,12 @@ fn refined(
         if *work == 0 || is_over(end) {
             break;
         }
-        let groups = Groups::new(graph, within_cores(labels, &state.core_of));
+        let groups = Groups::new(graph, &within_cores(labels, &state.core_of));
         // Groups of half a core and more cannot go anywhere.
         if groups.len() * 2 < members.len() * 3 || groups.len() * core_size < graph.own.len() * 2 {
             continue;
         }
-        *work = refine::refine(&mut state, &groups, Effort { passes: PASSES, work: *work, end });
+        refine::refine(&mut state, &groups, work, end);
     }
     state.members(members)
 }
@@ -606,8 +599,7 @@ fn within_cores(labels: &[Option<u32>], core_of: &[u32]) -> Vec<Option<u32>> {
 }
 
 /// A number of cores below which no partition can be, from what copies cannot share.
-#[must_use]
-pub fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
+fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
     let places = Places::for_network(one, limits);
     let active: u64 = one
         .populations()

@@ -57,17 +57,6 @@ pub enum Chips {
     Apart,
 }
 
-impl Chips {
-    /// The chip of each of this many cores.
-    #[must_use]
-    pub fn of_cores(self, cores: usize, target: &Target) -> IdVec<CoreId, u32> {
-        match self {
-            Chips::Row => row_of_chips(cores, target),
-            Chips::Apart => (0..cores as u32).collect(),
-        }
-    }
-}
-
 /// Compartments of one population to be kept together, in this order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
@@ -90,7 +79,6 @@ pub enum Indices {
 
 impl Indices {
     /// How many.
-    #[must_use]
     pub fn len(&self) -> u32 {
         match self {
             Indices::All(count) => *count,
@@ -99,7 +87,6 @@ impl Indices {
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -132,7 +119,6 @@ fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
 }
 
 /// Every population a segment, in the order of the model file.
-#[must_use]
 pub fn file_order(network: &Quantised) -> Vec<Segment> {
     let of = |(population, p): (PopulationId, &nsim_ir::quantised::Population)| {
         p.first_compartment().map(|_| Segment { population, indices: Indices::All(p.shape.len()) })
@@ -174,33 +160,8 @@ pub struct Found {
     pub usage: Option<IdVec<CoreId, CoreUsage>>,
 }
 
-/// Cores that were filled, and what each of them uses; none once it is not known of one.
-struct Filled {
-    members: Vec<Vec<CompartmentId>>,
-    usage: Option<Vec<CoreUsage>>,
-}
-
-impl Filled {
-    fn nothing() -> Self {
-        Filled { members: Vec::new(), usage: Some(Vec::new()) }
-    }
-
-    fn push(&mut self, held: Vec<CompartmentId>, used: Option<CoreUsage>) {
-        self.members.push(held);
-        match (&mut self.usage, used) {
-            (Some(usage), Some(used)) => usage.push(used),
-            _ => self.usage = None,
-        }
-    }
-
-    fn append(&mut self, other: Filled) {
-        self.members.extend(other.members);
-        match (&mut self.usage, other.usage) {
-            (Some(usage), Some(more)) => usage.extend(more),
-            _ => self.usage = None,
-        }
-    }
-}
+/// What a core that was filled holds, and what that uses, where it is known.
+type Filled = (Vec<CompartmentId>, Option<CoreUsage>);
 
 /// What compartments are expected to send ([`FanOut`]).
 #[derive(Debug)]
@@ -242,7 +203,6 @@ pub struct Filler<'a> {
 
 impl<'a> Filler<'a> {
     /// A filler.
-    #[must_use]
     pub fn new(network: &'a Quantised, target: &'a Target) -> Self {
         Filler { network, target, fan_in: FanIn::new(network), known: Mutex::default() }
     }
@@ -260,7 +220,7 @@ impl<'a> Filler<'a> {
         let (whole, full) = rayon::join(whole, || self.first_filling(order, false));
         let whole = whole?;
         // Settling takes more cores, if any.
-        let full = full.ok().filter(|(_, full)| full.members.len() < whole.members.len());
+        let full = full.ok().filter(|(_, full)| full.len() < whole.members.len());
         match full.map(|full| self.settled(order, chips, false, full)) {
             Some(Ok(full)) if full.members.len() < whole.members.len() => Ok(full),
             _ => Ok(whole),
@@ -268,7 +228,7 @@ impl<'a> Filler<'a> {
     }
 
     /// Fills once, with what large networks are expected to send.
-    fn first_filling(&self, order: &[Segment], keep_whole: bool) -> Result<(Estimate, Filled), CompileError> {
+    fn first_filling(&self, order: &[Segment], keep_whole: bool) -> Result<(Estimate, Vec<Filled>), CompileError> {
         let estimate = match parts(order).is_some() {
             true => Estimate::expected(self.network, self.target),
             false => Estimate::nothing(self.network),
@@ -292,16 +252,19 @@ impl<'a> Filler<'a> {
     /// # Errors
     /// As [`Filler::fewest_cores`].
     pub fn once(&self, order: &[Segment], keep_whole: bool) -> Result<Members, CompileError> {
-        Ok(self.fill(order, &Estimate::nothing(self.network), keep_whole)?.members.into())
+        let filled = self.fill(order, &Estimate::nothing(self.network), keep_whole)?;
+        Ok(filled.into_iter().map(|(held, _)| held).collect())
     }
 
     /// The fan-out of these members on such chips; and what each core uses but for output axons,
     /// where that had to be counted exactly to know which of them are shared.
-    #[must_use]
     pub fn fan_out(&self, members: &Members, chips: Chips) -> (FanOut, Option<IdVec<CoreId, CoreUsage>>) {
         let (network, limits) = (self.network, self.target.limits());
         let core_of = cores_of(network.compartments(), members);
-        let chips = chips.of_cores(members.len(), self.target);
+        let chips = match chips {
+            Chips::Row => row_of_chips(members.len(), self.target),
+            Chips::Apart => (0..members.len() as u32).collect(),
+        };
         let places = Places::for_network(network, limits);
         let seats = || seats(network.compartments(), members).ok();
         let counted = if by_position(&places, limits) { seats() } else { None };
@@ -343,11 +306,11 @@ impl<'a> Filler<'a> {
         order: &[Segment],
         chips: Chips,
         keep_whole: bool,
-        (mut estimate, mut filled): (Estimate, Filled),
+        (mut estimate, mut filled): (Estimate, Vec<Filled>),
     ) -> Result<Found, CompileError> {
         let limits = self.target.limits();
         for round in 0.. {
-            let Filled { members, usage } = filled;
+            let (members, usage): (Vec<_>, Vec<_>) = filled.into_iter().unzip();
             let members: Members = members.into();
             let (fan_out, counted) = self.fan_out(&members, chips);
             let mut misfits = Misfits::default();
@@ -372,7 +335,8 @@ impl<'a> Filler<'a> {
                 return Err(misfits.reasons(self.network));
             }
             if !again {
-                return Ok(Found { members, fan_out: Some(fan_out), usage: counted.or(usage.map(IdVec::from)) });
+                let usage = counted.or_else(|| usage.into_iter().collect());
+                return Ok(Found { members, fan_out: Some(fan_out), usage });
             }
             self.raise(&mut estimate.slots, &fan_out, round);
             estimate.together = fan_out.together;
@@ -405,21 +369,21 @@ impl<'a> Filler<'a> {
     }
 
     /// Fills cores in order, with these estimates of output axon slots.
-    fn fill(&self, order: &[Segment], estimate: &Estimate, keep_whole: bool) -> Result<Filled, CompileError> {
+    fn fill(&self, order: &[Segment], estimate: &Estimate, keep_whole: bool) -> Result<Vec<Filled>, CompileError> {
         let limits = self.target.limits();
         let filling = || Filling::new(self.network, &self.fan_in, limits);
         let (filled, misfits) = match parts(order) {
             None => self.fill_part(&mut filling(), order, estimate, keep_whole),
             Some(parts) => {
-                let of_parts: Vec<(Filled, Misfits)> = parts
+                let of_parts: Vec<(Vec<Filled>, Misfits)> = parts
                     .par_iter()
                     .map_init(filling, |filling, part| {
                         self.fill_part(filling, std::slice::from_ref(part), estimate, keep_whole)
                     })
                     .collect();
-                let (mut filled, mut misfits) = (Filled::nothing(), Misfits::default());
+                let (mut filled, mut misfits) = (Vec::new(), Misfits::default());
                 for (part, of_part) in of_parts {
-                    filled.append(part);
+                    filled.extend(part);
                     of_part.0.into_iter().for_each(|((population, capacity), (need, limit))| {
                         misfits.note(population, (capacity, need, limit));
                     });
@@ -437,10 +401,9 @@ impl<'a> Filler<'a> {
         order: &[Segment],
         estimate: &Estimate,
         keep_whole: bool,
-    ) -> (Filled, Misfits) {
+    ) -> (Vec<Filled>, Misfits) {
         filling.next_core();
-        let mut filled = Filled::nothing();
-        let mut misfits = Misfits::default();
+        let (mut filled, mut misfits) = (Vec::new(), Misfits::default());
         for Segment { population, indices } in order {
             let population = *population;
             let Units::Compartments { first, neurons, .. } = &self.network.populations()[population].units else {
@@ -462,7 +425,7 @@ impl<'a> Filler<'a> {
                 let mut held = filling.next_core();
                 held.truncate(before);
                 if !held.is_empty() {
-                    filled.push(held, None);
+                    filled.push((held, None));
                     if filling.add_whole((0..size).map(newcomer)).is_ok() {
                         continue;
                     }
@@ -489,15 +452,15 @@ impl<'a> Filler<'a> {
                     } else {
                         filling.next_core();
                     }
-                    filled.push(held, None);
+                    filled.push((held, None));
                 } else {
-                    filled.push(held, used_by_held);
+                    filled.push((held, used_by_held));
                 }
             }
         }
         if !filling.is_empty() {
             let used = filling.used();
-            filled.push(filling.next_core(), used);
+            filled.push((filling.next_core(), used));
         }
         (filled, misfits)
     }

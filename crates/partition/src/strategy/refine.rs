@@ -18,6 +18,8 @@ use crate::options::is_over;
 use crate::strategy::hyper::{Groups, State};
 use nsim_ir::base::rng;
 
+/// Passes over all groups.
+const PASSES: usize = 3;
 /// Moves without a new best after which a pass ends.
 const PATIENCE: usize = 400;
 /// Groups of the other core that are considered for a swap.
@@ -29,18 +31,6 @@ const SEED: u64 = 0x5eed;
 
 /// Groups from one look at the clock to the next.
 const LOOKS: u32 = 64;
-
-/// How much is tried.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Effort {
-    /// Passes over all groups.
-    pub passes: usize,
-    /// Gains that may be computed in all passes together, as a measure of time that is the same
-    /// everywhere.
-    pub work: u64,
-    /// When to end in any case.
-    pub end: Option<Instant>,
-}
 
 /// Scores of cores, cleared by touching only what was set.
 #[derive(Debug)]
@@ -79,20 +69,19 @@ impl Scores {
     }
 }
 
-/// Refines a state by moving groups; returns what is left of the work.
-pub fn refine(state: &mut State, groups: &Groups, effort: Effort) -> u64 {
-    let mut work = effort.work;
-    for _ in 0..effort.passes {
+/// Refines a state by moving groups, until `end` at most. `work` is the number of gains that may be
+/// computed in all passes together, as a measure of time that is the same everywhere.
+pub fn refine(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>) {
+    for _ in 0..PASSES {
         let before = state.cost();
-        if work == 0 || groups.is_empty() || state.cores() < 2 {
+        if *work == 0 || groups.is_empty() || state.cores() < 2 {
             break;
         }
-        pass(state, groups, &mut work, effort.end);
+        pass(state, groups, work, end);
         if state.cost() >= before {
             break;
         }
     }
-    work
 }
 
 /// A move that was made.
@@ -158,10 +147,8 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
             (best, kept) = (sum, made.len());
         }
     }
-    while made.len() > kept {
-        if let Some((group, from, to)) = made.pop() {
-            state.apply(groups, group, to, from);
-        }
+    for (group, from, to) in made.drain(kept..).rev() {
+        state.apply(groups, group, to, from);
     }
 }
 
@@ -231,11 +218,8 @@ fn swap(
         }
         fits
     });
-    match fits {
-        Some((gain, partner)) => Some((partner, gain)),
-        None => {
-            state.apply(groups, group, to, from);
-            None
-        }
+    if fits.is_none() {
+        state.apply(groups, group, to, from);
     }
+    fits.map(|(gain, partner)| (partner, gain))
 }

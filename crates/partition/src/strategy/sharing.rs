@@ -13,16 +13,18 @@
 //! within the effort. Where that leaves few candidates, or synapses are drawn evenly and a pool is
 //! a small part of the network, nothing is gathered.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
-use crate::resources::fan_out::{ALONE, slots_of_core};
+use crate::resources::fan_out::slots_of_core;
 use crate::resources::incremental::{Filling, Newcomer};
 use crate::strategy::members::Members;
 use crate::strategy::order::{Chips, Filler, Found};
 use nsim_ir::base::csr::Csr;
-use nsim_ir::base::id::{CompartmentId, Id, PopulationId};
+use nsim_ir::base::id::{CompartmentId, Id};
+use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::Resource;
 
 /// Compartments of a pool.
@@ -42,16 +44,7 @@ const FREE: u64 = 100;
 /// Times that compartments are taken from cores that send too much.
 const TRIMS: usize = 6;
 
-/// A compartment as gathering sees it.
-#[derive(Debug, Clone, Copy)]
-struct Unit {
-    population: PopulationId,
-    index: u32,
-    first: u32,
-}
-
 /// Whether every synapse is listed, so that sources differ in what they reach.
-#[must_use]
 pub fn is_listed(network: &Quantised) -> bool {
     let listed =
         |connectivity: &Connectivity| matches!(connectivity, Connectivity::Sparse { .. } | Connectivity::Random { .. });
@@ -79,10 +72,8 @@ fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
 /// Compartments on cores, gathered by shared sources; `sequential` is the order of the file on such
 /// chips. `None` where a core cannot be held within every limit, and where gathering within this
 /// work would gain little.
-#[must_use]
 pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_uniform: bool, work: u64) -> Option<Found> {
     let pool = pool_size(filler.network, is_uniform, work)?;
-    let units: Vec<Unit> = units(filler.network);
     let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
     let mut estimate = match &sequential.fan_out {
         Some(fan_out) => fan_out.slots.clone(),
@@ -90,8 +81,8 @@ pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_unifor
     };
     let mut best: Option<Found> = None;
     for round in 0..ROUNDS {
-        let members = once(filler, &units, pool, &estimate)?;
-        let Some(found) = within_axons(filler, &units, members, chips) else { break };
+        let members = once(filler, pool, &estimate)?;
+        let Some(found) = within_axons(filler, members, chips) else { break };
         let fan_out = found.fan_out.as_ref()?;
         let full = found.members.iter().map(|held| slots_of_core(held, fan_out)).max().unwrap_or(0);
         estimate = fan_out.slots.iter().map(|&slots| slots + slots.div_ceil(FREE as u32)).collect();
@@ -106,20 +97,9 @@ pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_unifor
     best
 }
 
-/// The compartments in the order of the file.
-fn units(network: &Quantised) -> Vec<Unit> {
-    let mut units = Vec::with_capacity(network.compartments() as usize);
-    for (population, description) in network.populations().enumerate() {
-        if let Some(first) = description.first_compartment() {
-            units.extend((0..description.shape.len()).map(|index| Unit { population, index, first: first.0 }));
-        }
-    }
-    units
-}
-
 /// Members once each core has been trimmed to the output axons that it has, and what was taken off
 /// is on further cores.
-fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips: Chips) -> Option<Found> {
+fn within_axons(filler: &Filler<'_>, mut members: Members, chips: Chips) -> Option<Found> {
     let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
     for _ in 0..TRIMS {
         let (fan_out, _) = filler.fan_out(&members, chips);
@@ -146,7 +126,7 @@ fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips
             });
         }
         spare.sort_unstable();
-        for held in filled(filler, units, &spare, &fan_out.slots)? {
+        for held in filled(filler, &spare, &fan_out.slots)? {
             members.push(held);
         }
     }
@@ -154,14 +134,15 @@ fn within_axons(filler: &Filler<'_>, units: &[Unit], mut members: Members, chips
 }
 
 /// Gathers every pool, then what the last core of each holds.
-fn once(filler: &Filler<'_>, units: &[Unit], pool: u32, estimate: &[u32]) -> Option<Members> {
-    let pools: Vec<&[Unit]> = units.chunks(pool as usize).collect();
+fn once(filler: &Filler<'_>, pool: u32, estimate: &[u32]) -> Option<Members> {
+    let all = filler.network.compartments();
+    let pools: Vec<Range<u32>> = (0..all).step_by(pool as usize).map(|first| first..(first + pool).min(all)).collect();
     let alone = pools.len() == 1;
     let found: Vec<Option<Vec<Vec<CompartmentId>>>> = pools
         .into_par_iter()
         .map_init(
             || Filling::new(filler.network, &filler.fan_in, filler.target.limits()),
-            |filling, pool| pool_of(filler, filling, pool, estimate),
+            |filling, pool| pool_of(filler, filling, &pool, estimate),
         )
         .collect();
     let (mut members, mut rest) = (Vec::new(), Vec::new());
@@ -172,30 +153,20 @@ fn once(filler: &Filler<'_>, units: &[Unit], pool: u32, estimate: &[u32]) -> Opt
         }
         members.extend(pool);
     }
-    members.extend(filled(filler, units, &rest, estimate)?);
+    members.extend(filled(filler, &rest, estimate)?);
     Some(members.into())
 }
 
-fn newcomer(filler: &Filler<'_>, unit: Unit, estimate: &[u32]) -> Option<Newcomer> {
-    let Unit { population, index, first } = unit;
-    let Units::Compartments { neurons, .. } = &filler.network.populations()[population].units else { return None };
-    let id = CompartmentId(first + index);
-    Some(Newcomer {
-        id,
-        population,
-        index,
-        neuron: neurons.get(index),
-        slots_out: estimate[id.index()],
-        together: ALONE,
-    })
+fn newcomer(filler: &Filler<'_>, id: CompartmentId, estimate: &[u32]) -> Option<Newcomer> {
+    Some(Newcomer { slots_out: estimate[id.index()], ..Newcomer::new(filler.network, id)? })
 }
 
 /// Cores filled with these compartments in this order.
-fn filled(filler: &Filler<'_>, units: &[Unit], ids: &[u32], estimate: &[u32]) -> Option<Vec<Vec<CompartmentId>>> {
+fn filled(filler: &Filler<'_>, ids: &[u32], estimate: &[u32]) -> Option<Vec<Vec<CompartmentId>>> {
     let mut filling = Filling::new(filler.network, &filler.fan_in, filler.target.limits());
     let mut members = Vec::new();
     for &id in ids {
-        let newcomer = newcomer(filler, units[id as usize], estimate)?;
+        let newcomer = newcomer(filler, CompartmentId(id), estimate)?;
         if filling.add(&newcomer).is_err() {
             members.push(filling.next_core());
             filling.add(&newcomer).ok()?;
@@ -210,18 +181,19 @@ fn filled(filler: &Filler<'_>, units: &[Unit], ids: &[u32], estimate: &[u32]) ->
 fn pool_of(
     filler: &Filler<'_>,
     filling: &mut Filling<'_>,
-    pool: &[Unit],
+    pool: &Range<u32>,
     estimate: &[u32],
 ) -> Option<Vec<Vec<CompartmentId>>> {
     filling.next_core();
     let sources = (filler.network.channels() + filler.network.compartments()) as usize;
-    let sources_of = |unit: Unit, f: &mut dyn FnMut(u32)| {
-        filler.fan_in.for_each_into(unit.population, unit.index, |source, _, _, _| f(source));
+    let sources_of = |id: CompartmentId, f: &mut dyn FnMut(u32)| {
+        let (population, index) = filler.network.population_of(id);
+        filler.fan_in.for_each_into(population, index, |source, _, _, _| f(source));
     };
     // The compartments of the pool that each source reaches.
     let reached: Csr<u16> = Csr::by_row(sources, |put| {
-        for (at, &unit) in pool.iter().enumerate() {
-            sources_of(unit, &mut |source| put(source as usize, at as u16));
+        for (at, id) in pool.clone().enumerate() {
+            sources_of(CompartmentId(id), &mut |source| put(source as usize, at as u16));
         }
     });
     // One more than the sources shared with the core that is being filled; 0 once a compartment is
@@ -232,18 +204,16 @@ fn pool_of(
     for _ in 0..pool.len() {
         let mut at = if filling.is_empty() { None } else { most_shared(&shared) };
         loop {
-            let taken = match at {
-                Some(taken) => taken,
-                None => {
-                    while shared[next] == 0 {
-                        next += 1;
-                    }
-                    next
+            let taken = at.unwrap_or_else(|| {
+                while shared[next] == 0 {
+                    next += 1;
                 }
-            };
-            if filling.add(&newcomer(filler, pool[taken], estimate)?).is_ok() {
+                next
+            });
+            let id = CompartmentId(pool.start + taken as u32);
+            if filling.add(&newcomer(filler, id, estimate)?).is_ok() {
                 shared[taken] = 0;
-                sources_of(pool[taken], &mut |source| {
+                sources_of(id, &mut |source| {
                     if std::mem::replace(&mut core_of_source[source as usize], core) != core {
                         for &other in reached.get(source as usize) {
                             let count = &mut shared[usize::from(other)];

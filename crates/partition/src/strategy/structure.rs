@@ -27,7 +27,6 @@ const SEED: u64 = 0x57ac;
 
 /// Whether targets of targets coincide as often as those of evenly drawn synapses do; `false` when
 /// compartments reach too few for that to be told.
-#[must_use]
 pub fn is_uniform(network: &Quantised) -> bool {
     let n = u64::from(network.compartments());
     let (mut seen, mut pairs, mut coincide, mut by_chance) = (HashSet::new(), 0u64, 0u64, 0.0);

@@ -46,7 +46,6 @@ const OF_FEWER_WORDS: usize = 64;
 const TRIALS_OF_FEWER_WORDS: usize = 4;
 
 /// Whether a population is one that is cut into tiles.
-#[must_use]
 pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
     let mut into = network.incoming(population).map(|(_, p)| p).peekable();
     network.populations()[population].shape.volume().is_some()
@@ -56,7 +55,6 @@ pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
 
 /// By population, the compartments that a core may hold: as many as its limits say, or fewer where
 /// their synapses are to be no more than this many.
-#[must_use]
 pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Option<u64>) -> IdVec<PopulationId, u32> {
     let held = limits[Resource::Compartments].min(MOST_SLOTS);
     // The synapses of a compartment whose windows are whole.
@@ -120,7 +118,6 @@ pub struct Grid {
 type Along = (u32, u32, Vec<(u64, u64)>);
 
 /// Grids that may fit a core of this many compartments, the best first.
-#[must_use]
 pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Vec<Grid> {
     let (c, h, w) = layer.shape;
     let along = |length: u32, axis: fn(&Window) -> WindowAxis| -> Vec<Along> {
@@ -193,7 +190,6 @@ pub enum Rank {
 
 /// The tiles of a population as segments, each fit for a core with at most this many compartments;
 /// `None` when no such grid was found.
-#[must_use]
 pub fn tiles(
     network: &Quantised,
     population: PopulationId,
@@ -287,7 +283,6 @@ pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) 
 }
 
 /// Indices of one tile, in slot order.
-#[must_use]
 pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), by_channel: bool) -> Vec<u32> {
     let (c, y, x) = (part(shape.0, size.0, at.0), part(shape.1, size.1, at.1), part(shape.2, size.2, at.2));
     let index = |c: u32, y: u32, x: u32| (c * shape.1 + y) * shape.2 + x;
@@ -326,24 +321,6 @@ fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn tiles_hold_every_compartment_once() {
-        for (shape, size) in [((3, 5, 7), (3, 2, 3)), ((4, 4, 4), (1, 4, 4)), ((5, 6, 7), (2, 6, 4))] {
-            for by_channel in [false, true] {
-                let segments = segments(PopulationId(0), shape, size, by_channel);
-                let mut all: Vec<u32> = segments
-                    .into_iter()
-                    .flat_map(|segment| match segment.indices {
-                        Indices::Tile(indices) => indices,
-                        _ => panic!("tiles are tiles"),
-                    })
-                    .collect();
-                all.sort_unstable();
-                assert_eq!(all, (0..shape.0 * shape.1 * shape.2).collect::<Vec<_>>());
-            }
-        }
-    }
 
     #[test]
     fn a_part_of_an_axis_sees_what_its_windows_cover() {

@@ -22,7 +22,6 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
 use nsim_ir::quantised::{Neuron, Quantised, Units};
 
 /// Which compartments can fire, when these channels do not.
-#[must_use]
 pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<CompartmentId, bool> {
     let parts = network.parts();
     let count = network.compartments() as usize;

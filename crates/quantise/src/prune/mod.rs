@@ -42,7 +42,7 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
 use nsim_ir::graph::Shape;
 use nsim_ir::pruned::{Kind, Row};
 use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::quantised::{Inconsistent, Parts, Population, Projection, Pruned, Quantised, SpikeSource, Units};
+use nsim_ir::quantised::{Inconsistent, Parts, Population, Projection, Pruned, Quantised, Units};
 use nsim_ir::spikes::{Sample, Stimulus};
 
 /// Channels that a stimulus never fires.
@@ -65,13 +65,11 @@ pub struct Plan {
 
 impl Plan {
     /// For every stimulus.
-    #[must_use]
     pub fn fixed() -> Plan {
         Plan::default()
     }
 
     /// For the channels that a stimulus fires in any of its samples.
-    #[must_use]
     pub fn for_stimulus(network: &Quantised, stimulus: &Stimulus) -> Plan {
         let mut fired: IdVec<ChannelId, bool> = vec![false; network.channels() as usize].into();
         for sample in &stimulus.samples {
@@ -103,17 +101,13 @@ pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent
     }
     let mut dead: IdVec<ChannelId, bool> = vec![false; network.channels() as usize].into();
     for &channel in plan.scene.iter().flat_map(|scene| &scene.dead) {
-        match dead.as_mut_slice().get_mut(channel.index()) {
-            Some(dead) => *dead = true,
-            None => return Err(Inconsistent(format!("there is no channel {channel} to prune"))),
-        }
+        let missing = || Inconsistent(format!("there is no channel {channel} to prune"));
+        *dead.as_mut_slice().get_mut(channel.index()).ok_or_else(missing)? = true;
     }
     let mut whole: IdVec<PopulationId, bool> = vec![false; network.populations().len()].into();
     for &id in plan.probed.iter().chain([&network.parts().output]) {
-        match whole.as_mut_slice().get_mut(id.index()) {
-            Some(whole) => *whole = true,
-            None => return Err(Inconsistent(format!("there is no population {id} to probe"))),
-        }
+        let missing = || Inconsistent(format!("there is no population {id} to probe"));
+        *whole.as_mut_slice().get_mut(id.index()).ok_or_else(missing)? = true;
     }
     let fires = bound::may_fire(network, &dead);
     let reaches = reaches(network, &fires, &whole);
@@ -281,14 +275,6 @@ impl Survey {
         }
         Survey { dead, fires, place }
     }
-
-    /// Whether the spikes of a source can change anything.
-    fn matters(&self, source: SpikeSource) -> bool {
-        match source {
-            SpikeSource::Channel(channel) => !self.dead[channel],
-            SpikeSource::Compartment(id) => self.fires[id] && self.place[id].is_some(),
-        }
-    }
 }
 
 /// What is left, and the old indices of populations that lost compartments.
@@ -333,14 +319,19 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
 fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally: &mut Tally) -> Option<Connectivity> {
     let (source, target) = (&network.populations()[projection.source], &network.populations()[projection.target]);
     let to = target.first_compartment()?;
-    let source_at = |index: u32| match &source.units {
-        Units::Input(first) => SpikeSource::Channel(ChannelId(first.0 + index)),
-        Units::Compartments { first, .. } => SpikeSource::Compartment(CompartmentId(first.0 + index)),
+    let stays = |index: u32| match &source.units {
+        Units::Input(_) => true,
+        Units::Compartments { first, .. } => survey.place[CompartmentId(first.0 + index)].is_some(),
+    };
+    // Whether the spikes of a source can change anything.
+    let matters = |index: u32| match &source.units {
+        Units::Input(first) => !survey.dead[ChannelId(first.0 + index)],
+        Units::Compartments { first, .. } => survey.fires[CompartmentId(first.0 + index)] && stays(index),
     };
     let place = |index: u32| survey.place[CompartmentId(to.0 + index)];
     let (mut zero, mut loose, mut left) = (0, 0, 0u64);
     for index in 0..source.shape.len() {
-        let matters = survey.matters(source_at(index));
+        let matters = matters(index);
         projection.connectivity.for_each_from(index, |target, weight| match scaled(projection.format, weight) {
             0 => zero += 1,
             _ if matters && place(target).is_some() => left += 1,
@@ -352,10 +343,6 @@ fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally:
     if left == 0 {
         return None;
     }
-    let stays = |index: u32| match source_at(index) {
-        SpikeSource::Channel(_) => true,
-        SpikeSource::Compartment(id) => survey.place[id].is_some(),
-    };
     let complete = (0..source.shape.len()).all(stays) && (0..target.shape.len()).all(|index| place(index).is_some());
     if zero + loose == 0 && complete {
         return Some(projection.connectivity.clone());
@@ -364,7 +351,7 @@ fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally:
         (vec![0u64], Vec::with_capacity(left as usize), Vec::with_capacity(left as usize));
     let mut row: Vec<(u32, i16)> = Vec::new();
     for index in (0..source.shape.len()).filter(|&index| stays(index)) {
-        if survey.matters(source_at(index)) {
+        if matters(index) {
             projection.connectivity.for_each_from(index, |target, weight| {
                 if let Some(target) = place(target).filter(|_| scaled(projection.format, weight) != 0) {
                     row.push((target, weight));

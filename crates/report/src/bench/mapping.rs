@@ -8,15 +8,6 @@ use nsim_energy::environment::Environment;
 use nsim_files::table::{Column, csv, or_empty, table_of, three, wrapped};
 use nsim_study::mapping::MeasuredMapping;
 
-/// Everything that the report says.
-#[derive(Debug)]
-pub struct MapReport<'a> {
-    /// Where it was measured.
-    pub environment: &'a Environment,
-    /// The rows, network by network.
-    pub rows: &'a [MeasuredMapping],
-}
-
 /// What is said of a mapping, in JSON and CSV.
 const KEYS: &str = "network,strategy,placed,objective,cores,chips,cut_spikes,hops,hops_multicast,mean_link_load,\
                     max_link_load,simulated,energy_uj,step_us,seconds,peak_mib";
@@ -30,93 +21,91 @@ fn of_step(value: f64, simulated: bool) -> String {
     format!("{}{}", if simulated { "" } else { "~" }, three(value))
 }
 
-impl MapReport<'_> {
-    /// The placed mappings of a strategy and an objective against unplaced sequential ones:
-    /// networks whose spikes cross a link at all when placed sequentially, the geometric mean of
-    /// multicast hops over those of sequential, and networks in which hops, or cores, are more.
-    fn against_sequential(&self, strategy: Strategy, objective: Objective) -> (usize, f64, usize) {
-        let (mut sum, mut networks, mut worse) = (0.0, 0, 0);
-        let plain = self.rows.iter().filter(|row| row.strategy == Strategy::Sequential && !row.placed);
-        for before in plain {
-            let of = |row: &&MeasuredMapping| {
-                row.network == before.network && row.strategy == strategy && row.objective == objective && row.placed
-            };
-            let Some(after) = self.rows.iter().find(of) else { continue };
-            let (a, b) = (after.traffic.hops_multicast_per_step, before.traffic.hops_multicast_per_step);
-            worse += usize::from(a > b || (objective == Objective::Cores && after.cores > before.cores));
-            if b > 0.0 {
-                sum += (a / b).max(LEAST_RATIO).ln();
-                networks += 1;
-            }
-        }
-        (networks, (sum / networks.max(1) as f64).exp(), worse)
-    }
-
-    /// `nsim.bench/1`.
-    pub fn json(&self) -> Value {
-        let row = |row: &MeasuredMapping| {
-            json!({
-                "network": row.network,
-                "strategy": row.strategy.name(),
-                "placed": row.placed,
-                "objective": row.objective.name(),
-                "cores": row.cores,
-                "chips": row.chips,
-                "cut_spikes": rounded(row.traffic.cut_spikes_per_step),
-                "hops": rounded(row.traffic.hops_per_step),
-                "hops_multicast": rounded(row.traffic.hops_multicast_per_step),
-                "mean_link_load": rounded(row.traffic.mean_link_load),
-                "max_link_load": rounded(row.traffic.max_link_load),
-                "simulated": row.simulated,
-                "energy_uj": rounded(row.energy_uj),
-                "step_us": rounded(row.step_us),
-                "seconds": rounded(row.seconds),
-                "peak_mib": row.peak_mib.map(rounded),
-            })
+/// The placed mappings of a strategy and an objective against unplaced sequential ones: networks
+/// whose spikes cross a link at all when placed sequentially, the geometric mean of multicast hops
+/// over those of sequential, and networks in which hops, or cores, are more.
+fn against_sequential(rows: &[MeasuredMapping], strategy: Strategy, objective: Objective) -> (usize, f64, usize) {
+    let (mut sum, mut networks, mut worse) = (0.0, 0, 0);
+    let plain = rows.iter().filter(|row| row.strategy == Strategy::Sequential && !row.placed);
+    for before in plain {
+        let of = |row: &&MeasuredMapping| {
+            row.network == before.network && row.strategy == strategy && row.objective == objective && row.placed
         };
-        json!({
-            "schema": "nsim.bench/1",
-            "name": "map",
-            "environment": self.environment,
-            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
-        })
-    }
-
-    /// A row each.
-    pub fn csv(&self) -> String {
-        csv(self.json()["rows"].as_array().into_iter().flatten(), KEYS)
-    }
-
-    /// For people.
-    pub fn text(&self) -> String {
-        let columns: [Column<MeasuredMapping>; 14] = [
-            ("network", |row| row.network.to_string()),
-            ("strategy", |row| row.strategy.name().to_string()),
-            ("placed", |row| if row.placed { "yes" } else { "no" }.to_string()),
-            ("for", |row| row.objective.name().to_string()),
-            ("cores", |row| row.cores.to_string()),
-            ("chips", |row| row.chips.to_string()),
-            ("spikes cut", |row| three(row.traffic.cut_spikes_per_step)),
-            ("hops", |row| three(row.traffic.hops_per_step)),
-            ("multicast", |row| three(row.traffic.hops_multicast_per_step)),
-            ("busiest link", |row| three(row.traffic.max_link_load)),
-            ("uJ a step", |row| of_step(row.energy_uj, row.simulated)),
-            ("us a step", |row| of_step(row.step_us, row.simulated)),
-            ("s", |row| three(row.seconds)),
-            ("MiB", |row| or_empty(row.peak_mib.map(|mib| format!("{mib:.0}")))),
-        ];
-        let table = table_of(self.rows, &columns);
-        let mut text = format!("{}\n{table}\n", wrapped(&self.environment.to_string()));
-        for strategy in [Strategy::Greedy, Strategy::Multilevel] {
-            let (networks, hops_multicast, worse) = self.against_sequential(strategy, Objective::Cores);
-            let name = strategy.name();
-            text += &wrapped(&format!(
-                "{name}, placed: {hops_multicast:.2} of the multicast hops of unplaced sequential (geometric mean of \
-                 {networks} networks); more hops or cores on {worse}"
-            ));
+        let Some(after) = rows.iter().find(of) else { continue };
+        let (a, b) = (after.traffic.hops_multicast_per_step, before.traffic.hops_multicast_per_step);
+        worse += usize::from(a > b || (objective == Objective::Cores && after.cores > before.cores));
+        if b > 0.0 {
+            sum += (a / b).max(LEAST_RATIO).ln();
+            networks += 1;
         }
-        text
     }
+    (networks, (sum / networks.max(1) as f64).exp(), worse)
+}
+
+/// `nsim.bench/1`.
+pub fn json(environment: &Environment, rows: &[MeasuredMapping]) -> Value {
+    let row = |row: &MeasuredMapping| {
+        json!({
+            "network": row.network,
+            "strategy": row.strategy.name(),
+            "placed": row.placed,
+            "objective": row.objective.name(),
+            "cores": row.cores,
+            "chips": row.chips,
+            "cut_spikes": rounded(row.traffic.cut_spikes_per_step),
+            "hops": rounded(row.traffic.hops_per_step),
+            "hops_multicast": rounded(row.traffic.hops_multicast_per_step),
+            "mean_link_load": rounded(row.traffic.mean_link_load),
+            "max_link_load": rounded(row.traffic.max_link_load),
+            "simulated": row.simulated,
+            "energy_uj": rounded(row.energy_uj),
+            "step_us": rounded(row.step_us),
+            "seconds": rounded(row.seconds),
+            "peak_mib": row.peak_mib.map(rounded),
+        })
+    };
+    json!({
+        "schema": "nsim.bench/1",
+        "name": "map",
+        "environment": environment,
+        "rows": rows.iter().map(row).collect::<Vec<_>>(),
+    })
+}
+
+/// A row each.
+pub fn csv_of(json: &Value) -> String {
+    csv(json["rows"].as_array().into_iter().flatten(), KEYS)
+}
+
+/// For people.
+pub fn text(environment: &Environment, rows: &[MeasuredMapping]) -> String {
+    let columns: [Column<MeasuredMapping>; 14] = [
+        ("network", |row| row.network.to_string()),
+        ("strategy", |row| row.strategy.name().to_string()),
+        ("placed", |row| if row.placed { "yes" } else { "no" }.to_string()),
+        ("for", |row| row.objective.name().to_string()),
+        ("cores", |row| row.cores.to_string()),
+        ("chips", |row| row.chips.to_string()),
+        ("spikes cut", |row| three(row.traffic.cut_spikes_per_step)),
+        ("hops", |row| three(row.traffic.hops_per_step)),
+        ("multicast", |row| three(row.traffic.hops_multicast_per_step)),
+        ("busiest link", |row| three(row.traffic.max_link_load)),
+        ("uJ a step", |row| of_step(row.energy_uj, row.simulated)),
+        ("us a step", |row| of_step(row.step_us, row.simulated)),
+        ("s", |row| three(row.seconds)),
+        ("MiB", |row| or_empty(row.peak_mib.map(|mib| format!("{mib:.0}")))),
+    ];
+    let table = table_of(rows, &columns);
+    let mut text = format!("{}\n{table}\n", wrapped(&environment.to_string()));
+    for strategy in [Strategy::Greedy, Strategy::Multilevel] {
+        let (networks, hops_multicast, worse) = against_sequential(rows, strategy, Objective::Cores);
+        let name = strategy.name();
+        text += &wrapped(&format!(
+            "{name}, placed: {hops_multicast:.2} of the multicast hops of unplaced sequential (geometric mean of \
+             {networks} networks); more hops or cores on {worse}"
+        ));
+    }
+    text
 }
 
 #[cfg(test)]
@@ -159,15 +148,11 @@ mod tests {
             row("c", Strategy::Sequential, false, 2, 5.0),
             row("c", Strategy::Multilevel, true, 3, 5.0),
         ];
-        let report = MapReport { environment: &Environment::here(), rows: &rows };
-        let found = report.against_sequential(Strategy::Multilevel, Objective::Cores);
+        let found = against_sequential(&rows, Strategy::Multilevel, Objective::Cores);
         assert_eq!((found.0, found.2), (2, 1));
         assert!((found.1 - 0.5).abs() < 1e-12);
-        let json = report.json();
-        for key in KEYS.split(',') {
-            assert!(json["rows"][0].get(key).is_some(), "{key}");
-        }
-        assert_eq!(report.csv().lines().count(), 7);
-        assert!(report.text().contains("0.50 of the multicast hops"));
+        let here = Environment::here();
+        assert_eq!(csv_of(&json(&here, &rows)).lines().count(), 7);
+        assert!(text(&here, &rows).contains("0.50 of the multicast hops"));
     }
 }

@@ -37,79 +37,68 @@ impl StepRow {
     }
 }
 
-/// Everything that the report says.
-#[derive(Debug)]
-pub struct StepReport<'a> {
-    /// Where it was measured.
-    pub environment: &'a Environment,
-    /// The rows, in the order of measurement.
-    pub rows: &'a [StepRow],
-}
-
 /// Digits that a timing is good for.
 pub(super) fn rounded(x: f64) -> f64 {
     format!("{x:.4e}").parse().unwrap_or(x)
 }
 
-impl StepReport<'_> {
-    /// `nsim.bench/1`.
-    pub fn json(&self) -> Value {
-        let row = |row: &StepRow| {
-            json!({
-                "network": row.network,
-                "threads": row.threads,
-                "ranks": row.ranks,
-                "skip": row.skip,
-                "us_per_timestep": rounded(row.measured.us_per_timestep),
-                "spread": rounded(row.measured.spread),
-                "synaptic_events_per_step": rounded(row.events()),
-                "bytes_per_synapse": rounded(row.bytes_per_synapse),
-                "sums_ms": rounded(row.sums_ms),
-                "fastest_us": rounded(row.measured.fastest),
-                "spikes_per_step": rounded(row.spikes()),
-                "repeats": row.measured.repeats,
-                "steps_per_repeat": row.measured.steps,
-            })
-        };
+/// `nsim.bench/1`.
+pub fn json(environment: &Environment, rows: &[StepRow]) -> Value {
+    let row = |row: &StepRow| {
         json!({
-            "schema": "nsim.bench/1",
-            "name": "step",
-            "environment": self.environment,
-            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+            "network": row.network,
+            "threads": row.threads,
+            "ranks": row.ranks,
+            "skip": row.skip,
+            "us_per_timestep": rounded(row.measured.us_per_timestep),
+            "spread": rounded(row.measured.spread),
+            "synaptic_events_per_step": rounded(row.events()),
+            "bytes_per_synapse": rounded(row.bytes_per_synapse),
+            "sums_ms": rounded(row.sums_ms),
+            "fastest_us": rounded(row.measured.fastest),
+            "spikes_per_step": rounded(row.spikes()),
+            "repeats": row.measured.repeats,
+            "steps_per_repeat": row.measured.steps,
         })
-    }
+    };
+    json!({
+        "schema": "nsim.bench/1",
+        "name": "step",
+        "environment": environment,
+        "rows": rows.iter().map(row).collect::<Vec<_>>(),
+    })
+}
 
-    /// A row each.
-    pub fn csv(&self) -> String {
-        let columns = "network,threads,skip,us_per_timestep,spread,synaptic_events_per_step,bytes_per_synapse";
-        csv(self.json()["rows"].as_array().into_iter().flatten(), columns)
-    }
+/// A row each.
+pub fn csv_of(json: &Value) -> String {
+    let columns = "network,threads,skip,us_per_timestep,spread,synaptic_events_per_step,bytes_per_synapse";
+    csv(json["rows"].as_array().into_iter().flatten(), columns)
+}
 
-    /// For people.
-    pub fn text(&self) -> String {
-        let ns_an_event = |row: &StepRow| match row.events() {
-            events if events > 0.0 => three(row.measured.us_per_timestep * 1e3 / events),
-            _ => String::new(),
-        };
-        let columns: [Column<StepRow>; 11] = [
-            ("network", |row| row.network.to_string()),
-            ("threads", |row| match row.ranks {
-                1 => row.threads.to_string(),
-                ranks => format!("{ranks} x {}", row.threads),
-            }),
-            ("skip", |row| if row.skip { "on" } else { "off" }.to_string()),
-            ("us a step", |row| three(row.measured.us_per_timestep)),
-            ("quartiles apart", |row| three(row.measured.spread)),
-            ("fastest", |row| three(row.measured.fastest)),
-            ("synaptic events", |row| format!("{:.0}", row.events())),
-            ("spikes", |row| format!("{:.1}", row.spikes())),
-            ("ns an event", ns_an_event),
-            ("bytes a synapse", |row| three(row.bytes_per_synapse)),
-            ("ms for sums", |row| three(row.sums_ms)),
-        ];
-        let table = table_of(self.rows, &columns);
-        format!("{}\n{table}", wrapped(&self.environment.to_string()))
-    }
+/// For people.
+pub fn text(environment: &Environment, rows: &[StepRow]) -> String {
+    let ns_an_event = |row: &StepRow| match row.events() {
+        events if events > 0.0 => three(row.measured.us_per_timestep * 1e3 / events),
+        _ => String::new(),
+    };
+    let columns: [Column<StepRow>; 11] = [
+        ("network", |row| row.network.to_string()),
+        ("threads", |row| match row.ranks {
+            1 => row.threads.to_string(),
+            ranks => format!("{ranks} x {}", row.threads),
+        }),
+        ("skip", |row| if row.skip { "on" } else { "off" }.to_string()),
+        ("us a step", |row| three(row.measured.us_per_timestep)),
+        ("quartiles apart", |row| three(row.measured.spread)),
+        ("fastest", |row| three(row.measured.fastest)),
+        ("synaptic events", |row| format!("{:.0}", row.events())),
+        ("spikes", |row| format!("{:.1}", row.spikes())),
+        ("ns an event", ns_an_event),
+        ("bytes a synapse", |row| three(row.bytes_per_synapse)),
+        ("ms for sums", |row| three(row.sums_ms)),
+    ];
+    let table = table_of(rows, &columns);
+    format!("{}\n{table}", wrapped(&environment.to_string()))
 }
 
 #[cfg(test)]
@@ -117,7 +106,8 @@ mod tests {
     use super::*;
     use nsim_ir::activity::Totals;
 
-    fn report(check: impl Fn(StepReport)) {
+    #[test]
+    fn every_form_has_a_line_for_each_row() {
         let totals = Totals { synaptic_events: 4_000, spikes: 10, ..Totals::default() };
         let measured = StepTiming { us_per_timestep: 1.25, fastest: 1.2, spread: 0.02, repeats: 5, steps: 2, totals };
         let row = |skip| StepRow {
@@ -129,36 +119,13 @@ mod tests {
             sums_ms: 0.1,
             ranks: 1,
         };
-        check(StepReport { environment: &Environment::here(), rows: &[row(true), row(false)] });
-    }
-
-    #[test]
-    fn json_has_the_keys_of_the_contract() {
-        report(|report| {
-            let json = report.json();
-            assert_eq!((&json["schema"], &json["name"]), (&json!("nsim.bench/1"), &json!("step")));
-            for key in ["cpu", "cores", "os", "rustc", "nsim"] {
-                assert!(!json["environment"][key].is_null(), "{key}");
-            }
-            let row = &json["rows"][0];
-            assert_eq!(
-                (&row["network"], &row["threads"], &row["skip"]),
-                (&json!("vtsnn-1pct"), &json!(1), &json!(true))
-            );
-            assert_eq!((&row["us_per_timestep"], &row["spread"]), (&json!(1.25), &json!(0.02)));
-            assert_eq!((&row["synaptic_events_per_step"], &row["bytes_per_synapse"]), (&json!(400.0), &json!(7.5)));
-            assert_eq!(json["rows"][1]["skip"], false);
-        });
-    }
-
-    #[test]
-    fn text_and_csv_have_a_line_for_each_row() {
-        report(|report| {
-            assert_eq!(report.csv().lines().nth(1), Some("vtsnn-1pct,1,true,1.25,0.02,400,7.5"));
-            // A table that is too wide goes on in another.
-            let (text, lines) =
-                (report.text(), |start: &str| report.text().lines().filter(|l| l.starts_with(start)).count());
-            assert!(lines("network") > 0 && lines("vtsnn-1pct") == 2 * lines("network"), "{text}");
-        });
+        let (rows, here) = ([row(true), row(false)], Environment::here());
+        let json = json(&here, &rows);
+        assert_eq!(csv_of(&json).lines().nth(1), Some("vtsnn-1pct,1,true,1.25,0.02,400,7.5"));
+        assert_eq!(json["rows"][1]["skip"], false);
+        // A table that is too wide goes on in another.
+        let text = text(&here, &rows);
+        let lines = |start: &str| text.lines().filter(|line| line.starts_with(start)).count();
+        assert!(lines("network") > 0 && lines("vtsnn-1pct") == 2 * lines("network"), "{text}");
     }
 }

@@ -249,7 +249,7 @@ impl Scale {
 /// Decades that have a tick each.
 const MOST_DECADES: usize = 40;
 
-/// First digits of the ends of a logarithmic axis.
+/// First digits of the ends of a logarithmic axis, and of the steps of a linear one.
 const ROUND_DIGITS: [f64; 3] = [1.0, 2.0, 5.0];
 
 /// The largest 1, 2 or 5 times a power of ten that is at most this.
@@ -269,17 +269,7 @@ fn round_above(number: f64) -> f64 {
 /// The round step next above this.
 fn step(rough: f64) -> f64 {
     let decade = 10f64.powf(rough.log10().floor());
-    let digit = rough / decade;
-    decade
-        * if digit > 5.0 {
-            10.0
-        } else if digit > 2.0 {
-            5.0
-        } else if digit > 1.0 {
-            2.0
-        } else {
-            1.0
-        }
+    ROUND_DIGITS.into_iter().find(|digit| rough / decade <= *digit).unwrap_or(10.0) * decade
 }
 
 fn number(n: f64) -> String {

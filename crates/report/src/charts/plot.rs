@@ -13,32 +13,17 @@ use nsim_files::table::three;
 
 const DASHES: [&str; 4] = ["", "7 3", "2 3", "9 3 2 3"];
 
-/// Numbers of a chart under one name.
+/// Numbers of a chart under one name, which is in the legend.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Series {
-    /// A line through points in order of x.
-    Line {
-        /// Its name in the legend.
-        name: String,
-        /// (x, y).
-        points: Vec<(f64, f64)>,
-    },
-    /// Single points with words beside them.
-    Points {
-        /// Their name in the legend.
-        name: String,
-        /// x, y, and the text.
-        points: Vec<(f64, f64, String)>,
-        /// Whether steps join them, as for a front; then the best x is first.
-        joined: bool,
-    },
-    /// Upright lines between two numbers.
-    Intervals {
-        /// Their name in the legend.
-        name: String,
-        /// x, low and high.
-        points: Vec<(f64, f64, f64)>,
-    },
+    /// A line through points (x, y) in order of x.
+    Line(String, Vec<(f64, f64)>),
+    /// Single points: x, y, and the words beside them.
+    Points(String, Vec<(f64, f64, String)>),
+    /// Points that steps join; the best x is first.
+    Front(String, Vec<(f64, f64, String)>),
+    /// Upright lines: x, low and high.
+    Intervals(String, Vec<(f64, f64, f64)>),
 }
 
 /// A chart of lines and points.
@@ -51,19 +36,19 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     sheet.ticks_across(&across, RIGHT, true);
     sheet.ticks_up(&up);
     // A front lies above what it is the front of, and its labels are placed first.
-    let is_front = |one: &Series| matches!(one, Series::Points { joined: true, .. });
+    let is_front = |one: &Series| matches!(one, Series::Front(..));
     let mut order: Vec<(usize, &Series)> = series.iter().enumerate().collect();
     order.sort_by_key(|(_, one)| is_front(one));
-    let mut labels = Labels::default();
+    let mut labels = Vec::new();
     for (index, one) in order {
         let (colour, dash) = (COLOURS[index % COLOURS.len()], DASHES[index % DASHES.len()]);
         let (name, mark) = match one {
-            Series::Line { name, points } => {
+            Series::Line(name, points) => {
                 let line: Vec<(f64, f64)> = points.iter().filter_map(|&(x, y)| place(x, y)).collect();
                 sheet.through(&line, &stroked(colour, 2.0, dash));
                 (name, Mark::Line(dash))
             }
-            Series::Intervals { name, points } => {
+            Series::Intervals(name, points) => {
                 let mut path = String::new();
                 for &(x, low, high) in points {
                     if let (Some((x, low)), Some(high)) = (place(x, low), up.place(high)) {
@@ -73,53 +58,43 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
                 sheet.path(&path, &(stroked(colour, 1.2, "") + r#" opacity="0.6""#));
                 (name, Mark::Line(""))
             }
-            Series::Points { name, points, joined } => {
+            Series::Points(name, points) | Series::Front(name, points) => {
                 let placed = |(x, y, label): &'_ (f64, f64, String)| Some((place(*x, *y)?, label.clone()));
                 let placed: Vec<((f64, f64), String)> = points.iter().filter_map(placed).collect();
-                if *joined {
+                if is_front(one) {
                     let corners = placed.windows(2).flat_map(|pair| [(pair[1].0.0, pair[0].0.1), pair[1].0]);
                     let line: Vec<(f64, f64)> = placed.first().map(|p| p.0).into_iter().chain(corners).collect();
                     sheet.through(&line, &stroked(colour, 1.5, "5 3"));
                 }
                 for (at, label) in placed {
                     sheet.dot(at, colour);
-                    labels.0.push((is_front(one), at.0, at.1, label));
+                    labels.push((is_front(one), at.0, at.1, label));
                 }
                 (name, Mark::Dot)
             }
         };
         sheet.legend(index, (colour, mark), name);
     }
-    labels.write(&mut sheet);
+    write_labels(&mut sheet, labels);
     sheet.svg()
 }
 
-/// A chart of points, each with words and whether it is on the front; the best x is first.
-pub fn front(title: &str, x: &Axis, y: &Axis, points: impl Iterator<Item = ((f64, f64, String), bool)>) -> String {
-    chart(title, x, y, &front_series(points))
-}
-
-/// Points on a front, joined, and those behind it.
+/// Points on a front, joined, and those behind it, each with its words; the best x is first.
 pub fn front_series(points: impl Iterator<Item = ((f64, f64, String), bool)>) -> Vec<Series> {
     let (front, others): (Vec<_>, Vec<_>) = points.partition(|(_, on_front)| *on_front);
-    let series = [("on the front", front, true), ("behind it", others, false)];
-    let shown = series.into_iter().filter(|(_, points, joined)| *joined || !points.is_empty());
-    shown
-        .map(|(name, points, joined)| {
-            let points = points.into_iter().map(|(point, _)| point).collect();
-            Series::Points { name: name.to_string(), points, joined }
-        })
-        .collect()
+    let [front, others] = [front, others].map(|points| points.into_iter().map(|(point, _)| point).collect::<Vec<_>>());
+    let behind = (!others.is_empty()).then(|| Series::Points("behind it".to_string(), others));
+    std::iter::once(Series::Front("on the front".to_string(), front)).chain(behind).collect()
 }
 
 /// A chart of bars: one group a category, one bar a series in it.
-pub fn bars(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
+pub fn bars(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
     barred(title, y, categories, series, false)
 }
 
 /// A chart of bars: one a category, its series on top of each other. Their numbers are not
 /// negative.
-pub fn stacked(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
+pub fn stacked(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
     barred(title, y, categories, series, true)
 }
 
@@ -194,15 +169,14 @@ pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<
     sheet.svg()
 }
 
-fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f64>)], stacked: bool) -> String {
+fn barred(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f64>)], stacked: bool) -> String {
     let value = |series: &(String, Vec<f64>), place: usize| series.1.get(place).copied().unwrap_or(0.0);
     let tops: Vec<f64> = match stacked {
         true => (0..categories.len()).map(|place| series.iter().map(|one| value(one, place)).sum()).collect(),
         false => series.iter().flat_map(|(_, values)| values.iter().copied()).collect(),
     };
-    let zero = if y.log { None } else { Some(0.0) };
-    let up = Scale::new(y, tops.into_iter().chain(zero), BOTTOM, TOP);
-    let mut sheet = Sheet::chart(title, "", &y.label);
+    let up = Scale::new(&Axis::linear(""), tops.into_iter().chain([0.0]), BOTTOM, TOP);
+    let mut sheet = Sheet::chart(title, "", y);
     sheet.ticks_up(&up);
     let ground = up.place(0.0).unwrap_or(BOTTOM);
     let group = name_groups(&mut sheet, categories);
@@ -227,39 +201,34 @@ fn barred(title: &str, y: &Axis, categories: &[String], series: &[(String, Vec<f
     sheet.svg()
 }
 
-/// Words beside points, where there is room around them. Those that would lie over others or over
-/// points everywhere are left out; a front's come first.
-#[derive(Default)]
-struct Labels(Vec<(bool, f64, f64, String)>);
-
-impl Labels {
-    fn write(mut self, sheet: &mut Sheet) {
-        self.0.sort_by_key(|(first, ..)| !first);
-        // From, to and the middle of each line of words, and of each point.
-        let mut taken: Vec<(f64, f64, f64)> = self.0.iter().map(|(_, x, y, _)| (x - 4.0, x + 4.0, *y)).collect();
-        for (_, x, y, text) in self.0 {
-            let wide = 5.0 * text.chars().count() as f64;
-            let places = [(x + 6.0, y - 5.0), (x + 6.0, y + 5.0), (x - 6.0 - wide, y - 5.0), (x - 6.0 - wide, y + 5.0)];
-            let upright = [(x - wide / 2.0, y - 9.0), (x - wide / 2.0, y + 10.0), (x + 7.0, y), (x - 7.0 - wide, y)];
-            let free = |&(left, middle): &(f64, f64)| {
-                left >= LEFT - 10.0
-                    && (TOP..BOTTOM - 2.0).contains(&middle)
-                    && left + wide <= WIDTH
-                    && taken.iter().all(|&(from, to, at)| left + wide < from || left > to || (middle - at).abs() > 8.5)
-            };
-            if let Some((left, middle)) = places.into_iter().chain(upright).find(free) {
-                sheet.text((left, middle + 3.0), SMALL, &text);
-                taken.push((left, left + wide, middle));
-            }
+/// Writes words beside points, where there is room around them. Those that would lie over others or
+/// over points everywhere are left out; a front's come first.
+fn write_labels(sheet: &mut Sheet, mut labels: Vec<(bool, f64, f64, String)>) {
+    labels.sort_by_key(|(first, ..)| !first);
+    // From, to and the middle of each line of words, and of each point.
+    let mut taken: Vec<(f64, f64, f64)> = labels.iter().map(|(_, x, y, _)| (x - 4.0, x + 4.0, *y)).collect();
+    for (_, x, y, text) in labels {
+        let wide = 5.0 * text.chars().count() as f64;
+        let places = [(x + 6.0, y - 5.0), (x + 6.0, y + 5.0), (x - 6.0 - wide, y - 5.0), (x - 6.0 - wide, y + 5.0)];
+        let upright = [(x - wide / 2.0, y - 9.0), (x - wide / 2.0, y + 10.0), (x + 7.0, y), (x - 7.0 - wide, y)];
+        let free = |&(left, middle): &(f64, f64)| {
+            left >= LEFT - 10.0
+                && (TOP..BOTTOM - 2.0).contains(&middle)
+                && left + wide <= WIDTH
+                && taken.iter().all(|&(from, to, at)| left + wide < from || left > to || (middle - at).abs() > 8.5)
+        };
+        if let Some((left, middle)) = places.into_iter().chain(upright).find(free) {
+            sheet.text((left, middle + 3.0), SMALL, &text);
+            taken.push((left, left + wide, middle));
         }
     }
 }
 
 fn extent(series: &Series) -> Vec<(f64, f64)> {
     match series {
-        Series::Line { points, .. } => points.clone(),
-        Series::Points { points, .. } => points.iter().map(|p| (p.0, p.1)).collect(),
-        Series::Intervals { points, .. } => points.iter().flat_map(|p| [(p.0, p.1), (p.0, p.2)]).collect(),
+        Series::Line(_, points) => points.clone(),
+        Series::Points(_, points) | Series::Front(_, points) => points.iter().map(|p| (p.0, p.1)).collect(),
+        Series::Intervals(_, points) => points.iter().flat_map(|p| [(p.0, p.1), (p.0, p.2)]).collect(),
     }
 }
 
@@ -269,19 +238,15 @@ mod tests {
 
     #[test]
     fn every_number_has_its_mark_and_words_are_escaped() {
-        let line = Series::Line { name: "a<b".into(), points: vec![(0.0, 1.0), (1.0, 2.0)] };
-        let points = Series::Points {
-            name: "p".into(),
-            points: vec![(0.1, 2.0, "y".into()), (0.2, 1.0, "x".into())],
-            joined: true,
-        };
+        let line = Series::Line("a<b".into(), vec![(0.0, 1.0), (1.0, 2.0)]);
+        let points = Series::Front("p".into(), vec![(0.1, 2.0, "y".into()), (0.2, 1.0, "x".into())]);
         let svg = chart("t & u", &Axis::linear("x"), &Axis::linear("y"), &[line, points]);
         // Two points and the legend's.
         assert_eq!(svg.matches("<circle").count(), 3);
         assert_eq!(svg.matches("<polyline").count(), 2);
         assert!(svg.contains("a&lt;b") && svg.contains("t &amp; u") && svg.ends_with("</svg>\n"));
         let tower = |values: [f64; 2]| ("s".to_string(), values.to_vec());
-        let svg = stacked("b", &Axis::linear("y"), &["c".into()], &[tower([30.0, 0.0]), tower([70.0, 0.0])]);
+        let svg = stacked("b", "y", &["c".into()], &[tower([30.0, 0.0]), tower([70.0, 0.0])]);
         let tops: Vec<f64> = svg
             .split("<rect x=\"")
             .skip(1)
@@ -290,7 +255,7 @@ mod tests {
             .collect();
         // The second stands on the first: their heights are as 30 to 70.
         assert!((tops[1] / tops[0] - 70.0 / 30.0).abs() < 0.01, "{tops:?} {svg}");
-        let svg = bars("b", &Axis::linear("y"), &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
+        let svg = bars("b", "y", &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
         assert_eq!(svg.matches("<rect").count(), 1 + 2 + 1);
         let known = vec![Some((3.0, Some((1.0, 9.0)))), None];
         let svg = panels("m", &["c".into(), "d".into()], &[("s".into(), known)]);
@@ -304,8 +269,8 @@ mod tests {
         let near = |label: &str| {
             vec![(1.0, 1.0, label.to_string()), (1.001, 1.001, label.to_string()), (9.0, 9.0, "far".into())]
         };
-        let other = Series::Points { name: "others".into(), points: near("other"), joined: false };
-        let front = Series::Points { name: "front".into(), points: near("best"), joined: true };
+        let other = Series::Points("others".into(), near("other"));
+        let front = Series::Front("front".into(), near("best"));
         let svg = chart("", &Axis::linear(""), &Axis::linear(""), &[front, other]);
         let words = svg.lines().filter(|line| line.contains("font-size=\"9\""));
         let words: Vec<(f64, f64, f64)> = words
@@ -329,7 +294,7 @@ mod tests {
     #[test]
     fn nothing_and_one_number_still_make_a_chart() {
         assert!(chart("", &Axis::log(""), &Axis::linear(""), &[]).contains("svg"));
-        let one = Series::Line { name: String::new(), points: vec![(3.0, 3.0)] };
+        let one = Series::Line(String::new(), vec![(3.0, 3.0)]);
         assert!(!chart("", &Axis::log(""), &Axis::linear(""), &[one]).contains("NaN"));
     }
 }

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::draw::Axis;
 use super::plot;
-use nsim_files::table::three;
+use nsim_files::table::{count, three};
 
 fn number(value: &Value) -> Option<f64> {
     value.as_f64().filter(|number| number.is_finite())
@@ -20,6 +20,11 @@ fn words(value: &Value) -> &str {
 
 fn rows(value: &Value) -> &[Value] {
     value.as_array().map_or(&[], Vec::as_slice)
+}
+
+/// A model on its target.
+fn subject(result: &Value) -> String {
+    format!("{} on {}", words(&result["model"]), words(&result["target"]))
 }
 
 /// Positive parts of an object of numbers, with spaces for underscores.
@@ -58,17 +63,10 @@ pub fn hardware(result: &Value) -> Option<String> {
         let interval = |row: &Value| Some((number(&row["low"][key])?, number(&row["high"][key])?));
         (name.to_string(), totals.iter().map(|row| Some((number(&row[key])?, interval(row)))).collect())
     });
-    let copies = match result["copies"].as_u64() {
-        Some(1) => "1 copy".to_string(),
-        copies => format!("{} copies", copies.unwrap_or_default()),
-    };
+    let copies = count(result["copies"].as_u64().unwrap_or_default(), "copy");
     let mode = if result["mode"] == "realtime" { "real time" } else { words(&result["mode"]) };
-    let title = format!(
-        "{} on {}: a timestep, {copies} ({}), {mode}; lines: intervals",
-        words(&result["model"]),
-        words(&result["target"]),
-        words(&result["deployment"])
-    );
+    let (subject, deployment) = (subject(result), words(&result["deployment"]));
+    let title = format!("{subject}: a timestep, {copies} ({deployment}), {mode}; lines: intervals");
     totals.iter().any(|row| number(&row["energy_uj"]).is_some()).then(|| plot::panels(&title, &names, &columns))
 }
 
@@ -90,32 +88,26 @@ pub fn energy(result: &Value) -> Option<String> {
     let mut series: Vec<(String, Vec<f64>)> =
         powers.iter().map(|(name, mw)| ((*name).to_string(), vec![share(*mw, all), 0.0])).collect();
     series.extend(parts.iter().map(|(name, pj)| (name.clone(), vec![0.0, share(*pj, dynamic)])));
-    let title =
-        format!("{} on {}: where the energy of a timestep goes", words(&result["model"]), words(&result["target"]));
+    let title = format!("{}: where the energy of a timestep goes", subject(result));
     let whole = format!("all: {} uJ", three(number(&total["energy_uj"])?));
     // What events cost is little beside static power, and less than a microjoule.
     let of_events = match dynamic / 1e6 {
         uj if uj < 0.1 => format!("neuron dynamic: {} nJ", three(uj * 1e3)),
         uj => format!("neuron dynamic: {} uJ", three(uj)),
     };
-    Some(plot::stacked(&title, &Axis::linear("share (%)"), &[whole, of_events], &series))
+    Some(plot::stacked(&title, "share (%)", &[whole, of_events], &series))
 }
 
 /// Where the time of a timestep goes, of `nsim.energy/1`: a bar for each part.
 pub fn time(result: &Value) -> Option<String> {
     let parts = parts(&result["time_us_per_timestep"]);
     let total: f64 = parts.iter().map(|(_, us)| us).sum();
-    let title = format!(
-        "{} on {}: where the {} us of a timestep go",
-        words(&result["model"]),
-        words(&result["target"]),
-        three(total)
-    );
+    let title = format!("{}: where the {} us of a timestep go", subject(result), three(total));
     let (names, values): (Vec<String>, Vec<f64>) = parts.into_iter().unzip();
     let labels: Vec<String> =
         names.iter().zip(&values).map(|(name, us)| format!("{name}: {} us", three(*us))).collect();
     (!labels.is_empty())
-        .then(|| plot::bars(&title, &Axis::linear("time of a mean timestep (us)"), &labels, &[(String::new(), values)]))
+        .then(|| plot::bars(&title, "time of a mean timestep (us)", &labels, &[(String::new(), values)]))
 }
 
 /// Run time against error of `nsim bench pareto`, or energy against time of `nsim map --pareto`,
@@ -155,7 +147,7 @@ pub fn pareto(result: &Value) -> Option<String> {
             Axis::linear("energy of a mean step (uJ)"),
         ),
     };
-    Some(plot::front(&title, &x, &y, points.into_iter()))
+    Some(plot::chart(&title, &x, &y, &plot::front_series(points.into_iter())))
 }
 
 /// Causes of disagreement of `nsim agree`, forward and reversed; without them, how far each layer
@@ -164,15 +156,11 @@ pub fn agreement(result: &Value) -> Option<String> {
     let model = words(&result["model"]);
     let shares = rows(&result["attribution"]);
     if shares.is_empty() {
-        let layers = rows(&result["layers"]);
-        let layers: Vec<(String, f64)> = layers
-            .iter()
-            .filter_map(|layer| Some((words(&layer["name"]).to_string(), number(&layer["coincidence"])?)))
-            .collect();
-        let (names, values): (Vec<String>, Vec<f64>) = layers.into_iter().unzip();
+        let known = |layer: &Value| Some((words(&layer["name"]).to_string(), number(&layer["coincidence"])?));
+        let (names, values): (Vec<String>, Vec<f64>) = rows(&result["layers"]).iter().filter_map(known).unzip();
         let title = format!("{model} and {}: spikes that coincide", words(&result["against"]));
         let series = [(String::new(), values)];
-        return (!names.is_empty()).then(|| plot::bars(&title, &Axis::linear("coincidence (1: all)"), &names, &series));
+        return (!names.is_empty()).then(|| plot::bars(&title, "coincidence (1: all)", &names, &series));
     }
     let causes: Vec<String> = shares.iter().map(|share| words(&share["cause"]).to_string()).collect();
     let each = |pick: &dyn Fn(f64, f64) -> f64| -> Vec<f64> {
@@ -185,7 +173,7 @@ pub fn agreement(result: &Value) -> Option<String> {
         ("mean".to_string(), each(&|forward, reversed| (forward + reversed) / 2.0)),
     ];
     let title = format!("{model}: what parts the machine from the trained network");
-    Some(plot::bars(&title, &Axis::linear("added disagreement (1 - coincidence)"), &causes, &series))
+    Some(plot::bars(&title, "added disagreement (1 - coincidence)", &causes, &series))
 }
 
 #[cfg(test)]

@@ -31,10 +31,8 @@ impl Detail {
                 "clipped": row.clipped, "wrapped": row.wrapped,
             })
         });
-        let inputs = self.sums.inputs.iter();
         object["populations"] = populations.collect();
-        object["inputs"] =
-            inputs.map(|row| json!({ "name": row.name, "channels": row.channels, "spikes": row.spikes })).collect();
+        object["inputs"] = json!(self.sums.inputs);
         object["cores"] = self.cores.iter().map(core_json).collect();
         object["warnings"] = json!(self.warnings);
         if !self.ranks.is_empty() {
@@ -43,7 +41,6 @@ impl Detail {
     }
 
     /// A table of the populations, for this many timesteps.
-    #[must_use]
     pub fn populations_text(&self, timesteps: u64) -> String {
         if self.sums.populations.is_empty() {
             return String::new();
@@ -60,12 +57,11 @@ impl Detail {
             ("clipped", |(row, _)| row.clipped.to_string()),
             ("wrapped", |(row, _)| row.wrapped.to_string()),
         ];
-        let rows: Vec<(&PopulationCounts, u64)> = self.sums.populations.iter().map(|row| (row, timesteps)).collect();
+        let rows: Vec<_> = self.sums.populations.iter().map(|row| (row, timesteps)).collect();
         table_of(&rows, &columns) + "\n"
     }
 
     /// A line for each process that ran a part.
-    #[must_use]
     pub fn ranks_text(&self) -> String {
         let line = |row: &RankRow| {
             let RankRow { rank, chips, compartments, synapses, peak_mib } = row;
@@ -77,7 +73,6 @@ impl Detail {
 
     /// A table of the cores that were the slowest in most steps, at most this many. Of cores that
     /// take as long in every step the first is listed, with their number.
-    #[must_use]
     pub fn slowest_text(&self, most: usize) -> String {
         let spent = |row: &CoreRow| row.spent.map_or(0, |spent| spent.slowest_steps);
         let mut rows: Vec<&CoreRow> = self.cores.iter().filter(|row| spent(row) > 0).collect();
@@ -88,31 +83,24 @@ impl Detail {
         }
         let alike = |row: &CoreRow| self.cores.iter().filter(|other| other.counts == row.counts).count();
         let rows: Vec<(&CoreRow, usize)> = rows.into_iter().map(|row| (row, alike(row))).collect();
-        let table = table_of(
-            &rows,
-            &[
-                ("core", |(row, _)| row.core.0.to_string()),
-                ("chip", |(row, _)| row.chip.to_string()),
-                ("like it", |(_, alike)| alike.to_string()),
-                ("slowest in steps", |(row, _)| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
-                ("busy us", |(row, _)| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
-                ("energy nJ", |(row, _)| three(row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))),
-                ("spikes", |(row, _)| row.counts.spikes.to_string()),
-                ("events", |(row, _)| row.counts.synaptic_events().to_string()),
-            ],
-        );
-        let (some, all) = (rows.len(), self.cores.len());
+        let columns: [Column<(&CoreRow, usize)>; 8] = [
+            ("core", |(row, _)| row.core.0.to_string()),
+            ("chip", |(row, _)| row.chip.to_string()),
+            ("like it", |(_, alike)| alike.to_string()),
+            ("slowest in steps", |(row, _)| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
+            ("busy us", |(row, _)| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
+            ("energy nJ", |(row, _)| three(row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))),
+            ("spikes", |(row, _)| row.counts.spikes.to_string()),
+            ("events", |(row, _)| row.counts.synaptic_events().to_string()),
+        ];
+        let (table, some, all) = (table_of(&rows, &columns), rows.len(), self.cores.len());
         let shown = if all > some { format!(", {some} of {all} cores") } else { String::new() };
         format!("Cores by the steps in which they were the slowest{shown}:\n{table}\n")
     }
 }
 
 fn rank_json(row: &RankRow) -> Value {
-    let RankRow { rank, chips, compartments, synapses, peak_mib } = row;
-    json!({
-        "rank": rank, "chips": chips, "compartments": compartments, "synapses": synapses,
-        "peak_mib": peak_mib.map(|mib| (mib * 10.0).round() / 10.0),
-    })
+    json!(RankRow { peak_mib: row.peak_mib.map(|mib| (mib * 10.0).round() / 10.0), ..*row })
 }
 
 fn core_json(row: &CoreRow) -> Value {

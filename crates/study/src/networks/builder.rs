@@ -44,7 +44,7 @@ impl Builder {
             targets: (0..compartments).collect(),
             weights: vec![254; compartments as usize].into(),
         };
-        net.connect((drive, neurons), 3, SignMode::Mixed, one_to_one)?;
+        net.connect((drive, neurons), 3, one_to_one)?;
         Ok((net, drive, neurons))
     }
 
@@ -108,14 +108,13 @@ impl Builder {
         &mut self,
         (source, target): (PopulationId, PopulationId),
         exponent: i64,
-        sign: SignMode,
         connectivity: Connectivity,
     ) -> Result<(), OutOfRange> {
         let name = |id| &self.parts.populations[id].name;
         let name = format!("{} -> {}", name(source), name(target));
         let format = SynapseFormat {
             exponent: WeightExponent::new(exponent)?,
-            sign,
+            sign: SignMode::Mixed,
             bits: WeightBits::new(8)?,
             port: Port::First,
             apart: None,
@@ -146,7 +145,7 @@ impl Builder {
         let levels = ((high - low) / 2 + 1) as u64;
         let weight = |index| low + 2 * rng::below(levels, seed, index, 0) as i16;
         let weights = (0..u64::from(sources) * u64::from(targets)).map(weight).collect();
-        self.connect(ends, 0, SignMode::Mixed, Connectivity::Dense { targets, weights })
+        self.connect(ends, 0, Connectivity::Dense { targets, weights })
     }
 
     pub(crate) fn build(self) -> Result<Quantised, Inconsistent> {

@@ -8,7 +8,6 @@
 use crate::networks::builder::Builder;
 use crate::networks::layers::Layers;
 use crate::networks::{BuildError, random_synapses};
-use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::{ChannelId, PopulationId};
 use nsim_ir::graph::PerCompartment;
 use nsim_ir::quantised::{Neuron, Quantised};
@@ -60,7 +59,7 @@ fn lists_over(
 ) -> Result<DeliveryNetwork, BuildError> {
     let mut net = Builder::new(&name);
     let ends = (net.input("in", channels), silent(&mut net, "out", compartments));
-    net.connect(ends, 0, SignMode::Mixed, random_synapses(compartments, synapses, 1))?;
+    net.connect(ends, 0, random_synapses(compartments, synapses, 1))?;
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(stride, 1_024), period })
 }
 

@@ -5,7 +5,7 @@
 //! layer goes on firing.
 
 use crate::networks::builder::Builder;
-use nsim_ir::base::fixed::{OutOfRange, SignMode};
+use nsim_ir::base::fixed::OutOfRange;
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
@@ -31,14 +31,16 @@ impl Layers {
         Layers { net, last, size, seed: 10, threshold: 60 }
     }
 
-    fn next(&mut self, size: (u32, u32, u32)) -> Result<PopulationId, OutOfRange> {
+    /// Adds a layer of this size; the one before and it are the ends of what joins them.
+    fn next(&mut self, size: (u32, u32, u32)) -> Result<(PopulationId, PopulationId), OutOfRange> {
         self.seed += 1;
         let name = format!("layer{}", self.seed - 10);
         let id = self.net.loihi(&name, size.0 * size.1 * size.2, self.threshold, 1)?;
         if size.1 * size.2 > 1 {
             self.net.over_space(size.0, size.1, size.2);
         }
-        Ok(id)
+        self.size = size;
+        Ok((std::mem::replace(&mut self.last, id), id))
     }
 
     fn window(&self, to: u32, kernel: u32, stride: u32, padding: u32, groups: u32) -> Window {
@@ -66,30 +68,25 @@ impl Layers {
     }
 
     fn convolve_window(&mut self, window: Window) -> Result<(), OutOfRange> {
-        let to = self.next(window.target)?;
-        let weights = u64::from(window.target.0 * (self.size.0 / window.groups) * window.kernel.0 * window.kernel.1);
+        let ends = self.next(window.target)?;
+        let weights =
+            u64::from(window.target.0 * (window.source.0 / window.groups) * window.kernel.0 * window.kernel.1);
         // Half as many positive as negative steps more: layers keep firing.
         let weight = |index| -24 + 2 * rng::below(33, self.seed, index, 0) as i16;
         let kernel = (0..weights).map(weight).collect();
-        self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::Conv2d { window, kernel })?;
-        (self.last, self.size) = (to, window.target);
-        Ok(())
+        self.net.connect(ends, 0, Connectivity::Conv2d { window, kernel })
     }
 
     /// Sums of windows without overlap.
     pub fn pool(&mut self, side: u32) -> Result<(), OutOfRange> {
         let window = self.window(self.size.0, side, side, 0, self.size.0);
-        let to = self.next(window.target)?;
-        self.net.connect((self.last, to), 0, SignMode::Mixed, Connectivity::SumPool2d { window, weight: 80 })?;
-        (self.last, self.size) = (to, window.target);
-        Ok(())
+        let ends = self.next(window.target)?;
+        self.net.connect(ends, 0, Connectivity::SumPool2d { window, weight: 80 })
     }
 
     /// All to all.
     pub fn dense(&mut self, units: u32) -> Result<(), OutOfRange> {
-        let to = self.next((units, 1, 1))?;
-        self.net.dense((self.last, to), (-24, 40), self.seed)?;
-        (self.last, self.size) = (to, (units, 1, 1));
-        Ok(())
+        let ends = self.next((units, 1, 1))?;
+        self.net.dense(ends, (-24, 40), self.seed)
     }
 }

@@ -42,7 +42,7 @@ pub(super) mod layers;
 
 use crate::networks::builder::Builder;
 use crate::networks::layers::Layers;
-use nsim_ir::base::fixed::{OutOfRange, SignMode};
+use nsim_ir::base::fixed::OutOfRange;
 use nsim_ir::base::id::{ChannelId, PopulationId};
 use nsim_ir::base::names::named_variants;
 use nsim_ir::base::rng;
@@ -118,11 +118,6 @@ named_variants!(StandardNetwork {
 });
 
 impl StandardNetwork {
-    /// The network of a name.
-    pub fn named(name: &str) -> Option<StandardNetwork> {
-        StandardNetwork::ALL.into_iter().find(|standard| standard.name() == name)
-    }
-
     /// Whether a step has so much to do that sharing it out over threads can pay.
     pub fn wants_threads(self) -> bool {
         matches!(self, StandardNetwork::Random32k | StandardNetwork::Random1m | StandardNetwork::Conv10m)
@@ -142,27 +137,19 @@ impl StandardNetwork {
     /// # Errors
     /// [`BuildError`] never in practice; the tests build all.
     pub fn build(self) -> Result<BenchNetwork, BuildError> {
+        let small = |background| Random { compartments: 32_768, background, driven: 714, period: 256 };
+        let large = |driven| Random { compartments: 1_000_000, background: 0, driven, period: 64 };
         match self {
-            StandardNetwork::VtSnn1Pct => vtsnn(self.name(), 1),
-            StandardNetwork::VtSnn5Pct => vtsnn(self.name(), 5),
-            StandardNetwork::Random32k => {
-                let sizes = Random { compartments: 32_768, background: 4, driven: 714, period: 256 };
-                random(self.name(), sizes, &[0])
-            }
-            StandardNetwork::Random1m => {
-                random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 10_170, period: 64 }, &[0])
-            }
-            StandardNetwork::Silent1m => {
-                random(self.name(), Random { compartments: 1_000_000, background: 0, driven: 0, period: 64 }, &[0])
-            }
-            StandardNetwork::PilotNet => layers(lava_pilotnet(self.name())?, (5, 100), "nahuku-32"),
-            StandardNetwork::DvsGesture => layers(dvs_gesture(self.name())?, (5, 100), "nahuku-32"),
-            StandardNetwork::Conv98k => layers(conv_98k(self.name())?, (8, 100), "pohoiki-springs"),
-            StandardNetwork::Conv10m => layers(conv_10m(self.name())?, (1, 100), "pohoiki-springs"),
-            StandardNetwork::Delays32k => {
-                let sizes = Random { compartments: 32_768, background: 0, driven: 714, period: 256 };
-                random(self.name(), sizes, &DELAYS)
-            }
+            StandardNetwork::VtSnn1Pct => with_spikes(vtsnn(self.name())?, VTSNN_STEPS, (1, 100), "nahuku-32"),
+            StandardNetwork::VtSnn5Pct => with_spikes(vtsnn(self.name())?, VTSNN_STEPS, (5, 100), "nahuku-32"),
+            StandardNetwork::Random32k => random(self.name(), small(4), &[0]),
+            StandardNetwork::Random1m => random(self.name(), large(10_170), &[0]),
+            StandardNetwork::Silent1m => random(self.name(), large(0), &[0]),
+            StandardNetwork::PilotNet => with_spikes(lava_pilotnet(self.name())?, LAYERS_STEPS, (5, 100), "nahuku-32"),
+            StandardNetwork::DvsGesture => with_spikes(dvs_gesture(self.name())?, LAYERS_STEPS, (5, 100), "nahuku-32"),
+            StandardNetwork::Conv98k => with_spikes(conv_98k(self.name())?, LAYERS_STEPS, (8, 100), "pohoiki-springs"),
+            StandardNetwork::Conv10m => with_spikes(conv_10m(self.name())?, LAYERS_STEPS, (1, 100), "pohoiki-springs"),
+            StandardNetwork::Delays32k => random(self.name(), small(0), &DELAYS),
             StandardNetwork::DelaysBusy => events_over(self.name(), 32_768, 22_938, 64, &DELAYS),
         }
     }
@@ -172,7 +159,7 @@ impl StandardNetwork {
 const VTSNN_STEPS: u32 = 20 * 150;
 
 /// As `models/vtsnn-slip.ron`, without its file: a retrained model would change the measurement.
-pub(super) fn vtsnn(name: &str, percent: u64) -> Result<BenchNetwork, BuildError> {
+pub(super) fn vtsnn(name: &str) -> Result<Builder, OutOfRange> {
     let mut net = Builder::new(name);
     let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));
     let (touch, sight) = (net.loihi("touch", 50, 80, 1)?, net.loihi("sight", 10, 80, 1)?);
@@ -181,23 +168,22 @@ pub(super) fn vtsnn(name: &str, percent: u64) -> Result<BenchNetwork, BuildError
     net.dense((vision, sight), (-4, 4), 2)?;
     net.dense((touch, out), (-64, 80), 3)?;
     net.dense((sight, out), (-64, 80), 4)?;
-    let network = net.build()?;
-    let period = independent_spikes(&network, VTSNN_STEPS, (percent, 100))?;
-    Ok(BenchNetwork { network, period, target: "nahuku-32" })
+    Ok(net)
 }
 
-/// Input in which every channel spikes independently in this many of this many steps.
-pub(super) fn independent_spikes(
-    network: &Quantised,
+/// A network of which every channel spikes independently in this many of this many steps.
+pub(super) fn with_spikes(
+    net: Builder,
     steps: u32,
     (spiking, all): (u64, u64),
-) -> Result<Sample, SampleError> {
-    let mut events = Vec::new();
+    target: &'static str,
+) -> Result<BenchNetwork, BuildError> {
+    let (network, mut events) = (net.build()?, Vec::new());
     for channel in 0..network.channels() {
-        let steps = (0..steps).filter(|&t| rng::below(all, 5, u64::from(channel), u64::from(t)) < spiking);
-        events.extend(steps.map(|t| (t, ChannelId(channel))));
+        let spikes = (0..steps).filter(|&t| rng::below(all, 5, u64::from(channel), u64::from(t)) < spiking);
+        events.extend(spikes.map(|t| (t, ChannelId(channel))));
     }
-    Sample::new(steps, &events, None)
+    Ok(BenchNetwork { network, period: Sample::new(steps, &events, None)?, target })
 }
 
 /// Synapses of each compartment of a random network.
@@ -231,7 +217,7 @@ fn spread(
 ) -> Result<(), OutOfRange> {
     for (&delay, seed) in delays.iter().zip(2..) {
         let fan_out = FAN_OUT / delays.len().max(1) as u32;
-        net.connect(ends, 0, SignMode::Mixed, random_synapses(targets, fan_out, seed))?;
+        net.connect(ends, 0, random_synapses(targets, fan_out, seed))?;
         net.delay_last(delay)?;
     }
     Ok(())
@@ -239,12 +225,6 @@ fn spread(
 
 /// Steps of input of a network of layers.
 const LAYERS_STEPS: u32 = 64;
-
-/// Layers whose channels spike independently in this many of this many steps.
-fn layers(net: Builder, rate: (u64, u64), target: &'static str) -> Result<BenchNetwork, BuildError> {
-    let network = net.build()?;
-    Ok(BenchNetwork { period: independent_spikes(&network, LAYERS_STEPS, rate)?, network, target })
-}
 
 /// The PilotNet of lava-dl (`tutorials/lava/lib/dl/netx/pilotnet_snn`).
 pub(super) fn lava_pilotnet(name: &str) -> Result<Builder, OutOfRange> {
@@ -299,7 +279,7 @@ pub fn random(name: &str, sizes: Random, delays: &[i64]) -> Result<BenchNetwork,
     let n = sizes.compartments;
     let (mut net, drive, neurons) = Builder::driven(name, n)?;
     if sizes.background > 0 {
-        net.connect((drive, neurons), 0, SignMode::Mixed, random_synapses(n, sizes.background, 1))?;
+        net.connect((drive, neurons), 0, random_synapses(n, sizes.background, 1))?;
     }
     spread((&mut net, (neurons, neurons)), n, delays)?;
     let spikes = |t| {
@@ -425,14 +405,6 @@ mod tests {
                 assert_eq!(said(&own), said(&other), "{}", standard.name());
             }
         }
-    }
-
-    #[test]
-    fn names_find_their_networks() {
-        for standard in StandardNetwork::ALL {
-            assert_eq!(StandardNetwork::named(standard.name()), Some(standard));
-        }
-        assert_eq!(StandardNetwork::named("random-2m"), None);
     }
 
     #[test]

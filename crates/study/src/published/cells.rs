@@ -11,6 +11,7 @@ use crate::published::paper::PaperRow;
 use nsim_files::shipped::{Shipped, TRAININGS};
 use nsim_files::table::rounded;
 use nsim_files::training::{LossDesc, TrainingFile};
+use nsim_ir::base::names::named_variants;
 use nsim_ir::base::stats::{mean_sd, wilson};
 use nsim_session::error::{Error, Result};
 
@@ -85,18 +86,9 @@ pub enum Neurons {
     Srm,
 }
 
+named_variants!(Neurons { Loihi = "loihi", Srm = "srm" });
+
 impl Neurons {
-    /// Both, in the order of the tables.
-    pub const ALL: [Neurons; 2] = [Neurons::Loihi, Neurons::Srm];
-
-    /// As it is typed.
-    pub fn name(self) -> &'static str {
-        match self {
-            Neurons::Loihi => "loihi",
-            Neurons::Srm => "srm",
-        }
-    }
-
     /// The field `neuron` of a training file with these; none: as the file has it. Time constants
     /// are the paper's 10 and 1 bins (clear-nus/VT_SNN, network parameters).
     pub fn field(self, file: &TrainingFile) -> Option<String> {

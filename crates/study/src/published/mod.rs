@@ -12,7 +12,7 @@ pub mod predict;
 
 use std::collections::BTreeMap;
 
-use self::network::Rates;
+use self::network::Taken;
 use self::predict::predict;
 use nsim_cost::CostTable;
 use nsim_cost::job::Accounting;
@@ -95,13 +95,13 @@ pub fn rows(
         let is_judged = file.first_hand && chip.hardware() == constants.hardware;
         let constants = if chip.hardware() == constants.hardware { constants } else { &target.constants()[0] };
         let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
-        let values = predict(file, &target, Rates::Value, &tables)?;
+        let figures = |taken: Taken| predict(file, &target, taken, &tables);
+        let values = figures(|rate| rate.value)?;
         // A published rate has no range.
         let ends = match file.activity {
             Status::Published => None,
-            _ => Some([Rates::Low, Rates::High].map(|end| predict(file, &target, end, &tables))),
+            _ => Some([figures(|rate| rate.low)?, figures(|rate| rate.high)?]),
         };
-        let ends = ends.map(|[low, high]| Ok::<_, Error>([low?, high?])).transpose()?;
         let ways = if is_judged { 2 } else { 1 };
         for (which, left_out) in [false, true].into_iter().take(ways).enumerate() {
             for (number, figure) in file.figures.iter().enumerate() {

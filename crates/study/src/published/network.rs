@@ -9,46 +9,27 @@
 use crate::networks::BuildError;
 use crate::networks::builder::Builder;
 use nsim_energy::published::workload::{Between, WorkloadFile, WorkloadPopulation, WorkloadProjection};
-use nsim_ir::base::fixed::{BiasExponent, BiasMantissa, Decay, SignMode, ThresholdMantissa};
+use nsim_ir::base::fixed::{BiasExponent, BiasMantissa, Decay, ThresholdMantissa};
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::rng;
 use nsim_ir::graph::{PerCompartment, Shape, Window};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Neuron, Quantised};
 use nsim_ir::spikes::Sample;
-use nsim_quantise::relays::{one_to_one, relay};
+use nsim_quantise::relays::{RELAY, one_to_one};
 
 /// Steps that are counted.
 pub const COUNTED: u32 = 128;
 /// Steps before anything is counted at most.
 const MOST_WARM_UP: u32 = 4_096;
 
-/// Which end of the range of each rate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Rates {
-    /// The rates themselves.
-    Value,
-    /// The least.
-    Low,
-    /// The greatest.
-    High,
-}
-
-impl Rates {
-    /// The value of a range at this end.
-    pub fn of_range(self, rate: Between) -> f64 {
-        match self {
-            Rates::Value => rate.value,
-            Rates::Low => rate.low,
-            Rates::High => rate.high,
-        }
-    }
-}
+/// The number that is taken of the range of each rate: the rate itself, or an end.
+pub type Taken = fn(Between) -> f64;
 
 /// Steps before counting: twice the wait of the slowest compartment for its first spike.
-pub fn warm_up(file: &WorkloadFile, rates: Rates) -> u32 {
+pub fn warm_up(file: &WorkloadFile, taken: Taken) -> u32 {
     let layers = file.populations.iter().filter(|population| matches!(population, WorkloadPopulation::Layer { .. }));
-    let rates = layers.filter_map(|layer| Some(rates.of_range(layer.parts().2?))).filter(|&rate| rate > 0.0);
+    let rates = layers.filter_map(|layer| layer.parts().2.map(taken)).filter(|&rate| rate > 0.0);
     rates.map(|rate| (2.0 / rate).ceil() as u32).max().unwrap_or(0).clamp(COUNTED, MOST_WARM_UP)
 }
 
@@ -97,12 +78,12 @@ fn local(sources: u32, targets: u32, fan_out: u32, reach: u32, seed: u64) -> Con
 ///
 /// # Errors
 /// [`BuildError`] where the shapes of a convolution do not fit each other.
-pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), BuildError> {
-    let all_steps = warm_up(file, end) + COUNTED;
+pub fn build(file: &WorkloadFile, taken: Taken) -> Result<(Quantised, Sample), BuildError> {
+    let all_steps = warm_up(file, taken) + COUNTED;
     let (mut net, mut channels, mut input, mut ids) = (Builder::new(&file.name), 0u32, Vec::new(), Vec::new());
     for (index, population) in file.populations.iter().enumerate() {
         let (name, sides, rate) = population.parts();
-        let (units, own_rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, |rate| end.of_range(rate)));
+        let (units, own_rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, taken));
         ids.push(match population {
             WorkloadPopulation::Input { .. } => {
                 let first = channels;
@@ -116,7 +97,7 @@ pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), Bui
             }
             WorkloadPopulation::Layer { .. } => net.compartments(name, units, neurons(units, own_rate, index as u64)?),
             // A relay has no rate: its input makes it spike.
-            WorkloadPopulation::Relay { .. } => net.compartments(name, units, PerCompartment::Same(relay()?)),
+            WorkloadPopulation::Relay { .. } => net.compartments(name, units, PerCompartment::Same(RELAY)),
         });
         if let [c, h, w] = *sides {
             net.over_space(c, h, w);
@@ -157,12 +138,12 @@ pub fn build(file: &WorkloadFile, end: Rates) -> Result<(Quantised, Sample), Bui
                 Connectivity::Random { targets, fan_out, low: 2, high: 2, step: 2, seed, first_source: 0 }
             }
         };
-        net.connect((source, target), 0, SignMode::Mixed, connectivity)?;
+        net.connect((source, target), 0, connectivity)?;
     }
     for population in &file.populations {
         if let WorkloadPopulation::Relay { name, of, shape } = population {
             let connectivity = one_to_one(shape.iter().product());
-            net.connect((place(of), place(name)), 0, SignMode::Mixed, connectivity)?;
+            net.connect((place(of), place(name)), 0, connectivity)?;
         }
     }
     let network = net.build()?;
@@ -182,9 +163,10 @@ mod tests {
         for file in
             workload::shipped().unwrap().iter().filter(|file| ["braille", "nxtf-mnist"].contains(&file.name.as_str()))
         {
-            let (network, sample) = build(file, Rates::Value).unwrap();
+            let taken = |rate: Between| rate.value;
+            let (network, sample) = build(file, taken).unwrap();
             let mut engine = Golden::new(&network);
-            let before_steps = warm_up(file, Rates::Value);
+            let before_steps = warm_up(file, taken);
             engine.begin(before_steps + COUNTED);
             let mut run = |from: u32, to: u32| {
                 (from..to).for_each(|step| engine.step(sample.input(step)));

@@ -5,14 +5,16 @@
 //! source's numbers of copies, chips and x86 cores; it is run, metered and priced by the functions
 //! that price a user's network.
 
-use super::network::{COUNTED, Rates, build, warm_up};
+use std::sync::Arc;
+
+use super::network::{COUNTED, Taken, build, warm_up};
 use nsim_compile::{CompileError, Front, Mapping, Options};
 use nsim_cost::estimate::{Case, JobPower};
 use nsim_cost::job::DeployedCores;
 use nsim_cost::job::Mode;
 use nsim_cost::meter::Lane;
 use nsim_cost::transport::Words;
-use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
+use nsim_cost::{CostTable, Deployment, HostWork, MessageRoutes, MeterSettings, StepMeter, Transport};
 use nsim_energy::published::workload::{Per, PublishedFigure, Quantity, WorkloadFile};
 use nsim_ir::activity::Activity;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
@@ -145,15 +147,15 @@ fn figure(
 pub fn predict(
     file: &WorkloadFile,
     target: &Target,
-    rates: Rates,
+    taken: Taken,
     tables: &[CostTable],
 ) -> Result<Vec<Vec<f64>>, Error> {
-    let (network, sample) = build(file, rates).map_err(|error| failed(file, error))?;
+    let (network, sample) = build(file, taken).map_err(|error| failed(file, error))?;
     let compiled = mapped(file, network, target)?;
     let deployment = deployment(file, target);
     let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
     // Biases keep every compartment active; the cost of that is linear in the share of steps.
-    let share = rates.of_range(file.active_share);
+    let share = taken(file.active_share);
     let table = |table: &CostTable| {
         let mut table = table.clone();
         table.compartment_active_energy.0 = (table.compartment_active_energy.0 as f64 * share).round() as u128;
@@ -161,11 +163,12 @@ pub fn predict(
         table
     };
     let timing = deployment.timing(Transport::default(), 1);
-    let settings = MeterSettings::new(tables.iter().map(table).collect(), timing, &compiled.program, timestep);
+    let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
+    let settings = MeterSettings::new(tables.iter().map(table).collect(), timing, routes, timestep);
     let (mut meter, mut activity) = (StepMeter::new(settings), Activity::new(compiled.program.cores().len()));
     let image = Image::new(&compiled.program, 1).map_err(|error| failed(file, error))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
-    let before = warm_up(file, rates);
+    let before = warm_up(file, taken);
     machine.begin(before + COUNTED);
     for step in 0..before + COUNTED {
         machine.step(sample.input(step));
@@ -176,8 +179,7 @@ pub fn predict(
     }
     let mode = if file.paced_us.is_some() { Mode::Realtime } else { Mode::Offline };
     let priced = |preset: usize| {
-        let timestep_ms = file.paced_us.unwrap_or(0.0) / 1e3;
-        let case = Case { preset, copies_counted: 1, mode, ..Case::new(&activity, &meter, &deployment, timestep_ms) };
+        let case = Case { preset, copies_counted: 1, mode, ..Case::new(&activity, &meter, &deployment) };
         let lane = &meter.lanes()[preset];
         let job = case.job(&meter.tables()[preset], &lane.whole);
         let figures = file.figures.iter();

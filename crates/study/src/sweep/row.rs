@@ -15,9 +15,9 @@ use std::sync::Arc;
 use crate::sweep::made::MadeOnce;
 use crate::sweep::variants::{FIGURES, Job, Training};
 use nsim_compile::{Front, Mapping};
+use nsim_cost::HostWork;
 use nsim_cost::estimate::{Case, estimate};
-use nsim_cost::{Host, HostWork};
-use nsim_energy::options::{tables, with_preset};
+use nsim_energy::options::priced_by;
 use nsim_files::changes::{Change, within};
 use nsim_files::network::Network;
 use nsim_files::target::load_target;
@@ -89,18 +89,11 @@ pub struct Runner {
 
 /// Whether an error is of the whole sweep and not of a variant.
 fn ends_all(error: &Error) -> bool {
-    match error {
-        Error::Usage(_) | Error::Fault(_) => true,
-        Error::Input(_) | Error::DoesNotFit(_) => {
-            let code = error.code();
-            code.starts_with("set.")
-                || code.starts_with("import.")
-                || code.starts_with("io.")
-                || code == "energy.input"
-                || code.ends_with(".unknown")
-                || code.ends_with(".syntax")
-        }
-    }
+    let code = error.code();
+    matches!(error, Error::Usage(_) | Error::Fault(_))
+        || code == "energy.input"
+        || ["set.", "import.", "io."].iter().any(|begin| code.starts_with(begin))
+        || [".unknown", ".syntax"].iter().any(|end| code.ends_with(end))
 }
 
 fn cell<T: ToString>(value: Option<T>) -> String {
@@ -126,21 +119,6 @@ fn tightest(compiled: &Mapping, target: &Target) -> Option<(Capacity, u64, u64)>
     let cores = compiled.partition.usage().iter().flat_map(|used| target.limits().against(used.of));
     let of_cores = cores.filter(|(resource, ..)| resource.heading().is_some());
     of_cores.reduce(|a, b| if b.1 * a.2.max(1) > a.1 * b.2.max(1) { b } else { a })
-}
-
-/// What the x86 cores of a variant do.
-///
-/// # Errors
-/// `sweep.value` for a host on a chip without x86 cores.
-fn host_work(host: Option<Host>, target: &Target) -> Result<HostWork, Diagnostic> {
-    let usual = HostWork::for_target(target);
-    match host {
-        Some(host) if host != Host::None && usual.host == Host::None => {
-            let (host, chip) = (host.name(), target.chip().hardware());
-            Err(Diagnostic::new("sweep.value", format!("options.host: {host}: {chip} keeps no x86 core busy")))
-        }
-        host => Ok(HostWork { host: host.unwrap_or(usual.host), ..usual }),
-    }
 }
 
 impl Runner {
@@ -201,9 +179,8 @@ impl Runner {
         let key = (job.target.clone(), job.of_target.clone(), job.constants.clone());
         self.targets.get(key, || {
             within(&job.of_target, || {
-                let target = load_target(&job.target)?;
-                let (target, preset) = with_preset(target, job.constants.as_deref())?;
-                Ok(tables(target, preset.as_deref())?.0)
+                let (target, _) = priced_by(load_target(&job.target)?, job.constants.as_deref())?;
+                Ok(target)
             })
         })
     }
@@ -271,7 +248,9 @@ impl Runner {
         let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
         check_stimulus(&compiled.one, &samples, range.start)?;
         let metered = Metered::new(&compiled);
-        let (settings, deployment) = metered.offline_with(&target, host_work(job.host, &target)?)?;
+        let work = HostWork::fed_by(job.host, &target)
+            .map_err(|problem| Diagnostic::new("sweep.value", format!("options.host: {problem}")))?;
+        let (settings, deployment) = metered.offline_with(&target, work)?;
         let keep = Keep::new(compiled.program.output());
         let Run { outcomes, activity, meter, .. } = metered.run(settings, &samples, Running::new(&keep))?;
         let labels = || samples.iter().map(|sample| sample.label());
@@ -282,7 +261,7 @@ impl Runner {
             convention: job.convention,
             accounting: job.accounting,
             steps_per_sample: steps_per_sample(&samples),
-            ..Case::new(&activity, &meter, &deployment, compiled.one.parts().timestep_ms)
+            ..Case::new(&activity, &meter, &deployment)
         };
         let estimate = estimate(&case);
         let total = estimate.rows.iter().find(|row| row.unit == "total");

@@ -50,13 +50,8 @@ fn first_wrong(cells: &Cells) -> Option<&'static str> {
         |cell: &String| cell.parse().is_ok_and(|number: f64| number.is_finite() && number.to_string() == *cell);
     let is_right = |(name, cell): (&str, &String)| match name {
         "error" => cell.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || ".-".contains(c)),
-        "fits" => {
-            if failed {
-                ["", "false"].contains(&cell.as_str())
-            } else {
-                cell == "true"
-            }
-        }
+        "fits" if failed => ["", "false"].contains(&cell.as_str()),
+        "fits" => cell == "true",
         "reason" => failed != cell.is_empty() && !cell.contains(char::is_control),
         "tightest" => !cell.contains(char::is_control) && (failed || !cell.is_empty()),
         "used_percent" if failed && cell.is_empty() => true,
@@ -197,13 +192,9 @@ impl<'s> Table<'s> {
     /// `sweep.shard` with the first that is missing.
     pub fn check_whole(&self) -> Result<()> {
         let missing = (0..self.sweep.len()).find(|variant| !self.rows.contains_key(variant));
-        match missing {
-            Some(variant) => {
-                let left = self.sweep.len() - self.rows.len() as u64;
-                Err(wrong(format!("variant {variant} has no row, and {left} in all have none")))
-            }
-            None => Ok(()),
-        }
+        let Some(variant) = missing else { return Ok(()) };
+        let left = self.sweep.len() - self.rows.len() as u64;
+        Err(wrong(format!("variant {variant} has no row, and {left} in all have none")))
     }
 
     /// Adds the table to the files that are to be written, as [`Self::csv`] has it.

@@ -168,16 +168,14 @@ impl Job {
         let done = match (first, rest) {
             ("model", "") => text(&mut self.model),
             ("target", "") => text(&mut self.target),
-            ("train", field) if !field.is_empty() => match &mut self.training {
-                Some(training) => {
-                    training.fields.push((field.to_string(), value.to_string()));
-                    Ok(())
-                }
-                None => {
+            ("train", field) if !field.is_empty() => {
+                let Some(training) = &mut self.training else {
                     return Err(Diagnostic::new("sweep.path", format!("{path}: this sweep trains nothing"))
                         .help("name a training file with train: \"vtsnn-slip\" in the sweep, instead of a model"));
-                }
-            },
+                };
+                training.fields.push((field.to_string(), value.to_string()));
+                Ok(())
+            }
             ("input", "") => {
                 self.input = vec![value.to_string()];
                 Ok(())
@@ -198,13 +196,10 @@ impl Job {
             ("options", "deployment") => {
                 named(&CopyPlacement::ALL, CopyPlacement::name, value).map(|copies| self.options.placement = copies)
             }
-            ("options", "relays") => match value.parse() {
-                Ok(relays) => {
-                    self.relays = relays;
-                    Ok(())
-                }
-                Err(_) => Err("neither true nor false".to_string()),
-            },
+            ("options", "relays") => {
+                let relays = value.parse::<bool>().map_err(|_| "neither true nor false".to_string());
+                relays.map(|relays| self.relays = relays)
+            }
             ("options", "prune") => {
                 self.prune = vec![value.to_string()];
                 Ok(())
@@ -344,15 +339,11 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// The same with the milliseconds of a timestep, for models whose files do not say.
-    pub fn with_timestep(mut self, dt_ms: Option<f64>) -> Self {
+    /// The same with the milliseconds of a timestep, for models whose files do not say, and with
+    /// relays, pruning and delayed copies as `nsim map` takes them, for variants that do not say
+    /// otherwise.
+    pub fn with(mut self, dt_ms: Option<f64>, relays: bool, prune: &[String], delayed_copies: usize) -> Self {
         self.base.dt_ms = dt_ms;
-        self
-    }
-
-    /// The same with relays, pruning and delayed copies as `nsim map` takes them, for variants that
-    /// do not say otherwise.
-    pub fn mapped_with(mut self, relays: bool, prune: &[String], delayed_copies: usize) -> Self {
         self.base.relays |= relays;
         if !prune.is_empty() {
             self.base.prune = prune.to_vec();

@@ -58,7 +58,6 @@ pub struct Copies {
 
 impl Copies {
     /// Those that there are.
-    #[must_use]
     pub fn as_slice(&self) -> &[(u32, f64)] {
         &self.each[..self.count]
     }
@@ -145,17 +144,16 @@ pub fn candidates(
 pub fn potentials(task: Arrivals<'_>, srm: &SrmParameters, timestep_ms: f64) -> Vec<Vec<f64>> {
     let (tau, r) = (srm.tau_sr_ms / timestep_ms, analytic::real_keep(srm, timestep_ms));
     let gain = std::f64::consts::E * r / tau / srm.theta;
-    task.samples.par_iter().map(|arrivals| filtered(arrivals, task.neurons, (r, r), gain)).collect()
+    let filtered = |arrivals: &Vec<f64>| {
+        let steps = (arrivals.len() / task.neurons.max(1)).max(1);
+        let mut out = Vec::with_capacity(arrivals.len());
+        arrivals.chunks(steps).for_each(|row| filtered_row(row, (r, r), gain, &mut out));
+        out
+    };
+    task.samples.par_iter().map(filtered).collect()
 }
 
-/// What passes current and voltage, `[neuron][step]`.
-fn filtered(arrivals: &[f64], neurons: usize, keeps: (f64, f64), gain: f64) -> Vec<f64> {
-    let steps = (arrivals.len() / neurons.max(1)).max(1);
-    let mut out = Vec::with_capacity(arrivals.len());
-    arrivals.chunks(steps).for_each(|row| filtered_row(row, keeps, gain, &mut out));
-    out
-}
-
+/// What passes current and voltage of a neuron, by steps.
 fn filtered_row(row: &[f64], (keep_u, keep_v): (f64, f64), gain: f64, out: &mut Vec<f64>) {
     let (mut u, mut v) = (0.0, 0.0);
     out.extend(row.iter().map(|x| {

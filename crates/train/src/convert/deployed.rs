@@ -9,6 +9,7 @@ use crate::convert::calibration::RunInput;
 use crate::convert::search;
 use crate::convert::search::SearchResult;
 use nsim_agree::ladder::Ladder;
+use nsim_ir::base::names::named_variants;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
@@ -25,19 +26,7 @@ pub enum Conversion {
     Analytic,
 }
 
-impl Conversion {
-    /// All of them.
-    pub const ALL: [Conversion; 2] = [Conversion::Search, Conversion::Analytic];
-
-    /// Its name in options.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Conversion::Search => "search",
-            Conversion::Analytic => "analytic",
-        }
-    }
-}
+named_variants!(Conversion { Search = "search", Analytic = "analytic" });
 
 /// How integers are found.
 #[derive(Debug, Clone, Copy)]

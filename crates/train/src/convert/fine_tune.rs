@@ -17,7 +17,6 @@
 //! samples get one more, empty step, the integers run without it, and what they do is read one step
 //! later.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use petgraph::graph::NodeIndex;
@@ -26,6 +25,7 @@ use rayon::prelude::*;
 use crate::cells::Cells;
 use crate::checkpoint;
 use crate::convert::resets::subtracts;
+use crate::convert::search::firsts;
 use crate::convert::staged::Measured;
 use crate::fit::{Example, Forward, Plan};
 use crate::network::{Deployed, Source, Weights, Workspace};
@@ -118,7 +118,6 @@ pub struct FineTuned {
 
 impl FineTuned {
     /// The integers before and those that are kept, on the training samples.
-    #[must_use]
     pub fn scores(&self) -> (TaskScore, TaskScore) {
         let of =
             |epoch: u32| self.rows.iter().find(|row| row.epoch == epoch).map_or_else(TaskScore::default, |r| r.score);
@@ -143,7 +142,6 @@ pub struct Tuned {
 
 impl Tuned {
     /// For a model's provenance.
-    #[must_use]
     pub fn sentence(&self) -> String {
         let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
         let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
@@ -227,14 +225,9 @@ impl Task {
         trainable(graph)?;
         let mut channels = graph.populations().filter(|(_, p)| matches!(p.kind, PopulationKind::Input));
         for (input, &size) in file.inputs.iter().zip(&plan.topology.inputs) {
-            let same = |(_, p): &(NodeIndex, &nsim_ir::graph::Population)| {
-                p.name == input.name && p.shape.len() as usize == size
-            };
-            if !channels.next().as_ref().is_some_and(same) {
-                return Err(unlike(
-                    graph,
-                    &format!("the training file's input '{}' is not its next input", input.name),
-                ));
+            if !channels.next().is_some_and(|(_, p)| p.name == input.name && p.shape.len() as usize == size) {
+                let message = format!("the training file's input '{}' is not its next input", input.name);
+                return Err(unlike(graph, &message));
             }
         }
         if let Some((_, more)) = channels.next() {
@@ -244,19 +237,14 @@ impl Task {
         let inputs: Vec<Option<NodeIndex>> = file.inputs.iter().map(|input| node_of(&input.name)).collect();
         let nodes: Vec<Option<NodeIndex>> = file.layers.iter().map(|layer| node_of(&layer.name)).collect();
         let mut layers = Vec::new();
-        let mut first = 0;
-        let mut firsts: BTreeMap<usize, u32> = BTreeMap::new();
-        for (node, population) in graph.populations().filter(|(_, p)| !matches!(p.kind, PopulationKind::Input)) {
-            firsts.insert(node.index(), first);
-            first += population.shape.len();
-        }
+        let firsts = firsts(graph);
         for (layer, node) in plan.topology.layers.iter().zip(&nodes) {
             let population = node.map(|node| (node, graph.population(node)));
             let timestep_ms = graph.facts().timestep_ms;
             let same = population.filter(|(_, population)| match (&population.kind, &layer.cells) {
                 (PopulationKind::Srm(srm), Cells::Srm(cells)) => {
                     let decay = libm::exp(-timestep_ms / srm.tau_sr_ms);
-                    population.shape.len() as usize == layer.cells.len()
+                    population.shape.len() as usize == layer.cells.count()
                         && (f64::from(cells.theta) - srm.theta).abs() <= 1e-5 * srm.theta.abs()
                         && cells.response.iter().all(|&(is, _)| (f64::from(is) - decay).abs() < 1e-5)
                 }
@@ -266,14 +254,13 @@ impl Task {
                 let message = format!("'{}' is no population with the training file's neurons", layer.name);
                 return Err(unlike(graph, &message));
             };
-            let first = firsts.get(&node.index()).copied().unwrap_or(0);
+            let first = firsts[node.index()];
             layers.push(Layer { name: population.name.clone(), first, count: population.shape.len() });
         }
-        if layers.len() != firsts.len() || nodes.last().copied().flatten() != Some(graph.output()) {
+        if file.inputs.len() + layers.len() != firsts.len() || nodes.last().copied().flatten() != Some(graph.output()) {
             return Err(unlike(graph, "its layers are not those of the training file, the output last"));
         }
         let mut places = Vec::new();
-        let mut found = 0;
         for (_, source, target, projection) in graph.projections() {
             let place = nodes.iter().position(|&node| node == Some(target)).and_then(|layer| {
                 let mut offset = 0;
@@ -291,16 +278,13 @@ impl Task {
                 }
                 None
             });
-            match place {
-                Some(place) => places.push(place),
-                None => {
-                    let message = format!("projection {} is none of the training file's dense layers", projection.name);
-                    return Err(unlike(graph, &message));
-                }
-            }
-            found += 1;
+            let Some(place) = place else {
+                let message = format!("projection {} is none of the training file's dense layers", projection.name);
+                return Err(unlike(graph, &message));
+            };
+            places.push(place);
         }
-        if found != plan.topology.layers.iter().map(|layer| layer.sources.len()).sum::<usize>() {
+        if places.len() != plan.topology.layers.iter().map(|layer| layer.sources.len()).sum::<usize>() {
             return Err(unlike(graph, "it lacks projections of the training file"));
         }
         Ok(Task { graph: graph.clone(), fits: fits.to_vec(), detail, plan, places, layers })
@@ -311,37 +295,37 @@ impl Task {
         let mut all = self.plan.topology.zeros();
         for ((_, _, _, projection), place) in self.graph.projections().zip(&self.places) {
             let ProjectionKind::Dense { weights, .. } = &projection.kind else { continue };
-            let targets = self.plan.topology.layers[place.layer].cells.len();
-            let columns = weights.len() / targets.max(1);
-            for target in 0..targets {
-                for source in 0..place.sources {
-                    let weight = weights.real(target * columns + place.first_column + source);
-                    all[place.layer][(place.offset + source) * targets + target] = weight as f32;
-                }
+            for (declared, planned) in self.pairs(*place, weights.len()) {
+                all[place.layer][planned] = weights.real(declared) as f32;
             }
         }
         all
     }
 
+    /// Where each weight of a projection is among all declared with it, and in the plan's layer.
+    fn pairs(&self, place: Place, declared: usize) -> impl Iterator<Item = (usize, usize)> {
+        let Place { layer, offset, sources, first_column } = place;
+        let targets = self.plan.topology.layers[layer].cells.count();
+        let columns = declared / targets.max(1);
+        (0..targets).flat_map(move |target| {
+            let pair = move |source| (target * columns + first_column + source, (offset + source) * targets + target);
+            (0..sources).map(pair)
+        })
+    }
+
     /// The network with other weights; projections declared as one share an array.
-    #[must_use]
     pub fn with_weights(&self, weights: &Weights) -> Graph {
         let mut declared: Vec<(Arc<Tensor>, Vec<f64>)> = Vec::new();
         let mut at = Vec::new();
         for ((_, _, _, projection), place) in self.graph.projections().zip(&self.places) {
             let ProjectionKind::Dense { weights: before, .. } = &projection.kind else { continue };
             let index = declared.iter().position(|(tensor, _)| Arc::ptr_eq(tensor, before)).unwrap_or_else(|| {
-                declared.push((before.clone(), (0..before.len()).map(|i| before.real(i)).collect()));
+                declared.push((before.clone(), before.reals().collect()));
                 declared.len() - 1
             });
             at.push(index);
-            let targets = self.plan.topology.layers[place.layer].cells.len();
-            let columns = before.len() / targets.max(1);
-            for target in 0..targets {
-                for source in 0..place.sources {
-                    let weight = weights[place.layer][(place.offset + source) * targets + target];
-                    declared[index].1[target * columns + place.first_column + source] = f64::from(weight);
-                }
+            for (entry, planned) in self.pairs(*place, before.len()) {
+                declared[index].1[entry] = f64::from(weights[place.layer][planned]);
             }
         }
         let changed: Vec<Arc<Tensor>> = declared
@@ -390,7 +374,6 @@ impl Task {
     }
 
     /// Samples that are shown in all: for a progress bar.
-    #[must_use]
     pub fn work(examples: &[Example], held_out: &[Example], epochs: u32) -> u64 {
         let (all, held_out) = (examples.len() as u64, held_out.len() as u64);
         all + 2 * u64::from(epochs) * all + 2 * held_out
@@ -417,14 +400,14 @@ impl Task {
         let start = self.integers(&state.weights)?;
         let score = self.score(&start, &train, shown);
         let before = self.score(&start, &unseen, shown);
-        let trained = plan.score(&state.weights, held_out).accuracy;
+        let trained = plan.accuracy(&state.weights, held_out);
         let mut best = BestEpoch { weights: state.weights.clone(), epoch: 0, score };
         after(&best);
         let mut rows = vec![FineTuneRow { epoch: 0, score }];
         let integers = Integers { task: self, shown };
         let mut workers = Vec::new();
         while state.epoch < epochs {
-            plan.epoch_through(&integers, &mut state, &train, &mut workers)?;
+            plan.epoch(&integers, &mut state, &train, &mut workers)?;
             let weights = plan.result(&state);
             let score = self.score(&self.integers(weights)?, &train, shown);
             rows.push(FineTuneRow { epoch: state.epoch, score });
@@ -476,7 +459,7 @@ fn padded(example: &Example) -> Example {
 fn sample(inputs: &[Raster]) -> Sample {
     let steps = inputs.first().map_or(0, Raster::steps).saturating_sub(1) as u32;
     let mut first = 0;
-    let mut events = Vec::with_capacity(inputs.iter().map(Raster::len).sum());
+    let mut events = Vec::with_capacity(inputs.iter().map(Raster::count).sum());
     for raster in inputs {
         let all = raster.events().filter(|&(step, _)| step < steps);
         events.extend(all.map(|(step, unit)| (step, ChannelId(first + unit))));

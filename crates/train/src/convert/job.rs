@@ -55,7 +55,6 @@ pub struct Split<'s> {
 impl<'s> Split<'s> {
     /// All that is shown is held out where there are samples apart for the search; otherwise the
     /// first half of it is searched on.
-    #[must_use]
     pub fn new((origin, shown): (&'s [String], &[&'s Sample]), apart: Option<&'s Stimulus>, wanted: usize) -> Self {
         match apart {
             Some(apart) => Split {
@@ -83,7 +82,6 @@ pub struct Done {
 }
 
 /// How near integers are, in words.
-#[must_use]
 pub fn sentence(measured: &Measured) -> String {
     let layers = measured.layers.iter().map(|(name, coincidence, _)| match coincidence {
         Some(coincidence) => format!("{name} {coincidence:.3}"),
@@ -114,7 +112,6 @@ impl Job {
     }
 
     /// Whether the target lacks resets that the network has.
-    #[must_use]
     pub fn resets_are_replaced(&self) -> bool {
         !self.soft_reset && resets::has_soft_reset(&self.graph)
     }
@@ -133,7 +130,6 @@ impl Job {
     }
 
     /// How the integers were made, as their model file says; `model` is the network's file or name.
-    #[must_use]
     pub fn provenance(&self, model: &str, samples: &Split<'_>, done: &Done) -> String {
         let Done { converted, held_out, .. } = done;
         let kept: Vec<&str> = converted.stages.iter().filter(|row| row.kept).map(|row| row.name.as_str()).collect();
@@ -159,13 +155,11 @@ impl Job {
     /// # Errors
     /// `convert.*` for integers that a model file does not hold.
     pub fn model(&self, done: &Done, tuned: Option<&Tuned>, provenance: &str) -> Result<NetworkFile> {
-        Ok(match tuned {
-            Some(tuned) => {
-                let provenance = format!("{provenance}; {}", tuned.sentence());
-                model_file::model(&self.graph, tuned.integers.deployed(), provenance)?
-            }
-            None => model_file::model(&self.graph, &done.converted.network, provenance.to_string())?,
-        })
+        let (integers, provenance) = match tuned {
+            Some(tuned) => (tuned.integers.deployed(), format!("{provenance}; {}", tuned.sentence())),
+            None => (&done.converted.network, provenance.to_string()),
+        };
+        Ok(model_file::model(&self.graph, integers, provenance)?)
     }
 }
 
@@ -217,7 +211,6 @@ impl FineTuning {
     }
 
     /// Samples that are shown in all: for a progress bar.
-    #[must_use]
     pub fn work(&self) -> u64 {
         Task::work(&self.examples, &self.unseen, self.epochs)
     }

@@ -157,7 +157,6 @@ fn figures(distance: &Distance) -> String {
 }
 
 /// What to type next; `None` where next to nothing is lost, or nothing is left to try.
-#[must_use]
 pub fn next(
     typed: &Typed<'_>,
     (graph, ladder): (&Graph, &Ladder),
@@ -180,7 +179,6 @@ pub fn next(
 
 /// What to call next in Python, where a change of the model's file is no answer; `None` where next
 /// to nothing is lost. `target` is the one to name.
-#[must_use]
 pub fn in_python(attribution: &Attribution, target: Option<&str>) -> Option<Next> {
     attribution.worst().filter(|_| attribution.layers.iter().any(LayerLoss::is_lossy))?;
     let target = target.map_or(String::new(), |target| format!(", target='{target}'"));
@@ -225,10 +223,8 @@ fn remedy(
             best = Some((what, changes, after));
         }
     }
-    if let Some((what, changes, after)) = best {
-        return spelled(&changes, format!("{what}: {} (now {})", figures(&after), figures(before)));
-    }
-    None
+    let (what, changes, after) = best?;
+    spelled(&changes, format!("{what}: {} (now {})", figures(&after), figures(before)))
 }
 
 /// A search for better integers of a spike response network, where less of one was asked for.

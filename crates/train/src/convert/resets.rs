@@ -13,13 +13,11 @@ pub(super) fn subtracts(kind: &PopulationKind) -> bool {
 }
 
 /// Whether a population of the network resets by subtraction.
-#[must_use]
 pub fn has_soft_reset(graph: &Graph) -> bool {
     graph.populations().any(|(_, population)| subtracts(&population.kind))
 }
 
 /// The network with resets to zero.
-#[must_use]
 pub fn to_zero(graph: &Graph) -> Graph {
     graph.with_kinds(|_, population| match &population.kind {
         PopulationKind::Neurons(parameters) if subtracts(&population.kind) => {

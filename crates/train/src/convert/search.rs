@@ -33,7 +33,7 @@ use nsim_agree::trace::{Layer, Trace};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, Delay, Refractory};
 use nsim_ir::base::names::named_variants;
-use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind, SrmParameters};
+use nsim_ir::graph::{Graph, Population, PopulationKind, ProjectionKind, SrmParameters};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_quantise::analytic;
@@ -146,8 +146,8 @@ pub struct SearchResult {
     pub start: ConversionScore,
     /// What is left.
     pub end: ConversionScore,
-    /// Every stage, the start first; the score of those that were run.
-    pub stages: Vec<(Stage, Conversion, Option<ConversionScore>)>,
+    /// Every stage, the start first.
+    pub stages: Vec<(Stage, Conversion)>,
     /// Candidates that were tried.
     pub tried: u64,
     /// Calibration samples.
@@ -330,7 +330,7 @@ impl Shape {
 /// As `nsim_quantise::quantise`.
 ///
 /// `most` is the greatest number of delayed copies of a population's input.
-pub fn search(graph: &Graph, samples: &[&Sample], most: usize, mut progress: impl FnMut(&str)) -> Result<SearchResult> {
+pub fn search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<SearchResult> {
     let starts = analytic::starts(graph);
     let ladder = Ladder::new(graph, &starts)?;
     let largest = ladder.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
@@ -346,61 +346,53 @@ pub fn search(graph: &Graph, samples: &[&Sample], most: usize, mut progress: imp
     };
     let analysis = Conversion { fits: starts.clone(), detail: Detail::Groups };
     let start = score(&analysis)?;
-    let mut best = (analysis.clone(), start);
-    let mut tried = 0;
-    let mut stages = vec![(Stage::Start, analysis, Some(start))];
-    let material = Material { graph, layers: &layers, samples, trained: &trained, starts: &starts, most };
-    let found = Conversion { fits: material.pipeline(&mut tried, &mut progress)?, detail: Detail::Carried };
+    let (fits, tried) = pipeline(graph, &layers, (samples, &trained), starts, most, progress);
+    let found = Conversion { fits, detail: Detail::Carried };
     let end = score(&found)?;
-    stages.push((Stage::Shape, Conversion { detail: Detail::Groups, ..found.clone() }, None));
-    stages.push((Stage::Rounding, found.clone(), Some(end)));
-    if end.distance() < best.1.distance() {
-        best = (found, end);
-    }
-    Ok(SearchResult { conversion: best.0, start, end: best.1, stages, tried, samples: samples.len() })
+    let stages = vec![
+        (Stage::Start, analysis.clone()),
+        (Stage::Shape, Conversion { detail: Detail::Groups, ..found.clone() }),
+        (Stage::Rounding, found.clone()),
+    ];
+    let (conversion, end) = if end.distance() < start.distance() { (found, end) } else { (analysis, start) };
+    Ok(SearchResult { conversion, start, end, stages, tried, samples: samples.len() })
 }
 
-struct Material<'a> {
-    graph: &'a Graph,
-    layers: &'a [Layer],
-    samples: &'a [&'a Sample],
-    trained: &'a [Trace],
-    starts: &'a [Option<Fit>],
+/// Goes through the populations from the input on; what takes the place of their first fits, and
+/// how many candidates were tried.
+fn pipeline(
+    graph: &Graph,
+    layers: &[Layer],
+    (samples, trained): (&[&Sample], &[Trace]),
+    mut fits: Vec<Option<Fit>>,
     most: usize,
-}
-
-impl Material<'_> {
-    /// Goes through the populations from the input on.
-    fn pipeline(&self, tried: &mut u64, progress: &mut impl FnMut(&str)) -> Result<Vec<Option<Fit>>> {
-        let (graph, timestep_ms) = (self.graph, self.graph.facts().timestep_ms);
-        let mut fits = self.starts.to_vec();
-        let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
-        let as_trained: Vec<Trace> = self.trained.iter().map(earlier).collect();
-        for node in order {
-            let population = graph.population(node);
-            let PopulationKind::Srm(srm) = &population.kind else { continue };
-            let Some(layer) = self.layers.iter().find(|layer| layer.name == population.name) else { continue };
-            if layer.count > MOST_OWN {
-                // It stays as it is by analysis.
-                continue;
-            }
-            progress(&population.name);
-            let output = node == graph.output();
-            let count_weight = if output { 0.5 } else { 0.2 };
-            let task = task(graph, node, layer, (self.samples, &as_trained, self.trained), count_weight);
-            let Some(shape) = best_shape(&task, graph, (node, srm), self.most, tried) else {
-                let name = &population.name;
-                tracing::warn!(
-                    "{name}: no spikes reach it in these samples, so its integers follow from analysis alone"
-                );
-                continue;
-            };
-            let mut fit = fit_of(&shape, srm, timestep_ms);
-            fit.greatest_input = Some(task.greatest_input(&shape.candidate(srm, timestep_ms)));
-            fits[node.index()] = Some(fit);
+    mut progress: impl FnMut(&str),
+) -> (Vec<Option<Fit>>, u64) {
+    let (timestep_ms, mut tried) = (graph.facts().timestep_ms, 0);
+    let order = toposort(graph.petgraph(), None).unwrap_or_else(|_| graph.petgraph().node_indices().collect());
+    let as_trained: Vec<Trace> = trained.iter().map(earlier).collect();
+    for node in order {
+        let population = graph.population(node);
+        let PopulationKind::Srm(srm) = &population.kind else { continue };
+        let Some(layer) = layers.iter().find(|layer| layer.name == population.name) else { continue };
+        if layer.count > MOST_OWN {
+            // It stays as it is by analysis.
+            continue;
         }
-        Ok(fits)
+        progress(&population.name);
+        let output = node == graph.output();
+        let count_weight = if output { 0.5 } else { 0.2 };
+        let task = task(graph, node, layer, (samples, &as_trained, trained), count_weight);
+        let Some(shape) = best_shape(&task, graph, (node, srm), most, &mut tried) else {
+            let name = &population.name;
+            tracing::warn!("{name}: no spikes reach it in these samples, so its integers follow from analysis alone");
+            continue;
+        };
+        let mut fit = fit_of(&shape, srm, timestep_ms);
+        fit.greatest_input = Some(task.greatest_input(&shape.candidate(srm, timestep_ms)));
+        fits[node.index()] = Some(fit);
     }
+    (fits, tried)
 }
 
 /// A trace one step earlier, as a converted layer answers.
@@ -430,6 +422,17 @@ fn scored(
     }
 }
 
+/// The first channel or compartment of each population.
+pub(super) fn firsts(graph: &Graph) -> Vec<u32> {
+    let (mut channels, mut compartments) = (0, 0);
+    let first = |(_, population): (NodeIndex, &Population)| {
+        let counter = if matches!(population.kind, PopulationKind::Input) { &mut channels } else { &mut compartments };
+        *counter += population.shape.len();
+        *counter - population.shape.len()
+    };
+    graph.populations().map(first).collect()
+}
+
 /// What arrives at a population and what it should send, in the converted network's time.
 fn task(
     graph: &Graph,
@@ -438,18 +441,10 @@ fn task(
     (samples, converted, trained): (&[&Sample], &[Trace], &[Trace]),
     count_weight: f64,
 ) -> Task {
-    let neurons = layer.count as usize;
-    let mut firsts = Vec::new();
-    let (mut channels, mut compartments) = (0, 0);
-    for (_, population) in graph.populations() {
-        let counter = if matches!(population.kind, PopulationKind::Input) { &mut channels } else { &mut compartments };
-        firsts.push(*counter);
-        *counter += population.shape.len();
-    }
+    let (neurons, firsts) = (layer.count as usize, firsts(graph));
     let links: Vec<_> = graph
-        .projections()
-        .filter(|(_, _, target, _)| *target == node)
-        .map(|(_, source, _, projection)| {
+        .incoming(node)
+        .map(|(source, projection)| {
             let count = graph.population(source).shape.len();
             let input = matches!(graph.population(source).kind, PopulationKind::Input);
             let synapses = Synapses::<f64>::new(projection, count, layer.count, 1.0);
@@ -496,15 +491,12 @@ fn best_shape(
 ) -> Option<Shape> {
     let timestep_ms = graph.facts().timestep_ms;
     let (sketch, drawing) = (task.part(SKETCH), task.part(DRAWING));
-    let into =
-        || graph.projections().filter(|(_, _, target, _)| *target == node).map(|(_, _, _, projection)| projection);
+    let into = || graph.incoming(node).map(|(_, projection)| projection);
     let latest = into().map(|projection| u32::from(projection.delay.get())).max().unwrap_or(0);
     let room = u32::from(Delay::MAX.get()) - latest;
-    let sources = |(_, source, target, _): (_, NodeIndex, NodeIndex, _)| {
-        if target == node { f64::from(graph.population(source).shape.len()) } else { 0.0 }
-    };
     // All to all: windows have fewer, which then cost more.
-    let synapses = graph.projections().map(sources).sum::<f64>() * task.neurons as f64;
+    let sources = graph.incoming(node).map(|(source, _)| f64::from(graph.population(source).shape.len()));
+    let synapses = sources.sum::<f64>() * task.neurons as f64;
     let most = if into().any(|projection| matches!(projection.kind, ProjectionKind::Random { .. })) { 1 } else { most };
     let fan_in = (synapses / task.neurons.max(1) as f64) as usize;
     // With few synapses, copies cost next to nothing.

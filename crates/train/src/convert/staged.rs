@@ -101,7 +101,6 @@ pub struct Converted {
 }
 
 /// Whether a network has real numbers that are to become integers.
-#[must_use]
 pub fn is_real(graph: &Graph) -> bool {
     let real = |kind: &PopulationKind| match kind {
         PopulationKind::Input => false,
@@ -124,13 +123,11 @@ fn by_layer(ladder: &Ladder, measured: attribution::Measured, samples: usize) ->
 
 impl Converted {
     /// How far the integers are from the trained network on other samples.
-    #[must_use]
     pub fn on(&self, samples: &[&Sample]) -> Measured {
         self.compared(&self.ladder, samples)
     }
 
     /// How far other integers of the same populations are from the trained network.
-    #[must_use]
     pub fn compared(&self, integers: &Ladder, samples: &[&Sample]) -> Measured {
         let from = (&self.ladder, self.trained);
         let output = output_layer(self.ladder.deployed());
@@ -156,15 +153,12 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
     let replaced = (resets::has_soft_reset(given) && !choices.soft_reset).then(|| resets::to_zero(given));
     let graph = replaced.as_ref().unwrap_or(given);
     let most = choices.most_copies;
-    let Steps { fits, detail, mut stages, ladder } = match graph.has_srm() {
+    let Steps { fits, detail, mut stages, mut ladder } = match graph.has_srm() {
         true => by_search(graph, samples, most, progress)?,
         false => by_exponents(graph)?,
     };
-    let ladder = match &replaced {
-        Some(_) => ladder.from_subtraction(given),
-        None => ladder,
-    };
     if replaced.is_some() {
+        ladder = ladder.from_subtraction(given);
         if let Some(first) = stages.first_mut() {
             first.name = format!("reset to zero; {}", first.name);
         }
@@ -227,8 +221,8 @@ struct StageIntegers {
 
 fn by_search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<Steps> {
     let SearchResult { conversion, stages, .. } = search::search(graph, samples, most, progress)?;
-    let last = stages.iter().position(|(_, of_stage, _)| *of_stage == conversion).unwrap_or(0);
-    let row = |(place, (stage, of_stage, _)): (usize, &(search::Stage, Conversion, _))| {
+    let last = stages.iter().position(|(_, of_stage)| *of_stage == conversion).unwrap_or(0);
+    let row = |(place, (stage, of_stage)): (usize, &(search::Stage, Conversion))| {
         let ladder = if place == last { None } else { Some(of_stage.ladder(graph)?) };
         let decides: &[Cause] = match stage {
             search::Stage::Start => &[],

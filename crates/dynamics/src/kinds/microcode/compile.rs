@@ -42,7 +42,6 @@ impl Action {
     }
 }
 
-/// An instruction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Instruction {
     pub action: Action,

@@ -65,7 +65,11 @@ pub(super) fn updater(kind: MicrocodeKind, rows: &[Row]) -> Box<dyn Updater> {
 impl Updater for Programmed {
     fn update(&self, block: &mut Block<'_>) -> Effects {
         let Block { columns, arrived, sent, vectors, .. } = block;
-        self.step(columns, *arrived, sent, *vectors)
+        let &Programmed { ref code, lanes, ref fixed, .. } = self;
+        REGISTERS.with_borrow_mut(|registers| {
+            registers.make_room(&code.step);
+            vectors.dispatch(run::Step { code, lanes, fixed, registers, columns, arrived: *arrived, sent })
+        })
     }
 
     fn clear(&self, columns: &mut [[i32; CHUNK]]) {
@@ -73,12 +77,12 @@ impl Updater for Programmed {
     }
 
     fn wakes(&self) -> bool {
-        let mut columns = vec![[0; CHUNK]; CHUNKS * self.words()];
-        let (silence, mut sent) = ([[0; CHUNK]; CHUNKS], [[0; CHUNK]; CHUNKS]);
         let chunks = self.lanes.div_ceil(CHUNK);
-        let arrived = [&silence[..chunks]; 2];
-        let columns = &mut columns[..chunks * self.words()];
-        self.step(columns, arrived, &mut sent[..chunks], pulp::Arch::Scalar).active != 0
+        let mut columns = vec![[0; CHUNK]; chunks * self.words()];
+        let (silence, mut sent) = ([[0; CHUNK]; CHUNKS], [[0; CHUNK]; CHUNKS]);
+        let (arrived, sent) = ([&silence[..chunks]; 2], &mut sent[..chunks]);
+        let vectors = pulp::Arch::Scalar;
+        self.update(&mut Block { columns: &mut columns, arrived, sent, step: 0, vectors }).active != 0
     }
 
     fn lanes(&self) -> usize {
@@ -91,22 +95,5 @@ impl Updater for Programmed {
 
     fn computes(&self) -> bool {
         self.computes
-    }
-}
-
-impl Programmed {
-    /// One step of all compartments, as [`Block`] says.
-    fn step(
-        &self,
-        columns: &mut [[i32; CHUNK]],
-        arrived: [&[[i32; CHUNK]]; 2],
-        sent: &mut [[i32; CHUNK]],
-        vectors: pulp::Arch,
-    ) -> Effects {
-        let &Programmed { ref code, lanes, ref fixed, .. } = self;
-        REGISTERS.with_borrow_mut(|registers| {
-            registers.make_room(&code.step);
-            vectors.dispatch(run::Step { code, lanes, fixed, registers, columns, arrived, sent })
-        })
     }
 }

@@ -34,78 +34,6 @@ impl Registers {
     }
 }
 
-/// The arithmetic of a lane. Results fit; what is in no lane of a neuron wraps.
-trait Lane: Copy + Default + Ord {
-    fn plus(self, other: Self) -> Self;
-    fn minus(self, other: Self) -> Self;
-    fn times(self, other: Self) -> Self;
-    fn shifted_left(self, by: Self) -> Self;
-    fn shifted_right(self, by: Self) -> Self;
-    fn toward_zero(self, by: Self) -> Self;
-    fn intersected(self, other: Self) -> Self;
-    fn united(self, other: Self) -> Self;
-    fn magnitude(self) -> Self;
-    fn wrapped(self, bits: u32) -> Self;
-    fn clipped(self, bits: u32) -> Self;
-}
-
-macro_rules! lane {
-    ($type:ty) => {
-        impl Lane for $type {
-            #[inline(always)]
-            fn plus(self, other: Self) -> Self {
-                self.wrapping_add(other)
-            }
-            #[inline(always)]
-            fn minus(self, other: Self) -> Self {
-                self.wrapping_sub(other)
-            }
-            #[inline(always)]
-            fn times(self, other: Self) -> Self {
-                self.wrapping_mul(other)
-            }
-            #[inline(always)]
-            fn shifted_left(self, by: Self) -> Self {
-                self.wrapping_shl(by as u32)
-            }
-            #[inline(always)]
-            fn shifted_right(self, by: Self) -> Self {
-                self.wrapping_shr(by as u32)
-            }
-            #[inline(always)]
-            fn toward_zero(self, by: Self) -> Self {
-                // Below zero as much is added as rounding down would take too much.
-                let low = (1 as Self).wrapping_shl(by as u32).wrapping_sub(1);
-                self.wrapping_add(self.wrapping_shr(Self::BITS - 1) & low).wrapping_shr(by as u32)
-            }
-            #[inline(always)]
-            fn intersected(self, other: Self) -> Self {
-                self & other
-            }
-            #[inline(always)]
-            fn united(self, other: Self) -> Self {
-                self | other
-            }
-            #[inline(always)]
-            fn magnitude(self) -> Self {
-                self.wrapping_abs()
-            }
-            #[inline(always)]
-            fn wrapped(self, bits: u32) -> Self {
-                let above = Self::BITS.saturating_sub(bits);
-                self.wrapping_shl(above).wrapping_shr(above)
-            }
-            #[inline(always)]
-            fn clipped(self, bits: u32) -> Self {
-                let most = Self::MAX.wrapping_shr(Self::BITS.saturating_sub(bits));
-                self.max(-most).min(most)
-            }
-        }
-    };
-}
-lane!(i32);
-lane!(i64);
-
 /// A register, of those that are fixed or of the others.
 #[inline(always)]
 fn at<'r, T>(fixed: &'r [Register<T>], others: &'r [Register<T>], place: Place) -> &'r Register<T> {
@@ -199,42 +127,60 @@ fn word<const N: usize>(
     }
 }
 
-/// An operation whose result is as wide as its operands.
-#[inline(always)]
-fn arithmetic<T: Lane, const N: usize>(
-    operation: Operation,
-    fixed: &[Register<T>],
-    registers: &mut [Register<T>],
-    Instruction { operands: [a, b, _], out, .. }: &Instruction,
-) {
-    let (before, out) = split(registers, *out);
-    let a = at(fixed, before, *a);
-    match operation {
-        Operation::Absolute => return each::<T, T, N>(out, a, T::magnitude),
-        Operation::Clip(bits) => return each::<T, T, N>(out, a, |x| x.clipped(bits)),
-        Operation::Wrap(bits) => return each::<T, T, N>(out, a, |x| x.wrapped(bits)),
-        _ => {}
-    }
-    let of = (a, at(fixed, before, *b));
-    match operation {
-        Operation::Add => both::<T, T, N>(out, of, T::plus),
-        Operation::Subtract => both::<T, T, N>(out, of, T::minus),
-        Operation::Multiply => both::<T, T, N>(out, of, T::times),
-        Operation::ShiftLeft => both::<T, T, N>(out, of, T::shifted_left),
-        Operation::ShiftRight => both::<T, T, N>(out, of, T::shifted_right),
-        Operation::TowardZero => both::<T, T, N>(out, of, T::toward_zero),
-        Operation::Minimum => both::<T, T, N>(out, of, T::min),
-        Operation::Maximum => both::<T, T, N>(out, of, T::max),
-        // Of 0 and 1.
-        Operation::And => both::<T, T, N>(out, of, T::intersected),
-        Operation::Or => both::<T, T, N>(out, of, T::united),
-        _ => unreachable!("it has an action of its own"),
-    }
+/// Defines the operations of this width whose result is as wide as their operands. Results fit;
+/// what is in no lane of a neuron wraps.
+macro_rules! arithmetic {
+    ($name:ident, $lane:ty) => {
+        #[inline(always)]
+        fn $name<const N: usize>(
+            operation: Operation,
+            fixed: &[Register<$lane>],
+            registers: &mut [Register<$lane>],
+            Instruction { operands: [a, b, _], out, .. }: &Instruction,
+        ) {
+            type T = $lane;
+            let (before, out) = split(registers, *out);
+            let a = at(fixed, before, *a);
+            match operation {
+                Operation::Absolute => return each::<T, T, N>(out, a, T::wrapping_abs),
+                Operation::Clip(bits) => {
+                    let most = T::MAX.wrapping_shr(T::BITS.saturating_sub(bits));
+                    return each::<T, T, N>(out, a, |x| x.max(-most).min(most));
+                }
+                Operation::Wrap(bits) => {
+                    let above = T::BITS.saturating_sub(bits);
+                    return each::<T, T, N>(out, a, |x| x.wrapping_shl(above).wrapping_shr(above));
+                }
+                _ => {}
+            }
+            let of = (a, at(fixed, before, *b));
+            match operation {
+                Operation::Add => both::<T, T, N>(out, of, T::wrapping_add),
+                Operation::Subtract => both::<T, T, N>(out, of, T::wrapping_sub),
+                Operation::Multiply => both::<T, T, N>(out, of, T::wrapping_mul),
+                Operation::ShiftLeft => both::<T, T, N>(out, of, |a, b| a.wrapping_shl(b as u32)),
+                Operation::ShiftRight => both::<T, T, N>(out, of, |a, b| a.wrapping_shr(b as u32)),
+                Operation::TowardZero => both::<T, T, N>(out, of, |a, b| {
+                    // Below zero as much is added as rounding down would take too much.
+                    let low = (1 as T).wrapping_shl(b as u32).wrapping_sub(1);
+                    a.wrapping_add(a.wrapping_shr(T::BITS - 1) & low).wrapping_shr(b as u32)
+                }),
+                Operation::Minimum => both::<T, T, N>(out, of, T::min),
+                Operation::Maximum => both::<T, T, N>(out, of, T::max),
+                // Of 0 and 1.
+                Operation::And => both::<T, T, N>(out, of, |a, b| a & b),
+                Operation::Or => both::<T, T, N>(out, of, |a, b| a | b),
+                _ => unreachable!("it has an action of its own"),
+            }
+        }
+    };
 }
+arithmetic!(arithmetic_of_32, i32);
+arithmetic!(arithmetic_of_64, i64);
 
 /// An operation whose result is 0 or 1.
 #[inline(always)]
-fn comparison<T: Lane, const N: usize>(
+fn comparison<T: Copy + Ord, const N: usize>(
     operation: Operation,
     out: &mut Register<i32>,
     of: (&Register<T>, &Register<T>),
@@ -291,9 +237,11 @@ fn execute<const N: usize>(
                 both::<_, _, N>(&mut wide[index], of, |a, b| i64::from(a) * i64::from(b));
             }
             (Action::Arithmetic(operation), false) => {
-                arithmetic::<_, N>(operation, &fixed.narrow, narrow, instruction);
+                arithmetic_of_32::<N>(operation, &fixed.narrow, narrow, instruction);
             }
-            (Action::Arithmetic(operation), true) => arithmetic::<_, N>(operation, &fixed.wide, wide, instruction),
+            (Action::Arithmetic(operation), true) => {
+                arithmetic_of_64::<N>(operation, &fixed.wide, wide, instruction);
+            }
             (Action::Comparison(operation), false) => {
                 let (before, out) = split(narrow, out);
                 comparison::<_, N>(operation, out, (at(&fixed.narrow, before, a), at(&fixed.narrow, before, b)));
@@ -322,9 +270,12 @@ fn execute<const N: usize>(
                 let guard = if c == NONE { None } else { Some(at(&fixed.narrow, before, c)) };
                 let of = (at(&fixed.narrow, before, a), at(&fixed.narrow, before, b), guard);
                 match action {
-                    Action::AddWord => word::<N>(out, left, of, i32::plus, |a, b, x| (a ^ x) & (b ^ x)),
-                    Action::SubtractWord => word::<N>(out, left, of, i32::minus, |a, b, x| (a ^ x) & (a ^ b)),
-                    _ => word::<N>(out, left, of, i32::shifted_left, |a, b, x| mask(x.shifted_right(b) != a)),
+                    Action::AddWord => word::<N>(out, left, of, i32::wrapping_add, |a, b, x| (a ^ x) & (b ^ x)),
+                    Action::SubtractWord => word::<N>(out, left, of, i32::wrapping_sub, |a, b, x| (a ^ x) & (a ^ b)),
+                    _ => {
+                        let shifted = |a: i32, b: i32| a.wrapping_shl(b as u32);
+                        word::<N>(out, left, of, shifted, |a, b, x| mask(x.wrapping_shr(b as u32) != a));
+                    }
                 }
             }
             (Action::Report(overflow), of_64) => {

@@ -9,24 +9,23 @@
 //! Errors: `export.unsupported` for what has no form in netx.
 
 use crate::foreign::hdf5::{Group, Item, Numbers};
-use crate::foreign::nir_export::{read_text, text_of};
+use crate::foreign::nir_export::{MOST_MATRIX, text_of};
+use crate::foreign::window::Step;
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::neurons::{NeuronKind, Port};
 
 /// The group of the model's text.
-const GROUP: &str = "nsim";
-/// The most numbers that a list of synapses may take as a matrix.
-const MOST_MATRIX: u64 = 1 << 24;
+pub(super) const GROUP: &str = "nsim";
 
 /// How a kind is written.
-struct Form {
+pub(super) struct Form {
     /// Its type in netx.
-    kind: &'static str,
+    pub(super) kind: &'static str,
     /// Fields: the parameter here, the name there, and what the field's unit counts here.
-    fields: &'static [(&'static str, &'static str, f64)],
+    pub(super) fields: &'static [(&'static str, &'static str, f64)],
     /// Parameters that netx fixes; others, and those of its bias, have their defaults.
-    fixed: &'static [(&'static str, f64)],
+    pub(super) fixed: &'static [(&'static str, f64)],
     /// What a bias of 1 counts in units of the mantissa, if it has a bias.
     bias: Option<f64>,
 }
@@ -52,21 +51,23 @@ const TURNS_ADAPTIVE: &[(&str, &str, f64)] = &[
     ("threshold", "vThMant", 64.0),
     ("threshold_step", "vThStep", 64.0),
 ];
+/// Bits of the fraction of a resonator's state: lava-dl's weights count 64ths, its states 4096ths.
+const RESONATING: &[(&str, f64)] = &[("state_exp", 6.0)];
 const EXPONENTS: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0)];
 const RECTIFIED: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0), ("relu", 1.0)];
 
-fn form(kind: NeuronKind) -> Option<Form> {
+pub(super) fn form(kind: NeuronKind) -> Option<Form> {
     let (kind, fields, fixed, bias): (_, _, &[_], _) = match kind {
         NeuronKind::Loihi => ("CUBA", LEAKY, &[], Some(64.0)),
         NeuronKind::GradedLif => ("CUBA", LEAKY, &[], None),
         NeuronKind::SigmaDelta => ("SDNN", CHANGES, RECTIFIED, Some(1.0)),
         NeuronKind::Delta => ("SDNN", CHANGES, EXPONENTS, None),
         NeuronKind::Sigma => ("SDNN", &[][..], &[], None),
-        NeuronKind::Rf => ("RF_PHASE", TURNS, &[("state_exp", 6.0)], None),
-        NeuronKind::RfIz => ("RF_IZHIKEVICH", TURNS, &[("state_exp", 6.0)], None),
+        NeuronKind::Rf => ("RF_PHASE", TURNS, RESONATING, None),
+        NeuronKind::RfIz => ("RF_IZHIKEVICH", TURNS, RESONATING, None),
         NeuronKind::Alif => ("ALIF", ADAPTIVE, &[], None),
-        NeuronKind::Adrf => ("ADRF_PHASE", TURNS_ADAPTIVE, &[("state_exp", 6.0)], None),
-        NeuronKind::AdrfIz => ("ADRF_IZHIKEVICH", TURNS_ADAPTIVE, &[("state_exp", 6.0)], None),
+        NeuronKind::Adrf => ("ADRF_PHASE", TURNS_ADAPTIVE, RESONATING, None),
+        NeuronKind::AdrfIz => ("ADRF_IZHIKEVICH", TURNS_ADAPTIVE, RESONATING, None),
         _ => return None,
     };
     Some(Form { kind, fields, fixed, bias })
@@ -128,16 +129,6 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     let simulation = Group::default().with("Ts", Numbers::f64(&[], &[model.timestep_ms]));
     let root = Group::default().with("layer", layers).with("simulation", simulation);
     Ok((root.with(GROUP, text_of(model)?), notes))
-}
-
-/// The model that nsim wrote into a file, or why it is not to be trusted; nothing when nsim did not
-/// write it.
-pub(super) fn restore(root: &Group) -> Option<Result<NetworkFile, String>> {
-    Some(read_text(root.group(GROUP)?)?.and_then(|model| match export(&model) {
-        Ok((again, _)) if ["layer", "simulation"].iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
-        Ok(_) => Err("its layers are not those that it was written with".to_string()),
-        Err(problem) => Err(problem.to_string()),
-    }))
 }
 
 fn int(number: i64) -> Numbers {
@@ -205,13 +196,10 @@ fn bias(population: &PopulationDesc) -> Option<Parameter> {
 fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&ProjectionDesc]) -> Result<Group> {
     let name = &population.name;
     let is_input = before.loihi.is_none();
+    let ports = population.kind.table().ports;
     let first = match into {
-        [first] if population.kind.table().ports == 1 => first,
-        [first, second]
-            if population.kind.table().ports == 2 && (first.port, second.port) == (Port::First, Port::Second) =>
-        {
-            first
-        }
+        [first] if ports == 1 => first,
+        [first, second] if ports == 2 && (first.port, second.port) == (Port::First, Port::Second) => first,
         _ => return Err(unsupported(format!("'{name}' has {} projections into it", into.len()))),
     };
     if is_input && into.iter().any(|projection| projection.delay > 0) {
@@ -235,8 +223,7 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
         return Ok(Group::default().with("type", "input").with("shape", ints(&population.shape)));
     }
     let pair = |(y, x): (u64, u64)| ints(&[y, x]);
-    let window = |layer: Group, [stride, padding, dilation]: [(u64, u64); 3], after: (u64, u64)| match after == padding
-    {
+    let window = |layer: Group, [stride, padding, dilation]: Step, after: (u64, u64)| match after == padding {
         true => Ok(layer.with("stride", pair(stride)).with("padding", pair(padding)).with("dilation", pair(dilation))),
         false => Err(unsupported(format!("the window into '{name}' has another padding behind the image"))),
     };
@@ -277,9 +264,8 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
                 [real, imag] => Item::from(Group::default().with("real", real.clone()).with("imag", imag.clone())),
                 weights => Item::from(weights[0].clone()),
             };
-            let features = [("inFeatures", before.units()), ("outFeatures", flat[0])];
-            let layer = features.iter().fold(typed("dense", &flat), |layer, (key, n)| layer.with(key, int(*n as i64)));
-            Ok(layer.with("weight", weights))
+            let (inputs, outputs) = (int(before.units() as i64), int(flat[0] as i64));
+            Ok(typed("dense", &flat).with("inFeatures", inputs).with("outFeatures", outputs).with("weight", weights))
         }
     }
 }

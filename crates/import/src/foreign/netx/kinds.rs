@@ -4,7 +4,7 @@
 //! cross-correlated as stored; shapes and counts of weights are checked before anything is made of
 //! them.
 
-use super::layer::{Geometry, Layer, geometry, input_of_window, volume};
+use super::layer::{Layer, geometry, input_of_window, volume};
 use super::reader::{Last, Reader, units};
 use crate::foreign::imported::integrator;
 use crate::foreign::window::{MOST_LISTED, Sliding};
@@ -32,13 +32,9 @@ impl Reader<'_> {
         let source = self.source(|| Ok(vec![inputs]))?;
         let fills = shape[0].checked_mul(source.units()) == Some(count);
         if !fills || !(axes.len() <= 1 || axes == [shape[0], source.units()]) {
-            return Err(layer.wrong(format!(
-                "weights {:?} do not lead from the {} units of '{}' to {}",
-                layer.numbers(key)?.shape(),
-                source.units(),
-                source.name,
-                shape[0]
-            )));
+            let (given, from, name) = (layer.numbers(key)?.shape(), source.units(), &source.name);
+            let message = format!("weights {given:?} do not lead from the {from} units of '{name}' to {}", shape[0]);
+            return Err(layer.wrong(message));
         }
         let name = self.neurons(layer, &shape)?;
         let matrix = vec![shape[0] as usize, source.units() as usize];
@@ -47,7 +43,7 @@ impl Reader<'_> {
             if layer.numbers(key)?.len() as u64 != count {
                 return Err(layer.wrong(format!("'{key}' has other than {count} numbers")));
             }
-            let dense = |weights| Ok(ProjectionKind::Dense(tensor(matrix.clone(), weights)));
+            let dense = |weights| ProjectionKind::Dense(tensor(matrix.clone(), weights));
             self.project(layer, &source, &name, key, dense)?;
             if let Some(projection) = self.model.projections.last_mut() {
                 projection.port = port;
@@ -62,9 +58,8 @@ impl Reader<'_> {
             // What SLAYER feeds back are the spikes of the step before, which is what a delay field
             // of 0 means here. The layer's own delay is for what follows it.
             let undelayed = Last { delays: Vec::new(), ..recurrent };
-            self.project(layer, &undelayed, &name, "weight_rec", |weights| {
-                Ok(ProjectionKind::Dense(tensor(square, weights)))
-            })?;
+            let dense = |weights| ProjectionKind::Dense(tensor(square, weights));
+            self.project(layer, &undelayed, &name, "weight_rec", dense)?;
         }
         self.delays(layer)
     }
@@ -76,10 +71,10 @@ impl Reader<'_> {
             return Err(layer.wrong(format!("a kernel {:?}", layer.numbers("weight")?.shape())));
         };
         let groups = layer.pair("groups", (1, 1), 1)?.0;
-        let geometry = geometry(layer, (1, 1))?;
+        let step @ [stride, padding, dilation] = geometry(layer, (1, 1))?;
         let channels = per_group.saturating_mul(groups);
         let given = self.options.input_shape.clone();
-        let source = self.source(|| input_of_window(layer, given, channels, &shape, (kh, kw), geometry))?;
+        let source = self.source(|| input_of_window(layer, given, channels, &shape, (kh, kw), step))?;
         if out != shape[0] || source.shape.len() != 3 || source.shape[0] != channels {
             return Err(layer.wrong(format!(
                 "a kernel {kernel:?} in {groups} groups does not lead from {:?} to {shape:?}",
@@ -88,10 +83,9 @@ impl Reader<'_> {
         }
         let name = self.neurons(layer, &shape)?;
         let axes: Vec<usize> = kernel.iter().map(|&axis| axis as usize).collect();
-        let Geometry { stride, padding, dilation } = geometry;
         self.project(layer, &source, &name, "weight", |weights| {
             let weights = tensor(axes, weights);
-            Ok(ProjectionKind::Conv2d { weights, stride, padding, padding_after: padding, dilation, groups })
+            ProjectionKind::Conv2d { weights, stride, padding, padding_after: padding, dilation, groups }
         })?;
         self.delays(layer)
     }
@@ -99,14 +93,13 @@ impl Reader<'_> {
     pub(super) fn pool(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = volume(layer)?;
         let kernel = layer.pair("kernelSize", (1, 1), 1)?;
-        let geometry = geometry(layer, kernel)?;
+        let step @ [stride, padding, dilation] = geometry(layer, kernel)?;
         let given = self.options.input_shape.clone();
-        let source = self.source(|| input_of_window(layer, given, shape[0], &shape, kernel, geometry))?;
+        let source = self.source(|| input_of_window(layer, given, shape[0], &shape, kernel, step))?;
         if source.shape.len() != 3 || source.shape[0] != shape[0] {
             return Err(layer.wrong(format!("a pool from {:?} to {shape:?} changes the channels", source.shape)));
         }
         let name = self.neurons(layer, &shape)?;
-        let Geometry { stride, padding, dilation } = geometry;
         // SLAYER's pool puts (size mod window) silent rows and columns behind an image that windows
         // do not fill; whether the file's network did so is in the layer's shape.
         let after = |axis: usize, window: u64, stride: u64, padding: u64, dilation: u64| {
@@ -124,12 +117,12 @@ impl Reader<'_> {
         self.project(layer, &source, &name, "weight", |weights| {
             let first = weights.first().copied().unwrap_or(0.0);
             if weights.iter().all(|&weight| weight == first) && !weights.is_empty() && dilation == (1, 1) {
-                return Ok(ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight: first });
+                return ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight: first };
             }
             let expanded: Vec<f64> = weights.iter().copied().cycle().take((places * channels) as usize).collect();
             let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize).to_vec();
             let (weights, groups) = (tensor(axes, expanded), channels);
-            Ok(ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups })
+            ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups }
         })?;
         self.delays(layer)
     }
@@ -139,7 +132,7 @@ impl Reader<'_> {
     /// `[in][out / groups][kh][kw]`).
     pub(super) fn transposed(&mut self, layer: &Layer<'_>) -> Result<()> {
         let shape = volume(layer)?;
-        let mut geometry = geometry(layer, (1, 1))?;
+        let [mut stride, padding, dilation] = geometry(layer, (1, 1))?;
         let source = self.source(|| {
             Err(Diagnostic::new("import.unsupported", "a network that begins with a transposed convolution"))
         })?;
@@ -161,14 +154,14 @@ impl Reader<'_> {
             (layer.pair("groups", (1, 1), 1)?.0, per_group, kh, kw)
         };
         if pooled && layer.group.get("stride").is_none() {
-            geometry.stride = (kh, kw);
+            stride = (kh, kw);
         }
         if channels % groups != 0 || per_group.checked_mul(groups) != Some(shape[0]) {
             return Err(layer.wrong(format!("{groups} groups do not lead from {channels} channels to {}", shape[0])));
         }
         let axes = [
-            (height, shape[1], kh, geometry.stride.0, geometry.dilation.0, geometry.padding.0),
-            (width, shape[2], kw, geometry.stride.1, geometry.dilation.1, geometry.padding.1),
+            (height, shape[1], kh, stride.0, dilation.0, padding.0),
+            (width, shape[2], kw, stride.1, dilation.1, padding.1),
         ];
         for (from, to, size, stride, dilation, padding) in axes {
             // torch's `output_padding` adds less than a step.
@@ -178,12 +171,7 @@ impl Reader<'_> {
             }
         }
         // The window of a convolution from the target to the source (torch, ConvTranspose).
-        let window = Sliding::new(
-            (&shape, &source.shape),
-            (kh, kw),
-            [geometry.stride, geometry.padding, geometry.dilation],
-            groups,
-        );
+        let window = Sliding::new((&shape, &source.shape), (kh, kw), [stride, padding, dilation], groups);
         let Some(synapses) = window.and_then(Sliding::synapses) else {
             return Err(layer.unsupported(
                 format!("it would have more than {MOST_LISTED} synapses, which are listed one by one"),
@@ -198,7 +186,7 @@ impl Reader<'_> {
         }
         self.project(layer, &source, &name, "weight", |weights| {
             let synapse = |(to, from, at)| (from, to, weights[at % weights.len()]);
-            Ok(ProjectionKind::Sparse(synapses.map(synapse).collect()))
+            ProjectionKind::Sparse(synapses.map(synapse).collect())
         })?;
         self.delays(layer)
     }
@@ -211,14 +199,13 @@ impl Reader<'_> {
         if outputs == 0 || source.units() % outputs != 0 || source.units() > MOST_LISTED as u64 {
             return Err(layer.wrong(format!("{outputs} means of {} units", source.units())));
         }
-        let name = format!("layer{}", layer.number);
+        let (number, size) = (layer.number, source.units() / outputs);
+        let name = format!("layer{number}");
         self.notes.push(format!(
-            "layer {}: means become integrators that never spike; v / 128 is the number of spikes of a group of {}",
-            layer.number,
-            source.units() / outputs
+            "layer {number}: means become integrators that never spike; v / 128 is the number of spikes of a group of \
+             {size}"
         ));
         self.push(&name, vec![outputs], Some(integrator(4096.0, 0.0).into()));
-        let size = source.units() / outputs;
         let synapses = (0..source.units()).map(|unit| (unit, unit / size, 2.0)).collect();
         self.connect(layer, &source, &name, ProjectionKind::Sparse(synapses), None, SignMode::Mixed)
     }

@@ -5,6 +5,8 @@
 
 use super::reader::wrong;
 use crate::foreign::hdf5::{Group, Numbers};
+use crate::foreign::imported::wrong_option;
+use crate::foreign::window::Step;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// A layer while it is being read.
@@ -83,26 +85,15 @@ impl Layer<'_> {
     }
 }
 
-/// The geometry of a window.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Geometry {
-    pub(super) stride: (u64, u64),
-    pub(super) padding: (u64, u64),
-    pub(super) dilation: (u64, u64),
-}
-
 /// The layer's shape as channels, height, width.
 pub(super) fn volume(layer: &Layer<'_>) -> Result<Vec<u64>> {
     let shape = layer.shape()?;
     if shape.len() == 3 { Ok(shape) } else { Err(layer.wrong(format!("a shape {shape:?} without height and width"))) }
 }
 
-pub(super) fn geometry(layer: &Layer<'_>, stride: (u64, u64)) -> Result<Geometry> {
-    Ok(Geometry {
-        stride: layer.pair("stride", stride, 1)?,
-        padding: layer.pair("padding", (0, 0), 0)?,
-        dilation: layer.pair("dilation", (1, 1), 1)?,
-    })
+/// The geometry of a layer's window, with this stride unless the layer says another.
+pub(super) fn geometry(layer: &Layer<'_>, stride: (u64, u64)) -> Result<Step> {
+    Ok([layer.pair("stride", stride, 1)?, layer.pair("padding", (0, 0), 0)?, layer.pair("dilation", (1, 1), 1)?])
 }
 
 /// The input that a first layer with a window must have: given, or implied by a window of stride 1.
@@ -112,7 +103,7 @@ pub(super) fn input_of_window(
     channels: u64,
     shape: &[u64],
     kernel: (u64, u64),
-    geometry: Geometry,
+    [stride, padding, dilation]: Step,
 ) -> Result<Vec<u64>> {
     if let Some(given) = given {
         return Ok(given);
@@ -120,17 +111,14 @@ pub(super) fn input_of_window(
     let side = |out: u64, kernel: u64, padding: u64, dilation: u64| {
         (out + dilation * (kernel - 1)).checked_sub(2 * padding).filter(|&side| side > 0)
     };
-    let height = side(shape[1], kernel.0.max(1), geometry.padding.0, geometry.dilation.0);
-    let width = side(shape[2], kernel.1.max(1), geometry.padding.1, geometry.dilation.1);
-    match (geometry.stride, height, width) {
+    let height = side(shape[1], kernel.0.max(1), padding.0, dilation.0);
+    let width = side(shape[2], kernel.1.max(1), padding.1, dilation.1);
+    match (stride, height, width) {
         ((1, 1), Some(height), Some(width)) => Ok(vec![channels, height, width]),
-        _ => Err(Diagnostic::new(
-            "import.option",
-            format!(
-                "layer {} ({}) is the first, and the file does not say how large its input is",
-                layer.number, layer.kind
-            ),
-        )
+        _ => Err(wrong_option(format!(
+            "layer {} ({}) is the first, and the file does not say how large its input is",
+            layer.number, layer.kind
+        ))
         .help("add --input-shape CHANNELS,HEIGHT,WIDTH")),
     }
 }

@@ -20,8 +20,9 @@ mod reader;
 use std::cell::Cell;
 
 use super::hdf5::Group;
-use super::imported::{Imported, Options, listed};
-use super::nir::check_restored;
+use super::imported::{Imported, Options, listed, wrong_option};
+use super::nir::restored;
+use super::nir_export::restore;
 use layer::Layer;
 use neuron::set_bias;
 use nsim_files::network::{NetworkFile, PopulationDesc, ProjectionDesc, ProjectionKind};
@@ -35,15 +36,12 @@ use reader::{DEFAULT_BITS, Neurons, Reader, units, wrong};
 /// Reads the tree of a file.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let mut notes = Vec::new();
-    match export::restore(root) {
-        Some(Ok(model)) => {
-            options.refuse_unused("a model of nsim, which is restored as it was", &[])?;
-            check_restored(&model, options)?;
-            notes.push("written by nsim and unchanged since: restored as it was".to_string());
-            return Ok(Imported { kind: "lava-dl netx", model, notes, layers: Vec::new(), assumed: None, reset: None });
-        }
-        Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
-        None => {}
+    let written = restore(root, export::GROUP, (["layer", "simulation"], "layers"), export::export);
+    if let Some(Ok(_)) = &written {
+        options.refuse_unused("a model of nsim, which is restored as it was", &[])?;
+    }
+    if let Some(imported) = restored("lava-dl netx", written, options, &mut notes)? {
+        return Ok(imported);
     }
     let layers = layers(root)?;
     let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
@@ -157,10 +155,7 @@ impl Reader<'_> {
         match (parameters, &self.options.image) {
             (Some(neurons), image) if neurons.kind != NeuronKind::Loihi => {
                 if image.is_some() {
-                    return Err(Diagnostic::new(
-                        "import.option",
-                        "the input layer takes its image as --input of a run",
-                    ));
+                    return Err(wrong_option("the input layer takes its image as --input of a run"));
                 }
                 self.encoder(shape, neurons);
             }
@@ -179,17 +174,13 @@ impl Reader<'_> {
                 self.push("input", shape, Some(parameters.into()));
             }
             (None, Some(_)) => {
-                return Err(Diagnostic::new(
-                    "import.option",
-                    "the input layer has no neuron that an image could drive",
-                ));
+                return Err(wrong_option("the input layer has no neuron that an image could drive"));
             }
             (parameters, None) => {
                 if parameters.is_some() {
                     self.notes.push(format!(
                         "layer {}: an input layer with neurons, imported as spikes of those neurons; to drive them \
-                         with \
-                         an image give --image FILE.npy",
+                         with an image give --image FILE.npy",
                         layer.number
                     ));
                     // Its spikes are given, as recorded; the layers behind it start as if it were
@@ -208,15 +199,12 @@ impl Reader<'_> {
             // What is counted as 1 are the encoder's messages, not the numbers of the input.
             input.message_bits = neurons.message_bits.map(|bits| if bits == 0 { DEFAULT_BITS } else { bits });
         }
+        let (one, none) = ((1, 1), (0, 0));
         let kind = match shape.len() {
             1 => ProjectionKind::Sparse((0..shape[0]).map(|unit| (unit, unit, 1.0)).collect()),
-            _ => ProjectionKind::SumPool2d {
-                kernel: (1, 1),
-                stride: (1, 1),
-                padding: (0, 0),
-                padding_after: (0, 0),
-                weight: 1.0,
-            },
+            _ => {
+                ProjectionKind::SumPool2d { kernel: one, stride: one, padding: none, padding_after: none, weight: 1.0 }
+            }
         };
         self.push("layer0", shape, Some(neurons));
         let own = ProjectionDesc { sign: SignMode::Excitatory, ..ProjectionDesc::new("input", "layer0", kind) };
@@ -231,14 +219,12 @@ impl Reader<'_> {
             "conv" | "convT" => layer.axes("weight", 4)?.iter().skip(2).map(|&side| side as f64).collect(),
             _ => Vec::new(),
         };
-        let before = self.last.as_ref().map(|last| (last.units() as f64, last.shape[0] as f64));
-        let all_before = before.map(|before| before.0);
-        let channels_before = before.map(|before| before.1);
+        let last = self.last.as_ref();
         for (key, right) in [
             ("outFeatures", Some(all)),
-            ("inFeatures", all_before),
+            ("inFeatures", last.map(|last| last.units() as f64)),
             ("outChannels", shape.first().copied()),
-            ("inChannels", channels_before),
+            ("inChannels", last.map(|last| last.shape[0] as f64)),
         ] {
             if let (Some(given), Some(right)) = (layer.group.number(key), right)
                 && given != right
@@ -306,7 +292,7 @@ impl Reader<'_> {
             && !self.model.populations.iter().any(sends_changes)
         {
             let message = format!("{name} says nothing of a network without SDNN neurons");
-            return Err(Diagnostic::new("import.option", message).help("leave it out"));
+            return Err(wrong_option(message).help("leave it out"));
         }
         if let Some(interval) = self.options.reset_interval {
             self.model.reset = Some(ResetDesc { interval: interval.into(), offset: self.options.reset_offset.into() });

@@ -3,8 +3,9 @@
 //! Input: a layer with a group `neuron`, or none. Output: a kind and its parameters, one for all or
 //! one a unit.
 
+use super::export::{Form, form};
 use super::layer::Layer;
-use super::reader::{BIAS_EXP, DEFAULT_BITS, MOST_EXPANDED, Neurons, RESONATOR_EXP, Reader, SDNN_EXP, units};
+use super::reader::{BIAS_EXP, DEFAULT_BITS, MOST_EXPANDED, Neurons, Reader, SDNN_EXP, units};
 use crate::foreign::imported::{NEVER, integrator};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
@@ -12,6 +13,9 @@ use nsim_ir::neurons::NeuronKind;
 
 /// The fields of a neuron; tauRho and scaleRho shape the gradient of a training.
 const FIELDS: &str = "type iDecay vDecay vThMant refDelay gradedSpike wgtExp weight_exp theta tauRho scaleRho";
+/// The kinds that are read by the table of their fields, [`form`].
+const TABLED: [NeuronKind; 5] =
+    [NeuronKind::Rf, NeuronKind::RfIz, NeuronKind::Alif, NeuronKind::Adrf, NeuronKind::AdrfIz];
 
 impl Reader<'_> {
     /// Neuron parameters of a layer of compartments, its bias included.
@@ -79,16 +83,16 @@ impl Reader<'_> {
             "CUBA" => {}
             "LOIHI" => self.slayer_time = true,
             "SDNN" => return self.sigma_delta(layer, shape),
-            "RF_PHASE" | "RF_IZHIKEVICH" => return self.resonator(layer, shape, kind == "RF_PHASE"),
-            "ALIF" => return self.adaptive(layer, shape, NeuronKind::Alif),
-            "ADRF_PHASE" => return self.adaptive(layer, shape, NeuronKind::Adrf),
-            "ADRF_IZHIKEVICH" => return self.adaptive(layer, shape, NeuronKind::AdrfIz),
             _ => {
-                return Err(layer.unsupported(
-                    format!("its neuron is '{kind}'; no kind of neuron here has its dynamics"),
-                    "imported are neurons CUBA, LOIHI, SDNN, ALIF, RF_PHASE, RF_IZHIKEVICH, ADRF_PHASE and \
-                     ADRF_IZHIKEVICH",
-                ));
+                let tabled = TABLED.iter().find_map(|&ours| Some((ours, form(ours).filter(|form| form.kind == kind)?)));
+                let Some((kind, form)) = tabled else {
+                    return Err(layer.unsupported(
+                        format!("its neuron is '{kind}'; no kind of neuron here has its dynamics"),
+                        "imported are neurons CUBA, LOIHI, SDNN, ALIF, RF_PHASE, RF_IZHIKEVICH, ADRF_PHASE and \
+                         ADRF_IZHIKEVICH",
+                    ));
+                };
+                return self.tabled(layer, shape, kind, &form);
             }
         }
         check_fields(layer, kind, FIELDS)?;
@@ -127,37 +131,24 @@ impl Reader<'_> {
         Ok(parameters.into())
     }
 
-    /// Neurons with an adaptive threshold. (netx imports none of them: it drops the layer or the
-    /// adaptation.)
-    fn adaptive(&mut self, layer: &Layer<'_>, shape: &[u64], kind: NeuronKind) -> Result<Neurons> {
-        const RESONATOR: [(&str, &str, f64); 2] = [("sin_decay", "sinDecay", 1.0), ("cos_decay", "cosDecay", 1.0)];
-        const LEAKY: [(&str, &str, f64); 2] = [("du", "iDecay", 1.0), ("dv", "vDecay", 1.0)];
-        const THRESHOLD: [(&str, &str, f64); 4] = [
-            ("dtheta", "thDecay", 1.0),
-            ("dr", "refDecay", 1.0),
-            ("threshold", "vThMant", 64.0),
-            ("threshold_step", "vThStep", 64.0),
-        ];
+    /// Resonate-and-fire neurons, with the rotation that the file has, and neurons with an adaptive
+    /// threshold. (netx computes the rotation again from its period, which lowers some by one; it
+    /// imports no adaptive neurons: it drops the layer or the adaptation.)
+    fn tabled(&self, layer: &Layer<'_>, shape: &[u64], kind: NeuronKind, form: &Form) -> Result<Neurons> {
         let leaky = kind == NeuronKind::Alif;
-        let own = if leaky { LEAKY } else { RESONATOR };
-        let fields = if leaky {
-            "type iDecay vDecay thDecay refDecay vThMant vThStep refDelay gradedSpike"
-        } else {
-            "type sinDecay cosDecay thDecay refDecay vThMant vThStep gradedSpike"
-        };
+        let own: String = form.fields.iter().map(|(_, theirs, _)| format!(" {theirs}")).collect();
+        let others = if leaky { "type gradedSpike refDelay" } else { "type gradedSpike" };
         check_binary(layer, kind.name())?;
-        check_fields(layer, kind.name(), fields)?;
+        check_fields(layer, kind.name(), &format!("{others}{own}"))?;
         if leaky && layer.group.number("neuron/refDelay").is_some_and(|delay| delay != 1.0) {
             return Err(layer.unsupported("adaptive neurons with a refractory period", "train with refDelay 1"));
         }
         let mut parameters = Vec::new();
-        for (ours, theirs, unit) in own.into_iter().chain(THRESHOLD) {
+        for &(ours, theirs, unit) in form.fields {
             let numbers = layer.reals(&format!("neuron/{theirs}"))?;
             parameters.push((ours, self.each(layer, theirs, numbers, shape)?.map(|number| number * unit)));
         }
-        if !leaky {
-            parameters.push(("state_exp", Parameter::Same(RESONATOR_EXP)));
-        }
+        parameters.extend(form.fixed.iter().map(|&(name, value)| (name, Parameter::Same(value))));
         Ok(Neurons { kind, parameters, message_bits: None })
     }
 
@@ -183,23 +174,6 @@ impl Reader<'_> {
             parameters.push(("relu", Parameter::Same(1.0)));
         }
         Ok(Neurons { kind, parameters, message_bits: Some(bits) })
-    }
-
-    /// Resonate-and-fire neurons, with the rotation that the file has. (netx computes it again from
-    /// its period, which lowers some by one.)
-    fn resonator(&mut self, layer: &Layer<'_>, shape: &[u64], phase: bool) -> Result<Neurons> {
-        let kind = if phase { NeuronKind::Rf } else { NeuronKind::RfIz };
-        check_binary(layer, kind.name())?;
-        check_fields(layer, kind.name(), "type sinDecay cosDecay vThMant gradedSpike")?;
-        let number =
-            |key: &str| -> Result<Parameter> { self.each(layer, key, layer.reals(&format!("neuron/{key}"))?, shape) };
-        let parameters = vec![
-            ("sin_decay", number("sinDecay")?),
-            ("cos_decay", number("cosDecay")?),
-            ("threshold", number("vThMant")?.map(|mantissa| mantissa * 64.0)),
-            ("state_exp", Parameter::Same(RESONATOR_EXP)),
-        ];
-        Ok(Neurons { kind, parameters, message_bits: None })
     }
 }
 

@@ -21,7 +21,7 @@ impl Reader<'_> {
         source: &Last,
         to: &str,
         key: &str,
-        kind: impl FnOnce(Vec<f64>) -> Result<ProjectionKind>,
+        kind: impl FnOnce(Vec<f64>) -> ProjectionKind,
     ) -> Result<()> {
         if self.model.population(&source.name).is_some_and(|population| population.kind == NeuronKind::GradedLif) {
             return Err(layer.unsupported(
@@ -64,7 +64,7 @@ impl Reader<'_> {
         }
         self.layers.push(line);
         let exponent = encoded.exponent();
-        let kind = kind(encoded.weights)?;
+        let kind = kind(encoded.weights);
         self.connect(layer, source, to, kind, exponent, encoded.sign)
     }
 
@@ -146,20 +146,14 @@ impl Reader<'_> {
 
     /// Keeps the delays of the layer's spikes for the layer that follows.
     pub(super) fn delays(&mut self, layer: &Layer<'_>) -> Result<()> {
-        let Some(delays) = self.delay_numbers(layer)? else { return Ok(()) };
+        let (Some(delays), Some(mut last)) = (self.delay_numbers(layer)?, self.last.clone()) else { return Ok(()) };
         let count = delays.len() as u64;
-        if count != 1 && !self.is_axonal(count) {
-            return Ok(());
-        }
-        let delays = delays.iter().map(|&delay| f64::from(delay)).collect();
-        let expanded = self.each(layer, "delay", delays, &self.last_shape())?;
-        if let Some(last) = &mut self.last {
+        if count == 1 || self.is_axonal(count) {
+            let delays = delays.iter().map(|&delay| f64::from(delay)).collect();
+            let expanded = self.each(layer, "delay", delays, &last.shape)?;
             last.delays = expanded.values().iter().map(|&delay| delay as u32).collect();
+            self.last = Some(last);
         }
         Ok(())
-    }
-
-    pub(super) fn last_shape(&self) -> Vec<u64> {
-        self.last.as_ref().map_or_else(Vec::new, |last| last.shape.clone())
     }
 }

@@ -17,8 +17,6 @@ pub(super) const BIAS_EXP: f64 = 6.0;
 pub(super) const SDNN_EXP: f64 = 6.0;
 /// Bits of a message of sigma-delta neurons (netx, `num_message_bits`).
 pub(super) const DEFAULT_BITS: i64 = 16;
-/// Bits of the fraction of a resonator's state: lava-dl's weights count 64ths, its states 4096ths.
-pub(super) const RESONATOR_EXP: f64 = 6.0;
 
 pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.netx", message)

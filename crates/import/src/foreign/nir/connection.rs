@@ -9,14 +9,9 @@ use super::linear::{Connection, Linear, Window, at, scaled, spread, sum_of_delay
 use super::neuron::reals;
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
-use crate::foreign::window::{MOST_LISTED, Sliding};
+use crate::foreign::nir_export::by_channel;
+use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-
-/// The bias of each channel where all of its units have the same.
-fn shared(bias: &[f64], channels: usize) -> Option<Vec<f64>> {
-    let planes = bias.chunks(bias.len() / channels);
-    planes.map(|plane| plane.iter().all(|b| *b == plane[0]).then_some(plane[0])).collect()
-}
 
 /// How layers without neurons between them become one.
 const JOINED: &str = "put a neuron between them, or join them into one layer: a convolution of stride s and a pool \
@@ -94,7 +89,8 @@ impl Reader<'_> {
                 let pools = node.kind.ends_with("Pool2d") && window.sliding.padding == (0, 0);
                 let (size, mean) = (window.sliding.size, node.kind == "AvgPool2d");
                 let counted = if mean { 1.0 } else { (size.0 * size.1) as f64 };
-                let shared = pools.then(|| shared(connection.bias.as_deref()?, connection.shape[0])).flatten();
+                let shape: Vec<u64> = connection.shape.iter().map(|&axis| axis as u64).collect();
+                let shared = pools.then(|| by_channel(connection.bias.as_deref()?, &shape)).flatten();
                 if shared.is_some() {
                     connection.bias = None;
                 }
@@ -139,8 +135,7 @@ impl Reader<'_> {
             if off(most) > 1e-3 {
                 self.notes.push(format!(
                     "node '{name}': {} of its {} delays are no whole number of steps and are rounded, the furthest \
-                     from {most:.3} \
-                     to {} (--dt gives other steps)",
+                     from {most:.3} to {} (--dt gives other steps)",
                     steps.iter().filter(|steps| off(**steps) > 1e-3).count(),
                     steps.len(),
                     most.round_ties_even()
@@ -317,7 +312,7 @@ impl Reader<'_> {
                 Ok(Linear::Dense(scaled, sources))
             }
             before => {
-                let list = self.listed(before, name)?;
+                let list = self.listed(before, sources, name)?;
                 let inputs = list.iter().map(|s| s.0 + 1).max().unwrap_or(1) as usize;
                 let whole = targets.checked_mul(inputs).filter(|&n| n <= MOST_LISTED);
                 let work = targets.checked_mul(list.len()).filter(|&n| n <= 64 * MOST_LISTED);
@@ -334,6 +329,11 @@ impl Reader<'_> {
     }
 
     pub(super) fn then_window(&self, before: Linear, window: Window, shape: &[usize], name: &str) -> Result<Linear> {
+        if let Linear::Window(first) = &before
+            && let Some(joined) = first.then(&window)
+        {
+            return Ok(Linear::Window(joined));
+        }
         match before {
             Linear::Diagonal(scale) if scale.len() == 1 => {
                 let kernel = match window.kernel {
@@ -342,15 +342,8 @@ impl Reader<'_> {
                 };
                 Ok(Linear::Window(Window { kernel, ..window }))
             }
-            Linear::Window(first) if first.then(&window).is_some() => {
-                first.then(&window).map(Linear::Window).ok_or_else(|| self.too_many(name))
-            }
             before => {
-                let units = product(shape).unwrap_or(0);
-                let first = match before {
-                    Linear::Diagonal(scale) => (0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect(),
-                    before => self.listed(before, name)?,
-                };
+                let first = self.listed(before, product(shape).unwrap_or(0), name)?;
                 let second = window.list().ok_or_else(|| self.too_many(name))?;
                 let mut by_source: BTreeMap<u64, Vec<(u64, f64)>> = BTreeMap::new();
                 for (via, to, weight) in second {
@@ -370,15 +363,15 @@ impl Reader<'_> {
         }
     }
 
-    /// A linear part synapse by synapse; a diagonal has no size of its own.
-    pub(super) fn listed(&self, linear: Linear, name: &str) -> Result<Vec<(u64, u64, f64)>> {
+    /// A linear part synapse by synapse; a diagonal has no size of its own, but these units.
+    pub(super) fn listed(&self, linear: Linear, units: usize, name: &str) -> Result<Synapses> {
         match linear {
             Linear::List(list) => Ok(list),
             Linear::Window(window) => window.list().ok_or_else(|| self.too_many(name)),
             Linear::Dense(weights, sources) if weights.len() <= MOST_LISTED => {
                 Ok(weights.iter().enumerate().map(|(i, &w)| ((i % sources) as u64, (i / sources) as u64, w)).collect())
             }
-            Linear::Diagonal(scale) => Ok(scale.iter().enumerate().map(|(i, &s)| (i as u64, i as u64, s)).collect()),
+            Linear::Diagonal(scale) => Ok((0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect()),
             Linear::Dense(..) => Err(self.too_many(name)),
         }
     }

@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::context::{Reader, product, resets, unsupported, wrong};
-use super::linear::{Connection, Linear, at, scaled};
+use super::linear::{Connection, Linear, Window, delay_at, scaled};
 use super::neuron::{Discrete, all};
 use crate::foreign::imported::{LONGEST_DELAY, ResetMode, every_step, integrator};
 use crate::foreign::window::{MOST_LISTED, by_delay, listed};
@@ -185,7 +185,6 @@ impl Reader<'_> {
         let source_units = product(&self.shapes[from]).unwrap_or(0);
         let units = product(&target).unwrap_or(0);
         let linear = scaled(connection.linear, gain.values(), &connection.shape).ok_or_else(|| self.too_many(to))?;
-        let (from_name, to_name) = (self.names[from].clone(), self.names[to].clone());
         let (before, behind) = (connection.source_delay, connection.delay);
         let equal = |list: &[u32]| list.windows(2).all(|pair| pair[0] == pair[1]);
         let own_delays = !equal(&before) || !equal(&behind);
@@ -201,35 +200,23 @@ impl Reader<'_> {
                 }
                 ProjectionKind::Dense(tensor(vec![units, source_units], weights))
             }
-            Linear::Window(window) if target == window.sliding.target && self.shapes[from] == window.sliding.source => {
+            Linear::Window(Window { sliding, kernel })
+                if target == sliding.target && self.shapes[from] == sliding.source =>
+            {
                 let pair = |(y, x): (usize, usize)| (y as u64, x as u64);
-                let per_group = window.sliding.per_group();
-                let padding_after = window.sliding.padding_after();
-                match window.kernel {
-                    Ok(kernel) => ProjectionKind::Conv2d {
-                        weights: tensor(
-                            vec![window.sliding.target[0], per_group, window.sliding.size.0, window.sliding.size.1],
-                            kernel,
-                        ),
-                        stride: pair(window.sliding.stride),
-                        padding: pair(window.sliding.padding),
-                        padding_after,
-                        dilation: pair(window.sliding.dilation),
-                        groups: window.sliding.groups as u64,
-                    },
-                    Err(weight) => ProjectionKind::SumPool2d {
-                        kernel: pair(window.sliding.size),
-                        stride: pair(window.sliding.stride),
-                        padding: pair(window.sliding.padding),
-                        padding_after,
-                        weight,
-                    },
+                let [size, stride, padding] = [sliding.size, sliding.stride, sliding.padding].map(pair);
+                let padding_after = sliding.padding_after();
+                match kernel {
+                    Ok(kernel) => {
+                        let axes = vec![sliding.target[0], sliding.per_group(), sliding.size.0, sliding.size.1];
+                        let (weights, dilation) = (tensor(axes, kernel), pair(sliding.dilation));
+                        let groups = sliding.groups as u64;
+                        ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups }
+                    }
+                    Err(weight) => ProjectionKind::SumPool2d { kernel: size, stride, padding, padding_after, weight },
                 }
             }
-            Linear::Diagonal(scale) => {
-                ProjectionKind::Sparse((0..units as u64).map(|i| (i, i, at(&scale, i as usize))).collect())
-            }
-            other => ProjectionKind::Sparse(self.listed(other, to)?),
+            other => ProjectionKind::Sparse(self.listed(other, units, to)?),
         };
         let kind = if own_delays {
             let axes = |name: &str| self.shapes[name].iter().map(|&axis| axis as u64).collect::<Vec<_>>();
@@ -240,10 +227,9 @@ impl Reader<'_> {
         if let ProjectionKind::Sparse(synapses) = &kind {
             self.count(synapses.len())?;
         }
-        let of =
-            |list: &[u32], index: u64| list.get(if list.len() == 1 { 0 } else { index as usize }).copied().unwrap_or(0);
         let waits = self.waits(from, to);
-        let delay_of = |source: u64, target: u64| waits + of(&before, source) + of(&behind, target);
+        let delay_of =
+            |source: u64, target: u64| waits + delay_at(&before, source as usize) + delay_at(&behind, target as usize);
         let longest = waits + before.iter().max().unwrap_or(&0) + behind.iter().max().unwrap_or(&0);
         if f64::from(longest) > LONGEST_DELAY {
             return Err(unsupported(
@@ -251,14 +237,12 @@ impl Reader<'_> {
                 "the delay field holds 0 to 62 steps: skip fewer layers",
             ));
         }
-        let mut projection =
-            ProjectionDesc { delay: delay_of(0, 0), ..ProjectionDesc::new(&from_name, &to_name, kind) };
-        Ok(match &mut projection.kind {
+        let projection = |kind| ProjectionDesc::new(&self.names[from], &self.names[to], kind);
+        Ok(match kind {
             ProjectionKind::Sparse(synapses) if own_delays => {
-                let synapses = std::mem::take(synapses);
-                by_delay(&projection, synapses, delay_of).collect()
+                by_delay(&projection(ProjectionKind::Sparse(Vec::new())), synapses, delay_of).collect()
             }
-            _ => vec![projection],
+            kind => vec![ProjectionDesc { delay: delay_of(0, 0), ..projection(kind) }],
         })
     }
 
@@ -307,17 +291,9 @@ impl Reader<'_> {
         self.depths.insert(output.clone(), start_step);
         let population = PopulationDesc::loihi(&name, shape, integrator(4096.0, 4096.0));
         self.model.populations.push(PopulationDesc { start_step, ..population });
-        let neuron = Discrete {
-            du: Parameter::Same(4096.0),
-            dv: Parameter::Same(4096.0),
-            taus: [None, None],
-            gain: Parameter::Same(1.0),
-            threshold: None,
-            bias: Parameter::Same(0.0),
-        };
         self.notes
             .push(format!("weights lead to '{output}' without a neuron: '{name}' shows their sum of each step as v"));
-        self.incoming(&output, &neuron)?;
+        self.incoming(&output, &Discrete::memoryless(None))?;
         self.model.output = name;
         self.drain(&output);
         Ok(())

@@ -130,22 +130,16 @@ impl Reader<'_> {
             }
         }
         // Parameters of one number fit any shape: the one that arrives.
-        for _ in 0..populations.len() {
-            let missing: Vec<String> =
-                populations.iter().filter(|name| !self.shapes.contains_key(*name)).cloned().collect();
-            let mut changed = false;
-            for name in &missing {
-                for path in self.paths(name)? {
-                    if let Some(shape) = self.shapes.get(&path[0]).cloned() {
-                        let shape = self.walk(&shape, &path[1..])?.shape;
-                        self.shapes.insert(name.clone(), shape);
-                        changed = true;
-                        break;
-                    }
+        let mut changed = true;
+        while std::mem::take(&mut changed) {
+            let missing: Vec<&String> = populations.iter().filter(|name| !self.shapes.contains_key(*name)).collect();
+            for name in missing {
+                let known = self.paths(name)?.into_iter().find(|path| self.shapes.contains_key(&path[0]));
+                if let Some(path) = known {
+                    let shape = self.walk(&self.shapes[&path[0]], &path[1..])?.shape;
+                    self.shapes.insert(name.clone(), shape);
+                    changed = true;
                 }
-            }
-            if missing.is_empty() || !changed {
-                break;
             }
         }
         for name in populations {
@@ -185,28 +179,17 @@ impl Reader<'_> {
 
     /// Populations in the order in which spikes reach them, inputs first.
     pub(super) fn order(&self, populations: &[String]) -> Vec<String> {
-        let mut order: Vec<String> =
+        let mut reached: Vec<String> =
             populations.iter().filter(|name| self.flat.nodes[*name].kind == "Input").cloned().collect();
-        let mut seen: BTreeSet<String> = order.iter().cloned().collect();
-        let mut next: Vec<String> = order.clone();
-        let mut passed: BTreeSet<String> = seen.clone();
-        while !next.is_empty() {
-            let mut after = Vec::new();
-            for name in &next {
-                for (_, to) in
-                    self.flat.edges.range((name.clone(), String::new())..).take_while(|(from, _)| from == name)
-                {
-                    if passed.insert(to.clone()) {
-                        after.push(to.clone());
-                        if is_population(&self.flat.nodes[to].kind) && seen.insert(to.clone()) {
-                            order.push(to.clone());
-                        }
-                    }
-                }
-            }
-            next = after;
+        let mut seen: BTreeSet<String> = reached.iter().cloned().collect();
+        let mut at = 0;
+        while let Some(name) = reached.get(at).cloned() {
+            let leaving = self.flat.edges.range((name.clone(), String::new())..).take_while(|(from, _)| *from == name);
+            reached.extend(leaving.map(|(_, to)| to.clone()).filter(|to| seen.insert(to.clone())));
+            at += 1;
         }
-        order.extend(populations.iter().filter(|name| !seen.contains(*name)).cloned());
-        order
+        reached.retain(|name| is_population(&self.flat.nodes[name].kind));
+        reached.extend(populations.iter().filter(|name| !seen.contains(*name)).cloned());
+        reached
     }
 }

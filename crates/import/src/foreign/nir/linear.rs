@@ -5,7 +5,7 @@
 //! many synapses.
 
 use super::context::product;
-use crate::foreign::window::{MOST_LISTED, Sliding, each3};
+use crate::foreign::window::{MOST_LISTED, Sliding, Synapses, each3};
 
 /// The linear map from one population to another over the nodes between them.
 #[derive(Clone)]
@@ -30,8 +30,7 @@ pub(super) enum Linear {
     Dense(Vec<f64>, usize),
     /// A window from one volume to another.
     Window(Window),
-    /// (source, target, weight).
-    List(Vec<(u64, u64, f64)>),
+    List(Synapses),
 }
 
 /// A convolution, or a sum over windows when it has no kernel.
@@ -49,7 +48,7 @@ impl Window {
     }
 
     /// Synapses one by one.
-    pub(super) fn list(&self) -> Option<Vec<(u64, u64, f64)>> {
+    pub(super) fn list(&self) -> Option<Synapses> {
         Some(self.sliding.synapses()?.map(|(from, to, index)| (from, to, self.weight(index))).collect())
     }
 
@@ -66,10 +65,7 @@ impl Window {
         let (ph, pw) = pool.size;
         let size = ((after.size.0 - 1) * after.dilation.0 * ph + ph, (after.size.1 - 1) * after.dilation.1 * pw + pw);
         let kernels = after.target[0].checked_mul(after.per_group())?;
-        let count = [kernels, size.0, size.1].iter().try_fold(1usize, |n, &axis| n.checked_mul(axis))?;
-        if count > MOST_LISTED {
-            return None;
-        }
+        let count = product(&[kernels, size.0, size.1]).filter(|&count| count <= MOST_LISTED)?;
         let mut kernel = vec![0.0; count];
         for (at, ky, kx) in each3([kernels, after.size.0, after.size.1]) {
             let product = next.weight((at * after.size.0 + ky) * after.size.1 + kx) * weight;
@@ -106,10 +102,7 @@ impl Window {
         let (height, dy, ky, py) = axis(conv.size.0, conv.dilation.0, conv.stride.0, behind.size.0);
         let (width, dx, kx, px) = axis(conv.size.1, conv.dilation.1, conv.stride.1, behind.size.1);
         let kernels = conv.target[0] * conv.per_group();
-        let count = [kernels, height, width].iter().try_fold(1usize, |n, &axis| n.checked_mul(axis))?;
-        if count > MOST_LISTED {
-            return None;
-        }
+        let count = product(&[kernels, height, width]).filter(|&count| count <= MOST_LISTED)?;
         let mut sums = vec![0.0; count];
         for ((at, y, x), own) in each3([kernels, conv.size.0, conv.size.1]).zip(kernel) {
             for (_, j, i) in each3([1, behind.size.0, behind.size.1]) {
@@ -132,11 +125,14 @@ fn gcd(a: usize, b: usize) -> usize {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-/// The sum of two lists of delays, of which one number counts for all and an empty list for
-/// nothing.
+/// A delay of a list, of which one number counts for all and an empty list for nothing.
+pub(super) fn delay_at(delays: &[u32], index: usize) -> u32 {
+    delays.get(if delays.len() == 1 { 0 } else { index }).copied().unwrap_or(0)
+}
+
+/// The sum of two lists of delays.
 pub(super) fn sum_of_delays(a: &[u32], b: &[u32]) -> Vec<u32> {
-    let get = |list: &[u32], index: usize| list.get(if list.len() == 1 { 0 } else { index }).copied().unwrap_or(0);
-    (0..a.len().max(b.len())).map(|index| get(a, index) + get(b, index)).collect()
+    (0..a.len().max(b.len())).map(|index| delay_at(a, index) + delay_at(b, index)).collect()
 }
 
 /// One number for all, for each channel or for each unit, as one for all or one for each.

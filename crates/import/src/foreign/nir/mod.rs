@@ -40,28 +40,24 @@ mod neuron;
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::Group;
-use super::imported::{Imported, NEVER, Options, ResetMode};
+use super::imported::{Imported, NEVER, Options, ResetMode, wrong_option};
 use super::nir_export;
 use context::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
 use graph::unfold;
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
-use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::diagnostic::Result;
 use nsim_ir::neurons::NeuronKind;
 
 /// Reads the tree of a file.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
     let mut notes = Vec::new();
-    match nir_export::restore(root) {
-        Some(Ok(model)) => {
-            check_restored(&model, options)?;
-            notes.push("written by nsim and unchanged since: restored as it was".to_string());
-            let subtracts = model.populations.iter().any(|population| population.kind == NeuronKind::SoftReset);
-            let reset = Some(if subtracts { options.reset.unwrap_or(ResetMode::Subtract) } else { ResetMode::Zero });
-            return Ok(Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed: None, reset });
-        }
-        Some(Err(why)) => notes.push(format!("written by nsim, but {why}: read as any other file")),
-        None => {}
+    let of_graph = (["node/nodes", "node/edges"], "nodes");
+    let written = nir_export::restore(root, "node/metadata", of_graph, nir_export::export);
+    if let Some(imported) = restored("NIR", written, options, &mut notes)? {
+        let subtracts = imported.model.populations.iter().any(|population| population.kind == NeuronKind::SoftReset);
+        let reset = if subtracts { options.reset.unwrap_or(ResetMode::Subtract) } else { ResetMode::Zero };
+        return Ok(Imported { reset: Some(reset), ..imported });
     }
     if graph.text("type") != Some("NIRGraph") {
         return Err(wrong("its root is no NIRGraph"));
@@ -95,8 +91,22 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     Ok(imported)
 }
 
-/// Refuses options that contradict a model of nsim's own.
-pub(super) fn check_restored(model: &NetworkFile, options: &Options) -> Result<()> {
+/// The model that nsim wrote into a file, which no option may contradict; nothing, with a note,
+/// where it is not what was written, or nsim did not write it.
+pub(super) fn restored(
+    kind: &'static str,
+    written: Option<Result<NetworkFile, String>>,
+    options: &Options,
+    notes: &mut Vec<String>,
+) -> Result<Option<Imported>> {
+    let mut model = match written {
+        Some(Ok(model)) => model,
+        Some(Err(why)) => {
+            notes.push(format!("written by nsim, but {why}: read as any other file"));
+            return Ok(None);
+        }
+        None => return Ok(None),
+    };
     let ours = |kind| model.populations.iter().any(|population| population.loihi.is_some() && population.kind == kind);
     let contradicted = match options.reset {
         None => None,
@@ -106,17 +116,14 @@ pub(super) fn check_restored(model: &NetworkFile, options: &Options) -> Result<(
     let other_test = options.threshold.is_some_and(|threshold| threshold != model.threshold).then_some("--threshold");
     let other_step = options.dt_ms.is_some_and(|dt| (dt / model.timestep_ms - 1.0).abs() > 1e-9);
     let decay = options.decay.map(|_| "--decay");
-    match contradicted.or(other_test).or(decay).or(other_step.then_some("--dt")) {
-        None => Ok(()),
-        Some(option) => Err(Diagnostic::new(
-            "import.option",
-            format!(
-                "the file holds a model of nsim with a timestep of {} ms, which {option} contradicts",
-                model.timestep_ms
-            ),
-        )
-        .help("leave the option out: the model is restored as it was")),
+    if let Some(option) = contradicted.or(other_test).or(decay).or(other_step.then_some("--dt")) {
+        let dt = model.timestep_ms;
+        let message = format!("the file holds a model of nsim with a timestep of {dt} ms, which {option} contradicts");
+        return Err(wrong_option(message).help("leave the option out: the model is restored as it was"));
     }
+    model.decision = options.decision.unwrap_or(model.decision);
+    let notes = vec!["written by nsim and unchanged since: restored as it was".to_string()];
+    Ok(Some(Imported { kind, model, notes, layers: Vec::new(), assumed: None, reset: None }))
 }
 
 impl Reader<'_> {
@@ -164,11 +171,9 @@ impl Reader<'_> {
             unsaid |= resets && !said;
             let kind = match self.options.reset.filter(|&reset| resets && reset != ResetMode::Zero) {
                 Some(reset) if said => {
-                    return Err(Diagnostic::new(
-                        "import.option",
-                        format!("node '{name}' has v_reset 0, which --reset {} contradicts", reset.name()),
-                    )
-                    .help(
+                    let reset = reset.name();
+                    let message = format!("node '{name}' has v_reset 0, which --reset {reset} contradicts");
+                    return Err(wrong_option(message).help(
                         "leave --reset out: a neuron with v_reset returns to that value. snnTorch and sinabs write \
                          v_reset 0 for networks that subtract too: read such a network of snnTorch from its state \
                          dict (torch.save), or delete the field from each node with h5py: \
@@ -226,8 +231,7 @@ impl Reader<'_> {
                 return Err(unsupported(
                     format!("node '{name}' is of the type '{}'", node.kind),
                     "imported are Input, Output, Linear, Affine, Scale, CubaLIF, LIF, IF, CubaLI, LI, I, Threshold, \
-                     Conv1d, \
-                     Conv2d, SumPool2d, AvgPool2d, Flatten, Delay and graphs of them",
+                     Conv1d, Conv2d, SumPool2d, AvgPool2d, Flatten, Delay and graphs of them",
                 ));
             }
         }

@@ -8,9 +8,9 @@ use std::cmp::Ordering;
 
 use super::context::{Reader, product, resets, unsupported, wrong};
 use crate::foreign::hdf5::Group;
-use crate::foreign::imported::{DecayRule, decimal};
+use crate::foreign::imported::{DecayRule, decimal, wrong_option};
 use nsim_files::network::Parameter;
-use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::diagnostic::Result;
 
 /// What a neuron is once it is discretised.
 pub(super) struct Discrete {
@@ -25,6 +25,20 @@ pub(super) struct Discrete {
     pub(super) threshold: Option<Parameter>,
     /// Added to v in each step.
     pub(super) bias: Parameter,
+}
+
+impl Discrete {
+    /// A neuron that shows what its weights sum in each step.
+    pub(super) fn memoryless(threshold: Option<Parameter>) -> Discrete {
+        Discrete {
+            du: Parameter::Same(4096.0),
+            dv: Parameter::Same(4096.0),
+            taus: [None, None],
+            gain: Parameter::Same(1.0),
+            threshold,
+            bias: Parameter::Same(0.0),
+        }
+    }
 }
 
 /// A decay that is nearer to a whole number of 4096ths is that number: time constants have single
@@ -106,7 +120,7 @@ impl Reader<'_> {
             return Ok(1e-3);
         }
         let ask = |message: String| {
-            Diagnostic::new("import.option", message).help(
+            wrong_option(message).help(
                 "say how long a timestep is: --dt MS, for example --dt 0.1. No timestep suits the time constants that \
                  Norse writes: nsim.from_torch reads its modules",
             )
@@ -170,14 +184,10 @@ impl Reader<'_> {
                 return Ok(tau.map(|tau| -(-dt / tau).exp_m1()));
             }
             if !all(&tau, |tau| dt <= tau * (1.0 + 1e-6)) {
-                return Err(Diagnostic::new(
-                    "import.option",
-                    format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3),
-                )
-                .help(
+                let message = format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3);
+                return Err(wrong_option(message).help(
                     "give a shorter one with --dt MS; time constants of a file are in seconds. A tool whose states \
-                     decay by \
-                     exp(-dt / tau) is read with --decay exponential",
+                     decay by exp(-dt / tau) is read with --decay exponential",
                 ));
             }
             Ok(tau.map(|tau| (dt / tau).min(1.0)))
@@ -195,8 +205,6 @@ impl Reader<'_> {
         };
         // `dt / tau * (tau / dt)`, which exporters write for "no scaling", is 1 but for rounding.
         let snapped = |gain: Parameter| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
-        let forget = Parameter::Same(4096.0);
-        let none = Parameter::Same(0.0);
         let spiking = resets(&node.kind);
         if spiking && !all(&get("v_reset", Some(0.0))?, |v| v == 0.0) {
             return Err(unsupported(
@@ -216,28 +224,25 @@ impl Reader<'_> {
                 "a threshold mantissa is not negative, and weights are scaled by it",
             ));
         }
+        let times = |fraction: &Parameter, key: &str, default: f64| -> Result<Parameter> {
+            Ok(zip(fraction, &get(key, Some(default))?, |a, b| a * b))
+        };
         let neuron = match node.kind.as_str() {
-            "CubaLIF" | "CubaLI" => {
-                let (synapse, membrane) = (fraction("tau_syn")?, fraction("tau_mem")?);
-                let current = snapped(zip(&synapse, &get("w_in", Some(1.0))?, |a, b| a * b));
-                let voltage = snapped(zip(&membrane, &get("r", Some(1.0))?, |a, b| a * b));
+            kind @ ("CubaLIF" | "CubaLI" | "LIF" | "LI") => {
+                let has_current = kind.starts_with("Cuba");
+                let synapse = if has_current { Some(fraction("tau_syn")?) } else { None };
+                let membrane = fraction(if has_current { "tau_mem" } else { "tau" })?;
+                let current = match &synapse {
+                    Some(synapse) => snapped(times(synapse, "w_in", 1.0)?),
+                    None => Parameter::Same(1.0),
+                };
+                let voltage = snapped(times(&membrane, "r", 1.0)?);
                 Discrete {
-                    du: decay(&synapse),
+                    du: synapse.as_ref().map_or(Parameter::Same(4096.0), decay),
                     dv: decay(&membrane),
-                    taus: [tau(&synapse), tau(&membrane)],
+                    taus: [synapse.as_ref().and_then(tau), tau(&membrane)],
                     gain: zip(&current, &voltage, |a, b| a * b),
-                    bias: zip(&membrane, &get("v_leak", Some(0.0))?, |a, b| a * b),
-                    threshold,
-                }
-            }
-            "LIF" | "LI" => {
-                let membrane = fraction("tau")?;
-                Discrete {
-                    du: forget,
-                    dv: decay(&membrane),
-                    taus: [None, tau(&membrane)],
-                    gain: snapped(zip(&membrane, &get("r", Some(1.0))?, |a, b| a * b)),
-                    bias: zip(&membrane, &get("v_leak", Some(0.0))?, |a, b| a * b),
+                    bias: times(&membrane, "v_leak", 0.0)?,
                     threshold,
                 }
             }
@@ -247,19 +252,9 @@ impl Reader<'_> {
                 let said = self.options.dt_ms.is_some();
                 let r = get("r", Some(1.0))?;
                 let gain = if said && !all(&r, |r| r == 1.0) { r.map(|r| r * dt) } else { r };
-                Discrete {
-                    du: forget,
-                    dv: none.clone(),
-                    taus: [None, None],
-                    gain: snapped(gain),
-                    bias: none,
-                    threshold,
-                }
+                Discrete { dv: Parameter::Same(0.0), gain: snapped(gain), ..Discrete::memoryless(threshold) }
             }
-            "Threshold" => {
-                let taus = [None, None];
-                Discrete { du: forget.clone(), dv: forget, taus, gain: Parameter::Same(1.0), bias: none, threshold }
-            }
+            "Threshold" => Discrete::memoryless(threshold),
             _ => return Ok(None),
         };
         let shown = |value: &Parameter| match value {

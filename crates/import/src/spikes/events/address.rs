@@ -9,7 +9,7 @@
 
 use std::io::{BufRead, Read};
 
-use super::event::{Event, Remark, Sink, fill, unreadable, wrong};
+use super::event::{Event, Sink, fill, unreadable, wrong};
 use nsim_ir::base::diagnostic::Result;
 
 /// The longest line of a header, and the most lines.
@@ -19,45 +19,42 @@ const MOST_HEADER: usize = 1 << 12;
 pub(super) const OVERFLOW_ROW: u32 = 240;
 const OVERFLOW_US: i64 = 1 << 13;
 
-fn polarity_and_time(bytes: &[u8; 5]) -> (bool, i64) {
-    let word = u32::from_be_bytes([0, bytes[2], bytes[3], bytes[4]]);
-    (word >> 23 & 1 == 1, i64::from(word & 0x7f_ffff))
+/// Records of two bytes of address, which are a column and a row, and three of polarity and time;
+/// one of the row `turn` is a turn of the clock and no event.
+fn addressed(
+    input: &mut dyn BufRead,
+    sink: &mut dyn Sink,
+    place: impl Fn([u8; 2]) -> (u32, u32),
+    turn: Option<u32>,
+) -> Result<()> {
+    let (mut bytes, mut passed_us) = ([0; 5], 0);
+    while fill(input, &mut bytes, sink)? {
+        let (x, y) = place([bytes[0], bytes[1]]);
+        if turn == Some(y) {
+            passed_us += OVERFLOW_US;
+            sink.counts().clock_turns += 1;
+            continue;
+        }
+        let word = u32::from_be_bytes([0, bytes[2], bytes[3], bytes[4]]);
+        sink.event(Event { t_us: passed_us + i64::from(word & 0x7f_ffff), x, y, on: word >> 23 & 1 == 1 })?;
+    }
+    Ok(())
 }
 
 /// SLAYER `.bs2`.
 pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
-    let mut bytes = [0; 5];
-    while fill(input, &mut bytes, sink)? {
-        let (on, t_us) = polarity_and_time(&bytes);
-        sink.event(Event { t_us, x: bytes[0].into(), y: bytes[1].into(), on })?;
-    }
-    Ok(())
+    addressed(input, sink, |[x, y]| (x.into(), y.into()), None)
 }
 
 /// `.bin` of N-MNIST and N-Caltech101, in which an entry of row 240 is a turn of the clock and no
 /// event.
 pub fn bin(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
-    let (mut bytes, mut passed_us) = ([0; 5], 0);
-    while fill(input, &mut bytes, sink)? {
-        let (on, t_us) = polarity_and_time(&bytes);
-        if u32::from(bytes[1]) == OVERFLOW_ROW {
-            passed_us += OVERFLOW_US;
-            sink.remark(Remark::ClockTurn);
-            continue;
-        }
-        sink.event(Event { t_us: passed_us + t_us, x: bytes[0].into(), y: bytes[1].into(), on })?;
-    }
-    Ok(())
+    addressed(input, sink, |[x, y]| (x.into(), y.into()), Some(OVERFLOW_ROW))
 }
 
 /// SLAYER `.bs1`.
 pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
-    let mut bytes = [0; 5];
-    while fill(input, &mut bytes, sink)? {
-        let (on, t_us) = polarity_and_time(&bytes);
-        sink.event(Event { t_us, x: u16::from_be_bytes([bytes[0], bytes[1]]).into(), y: 0, on })?;
-    }
-    Ok(())
+    addressed(input, sink, |channel| (u16::from_be_bytes(channel).into(), 0), None)
 }
 
 /// The lines of a header, each beginning with '%' and a space, without these; and a byte that was
@@ -77,18 +74,10 @@ pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [
             return Ok((lines, b"%"));
         }
         let mut line = Vec::new();
-        loop {
-            let buffer = input.fill_buf().map_err(|error| unreadable(&error))?;
-            let end = buffer.iter().position(|&byte| byte == b'\n').map_or(buffer.len(), |end| end + 1);
-            line.extend_from_slice(&buffer[..end]);
-            let done = buffer.is_empty() || line.last() == Some(&b'\n');
-            input.consume(end);
-            if line.len() > MOST_HEADER {
-                return Err(wrong(format!("a line of the header is longer than {MOST_HEADER} bytes")));
-            }
-            if done {
-                break;
-            }
+        let read = Read::take(&mut *input, MOST_HEADER as u64 + 1).read_until(b'\n', &mut line);
+        read.map_err(|error| unreadable(&error))?;
+        if line.len() > MOST_HEADER {
+            return Err(wrong(format!("a line of the header is longer than {MOST_HEADER} bytes")));
         }
         let line = String::from_utf8_lossy(&line).trim().to_string();
         let last = line == "end";
@@ -132,7 +121,7 @@ pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
         let word = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]);
         if before > u32::MAX / 4 * 3 && time < u32::MAX / 4 {
             turns += 1;
-            sink.remark(Remark::ClockTurn);
+            sink.counts().clock_turns += 1;
         } else if before < u32::MAX / 4 && time > u32::MAX / 4 * 3 && turns > 0 {
             // A step back over the turn.
             turns -= 1;

@@ -17,7 +17,7 @@ use planus::errors::ErrorKind;
 use planus::table_reader::Table;
 use planus::{SliceWithStartOffset, TableRead};
 
-use super::event::{Event, Remark, Sink, fill, unreadable, wrong};
+use super::event::{Event, Sink, fill, unreadable, wrong};
 use nsim_files::budget::Budget;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
@@ -141,7 +141,7 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
         let mut head = [0; 8];
         if !fill(input, &mut head, sink)? {
             if end >= 0 {
-                sink.remark(Remark::Cut(0));
+                sink.counts().cut_bytes = Some(0);
             }
             break;
         }
@@ -170,7 +170,7 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
             return Err(wrong(format!("a packet before byte {at} is not of the kind {kind} of its stream {number}")));
         }
         let Some(buffer) = events else {
-            sink.remark(Remark::NotAnEvent);
+            sink.counts().not_events += 1;
             continue;
         };
         match stream {
@@ -225,7 +225,7 @@ fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, sink: &mut dyn Si
     input.take(size as u64).read_to_end(&mut bytes).map_err(|error| unreadable(&error))?;
     *at += bytes.len() as u64;
     if bytes.len() < size {
-        sink.remark(Remark::Cut(bytes.len() as u64));
+        sink.counts().cut_bytes = Some(bytes.len() as u64);
         return Ok(None);
     }
     Ok(Some(bytes))

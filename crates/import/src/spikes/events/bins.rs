@@ -3,7 +3,7 @@
 //! Input: events one by one. Output: the spikes of a sample. Only occupied bins are kept, each with
 //! its number of events; new events are sorted into them in batches.
 
-use super::event::{Counts, Event, Remark, Sink, wrong};
+use super::event::{Counts, Event, Sink, wrong};
 use super::text::unit_unknown;
 use crate::spikes::options::{EventOptions, Origin, Polarity};
 use crate::spikes::population::{Expected, PopulationSpikes, too_many};
@@ -12,37 +12,6 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// Events of a batch, at least.
 const BATCH: usize = 1 << 16;
-
-/// The window in space and time that is kept.
-#[derive(Debug, Clone)]
-pub struct Window {
-    options: EventOptions,
-    bin_us: f64,
-    start: Origin,
-    /// The size that is assumed when nothing else says it.
-    assumed: Option<(u32, u32)>,
-    /// Whether the polarities of a place are adjacent channels instead of separate planes.
-    interleaved: bool,
-    expected: Expected,
-}
-
-impl Window {
-    /// A window for a population.
-    pub fn new(
-        expected: &Expected,
-        options: &EventOptions,
-        assumed: Option<(u32, u32)>,
-        interleaved: bool,
-        start: Origin,
-    ) -> Result<Self> {
-        let bin_us = options.bin_us.unwrap_or(expected.dt_ms * 1e3);
-        if !(bin_us > 0.0 && bin_us.is_finite()) {
-            return Err(Diagnostic::new("input.option", format!("a timestep of {bin_us} us")));
-        }
-        let start = options.start.unwrap_or(start);
-        Ok(Window { options: options.clone(), bin_us, start, assumed, interleaved, expected: *expected })
-    }
-}
 
 /// The part of the sensor that is kept and its pooled columns and rows, once the size is known.
 #[derive(Debug, Clone, Copy)]
@@ -56,9 +25,16 @@ struct Grid {
     rows: u32,
 }
 
-/// The bins of a recording.
+/// The bins of a recording, in the window in space and time that is kept.
 pub struct Bins {
-    window: Window,
+    options: EventOptions,
+    bin_us: f64,
+    start: Origin,
+    /// The size that is assumed when nothing else says it.
+    assumed: Option<(u32, u32)>,
+    /// Whether the polarities of a place are adjacent channels instead of separate planes.
+    interleaved: bool,
+    expected: Expected,
     sensor: Option<(u32, u32)>,
     grid: Option<Grid>,
     start_us: Option<i64>,
@@ -71,10 +47,25 @@ pub struct Bins {
 }
 
 impl Bins {
-    /// Empty bins.
-    pub fn new(window: Window) -> Self {
-        Bins {
-            window,
+    /// Empty bins for a population.
+    pub fn new(
+        expected: &Expected,
+        options: &EventOptions,
+        assumed: Option<(u32, u32)>,
+        interleaved: bool,
+        start: Origin,
+    ) -> Result<Self> {
+        let bin_us = options.bin_us.unwrap_or(expected.dt_ms * 1e3);
+        if !(bin_us > 0.0 && bin_us.is_finite()) {
+            return Err(Diagnostic::new("input.option", format!("a timestep of {bin_us} us")));
+        }
+        Ok(Bins {
+            options: options.clone(),
+            bin_us,
+            start: options.start.unwrap_or(start),
+            assumed,
+            interleaved,
+            expected: *expected,
             sensor: None,
             grid: None,
             start_us: None,
@@ -82,7 +73,7 @@ impl Bins {
             counts: Counts::default(),
             recent: Vec::new(),
             settled: Vec::new(),
-        }
+        })
     }
 
     /// The grid, from the options, the file, the population or the format's usual sensor, in this
@@ -91,7 +82,7 @@ impl Bins {
         if let Some(grid) = self.grid {
             return Ok(grid);
         }
-        let Window { options, expected, assumed, .. } = &self.window;
+        let Bins { options, expected, assumed, .. } = &*self;
         let pool = options.pool.unwrap_or((1, 1));
         let planes = if options.polarity == Polarity::Both { 2 } else { 1 };
         let of_population = expected
@@ -148,16 +139,16 @@ impl Bins {
 
     /// The step of a time; none before the start or after the end.
     fn step(&mut self, t_us: i64) -> Result<Option<u32>> {
-        let start = *self.start_us.get_or_insert(match self.window.start {
+        let start = *self.start_us.get_or_insert(match self.start {
             Origin::First => t_us,
             Origin::At(start) => start,
         });
-        let bins = t_us.saturating_sub(start) as f64 / self.window.bin_us;
-        let step = if self.window.options.nearest { bins.round_ties_even() } else { bins.floor() };
+        let bins = t_us.saturating_sub(start) as f64 / self.bin_us;
+        let step = if self.options.nearest { bins.round_ties_even() } else { bins.floor() };
         if step < 0.0 {
             return Ok(None);
         }
-        match self.window.options.steps {
+        match self.options.steps {
             Some(steps) => Ok((step < f64::from(steps)).then_some(step as u32)),
             None if step < f64::from(MOST_STEPS) => Ok(Some(step as u32)),
             None => Err(Diagnostic::new(
@@ -178,7 +169,7 @@ impl Bins {
             return Ok(());
         };
         let span = last.saturating_sub(first) as f64;
-        let (gaps, step) = (events as f64 - 1.0, self.window.bin_us);
+        let (gaps, step) = (events as f64 - 1.0, self.bin_us);
         let short = span < step && events > 2 && span > 0.0;
         if short || span > gaps * 1e6 || gaps > span * 1e3 && span > 0.0 {
             let message = format!(
@@ -195,8 +186,8 @@ impl Bins {
         self.grid()?;
         self.settle()?;
         self.check_unit()?;
-        let least = self.window.options.least.unwrap_or(1.0);
-        let steps = match self.window.options.steps {
+        let least = self.options.least.unwrap_or(1.0);
+        let steps = match self.options.steps {
             Some(steps) => steps,
             None if self.settled.is_empty() => {
                 return Err(Diagnostic::new("input.empty", "no event falls into the window")
@@ -212,11 +203,8 @@ impl Bins {
             .collect();
         self.counts.faint = (self.settled.len() - events.len()) as u64;
         self.counts.merged = self.counts.events - self.counts.dropped - self.settled.len() as u64;
-        let units = Some(self.window.expected.units);
-        Ok((
-            PopulationSpikes { units, steps, label: None, events, values: Vec::new(), name: name.to_string() },
-            self.counts,
-        ))
+        let (units, name) = (Some(self.expected.units), name.to_string());
+        Ok((PopulationSpikes { units, steps, events, name, ..Default::default() }, self.counts))
     }
 }
 
@@ -227,15 +215,15 @@ impl Sink for Bins {
         }
     }
 
-    fn remark(&mut self, remark: Remark) {
-        self.counts.remark(remark);
+    fn counts(&mut self) -> &mut Counts {
+        &mut self.counts
     }
 
     fn event(&mut self, event: Event) -> Result<()> {
         let grid = self.grid()?;
         self.counts.event(event.t_us);
         let step = self.step(event.t_us)?;
-        let plane = match self.window.options.polarity {
+        let plane = match self.options.polarity {
             Polarity::Both => Some(u32::from(event.on)),
             Polarity::Merge => Some(0),
             Polarity::On => event.on.then_some(0),
@@ -248,7 +236,7 @@ impl Sink for Bins {
             return Ok(());
         };
         let (row, column) = (y / grid.pool.1, x / grid.pool.0);
-        let channel = match (self.window.interleaved, self.window.options.polarity) {
+        let channel = match (self.interleaved, self.options.polarity) {
             (true, Polarity::Both) => (row * grid.columns + column) * 2 + plane,
             _ => (plane * grid.rows + row) * grid.columns + column,
         };

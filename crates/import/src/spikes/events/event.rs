@@ -18,21 +18,6 @@ pub struct Event {
     pub on: bool,
 }
 
-/// What a decoder reports of a recording besides its events.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Remark {
-    /// The clock of the recording began again: later times are moved on by its range.
-    ClockTurn,
-    /// A record that is no event of a pixel, such as a trigger or a frame.
-    NotAnEvent,
-    /// An event before the first record that says when it was.
-    Untimed,
-    /// The file ends early, with this number of bytes behind the last whole record.
-    Cut(u64),
-    /// Nothing says the unit of the times; they are read as microseconds.
-    AssumedMicroseconds,
-}
-
 /// What was read, and what of it was left out.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
@@ -50,7 +35,7 @@ pub struct Counts {
     pub faint: u64,
     /// Turns of the recording's clock, by which later times were moved on.
     pub clock_turns: u64,
-    /// Records that are no events of pixels.
+    /// Records that are no events of pixels, such as triggers and frames.
     pub not_events: u64,
     /// Bytes behind the last whole record of a file that ends early.
     pub cut_bytes: Option<u64>,
@@ -67,18 +52,10 @@ impl Counts {
         self.span_us = Some((earliest.min(t_us), latest.max(t_us)));
     }
 
-    /// Counts what a decoder reports.
-    pub fn remark(&mut self, remark: Remark) {
-        match remark {
-            Remark::ClockTurn => self.clock_turns += 1,
-            Remark::NotAnEvent => self.not_events += 1,
-            Remark::Untimed => {
-                self.events += 1;
-                self.dropped += 1;
-            }
-            Remark::Cut(bytes) => self.cut_bytes = Some(bytes),
-            Remark::AssumedMicroseconds => self.unit_assumed = true,
-        }
+    /// Counts an event before the first record that says when it was.
+    pub fn untimed(&mut self) {
+        self.events += 1;
+        self.dropped += 1;
     }
 }
 
@@ -91,8 +68,8 @@ pub trait Sink {
     /// # Errors
     /// When there are more than can be kept.
     fn event(&mut self, event: Event) -> Result<()>;
-    /// What the decoder reports besides events.
-    fn remark(&mut self, _remark: Remark) {}
+    /// Where the decoder counts what it meets besides events.
+    fn counts(&mut self) -> &mut Counts;
 }
 
 /// What is wrong with a recording.
@@ -138,7 +115,7 @@ pub(super) fn rows(
         };
         match outcome {
             Err(problem) if problem.code == "input.events" && any && line.last() != Some(&b'\n') => {
-                sink.remark(Remark::Cut(line.len() as u64));
+                sink.counts().cut_bytes = Some(line.len() as u64);
                 return Ok(());
             }
             Err(mut problem) => {
@@ -163,7 +140,7 @@ pub(super) fn fill(input: &mut dyn BufRead, buffer: &mut [u8], sink: &mut dyn Si
         match std::io::Read::read(input, &mut buffer[filled..]) {
             Ok(0) => {
                 if filled > 0 {
-                    sink.remark(Remark::Cut(filled as u64));
+                    sink.counts().cut_bytes = Some(filled as u64);
                 }
                 return Ok(false);
             }

@@ -9,7 +9,7 @@
 use std::io::{BufRead, Read};
 
 use super::address::header;
-use super::event::{Event, Remark, Sink, fill, no_streams, wrong};
+use super::event::{Event, Sink, fill, no_streams, wrong};
 use nsim_ir::base::diagnostic::Result;
 
 /// A `.raw` file; its header says which encoding it has.
@@ -79,7 +79,7 @@ fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
             kind @ (0 | 1) => {
                 // Before the first high part nothing says when it was.
                 let Some(high) = high else {
-                    sink.remark(Remark::Untimed);
+                    sink.counts().untimed();
                     continue;
                 };
                 let t_us = (turns << 34) + (high << 6) + i64::from(word >> 22 & 0x3f);
@@ -90,7 +90,7 @@ fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
                 match new - high.unwrap_or(new) {
                     fall if fall < -(1 << 27) => {
                         turns += 1;
-                        sink.remark(Remark::ClockTurn);
+                        sink.counts().clock_turns += 1;
                     }
                     // A step back over the turn.
                     rise if rise > 1 << 27 && turns > 0 => turns -= 1,
@@ -99,7 +99,7 @@ fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
                 high = Some(new);
             }
             // Triggers, others, continued words.
-            _ => sink.remark(Remark::NotAnEvent),
+            _ => sink.counts().not_events += 1,
         }
     }
     Ok(())
@@ -117,7 +117,7 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
             true => sink.event(Event { t_us, x, y, on }),
             // Before the first high half nothing says when it was.
             false => {
-                sink.remark(Remark::Untimed);
+                sink.counts().untimed();
                 Ok(())
             }
         };
@@ -146,7 +146,7 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
                 // is one of the camera's clock, and stays as it is.
                 if timed && low - new > 1 << 11 {
                     high += 1;
-                    sink.remark(Remark::ClockTurn);
+                    sink.counts().clock_turns += 1;
                 }
                 low = new;
             }
@@ -154,7 +154,7 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
                 let new = i64::from(word & 0xfff);
                 if timed && high - new > 1 << 11 {
                     turns += 1;
-                    sink.remark(Remark::ClockTurn);
+                    sink.counts().clock_turns += 1;
                 } else if new - high > 1 << 11 && turns > 0 {
                     // A step back over the turn.
                     turns -= 1;
@@ -166,7 +166,7 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
                 (high, timed) = (new, true);
             }
             // The other camera's events; triggers, others, continued words.
-            _ => sink.remark(Remark::NotAnEvent),
+            _ => sink.counts().not_events += 1,
         }
     }
     Ok(())

@@ -32,7 +32,6 @@ fn number(group: &Group, key: &str) -> Option<f64> {
 }
 
 /// Whether a tree is one of data.
-#[must_use]
 pub fn is_data(root: &Group) -> bool {
     kind(root) == Some("NIRGraphData")
 }
@@ -77,18 +76,15 @@ pub fn read(
     let gridded = kind(group) == Some("TimeGriddedData");
     let least = least.filter(|_| gridded);
     if *options != (EventOptions { bin_us, steps, least, ..EventOptions::default() }) {
-        return Err(Diagnostic::new(
-            "input.option",
-            "NIR data has channels and times: bin_ms and steps are its only options, and least of a grid",
-        ));
+        let message = "NIR data has channels and times: bin_ms and steps are its only options, and least of a grid";
+        return Err(Diagnostic::new("input.option", message));
     }
     let of_grid = ArrayOptions { least, ..ArrayOptions::default() };
     let array = |key: &str, axes: usize| {
         let numbers = group.numbers(key).ok_or_else(|| wrong(format!("the observable has no '{key}'")))?;
-        if numbers.shape().len() == axes {
-            Ok(numbers)
-        } else {
-            Err(wrong(format!("'{key}' is {:?}", numbers.shape())))
+        match numbers.shape() {
+            shape if shape.len() == axes => Ok(numbers),
+            shape => Err(wrong(format!("'{key}' is {shape:?}"))),
         }
     };
     let check = |units: f64| {
@@ -108,7 +104,7 @@ pub fn read(
         if samples > MOST_SAMPLES {
             return Err(wrong(format!("{samples} samples")));
         }
-        Ok(PopulationSpikes::silent(samples, expected.units, steps, path))
+        Ok(PopulationSpikes::silent(samples, expected.units, steps, path.display().to_string()))
     };
     match kind(group) {
         Some("TimeGriddedData") => {
@@ -122,14 +118,11 @@ pub fn read(
                     .help(format!("FILE?bin_ms={grid} takes each step of the grid as a timestep")));
             }
             if options.steps.is_some_and(|wanted| wanted as usize != steps) {
-                return Err(Diagnostic::new(
-                    "input.option",
-                    format!("the grid has {steps} steps: steps= is for events"),
-                ));
+                let message = format!("the grid has {steps} steps: steps= is for events");
+                return Err(Diagnostic::new("input.option", message));
             }
             check(units as f64)?;
-            let all = bound(steps as f64)?;
-            let mut recordings = silent(samples, all)?;
+            let mut recordings = silent(samples, bound(steps as f64)?)?;
             for (at, number) in data.reals().enumerate() {
                 if !of_grid.is_spike(number, path)? {
                     continue;
@@ -179,7 +172,6 @@ pub fn read(
 }
 
 /// A tree with spikes of samples, each (step, unit), as events of a node.
-#[must_use]
 pub fn events(samples: &[Vec<(u32, u32)>], units: u32, steps: u32, dt_s: f64) -> Group {
     let most = samples.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let (mut idx, mut time) = (Vec::new(), Vec::new());
@@ -199,13 +191,11 @@ pub fn events(samples: &[Vec<(u32, u32)>], units: u32, steps: u32, dt_s: f64) ->
 }
 
 /// A tree with numbers `[samples][steps][units]` on a grid of time.
-#[must_use]
 pub fn gridded(numbers: &[f64], shape: [usize; 3], dt_s: f64) -> Group {
     attributed(Group::default().with("data", Numbers::f64(&shape, numbers)), "TimeGriddedData", &[("dt", dt_s)])
 }
 
 /// A whole file with one observable of one node.
-#[must_use]
 pub fn file(node: &str, observable: &str, data: Group) -> Group {
     let node_group =
         attributed(Group::default().with("observables", Group::default().with(observable, data)), "NIRNodeData", &[]);

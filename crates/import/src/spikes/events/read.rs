@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use super::bins::{Bins, Window};
+use super::bins::Bins;
 use super::event::{Counts, Sink, no_streams, unreadable};
 use super::{address, aedat, evt, tact, text as rows};
 use crate::kind::EventFormat;
@@ -90,8 +90,8 @@ pub fn read_input(
         EventFormat::Tact => Some((tact::TAXELS, 1)),
         _ => None,
     };
-    let window = Window::new(expected, options, default_size, format == EventFormat::Tact, default_origin(format))?;
-    let mut bins = Bins::new(window);
+    let interleaved = format == EventFormat::Tact;
+    let mut bins = Bins::new(expected, options, default_size, interleaved, default_origin(format))?;
     decode(format, options, input, &mut bins)?;
     bins.finish(name)
 }

@@ -8,7 +8,7 @@
 
 use std::io::BufRead;
 
-use super::event::{Event, Remark, Sink, rows, wrong};
+use super::event::{Event, Sink, rows, wrong};
 use crate::spikes::options::TimeUnit;
 use nsim_files::text::TIMES;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -113,7 +113,6 @@ impl Columns {
 }
 
 /// Whether a line is the header of such a file.
-#[must_use]
 pub fn is_header(line: &str) -> bool {
     Columns::from_header(line).is_some()
 }
@@ -140,7 +139,7 @@ pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Si
         }
         named.unit = named.unit.or(said);
         if named.unit.is_none() {
-            sink.remark(Remark::AssumedMicroseconds);
+            sink.counts().unit_assumed = true;
         }
         columns = Some(named);
         Ok(())
@@ -149,9 +148,11 @@ pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Si
 
 #[cfg(test)]
 mod tests {
+    use super::super::event::Counts;
     use super::*;
 
-    struct Kept(Vec<Event>);
+    #[derive(Default)]
+    struct Kept(Vec<Event>, Counts);
 
     impl Sink for Kept {
         fn size(&mut self, _: u32, _: u32) {}
@@ -159,10 +160,13 @@ mod tests {
             self.0.push(event);
             Ok(())
         }
+        fn counts(&mut self) -> &mut Counts {
+            &mut self.1
+        }
     }
 
     fn read(text: &str) -> Result<Vec<(i64, u32, u32, bool)>> {
-        let mut kept = Kept(Vec::new());
+        let mut kept = Kept::default();
         events(None, &mut text.as_bytes(), &mut kept)?;
         Ok(kept.0.iter().map(|event| (event.t_us, event.x, event.y, event.on)).collect())
     }
