@@ -32,8 +32,11 @@ const BRIDGED: u16 = LANES as u16;
 const SHORTEST: usize = 2;
 /// How often rows must be used on average: rows of one source each belong to dense blocks.
 const USES: usize = 2;
-/// Input axons of a core of which either all are delivered by rows or none.
+/// Input axons of a core of which either all that have rows are delivered by them or none.
 const TOGETHER: usize = 64;
+/// Those of them that have rows: fewer are equal to another by chance, as pairs of random synapses
+/// are, and a step would look for the rows of every spike.
+const FEWEST: usize = 4;
 /// Synapses of a program from which on rows that only other cores use too are shared: the weights
 /// of fewer fit a cache, where dense blocks are faster.
 const MANY: u64 = 1 << 22;
@@ -274,7 +277,9 @@ impl CoreRows {
             let run = first..self.axons.len().min(first + TOGETHER);
             let numbers = || run.clone().flat_map(|axon| self.axons.get(axon)).map(|item| item.2 as usize);
             let distinct: BTreeSet<usize> = numbers().collect();
-            let shared = distinct.iter().map(|&number| all[number]).sum::<usize>() >= USES * distinct.len();
+            let uses = distinct.iter().map(|&number| all[number]).sum::<usize>();
+            let have_rows = run.clone().filter(|&axon| !self.axons.get(axon).is_empty()).count();
+            let shared = have_rows >= FEWEST && uses >= USES * distinct.len();
             for axon in run.clone() {
                 if shared {
                     axons.extend_last(self.axons.get(axon).iter().map(|&(rank, delay, number)| {
@@ -650,6 +655,22 @@ mod tests {
         let table = builder.finish(&Arc::new(rows)).unwrap().unwrap();
         let synapses: Vec<u32> = table.origins.iter().map(|&origin| table.stencil(origin).0.synapses).collect();
         assert_eq!(synapses, counts.map(|(_, synapses)| synapses));
+    }
+
+    #[test]
+    fn a_few_equal_rows_among_many_axons_are_no_rows() {
+        for (with_rows, shares) in [(FEWEST - 2, false), (FEWEST, true)] {
+            let contents = vec![Content { weights: vec![3, 4], synapses: 2 }];
+            let mut axons = Csr::with_capacity(TOGETHER, with_rows);
+            for axon in 0..TOGETHER {
+                if axon % (TOGETHER / with_rows) == 0 {
+                    axons.extend_last([(axon as u16, 0, 0)]);
+                }
+                axons.end();
+            }
+            let core = CoreRows { contents, axons };
+            assert_eq!(core.shared(&HashMap::new()).is_some(), shares, "{with_rows} axons");
+        }
     }
 
     #[test]
