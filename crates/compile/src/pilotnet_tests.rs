@@ -1,4 +1,5 @@
-//! PilotNet LIF on Loihi 2: what nsim counts of a core against the cores that Intel's compiler took.
+//! PilotNet LIF on Loihi 2: what nsim counts of a core against the cores that Intel's compiler
+//! took.
 //!
 //! The notebook of lava-dl d825ac5 (`netx/pilotnet_snn`) prints compartments a core and cores for
 //! each layer, 74 cores together. All convolutions are cut into stripes of the whole height and all
@@ -62,10 +63,11 @@ fn pilotnet() -> Quantised {
     net.build()
 }
 
-/// Stripes of the greatest power of two that fits are those of Intel's compiler, layer by layer, and
-/// with nsim's own cores of the dense layers they are within 20 % of its 74 cores. The sizes are 192
-/// KiB, 24 bytes of state and eight accumulators of 24 bits as on Loihi 1; none was chosen by these
-/// figures, but the rule of stripes was read off them. nsim cuts anywhere: it takes fewer cores.
+/// Stripes of the greatest power of two that fits are those of Intel's compiler, layer by layer,
+/// and with nsim's own cores of the dense layers they are within 20 % of its 74 cores. The sizes
+/// are 192 KiB, 24 bytes of state and eight accumulators of 24 bits as on Loihi 1; none was chosen
+/// by these figures, but the rule of stripes was read off them. nsim cuts anywhere: it takes fewer
+/// cores.
 #[test]
 fn stripes_of_the_greatest_width_that_fits_are_those_of_intel_s_compiler() {
     let network = pilotnet();

@@ -1,11 +1,11 @@
 //! Ladders: run time a synaptic event along one property of a network or a run, to find cliffs.
 //!
-//! Input: a seed, which draws what a ladder holds fixed. Output: for each rung the time of an event,
-//! the goal, and whether it is a *cliff*. The goal is that of its class and of the updates between
-//! two events. A cliff takes more than [`CLIFF`] times as long as a neighbour, where its goal is
-//! not longer; where it is, as many times more. Times are those of a run as users start it, sums of
-//! counts included. On several threads a time is that of all threads together. Errors: a network
-//! that does not map, a fault.
+//! Input: a seed, which draws what a ladder holds fixed. Output: for each rung the time of an
+//! event, the goal, and whether it is a *cliff*. The goal is that of its class and of the updates
+//! between two events. A cliff takes more than [`CLIFF`] times as long as a neighbour, where its
+//! goal is not longer; where it is, as many times more. Times are those of a run as users start it,
+//! sums of counts included. On several threads a time is that of all threads together. Errors: a
+//! network that does not map, a fault.
 
 use nsim_compile::{Options, Strategy, compile};
 use nsim_files::target::load_target;

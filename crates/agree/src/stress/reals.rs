@@ -46,8 +46,8 @@ fn input(step: u64) -> f64 {
     if number < 64.0 { 0.0 } else { (number - 112.0) / 64.0 }
 }
 
-/// Runs a recursion and compares it with the kernel `(k, weight)` over its inputs: says the greatest
-/// error over the first and the last tenth, and the bound.
+/// Runs a recursion and compares it with the kernel `(k, weight)` over its inputs: says the
+/// greatest error over the first and the last tenth, and the bound.
 fn growth(what: &str, unit: f64, kernel: &[f64], mut next: impl FnMut(f64) -> f64) -> Outcome {
     let (mut early, mut late) = (0.0f64, 0.0f64);
     let bound = unit * 1.25 * kernel.iter().enumerate().map(|(k, a)| a.abs() * (4.0 * k as f64 + 4.0)).sum::<f64>();
