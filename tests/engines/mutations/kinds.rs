@@ -644,8 +644,8 @@ fn edit_out<T>(out: &mut AxonsOut, change: impl FnOnce(&mut Csr<AxonTarget>) -> 
     result
 }
 
-/// Changes the messages of all channels or of a core's compartments, at any of the lists that have
-/// at least so many.
+/// Changes the messages of all channels or of a core's compartments, in a drawn list of at least
+/// `least` messages.
 fn messages(
     parts: &mut Parts,
     draw: &mut Draw,
