@@ -1,14 +1,10 @@
-//! The resources of a core: what each is called, and how much of each a core has.
+//! The limits of a core, and the pools that its resources share.
 //!
 //! Input: the `limits` of a chip file. Output: [`Limits`], a table by [`Resource`], with the pools
 //! that resources share and the rules by which axons and synapses take of them. Invariants: every
 //! resource has a limit, its own or the most that its pools leave it, or is named as without one.
 //! Errors: a resource that has neither a limit nor a pool and is not named so; a pool that nothing
 //! draws on.
-//!
-//! A resource is described once, in the table of [`Resource`]: files, messages, reports and counts
-//! take their names, their order and their number from it. To add one, add a row here, count it
-//! where the counter makes a table of uses, and give it a limit in the chip files.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -16,7 +12,9 @@ use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 
 use serde::de::{Error, MapAccess, Visitor};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::table::{PerResource, Resource, resources};
 
 /// How synapse words are counted (`docs/formats.md`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -45,42 +43,8 @@ pub enum OutputAxons {
     },
 }
 
-/// What messages and reports say of a resource.
-struct Description {
-    name: &'static str,
-    /// Of the reason why a network does not fit.
-    code: &'static str,
-    /// In the table of cores; `None` where only the greatest of many is counted.
-    heading: Option<&'static str>,
-    /// As a sentence counts it.
-    noun: &'static str,
-    /// What to do where there is too little of it.
-    advice: &'static str,
-}
-
-macro_rules! resources {
+macro_rules! define_limits {
     ($($(#[$doc:meta])* $resource:ident, $name:ident: $code:literal, $heading:expr, $noun:literal, $advice:expr;)*) => {
-        /// A resource of a core.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
-        #[serde(rename_all = "snake_case")]
-        pub enum Resource {
-            $($(#[$doc])* $resource,)*
-        }
-
-        impl Resource {
-            /// Every resource, in the order in which they are counted and reported.
-            pub const ALL: [Resource; Resource::COUNT] = [$(Resource::$resource,)*];
-            /// How many there are.
-            pub const COUNT: usize = [$(stringify!($name),)*].len();
-
-            fn description(self) -> Description {
-                let (name, code, heading, noun, advice) = match self {
-                    $(Resource::$resource => (stringify!($name), $code, $heading, $noun, $advice),)*
-                };
-                Description { name, code, heading, noun, advice }
-            }
-        }
-
         impl Limits {
             /// The names of all limits, as files write them.
             pub const NAMES: [&str; Resource::COUNT + 5] = [
@@ -199,108 +163,10 @@ macro_rules! resources {
     };
 }
 
-const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core \
-                              is on \
-    another chip): reduce the fan-out, or let `--relays` add compartments, and cores, that carry spikes on";
-const WORDS_ADVICE: &str = "use fewer synapses, or split the fan-in over intermediate populations; where a source has \
-                            several synapses with it, fewer weight bits or no delays take fewer words";
-const LIST_ADVICE: &str = "the words are those of one source with it: use fewer of these synapses, fewer weight bits, or \
-                           no delays";
-/// Of what every compartment has one: more than the limit only where the target has none.
-const ONE_ADVICE: &str = "every compartment has one: give a target that has some";
-
-resources! {
-    /// Compartments.
-    Compartments, compartments: "map.compartments", Some("compartments"), "compartments",
-        "move compartments of this core to another";
-    /// Input axons.
-    AxonsIn, axons_in: "map.axons-in", Some("axons in"), "input axons of its core",
-        "every compartment that reaches a core takes one input axon there: pool more before this population, or \
-         split the fan-in over intermediate populations";
-    /// Output axon slots.
-    AxonsOut, axons_out: "map.axons-out", Some("axons out"), "output axon slots of its core", FAN_OUT_ADVICE;
-    /// The most output axons of one compartment.
-    AxonsOutPerCompartment, axons_out_per_compartment: "map.axons-out-per-compartment", None,
-        "output axons of one compartment", FAN_OUT_ADVICE;
-    /// 64-bit words of synapse memory.
-    SynapseWords, synapse_words: "map.synapse-words", Some("words"), "synapse words of its core", WORDS_ADVICE;
-    /// The most words of one input axon's list.
-    SynapseWordsPerAxon, synapse_words_per_axon: "map.synapse-words-per-axon", None,
-        "synapse words of one input axon", LIST_ADVICE;
-    /// Distinct synapse formats.
-    SynapseFormats, synapse_formats: "map.synapse-formats", Some("formats"), "synapse formats of its core",
-        "let projections into this population share weight exponent, sign mode and weight bits";
-    /// Distinct compartment profiles (du, dv, refractory period).
-    CompartmentProfiles, compartment_profiles: "map.compartment-profiles", Some("profiles"),
-        "compartment profiles of its core", ONE_ADVICE;
-    /// Distinct threshold mantissas.
-    ThresholdProfiles, threshold_profiles: "map.threshold-profiles", Some("thresholds"),
-        "threshold profiles of its core", ONE_ADVICE;
-    /// Dendritic accumulators: compartments times delay slots, a power of two above the longest
-    /// delay.
-    Accumulators, accumulators: "map.accumulators", Some("accumulators"), "dendritic accumulators of its core",
-        "shorten the longest delay into this population: a compartment takes one accumulator for each step of it, \
-         rounded up to a power of two";
-    /// Synapses that a core stores where kernels are shared: of a convolution or a pool its kernel,
-    /// once for each channel of targets; none of weight 0. Counted only where it is limited.
-    StoredSynapses, stored_synapses: "map.stored-synapses", Some("stored synapses"),
-        "stored synapses of its core",
-        "use fewer synapses, or prune weights to 0, which take no memory";
-}
+resources!(define_limits);
 
 /// What a chip need not limit: Loihi 1 counts words instead.
 const OPTIONAL: [Resource; 1] = [Resource::StoredSynapses];
-
-impl Resource {
-    /// The name in files and in JSON.
-    pub fn name(self) -> &'static str {
-        self.description().name
-    }
-}
-
-/// Something for each resource.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct PerResource<T>([T; Resource::COUNT]);
-
-impl<T> PerResource<T> {
-    /// What a function makes of each resource.
-    #[inline]
-    pub fn from_fn(f: impl FnMut(Resource) -> T) -> Self {
-        PerResource(Resource::ALL.map(f))
-    }
-}
-
-/// Written by the names of the resources, all of which a text has.
-impl<T: Serialize> Serialize for PerResource<T> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(Resource::ALL.iter().zip(&self.0))
-    }
-}
-
-impl<'de, T: Deserialize<'de> + Copy> Deserialize<'de> for PerResource<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let given = BTreeMap::<Resource, T>::deserialize(deserializer)?;
-        if let Some(missing) = Resource::ALL.into_iter().find(|resource| !given.contains_key(resource)) {
-            return Err(D::Error::custom(format_args!("missing field `{}`", missing.name())));
-        }
-        Ok(PerResource::from_fn(|resource| given[&resource]))
-    }
-}
-
-impl<T> Index<Resource> for PerResource<T> {
-    type Output = T;
-    #[inline]
-    fn index(&self, resource: Resource) -> &T {
-        &self.0[resource as usize]
-    }
-}
-
-impl<T> IndexMut<Resource> for PerResource<T> {
-    #[inline]
-    fn index_mut(&mut self, resource: Resource) -> &mut T {
-        &mut self.0[resource as usize]
-    }
-}
 
 /// Something that several resources of a core share freely, such as a memory.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]

@@ -1,0 +1,161 @@
+//! The resources of a core, and tables by them.
+//!
+//! A resource is described once, in the table of [`Resource`]: files, messages, reports and counts
+//! take their names, their order and their number from it. To add one, add a row here, count it
+//! where the counter makes a table of uses, and give it a limit in the chip files.
+
+use std::collections::BTreeMap;
+use std::ops::{Index, IndexMut};
+
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// What messages and reports say of a resource.
+pub(super) struct Description {
+    name: &'static str,
+    /// Of the reason why a network does not fit.
+    pub(super) code: &'static str,
+    /// In the table of cores; `None` where only the greatest of many is counted.
+    pub(super) heading: Option<&'static str>,
+    /// As a sentence counts it.
+    pub(super) noun: &'static str,
+    /// What to do where there is too little of it.
+    pub(super) advice: &'static str,
+}
+
+const FAN_IN_ADVICE: &str = "every compartment that reaches a core takes one input axon there: pool more before this \
+                             population, or split the fan-in over intermediate populations";
+const DELAY_ADVICE: &str = "shorten the longest delay into this population: a compartment takes one accumulator for \
+                            each step of it, rounded up to a power of two";
+const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core \
+                              is on \
+    another chip): reduce the fan-out, or let `--relays` add compartments, and cores, that carry spikes on";
+const WORDS_ADVICE: &str = "use fewer synapses, or split the fan-in over intermediate populations; where a source has \
+                            several synapses with it, fewer weight bits or no delays take fewer words";
+const LIST_ADVICE: &str = "the words are those of one source with it: use fewer of these synapses, fewer weight bits, or \
+                           no delays";
+/// Of what every compartment has one: more than the limit only where the target has none.
+const ONE_ADVICE: &str = "every compartment has one: give a target that has some";
+
+/// Calls a macro with a row for each resource: its variant and its name in files, then its
+/// [`Description`].
+macro_rules! resources {
+    ($with:ident) => {
+        $with! {
+            /// Compartments.
+            Compartments, compartments: "map.compartments", Some("compartments"), "compartments",
+                "move compartments of this core to another";
+            /// Input axons.
+            AxonsIn, axons_in: "map.axons-in", Some("axons in"), "input axons of its core", FAN_IN_ADVICE;
+            /// Output axon slots.
+            AxonsOut, axons_out: "map.axons-out", Some("axons out"), "output axon slots of its core", FAN_OUT_ADVICE;
+            /// The most output axons of one compartment.
+            AxonsOutPerCompartment, axons_out_per_compartment: "map.axons-out-per-compartment", None,
+                "output axons of one compartment", FAN_OUT_ADVICE;
+            /// 64-bit words of synapse memory.
+            SynapseWords, synapse_words: "map.synapse-words", Some("words"), "synapse words of its core", WORDS_ADVICE;
+            /// The most words of one input axon's list.
+            SynapseWordsPerAxon, synapse_words_per_axon: "map.synapse-words-per-axon", None,
+                "synapse words of one input axon", LIST_ADVICE;
+            /// Distinct synapse formats.
+            SynapseFormats, synapse_formats: "map.synapse-formats", Some("formats"), "synapse formats of its core",
+                "let projections into this population share weight exponent, sign mode and weight bits";
+            /// Distinct compartment profiles (du, dv, refractory period).
+            CompartmentProfiles, compartment_profiles: "map.compartment-profiles", Some("profiles"),
+                "compartment profiles of its core", ONE_ADVICE;
+            /// Distinct threshold mantissas.
+            ThresholdProfiles, threshold_profiles: "map.threshold-profiles", Some("thresholds"),
+                "threshold profiles of its core", ONE_ADVICE;
+            /// Dendritic accumulators: compartments times delay slots, a power of two above the
+            /// longest delay.
+            Accumulators, accumulators: "map.accumulators", Some("accumulators"), "dendritic accumulators of its core",
+                DELAY_ADVICE;
+            /// Synapses that a core stores where kernels are shared: of a convolution or a pool
+            /// its kernel, once for each channel of targets; none of weight 0. Counted only where
+            /// it is limited.
+            StoredSynapses, stored_synapses: "map.stored-synapses", Some("stored synapses"),
+                "stored synapses of its core",
+                "use fewer synapses, or prune weights to 0, which take no memory";
+        }
+    };
+}
+
+pub(super) use resources;
+
+macro_rules! define_resource {
+    ($($(#[$doc:meta])* $resource:ident, $name:ident: $code:literal, $heading:expr, $noun:literal, $advice:expr;)*) => {
+        /// A resource of a core.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Resource {
+            $($(#[$doc])* $resource,)*
+        }
+
+        impl Resource {
+            /// Every resource, in the order in which they are counted and reported.
+            pub const ALL: [Resource; Resource::COUNT] = [$(Resource::$resource,)*];
+            /// How many there are.
+            pub const COUNT: usize = [$(stringify!($name),)*].len();
+
+            pub(super) fn description(self) -> Description {
+                let (name, code, heading, noun, advice) = match self {
+                    $(Resource::$resource => (stringify!($name), $code, $heading, $noun, $advice),)*
+                };
+                Description { name, code, heading, noun, advice }
+            }
+        }
+    };
+}
+
+resources!(define_resource);
+
+impl Resource {
+    /// The name in files and in JSON.
+    pub fn name(self) -> &'static str {
+        self.description().name
+    }
+}
+
+/// Something for each resource.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PerResource<T>(pub(super) [T; Resource::COUNT]);
+
+impl<T> PerResource<T> {
+    /// What a function makes of each resource.
+    #[inline]
+    pub fn from_fn(f: impl FnMut(Resource) -> T) -> Self {
+        PerResource(Resource::ALL.map(f))
+    }
+}
+
+/// Written by the names of the resources, all of which a text has.
+impl<T: Serialize> Serialize for PerResource<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(Resource::ALL.iter().zip(&self.0))
+    }
+}
+
+impl<'de, T: Deserialize<'de> + Copy> Deserialize<'de> for PerResource<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let given = BTreeMap::<Resource, T>::deserialize(deserializer)?;
+        if let Some(missing) = Resource::ALL.into_iter().find(|resource| !given.contains_key(resource)) {
+            return Err(D::Error::custom(format_args!("missing field `{}`", missing.name())));
+        }
+        Ok(PerResource::from_fn(|resource| given[&resource]))
+    }
+}
+
+impl<T> Index<Resource> for PerResource<T> {
+    type Output = T;
+    #[inline]
+    fn index(&self, resource: Resource) -> &T {
+        &self.0[resource as usize]
+    }
+}
+
+impl<T> IndexMut<Resource> for PerResource<T> {
+    #[inline]
+    fn index_mut(&mut self, resource: Resource) -> &mut T {
+        &mut self.0[resource as usize]
+    }
+}
