@@ -12,7 +12,7 @@ use nsim::golden::Golden;
 use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::base::rng;
 use nsim::ir::graph::Graph;
-use nsim::ir::quantised::{Quantised, Units};
+use nsim::ir::quantised::{Population, Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::quantise::quantise::quantise;
 use nsim::train::convert::fine_tune::Task;
@@ -70,8 +70,8 @@ fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
 fn numbers(network: &Quantised) -> Vec<String> {
     let populations = network.populations().iter().map(|population| match &population.units {
         Units::Input(_) => format!("{} input", population.name),
-        Units::Compartments { neurons, start_step, .. } => {
-            let each: Vec<_> = (0..population.shape.len()).map(|index| neurons.get(index)).collect();
+        Units::Compartments { start_step, .. } => {
+            let each: Vec<_> = population.each_neuron().collect();
             format!("{} {start_step} {each:?}", population.name)
         }
     });
@@ -121,11 +121,8 @@ fn a_reset_by_subtraction_becomes_one_to_zero_where_the_target_has_none() {
     let all = samples(0..12);
     let few: Vec<&Sample> = all.iter().collect();
     let kinds = |network: &Quantised| {
-        let units = network.populations().iter().filter_map(|population| match &population.units {
-            Units::Compartments { neurons, .. } => Some(neurons.get(0).kind.name()),
-            Units::Input(_) => None,
-        });
-        units.collect::<Vec<_>>()
+        let neurons = network.populations().iter().filter_map(Population::neurons);
+        neurons.map(|neurons| neurons.get(0).kind.name()).collect::<Vec<_>>()
     };
     let zero = staged::convert(&soft, &few, choices(8), |_| ()).unwrap();
     assert_eq!(kinds(&zero.network), ["Loihi", "Loihi"]);

@@ -9,7 +9,7 @@ use nsim::ir::base::id::CompartmentId;
 use nsim::ir::hardware::Target;
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::program::Program;
-use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::quantised::{Neuron, Population, Quantised, Units};
 use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
@@ -68,13 +68,8 @@ impl Trace {
 
 /// Runs a sample; silence is skipped where the engine can, whole or by single steps.
 pub fn trace(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> Trace {
-    let neurons = network.populations().iter().filter_map(|population| match &population.units {
-        Units::Compartments { neurons, .. } => {
-            Some((0..population.shape.len()).map(move |index| neurons.get(index).kind))
-        }
-        Units::Input(_) => None,
-    });
-    let kinds: Vec<NeuronKind> = neurons.flatten().collect();
+    let neurons = network.populations().iter().flat_map(Population::each_neuron);
+    let kinds: Vec<NeuronKind> = neurons.map(|neuron| neuron.kind).collect();
     engine.begin(sample.steps());
     let mut steps = Vec::new();
     while steps.len() < sample.steps() as usize {

@@ -224,8 +224,7 @@ fn is_the_machine(graph: &Graph, fits: &[Option<Fit>], samples: &[Sample], some:
 
 fn thresholds(network: &nsim::ir::quantised::Quantised, layer: &Layer) -> Vec<f64> {
     let population = &network.populations()[network.population_named(&layer.name).unwrap()];
-    let nsim::ir::quantised::Units::Compartments { neurons, .. } = &population.units else { panic!() };
-    (0..layer.count).map(|i| 64.0 * f64::from(neurons.get(i).vth.get())).collect()
+    population.each_neuron().map(|neuron| 64.0 * f64::from(neuron.vth.get())).collect()
 }
 
 #[test]

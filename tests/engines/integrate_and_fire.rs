@@ -15,7 +15,7 @@ use nsim::ir::base::diagnostic::SourceText;
 use nsim::ir::base::fixed::Decay;
 use nsim::ir::graph::Graph;
 use nsim::ir::neurons::NeuronKind;
-use nsim::ir::quantised::{Neuron, Parts, Quantised, Units};
+use nsim::ir::quantised::{Neuron, Parts, Quantised};
 use nsim::quantise::prune::{Plan, prune};
 use nsim::quantise::quantise::quantise;
 use nsim::reference::{Model, Options as RealOptions, Reference};
@@ -75,11 +75,7 @@ fn a_model_file_names_it_and_every_stage_follows() {
     let [loihi, simple] = both();
     let [a, b] = [quantise(&loihi).unwrap(), quantise(&simple).unwrap()];
     for (id, population) in a.populations().enumerate() {
-        let (Units::Compartments { neurons: a, .. }, Units::Compartments { neurons: b, .. }) =
-            (&population.units, &b.populations()[id].units)
-        else {
-            continue;
-        };
+        let (Some(a), Some(b)) = (population.neurons(), b.populations()[id].neurons()) else { continue };
         for index in 0..population.shape.len() {
             assert_eq!(Neuron { kind: NeuronKind::If, ..a.get(index) }, b.get(index), "{} {index}", population.name);
         }

@@ -25,7 +25,7 @@ use nsim_ir::graph;
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind, SrmParameters};
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised;
-use nsim_ir::quantised::{Quantised, Reset, Units};
+use nsim_ir::quantised::{Quantised, Reset};
 use nsim_ir::spikes::Sample;
 use nsim_quantise::analytic;
 use nsim_quantise::analytic::Fit;
@@ -321,10 +321,9 @@ impl Ladder {
         let of = &self.populations[population];
         let network = if rung.has(Cause::Calibration) { &self.calibrated } else { self.rounded() };
         let semantics = network.parts().semantics;
-        let integers = match &network.populations().as_slice()[population].units {
-            Units::Compartments { neurons, .. } => RealForm::of_neuron(&neurons.get(index), semantics),
-            Units::Input(_) => RealForm::of_neuron(&quantised::Neuron::PLAIN, semantics),
-        };
+        let neurons = network.populations().as_slice()[population].neurons();
+        let neuron = neurons.map_or(quantised::Neuron::PLAIN, |neurons| neurons.get(index));
+        let integers = RealForm::of_neuron(&neuron, semantics);
         let clip = if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) };
         match origin {
             Origin::Srm(srm, fit) => {
@@ -493,10 +492,7 @@ pub(super) fn layer(population: &quantised::Population) -> Option<Layer> {
 
 /// Bits by which lava shifts what arrives at a population.
 fn shift_of(population: &quantised::Population) -> u8 {
-    match &population.units {
-        Units::Compartments { neurons, .. } => neurons.get(0).shift,
-        Units::Input(_) => 0,
-    }
+    population.neurons().map_or(0, |neurons| neurons.get(0).shift)
 }
 
 /// A fit without what only a search would choose: the peaks matched, no synapse onto itself.

@@ -23,7 +23,7 @@ use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::OutOfRange;
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
 use nsim_ir::neurons::{NeuronKind, Row};
-use nsim_ir::quantised::{Neuron, Quantised, Units};
+use nsim_ir::quantised::{Neuron, Population, Quantised};
 
 /// The description of a kind with the registers of Loihi 1.
 fn kind(kind: NeuronKind) -> &'static Kind {
@@ -102,13 +102,8 @@ pub fn model(parameters: &NeuronParameters, index: u32, timestep_ms: f64, semant
 
 /// The threshold of every compartment in register units, at least one mantissa unit.
 pub fn thresholds(network: &Quantised) -> Vec<f64> {
-    let of_population = |population: &nsim_ir::quantised::Population| match &population.units {
-        Units::Compartments { neurons, .. } => (0..population.shape.len())
-            .map(|index| RealForm::of_neuron(&neurons.get(index), network.parts().semantics).threshold.max(64.0))
-            .collect(),
-        Units::Input(_) => Vec::new(),
-    };
-    network.populations().iter().flat_map(of_population).collect()
+    let threshold = |neuron: Neuron| RealForm::of_neuron(&neuron, network.parts().semantics).threshold.max(64.0);
+    network.populations().iter().flat_map(Population::each_neuron).map(threshold).collect()
 }
 
 /// The threshold of every neuron of a model in its own units.

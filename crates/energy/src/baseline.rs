@@ -11,8 +11,8 @@ use nsim_files::shipped::{BASELINES, Shipped};
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::hardware::constants::Status;
+use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spanned::{Spanned, parse};
 
 /// Sizes that decide whether two networks are the same workload for dense hardware.
@@ -28,13 +28,13 @@ impl NetworkShape {
     /// The shape of one copy of a network, as it was before any pruning.
     pub fn of_network(network: &Quantised) -> Self {
         let network = network.original();
-        let inputs = network.populations().iter().filter(|population| matches!(population.units, Units::Input(_)));
+        let inputs = network.inputs().map(|(_, population)| population.shape.len());
         let dense = network.projections().iter().filter(|p| matches!(p.connectivity, Connectivity::Dense { .. }));
         let size = |id| network.populations()[id].shape.len();
         let layers: Vec<DenseLayer> =
             dense.map(|projection| DenseLayer { from: size(projection.source), to: size(projection.target) }).collect();
         let others = network.projections().len() - layers.len();
-        NetworkShape::new(inputs.map(|population| population.shape.len()).collect(), layers, others)
+        NetworkShape::new(inputs.collect(), layers, others)
     }
 
     /// The shape with these sizes; their order does not matter.
@@ -80,8 +80,7 @@ impl Work {
             (0..size(projection.source)).map(|source| projection.connectivity.count_from(source)).sum()
         };
         let projections = network.projections().iter().map(|p| (size(p.source), size(p.target), synapses(p)));
-        let layers =
-            network.populations().iter().filter(|population| matches!(population.units, Units::Compartments { .. }));
+        let layers = network.populations().iter().filter(|population| population.first_compartment().is_some());
         Work { projections: projections.collect(), layers: layers.map(|population| population.shape.len()).collect() }
     }
 

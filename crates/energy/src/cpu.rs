@@ -135,9 +135,8 @@ impl Dense {
             if neurons.any(|neuron| !neuron.kind.table().registers) {
                 return Err(format!("'{}' has no form in real numbers", population.name));
             }
-            let units: Vec<RealForm> = (0..population.shape.len())
-                .map(|i| RealForm::of_neuron(&neurons.get(i), network.parts().semantics))
-                .collect();
+            let real = |neuron| RealForm::of_neuron(&neuron, network.parts().semantics);
+            let units: Vec<RealForm> = population.each_neuron().map(real).collect();
             if units.iter().any(|unit| unit.subtracts) {
                 return Err(format!("'{}' resets by subtraction", population.name));
             }

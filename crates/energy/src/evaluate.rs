@@ -21,7 +21,7 @@ use nsim_cost::{Deployment, MeterSettings, StepMeter};
 use nsim_ir::hardware::Target;
 use nsim_ir::neurons::Family;
 use nsim_ir::program::Program;
-use nsim_ir::quantised::{Population, Quantised, Units};
+use nsim_ir::quantised::{Neuron, Quantised};
 use nsim_ir::spikes::Sample;
 use nsim_session::accuracy_when_decided;
 use nsim_session::decision::{EarlyExit, Rule};
@@ -193,11 +193,8 @@ pub fn evaluate(
         let parts = own.zip(as_printed(unit)?).map(|(here, (printed, _))| Part { here, printed });
         energy.parts.extend(parts);
     }
-    let of_model = |population: &Population| match &population.units {
-        Units::Compartments { neurons, .. } => neurons.any(|neuron| neuron.kind.family() == Family::MICROCODE),
-        Units::Input(_) => false,
-    };
-    if compiled.one.populations().iter().any(of_model) {
+    let of_model = |neuron: &Neuron| neuron.kind.family() == Family::MICROCODE;
+    if compiled.one.populations().iter().any(|population| population.any_neuron(of_model)) {
         let said = "The program of a kind that the model states is not priced: it costs what any compartment costs.";
         energy.of_constants.push(said.to_string());
     }

@@ -21,7 +21,7 @@ use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph;
 use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
-use nsim_ir::quantised::{Neurons, Population, Projection, Units};
+use nsim_ir::quantised::{Neurons, Population, Projection};
 
 /// Steps over which responses are summed.
 const SUMMED: usize = 2_000;
@@ -42,11 +42,7 @@ pub fn carry(
         let (PopulationKind::Neurons(parameters), Some(scale)) = (&population.kind, scales[node.index()]) else {
             continue;
         };
-        let Units::Compartments { neurons: Neurons::Same(neuron), .. } =
-            &populations[PopulationId(node.index() as u32)].units
-        else {
-            continue;
-        };
+        let Some(Neurons::Same(neuron)) = populations[PopulationId(node.index() as u32)].neurons() else { continue };
         if parameters.greatest_input.is_none() {
             continue;
         }

@@ -31,7 +31,7 @@ use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::base::id::CompartmentId;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::potentials::Potentials;
-use nsim_ir::quantised::{Output, Population, Units};
+use nsim_ir::quantised::{Output, Population};
 use nsim_ir::spikes::{Copies, Engine, Sample};
 
 /// What a probe records.
@@ -86,10 +86,9 @@ impl Probe {
     /// What is called so of a population's compartments: a quantity, or a word of their state;
     /// `None` where they have no such thing.
     pub fn named(population: &Population, what: &str) -> Option<Probe> {
-        let Units::Compartments { first, neurons, .. } = &population.units else { return None };
-        let count = population.shape.len();
-        let kind = if count > 0 { neurons.get(0).kind } else { NeuronKind::Loihi };
-        Some(Probe { first: *first, count, quantity: Quantity::of_kind(kind, what)? })
+        let (first, count) = (population.first_compartment()?, population.shape.len());
+        let kind = population.each_neuron().next().map_or(NeuronKind::Loihi, |neuron| neuron.kind);
+        Some(Probe { first, count, quantity: Quantity::of_kind(kind, what)? })
     }
 }
 

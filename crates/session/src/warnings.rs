@@ -21,7 +21,7 @@ use nsim_ir::base::fixed::{ThresholdMantissa, VmaxExponent};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::neurons::{NeuronKind, Storage};
 use nsim_ir::program::Program;
-use nsim_ir::quantised::{Neuron, Note, Population, Quantised, Units};
+use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
 
@@ -156,14 +156,6 @@ pub fn warnings_of(network: &Quantised, program: &Arc<Program>, samples: &[&Samp
     Ok(warnings(Finished { network, ran: Ran::Program(program), sums: &sums, samples, outcomes: &run.outcomes }))
 }
 
-/// Whether any compartment of a population is so; an input has none.
-fn any_neuron(population: &Population, is_so: impl Fn(&Neuron) -> bool) -> bool {
-    match &population.units {
-        Units::Compartments { neurons, .. } => neurons.any(is_so),
-        Units::Input(_) => false,
-    }
-}
-
 /// Why the potentials of the output that they should decide by never leave zero.
 fn still(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let decided = run.outcomes.iter().any(|outcome| outcome.class().is_some());
@@ -182,7 +174,7 @@ fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Op
     let populations = network.populations();
     let sources: BTreeSet<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
     let fired = |source: &PopulationId| spiking.contains(populations[*source].name.as_str());
-    let biased = any_neuron(&populations[id], |neuron| neuron.bias_mant.get() != 0);
+    let biased = populations[id].any_neuron(|neuron| neuron.bias_mant.get() != 0);
     if sources.is_empty() && !biased {
         return Some("no projection leads to it; add one, or a bias".to_string());
     }
@@ -201,10 +193,7 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
         return why;
     }
     let population = &network.populations()[id];
-    let kind = match &population.units {
-        Units::Compartments { neurons, .. } if !population.shape.is_empty() => neurons.get(0).kind,
-        _ => NeuronKind::Loihi,
-    };
+    let kind = population.each_neuron().next().map_or(NeuronKind::Loihi, |neuron| neuron.kind);
     let table = kind.table();
     if !table.registers {
         let threshold = table.parameters.iter().find(|parameter| parameter.storage == Storage::Threshold);
@@ -216,7 +205,7 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
             None => "all that reaches it sums to zero".to_string(),
         };
     }
-    if !any_neuron(population, |neuron| neuron.vth != ThresholdMantissa::MAX) {
+    if !population.any_neuron(|neuron| neuron.vth != ThresholdMantissa::MAX) {
         let advice = match id == network.parts().output {
             true => {
                 "as those of a layer that is read out by its potential: write `decision: GreatestV` (or SumOfV, \
@@ -356,7 +345,7 @@ const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vt
 
 /// What leaves room to voltages above.
 pub fn widen(network: &Quantised, id: PopulationId) -> String {
-    let narrow = any_neuron(&network.populations()[id], |neuron| neuron.vmax < VmaxExponent::MAX);
+    let narrow = network.populations()[id].any_neuron(|neuron| neuron.vmax < VmaxExponent::MAX);
     if narrow { "raise vmax_exp".to_string() } else { HALVE.to_string() }
 }
 

@@ -12,7 +12,7 @@ use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::firing_rates::UNIT;
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::Placement;
-use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Resource;
 use nsim_partition::strategy::box_fan_out::PopulationRates;
 use nsim_partition::strategy::boxes::Boxes;
@@ -61,10 +61,8 @@ impl<'a> PlacedBoxes<'a> {
             counts.active += steps;
             counts.spikes += used.usage[Resource::Compartments] * rates[boxes.layer[core]];
         }
-        for (id, population) in network.populations().enumerate() {
-            if let Units::Input(_) = population.units {
-                sum.spikes_in += u64::from(population.shape.len()) * rates[id];
-            }
+        for (id, population) in network.inputs() {
+            sum.spikes_in += u64::from(population.shape.len()) * rates[id];
         }
         let (mesh, site) = (placement.mesh(), |core| placement.site(core));
         for (own, to, weight) in self.flows(rates) {

@@ -157,6 +157,25 @@ impl Population {
             Units::Compartments { .. } => None,
         }
     }
+
+    /// The parameters of its compartments, when it has compartments.
+    pub fn neurons(&self) -> Option<&Neurons> {
+        match &self.units {
+            Units::Input(_) => None,
+            Units::Compartments { neurons, .. } => Some(neurons),
+        }
+    }
+
+    /// The parameters of each compartment, in order.
+    pub fn each_neuron(&self) -> impl Iterator<Item = Neuron> {
+        let units = 0..self.shape.len();
+        self.neurons().into_iter().flat_map(move |neurons| units.clone().map(move |index| neurons.get(index)))
+    }
+
+    /// Whether any compartment is so.
+    pub fn any_neuron(&self, is_so: impl Fn(&Neuron) -> bool) -> bool {
+        self.neurons().is_some_and(|neurons| neurons.any(is_so))
+    }
 }
 
 /// A projection in integers.
@@ -401,9 +420,8 @@ impl Quantised {
             incoming[projection.target].push(id);
         }
         let firsts = parts.populations.enumerate().filter_map(|(id, p)| Some((p.first_compartment()?.0, id))).collect();
-        match parts.populations.get(parts.output).map(|p| &p.units) {
-            Some(Units::Compartments { .. }) => {}
-            _ => return Err(Inconsistent("the output is not a population of compartments".to_string())),
+        if parts.populations.get(parts.output).and_then(Population::first_compartment).is_none() {
+            return Err(Inconsistent("the output is not a population of compartments".to_string()));
         }
         Ok(Quantised { parts, channels, compartments, outgoing, incoming, firsts, pruned: None })
     }
@@ -584,9 +602,7 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
     else {
         return Err(wrong("an endpoint does not exist"));
     };
-    let Units::Compartments { neurons, .. } = &target.units else {
-        return Err(wrong("the target is an input"));
-    };
+    let neurons = target.neurons().ok_or_else(|| wrong("the target is an input"))?;
     if neurons.any(|neuron| projection.format.port.index() >= usize::from(neuron.kind.table().ports)) {
         return Err(wrong("its targets have no such port"));
     }

@@ -19,7 +19,7 @@ use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_dynamics::{Arrivals, may_spike};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
-use nsim_ir::quantised::{Neuron, Quantised, Units};
+use nsim_ir::quantised::{Neuron, Quantised};
 
 /// Which compartments can fire, when these channels do not.
 pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<CompartmentId, bool> {
@@ -28,10 +28,9 @@ pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<Com
     let mut places: Vec<(PopulationId, u32)> = Vec::with_capacity(count);
     let mut neurons: Vec<Neuron> = Vec::with_capacity(count);
     for (id, population) in network.populations().enumerate() {
-        let Units::Compartments { neurons: of_population, .. } = &population.units else { continue };
-        for index in 0..population.shape.len() {
+        for (index, neuron) in (0..).zip(population.each_neuron()) {
             places.push((id, index));
-            neurons.push(of_population.get(index));
+            neurons.push(neuron);
         }
     }
     let mut arrivals = vec![Arrivals::default(); count];

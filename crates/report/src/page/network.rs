@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::connectivity::Connectivity;
-use nsim_ir::quantised::{Population, Projection, Quantised, Units};
+use nsim_ir::quantised::{Population, Projection, Quantised};
 
 /// Bars of a histogram of weights.
 const BARS: i32 = 32;
@@ -89,24 +89,22 @@ pub fn json(network: &Quantised) -> Value {
 fn population_json(population: &Population) -> Value {
     let mut object =
         json!({ "name": population.name, "shape": population.shape.to_string(), "units": population.shape.len() });
-    match &population.units {
-        Units::Input(_) => object["kind"] = "input".into(),
-        Units::Compartments { neurons, .. } => {
-            let each = || (0..population.shape.len()).map(|index| neurons.get(index));
-            let kind = each().next().map(|neuron| neuron.kind);
-            object["kind"] = kind.map_or("", NeuronKind::name).into();
-            let table = kind.unwrap_or_default().table();
-            let own: Vec<&str> = table.parameters.iter().map(|parameter| parameter.name).collect();
-            // Of a compartment of Loihi 1 the most telling ones.
-            let telling = ["du", "dv", "vth_mant", "bias_mant", "refractory"];
-            for &name in if table.registers { &telling[..] } else { &own } {
-                let range = each().fold(None, |range: Option<(i64, i64)>, neuron| {
-                    let value = neuron.parameter(name);
-                    Some(range.map_or((value, value), |(low, high)| (low.min(value), high.max(value))))
-                });
-                object["parameters"][name] = json!(range);
-            }
-        }
+    if population.first_channel().is_some() {
+        object["kind"] = "input".into();
+        return object;
+    }
+    let kind = population.each_neuron().next().map(|neuron| neuron.kind);
+    object["kind"] = kind.map_or("", NeuronKind::name).into();
+    let table = kind.unwrap_or_default().table();
+    let own: Vec<&str> = table.parameters.iter().map(|parameter| parameter.name).collect();
+    // Of a compartment of Loihi 1 the most telling ones.
+    let telling = ["du", "dv", "vth_mant", "bias_mant", "refractory"];
+    for &name in if table.registers { &telling[..] } else { &own } {
+        let range = population.each_neuron().fold(None, |range: Option<(i64, i64)>, neuron| {
+            let value = neuron.parameter(name);
+            Some(range.map_or((value, value), |(low, high)| (low.min(value), high.max(value))))
+        });
+        object["parameters"][name] = json!(range);
     }
     object
 }

@@ -26,7 +26,7 @@ use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::stats::wilson;
 use nsim_ir::hardware::Target;
-use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Capacity;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_quantise::prune::check_stimulus;
@@ -216,12 +216,7 @@ impl Runner {
         scene: Option<&str>,
     ) -> Result<Arc<Stimulus>, Error> {
         let parts = network.parts();
-        let inputs: Vec<_> = parts
-            .populations
-            .iter()
-            .filter(|one| matches!(one.units, Units::Input(_)))
-            .map(|one| (&one.name, one.shape))
-            .collect();
+        let inputs: Vec<_> = network.inputs().map(|(_, one)| (&one.name, one.shape)).collect();
         let seen = (input, job.seed, scene, inputs, parts.timestep_ms, &parts.classes);
         self.stimuli.get(format!("{seen:?}"), || stimulus(network, input, scene, job.seed))
     }

@@ -44,8 +44,8 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<N
         let shape = shape(population.shape);
         let built = match &population.units {
             Units::Input(_) => PopulationDesc::input(&population.name, shape),
-            Units::Compartments { neurons, start_step, .. } => {
-                let each: Vec<Neuron> = (0..population.shape.len()).map(|index| neurons.get(index)).collect();
+            Units::Compartments { start_step, .. } => {
+                let each: Vec<Neuron> = population.each_neuron().collect();
                 if each.iter().any(|neuron| neuron.shift > 0) {
                     return Err(unsupported(&format!("'{}', whose sums lava shifts,", population.name)));
                 }
