@@ -240,10 +240,7 @@ impl<'py> Array<'py> {
 /// 1 says nothing.
 pub fn is_of(shape: Shape, axes: &[usize]) -> bool {
     let plain = |axes: &[usize]| axes.iter().copied().filter(|&axis| axis != 1).collect::<Vec<_>>();
-    let own = match shape {
-        Shape::Line(n) => vec![n as usize],
-        Shape::Volume(channels, height, width) => [channels, height, width].map(|axis| axis as usize).to_vec(),
-    };
+    let own: Vec<usize> = shape.axes().into_iter().map(|axis| axis as usize).collect();
     let axes = plain(axes);
     axes == plain(&own) || axes == plain(&[shape.len() as usize])
 }

@@ -8,7 +8,6 @@ use nsim::compile::{self, CopyPlacement, Objective, Options, Strategy};
 use nsim::files::mapping::mapping_text;
 use nsim::files::network::Network;
 use nsim::files::table::count;
-use nsim::ir::graph::Shape;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Population;
 use nsim::session::obtain::{Job, Request, TargetChoice, obtain};
@@ -146,11 +145,7 @@ impl Mapping {
     fn populations(&self) -> Vec<(String, &'static str, Vec<u32>)> {
         let shown = |population: &Population| {
             let kind = if population.first_channel().is_some() { "input" } else { "integers" };
-            let shape = match population.shape {
-                Shape::Line(n) => vec![n],
-                Shape::Volume(channels, height, width) => vec![channels, height, width],
-            };
-            (population.name.clone(), kind, shape)
+            (population.name.clone(), kind, population.shape.axes())
         };
         self.0.compiled().one.populations().iter().map(shown).collect()
     }

@@ -74,14 +74,19 @@ impl Shape {
             Shape::Volume(c, h, w) => Some((c, h, w)),
         }
     }
+
+    /// The lengths of its axes, outermost first.
+    pub fn axes(self) -> Vec<u32> {
+        match self {
+            Shape::Line(n) => vec![n],
+            Shape::Volume(c, h, w) => vec![c, h, w],
+        }
+    }
 }
 
 impl fmt::Display for Shape {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Shape::Line(n) => write!(f, "[{n}]"),
-            Shape::Volume(c, h, w) => write!(f, "[{c}, {h}, {w}]"),
-        }
+        write!(f, "{:?}", self.axes())
     }
 }
 

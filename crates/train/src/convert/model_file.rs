@@ -9,17 +9,10 @@ use nsim_files::network::{
     NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, padding_after, tensor,
 };
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::graph::{Graph, Shape, Window};
+use nsim_ir::graph::{Graph, Window};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Neuron, Quantised, Units};
 use nsim_ir::spikes::Message;
-
-fn shape(shape: Shape) -> Vec<u64> {
-    match shape {
-        Shape::Line(n) => vec![n.into()],
-        Shape::Volume(c, h, w) => vec![c.into(), h.into(), w.into()],
-    }
-}
 
 fn pair((y, x): (u32, u32)) -> (u64, u64) {
     (y.into(), x.into())
@@ -41,7 +34,7 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<N
         if population.message != Message::Spike {
             return Err(unsupported(&format!("'{}', whose spikes have a payload,", population.name)));
         }
-        let shape = shape(population.shape);
+        let shape = population.shape.axes().into_iter().map(u64::from).collect();
         let built = match &population.units {
             Units::Input(_) => PopulationDesc::input(&population.name, shape),
             Units::Compartments { start_step, .. } => {
