@@ -42,7 +42,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::shifts::{compared, first_source};
+use crate::shifts::compared;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::{Delay, SignMode};
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
@@ -149,7 +149,7 @@ fn check_synapses(
         let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
         let size = population.shape.len();
         let of_piece = synapses_of_piece(program.cores().len());
-        let first = first_source(network, population);
+        let first = network.first_source(population);
         let piece = (u64::from(size) * of_piece / synapses.max(1)).clamp(1, MOST_SOURCES) as u32;
         let failed = (0..size.div_ceil(piece))
             .into_par_iter()
@@ -209,7 +209,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
 }
 
 fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
-    let (first, graded) = (first_source(network, population), &program.parts().graded);
+    let (first, graded) = (network.first_source(population), &program.parts().graded);
     let mut source = first;
     // Up to where the next payload begins or this one ends, all sources send the same.
     while source < first + population.shape.len() {

@@ -81,7 +81,7 @@ impl Bounds {
                 Some(at) => at,
                 None => {
                     let range = |population: &Population| {
-                        let first = first_source(network, population);
+                        let first = network.first_source(population);
                         first..first + population.shape.len()
                     };
                     let mut all = network.populations().enumerate();
@@ -168,7 +168,7 @@ impl Shifts<'_> {
                         (same && bounds.hold(down, right, window.source))
                             .then_some(down * i64::from(window.source.2) + right)
                     });
-                    let (first, one) = (first_source(network, population), by.next()??);
+                    let (first, one) = (network.first_source(population), by.next()??);
                     by.all(|other| other == Some(one)).then_some((first..first + population.shape.len(), one))
                 };
                 self.bounds[class].as_ref()?.iter().map(of_source).collect()
@@ -224,13 +224,6 @@ pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<Co
         image.ids.iter().zip(image.axons_out.iter()).for_each(|(id, messages)| look_at(channels + id.0, messages));
     });
     compared.iter().map(|compared| compared.load(Ordering::Relaxed)).collect()
-}
-
-pub(super) fn first_source(network: &Quantised, population: &Population) -> u32 {
-    match &population.units {
-        Units::Input(first) => first.0,
-        Units::Compartments { first, .. } => network.channels() + first.0,
-    }
 }
 
 /// Whether a copy of the network is the first, its units numbered later.

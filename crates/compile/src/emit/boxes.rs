@@ -28,7 +28,7 @@ use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::Limits;
 use nsim_partition::resources::by_core::Key;
 use nsim_partition::resources::closed_form::Layer;
-use nsim_partition::resources::fan_in::{FanIn, first_source};
+use nsim_partition::resources::fan_in::FanIn;
 use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
 use nsim_partition::strategy::lattice;
 
@@ -116,7 +116,7 @@ impl BoxOfLayer {
             let (column, of_columns) = WindowAxis::columns(window).pattern(&columns);
             reached.push([of_rows, of_columns]);
             let source = &network.populations()[incoming.source];
-            let from = first_source(network, source);
+            let from = network.first_source(source);
             let origin = i64::from(row) * i64::from(window.source.2) + i64::from(column);
             origins.push((from, from + source.shape.len(), origin));
         }
@@ -186,7 +186,7 @@ fn sources_of(network: &Quantised, fan_in: &FanIn, held: &[CompartmentId]) -> Ve
         });
     }
     let mut firsts: Vec<(u32, PopulationId)> =
-        network.populations().enumerate().map(|(id, population)| (first_source(network, population), id)).collect();
+        network.populations().enumerate().map(|(id, population)| (network.first_source(population), id)).collect();
     firsts.sort_unstable();
     let mut sources = Vec::new();
     for (word, mut bits) in (0..).zip(found).filter(|(_, bits)| *bits != 0) {

@@ -35,7 +35,6 @@ use nsim_ir::spikes::Message;
 use nsim_partition::resources::axon_sharing::{EqualPlace, Places};
 use nsim_partition::resources::by_core::{self, Key};
 use nsim_partition::resources::exact::{StoredLists, group_of, longest_delays};
-use nsim_partition::resources::fan_in::first_source;
 use nsim_partition::resources::formats::Formats;
 use nsim_partition::resources::packing::{Compression, Group, Widths, stored};
 
@@ -166,7 +165,7 @@ pub(super) fn assemble(
 /// The populations of graded spikes, channels first.
 fn graded(network: &Quantised) -> Vec<Graded> {
     let of = |population: &Population| {
-        let first = first_source(network, population);
+        let first = network.first_source(population);
         let message = Some(population.message).filter(|message| *message != Message::Spike)?;
         Some(Graded { sources: first..first + population.shape.len(), message })
     };

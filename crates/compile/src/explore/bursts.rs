@@ -19,7 +19,6 @@ use nsim_ir::hardware::Target;
 use nsim_ir::placement::Placement;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
-use nsim_partition::resources::fan_in::first_source;
 use nsim_partition::strategy::box_fan_out::{PopulationRates, everywhere, only};
 
 /// Populations whose bursts candidates are compared in.
@@ -33,7 +32,7 @@ pub fn bursts(network: &Quantised) -> Vec<Rates> {
     let mut bursts = vec![Rates::assumed(1.0)];
     for population in network.populations().iter().take(MOST_BURSTS) {
         let mut spikes = vec![0u64; (network.channels() + network.compartments()) as usize];
-        let first = first_source(network, population) as usize;
+        let first = network.first_source(population) as usize;
         spikes[first..first + population.shape.len() as usize].fill(1);
         let (channels, compartments) = spikes.split_at(network.channels() as usize);
         bursts.push(Rates::profile(channels, compartments, 1));

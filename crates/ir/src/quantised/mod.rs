@@ -571,6 +571,15 @@ impl Quantised {
         self.parts.populations.enumerate().find(|(_, p)| p.name == name).map(|(id, _)| id)
     }
 
+    /// The number of a population's first unit as a source of spikes: channels are numbered first,
+    /// then compartments.
+    pub fn first_source(&self, population: &Population) -> u32 {
+        match &population.units {
+            Units::Input(first) => first.0,
+            Units::Compartments { first, .. } => self.channels + first.0,
+        }
+    }
+
     /// The population of a compartment, and the compartment's index in it.
     ///
     /// # Panics

@@ -52,7 +52,6 @@
 use std::collections::HashMap;
 
 use crate::resources::by_core::{self, Key};
-use crate::resources::fan_in::first_source;
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Projection, Quantised};
@@ -176,7 +175,7 @@ impl Places {
                 }
                 _ => continue,
             };
-            let first = first_source(network, population);
+            let first = network.first_source(population);
             places.populations.push(Spatial { first, end: first + population.shape.len(), positions, place: next });
             next += positions;
             places.of_compartments |= population.first_compartment().is_some();
@@ -192,7 +191,7 @@ impl Places {
 
     /// How many places the sources of a population have, if any.
     pub fn positions(&self, network: &Quantised, population: PopulationId) -> Option<u32> {
-        let first = first_source(network, &network.populations()[population]);
+        let first = network.first_source(&network.populations()[population]);
         self.populations.iter().find(|population| population.first == first).map(|population| population.positions)
     }
 
@@ -208,7 +207,7 @@ impl Places {
 
     /// Whether the sources of a population have places.
     pub fn holds(&self, network: &Quantised, population: PopulationId) -> bool {
-        self.of_source(first_source(network, &network.populations()[population])).is_some()
+        self.of_source(network.first_source(&network.populations()[population])).is_some()
     }
 
     /// The place and the atom of a source.

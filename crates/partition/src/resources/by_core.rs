@@ -13,7 +13,6 @@
 
 use rayon::prelude::*;
 
-use crate::resources::fan_in::first_source;
 use crate::resources::formats::Formats;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, ProjectionId};
@@ -135,7 +134,7 @@ fn pieces<'a>(network: &'a Quantised, formats: &Formats, counts: impl Fn(Populat
         if outgoing.is_empty() || !counts(id) {
             continue;
         }
-        let (first, size) = (first_source(network, population), population.shape.len());
+        let (first, size) = (network.first_source(population), population.shape.len());
         for index in (0..size).step_by(1 << PIECE_BITS) {
             let length = (size - index).min(1 << PIECE_BITS);
             pieces.push(Piece { source: first + index, index, length, outgoing: outgoing.clone() });
@@ -313,7 +312,7 @@ mod tests {
                     projection.connectivity.for_each_from(s, |target, weight| {
                         let seat = seats[CompartmentId(first.0 + target)];
                         let format = formats.by_projection()[id.index()];
-                        let from = first_source(&network, source) + s;
+                        let from = network.first_source(source) + s;
                         meant[seat.core.index()].push(Key::new(
                             from,
                             format,

@@ -23,15 +23,6 @@ use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::resource::{Limits, Resource};
 
-/// Sources of spikes under one number: channels first, then compartments.
-pub fn first_source(network: &Quantised, population: &Population) -> u32 {
-    match (population.first_channel(), population.first_compartment()) {
-        (Some(first), _) => first.0,
-        (None, Some(first)) => network.channels() + first.0,
-        (None, None) => 0,
-    }
-}
-
 /// Sources, and targets, that one task looks at where there are many; the number of one within its
 /// piece has half of 32 bits.
 const PIECE: u32 = 1 << 14;
@@ -157,7 +148,7 @@ impl FanIn {
                     listed(Key::Random { targets, fan_out, seed, first_source, sources })
                 }
             };
-            projections.push((first_source(network, source), backwards));
+            projections.push((network.first_source(source), backwards));
         }
         let incoming = |id| network.incoming(id).map(|(id, _)| id).collect();
         let incoming = network.populations().ids().map(incoming).collect();
@@ -289,7 +280,7 @@ mod tests {
             for (id, projection) in network.projections().enumerate() {
                 let source = &network.populations()[projection.source];
                 for s in 0..source.shape.len() {
-                    let from = first_source(&network, source) + s;
+                    let from = network.first_source(source) + s;
                     projection.connectivity.for_each_from(s, |t, _| forwards.push((projection.target, t, id, from)));
                 }
             }

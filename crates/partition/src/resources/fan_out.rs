@@ -12,7 +12,7 @@
 use rayon::prelude::*;
 
 use crate::resources::axon_sharing::Places;
-use crate::resources::fan_in::{bundle, first_source};
+use crate::resources::fan_in::bundle;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::base::rng;
@@ -199,7 +199,7 @@ pub fn by_source<T: Send>(
             || (vec![0u32; cores], 0u32, Vec::new()),
             |(seen, mark, reached), Piece { population: id, first, length, channels: (positions, bundle) }| {
                 let population = &network.populations()[id];
-                let number = first_source(network, population);
+                let number = network.first_source(population);
                 let mut results: Vec<(u32, Vec<T>)> = (0..bundle)
                     .map(|k| (number + first + k * positions, Vec::with_capacity(length as usize)))
                     .collect();

@@ -18,7 +18,6 @@
 
 use std::collections::HashMap;
 
-use crate::resources::fan_in::first_source;
 use crate::resources::packing::{self, Group, Widths};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::csr::Csr;
@@ -88,7 +87,7 @@ impl Hypergraph {
             let dense = outgoing.iter().all(|(p, _)| matches!(p.connectivity, Connectivity::Dense { .. }));
             let bits = outgoing.iter().map(|(p, _)| (p.format.bits, p.delay > Delay::MIN));
             let bits = bits.fold((WeightBits::MIN, false), |(bits, delayed), (b, d)| (bits.max(b), delayed | d));
-            let (from, size) = (first_source(network, population), population.shape.len());
+            let (from, size) = (network.first_source(population), population.shape.len());
             let at_once = if dense { size } else { 1 };
             for index in (0..size).step_by(at_once.max(1) as usize) {
                 reached.clear();
