@@ -78,10 +78,8 @@ impl Form {
 fn too_many(what: &str, one: &Quantised, copies: u32, most: u64) -> Diagnostic {
     let synapses = one.synapses().saturating_mul(u64::from(copies));
     let message = format!("{what} of {} written out: {synapses} synapses, more than {most}", one.parts().name);
-    let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run and nsim energy \
-                run it up \
-                to 2^32 synapses, nsim run --engine reference one copy of it in real numbers; for all else make it \
-                smaller, or \
-                map fewer copies";
+    let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run and nsim energy run \
+                it up to 2^32 synapses, nsim run --engine reference one copy of it in real numbers; for all else make \
+                it smaller, or map fewer copies";
     Diagnostic::new("map.described", message).help(help)
 }

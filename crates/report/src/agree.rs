@@ -335,10 +335,9 @@ impl AgreeReport<'_> {
         let Some(attribution) = self.attribution else { return String::new() };
         let table = table_of(&attribution.shares, &SHARE_TEXT);
         let intro = format!(
-            "why: disagreement {} (1 - coincidence over all layers) over {}, from the trained network to the \
-             machine; each \
-             row is the network once its cause is switched on{}; without: the coincidence of the machine without this \
-             cause",
+            "why: disagreement {} (1 - coincidence over all layers) over {}, from the trained network to the machine; \
+             each row is the network once its cause is switched on{}; without: the coincidence of the machine without \
+             this cause",
             three(attribution.disagreement),
             count(self.attribution_samples as u64, "sample"),
             match attribution.shares.iter().all(|share| share.share.is_some()) {

@@ -121,9 +121,8 @@ pub fn outline(
 /// As [`outline`]; `mapping.layers` when the network is not made of layers.
 pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, Placement)> {
     let not_layers = || {
-        let message = "the mapping is of boxes of layers, and the network has projections that are neither windows \
-                       nor all \
-                       to all";
+        let message = "the mapping is of boxes of layers, and the network has projections that are neither windows nor \
+                       all to all";
         Diagnostic::new("mapping.layers", message)
     };
     let layers = lattice::layers(network).filter(|_| network.pruned().is_none()).ok_or_else(not_layers)?;

@@ -28,8 +28,8 @@ const FAN_IN_ADVICE: &str = "every compartment that reaches a core takes one inp
 const DELAY_ADVICE: &str = "shorten the longest delay into this population: a compartment takes one accumulator for \
                             each step of it, rounded up to a power of two";
 const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core \
-                              is on \
-    another chip): reduce the fan-out, or let `--relays` add compartments, and cores, that carry spikes on";
+                              is on another chip): reduce the fan-out, or let `--relays` add compartments, and cores, \
+                              that carry spikes on";
 const WORDS_ADVICE: &str = "use fewer synapses, or split the fan-in over intermediate populations; where a source has \
                             several synapses with it, fewer weight bits or no delays take fewer words";
 const LIST_ADVICE: &str = "the words are those of one source with it: use fewer of these synapses, fewer weight bits, or \

@@ -433,8 +433,7 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     if search.explains && longest > MOST_LONGER {
         tracing::warn!(
             "cores are saved against the order of the file, and a step is expected to take up to {longest:.2} times as \
-             long: \
-             nsim map --strategy sequential -o FILE makes a mapping with shorter steps, --mapping FILE takes it"
+             long: nsim map --strategy sequential -o FILE makes a mapping with shorter steps, --mapping FILE takes it"
         );
     }
 }

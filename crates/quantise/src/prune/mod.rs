@@ -143,8 +143,7 @@ pub fn check_stimulus(network: &Quantised, samples: &[&Sample], first: usize) ->
             let stimulus = pruned.stimulus.as_deref().unwrap_or_default().join(" ");
             let message = format!(
                 "sample {} fires channel {index} of '{name}' in step {step}, but the network was pruned for \
-                 {stimulus}, \
-                 which never fires that channel",
+                 {stimulus}, which never fires that channel",
                 first + number
             );
             let help = "prune for this input (--prune INPUT), for every input (--prune static), or not at all";

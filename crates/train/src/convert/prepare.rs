@@ -32,8 +32,7 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     let Some(stimulus) = calibration::stimulus(&start, &[], run, CALIBRATION_SAMPLES)? else {
         tracing::warn!(
             "{name}: its spike response neurons become Loihi compartments by analysis alone (equal decays, matched \
-             peaks), as \
-             it has no scene to convert on; `nsim convert` takes samples and keeps the result"
+             peaks), as it has no scene to convert on; `nsim convert` takes samples and keeps the result"
         );
         return Ok(start.into());
     };
@@ -41,8 +40,7 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     let found = search(&graph, &samples, most_copies, |_| ())?;
     tracing::warn!(
         "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes \
-         agree in \
-         {:.4}, coincidence {:.3}; `nsim convert -o` keeps them",
+         agree in {:.4}, coincidence {:.3}; `nsim convert -o` keeps them",
         found.samples,
         found.end.classes.kept(),
         found.end.coincidence

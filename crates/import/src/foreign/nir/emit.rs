@@ -306,8 +306,8 @@ impl Reader<'_> {
         if depth > 0 {
             self.notes.push(format!(
                 "layer k starts at step k, as a spike takes a step from layer to layer; {depth} more after the last \
-                 step of the \
-                 input (drain), as the tools that train such networks let a spike pass all layers in one step"
+                 step of the input (drain), as the tools that train such networks let a spike pass all layers in one \
+                 step"
             ));
         }
     }
