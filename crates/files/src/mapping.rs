@@ -4,14 +4,13 @@
 
 use std::path::Path;
 
-use ron::extensions::Extensions;
 use ron::ser::PrettyConfig;
 use serde::Serialize;
 
 use super::text::{read_text, sha256};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::mapping::MappingFile;
-use nsim_ir::spanned::parse;
+use nsim_ir::spanned::{options, parse};
 
 /// Loads a saved mapping.
 ///
@@ -62,10 +61,7 @@ pub fn mapping_text(mapping: &MappingFile) -> Result<String> {
 /// `write.ron` when the value's type cannot be written.
 pub fn pretty(value: &impl Serialize, lines: usize) -> Result<String> {
     let config = PrettyConfig::new().depth_limit(lines).struct_names(true).new_line("\n").indentor("    ");
-    // Those with which `parse` reads.
-    let extensions = Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES;
-    let options = ron::Options::default().with_default_extension(extensions);
-    let mut text = options
+    let mut text = options()
         .to_string_pretty(value, config)
         .map_err(|error| Diagnostic::new("write.ron", format!("cannot be written as RON: {error}")))?;
     text.push('\n');

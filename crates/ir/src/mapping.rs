@@ -235,6 +235,7 @@ pub fn check_unchanged(mapping: &MappingFile) -> Result<(), Diagnostic> {
 mod tests {
     use super::*;
     use crate::base::rng;
+    use crate::spanned::options;
 
     fn core(holds: Vec<Run>) -> MappedCore {
         MappedCore { chip: 0, x: 1, y: 2, core: 3, holds }
@@ -245,13 +246,11 @@ mod tests {
     }
 
     fn text(core: &MappedCore) -> String {
-        let options = ron::Options::default().with_default_extension(ron::extensions::Extensions::IMPLICIT_SOME);
-        options.to_string(core).unwrap()
+        options().to_string(core).unwrap()
     }
 
     fn read(text: &str) -> Result<MappedCore, String> {
-        let options = ron::Options::default().with_default_extension(ron::extensions::Extensions::IMPLICIT_SOME);
-        options.from_str(text).map_err(|error| error.to_string())
+        options().from_str(text).map_err(|error| error.to_string())
     }
 
     #[test]

@@ -46,7 +46,8 @@ impl<T> std::ops::Deref for Spanned<T> {
     }
 }
 
-fn options() -> ron::Options {
+/// How texts are read, and so have to be written.
+pub fn options() -> ron::Options {
     ron::Options::default().with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
 }
 

@@ -460,14 +460,14 @@ impl TryFrom<LimitsInFile> for Limits {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::spanned::options;
 
     const OWN: &str = "(compartments: 16, axons_in: 64, axons_out: 64, axon_out_slots: 1, axon_out_slots_off_chip: 2, \
         axons_out_per_compartment: 8, synapse_words: 256, synapse_words_per_axon: 8, synapses_per_entry: 64, \
         synapse_formats: 3, compartment_profiles: 4, threshold_profiles: 4, accumulators: 128, stored_synapses: 99, packing: Nengo)";
 
     fn limits(text: &str) -> Result<Limits, String> {
-        let options = ron::Options::default().with_default_extension(ron::extensions::Extensions::IMPLICIT_SOME);
-        options.from_str(text).map_err(|error| error.to_string())
+        options().from_str(text).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -533,9 +533,8 @@ mod tests {
         let pools = "pools: [(name: \"memory\", unit: \"bytes\", limit: 1000, costs: {axons_in: 4, synapse_words: 8})]";
         let own = OWN.replace("synapse_words: 256,", "").replace("axons_in: 64", "axons_in: 60");
         let limits = limits(&own.replace("Nengo)", &format!("Nengo, {pools})"))).unwrap();
-        let options = ron::Options::default().with_default_extension(ron::extensions::Extensions::IMPLICIT_SOME);
         for text in ["(pools: (memory: 2000))", "(pools: {\"memory\": 2000})"] {
-            let changes: LimitChanges = options.from_str(text).unwrap();
+            let changes: LimitChanges = options().from_str(text).unwrap();
             let changed = changes.applied(limits.clone());
             assert_eq!(changed.pools[0].limit, 2000, "{text}");
             assert_eq!((changed[Resource::AxonsIn], changed[Resource::SynapseWords]), (60, 250), "{text}");
