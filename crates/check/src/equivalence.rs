@@ -110,18 +110,11 @@ impl SynapseCode {
     }
 }
 
-/// Checks that a program equals its network.
+/// Checks that a program equals its network of this many equal copies; returns how many cores were
+/// proven from the first of their class.
 ///
 /// # Errors
 /// The first [`Difference`]: the frame, then parameters, then synapses by source.
-pub fn check(network: &Quantised, program: &Program) -> Result<(), Difference> {
-    check_copies(network, program, 1).map(|_| ())
-}
-
-/// The same of this many equal copies; how many cores were proven from the first of their class.
-///
-/// # Errors
-/// As [`check`].
 pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Result<u32, Difference> {
     check_frame(network, program)?;
     check_parameters(network, program)?;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::emit::route::route;
 use crate::emit::testing::proved;
 use crate::{CompileError, CopyPlacement, DEFAULT_RATE, Front, Mapping, Options, Reason, compile, explore, place};
-use nsim_check::equivalence::{check, check_copies};
+use nsim_check::equivalence::check_copies;
 use nsim_check::verify::{self, Violation, verify};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId, ProjectionId};
@@ -370,7 +370,7 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
         let partition = Partition::new(network.compartments(), members, used, board.limits()).unwrap();
         let program =
             route(&network, &partition, (&place::sequential(1, &board).unwrap(), None), 1, board.limits()).unwrap();
-        check(&network, &program).unwrap();
+        check_copies(&network, &program, 1).unwrap();
         verify(&program, &board).unwrap();
         let [class] = program.classes().as_slice() else { unreachable!() };
         let tables: BTreeSet<u32> = class.inputs.populations.iter().map(|axon| axon.table).collect();
