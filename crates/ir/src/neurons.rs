@@ -359,7 +359,7 @@ const SIGMA: KindTable =
 static SIGMA_TABLE: KindTable = SIGMA;
 
 /// Current and voltage of lava's neurons.
-const IN_24_BITS: [Column; 2] = [Column { name: "u", bits: UV_BITS + 1 }, Column { name: "v", bits: UV_BITS + 1 }];
+const IN_24_BITS: [Column; 2] = [U, V];
 /// A threshold mantissa, in units of 64 of the state.
 const MANTISSA: ParameterField =
     required("vth_mant", ThresholdMantissa::FIELD, Storage::Threshold, "give the threshold mantissa");
@@ -417,7 +417,7 @@ static ATR_LIF: KindTable = KindTable {
         BIAS,
         BIAS_SHIFT,
     ],
-    state: &[IN_24_BITS[0], IN_24_BITS[1], word("theta"), word("r")],
+    state: &[U, V, word("theta"), word("r")],
     emits: Emits::Spikes,
     ..SIGMA
 };
