@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::common::{Builder, format, neuron};
-use nsim::compile::explore::traffic::traffic;
+use nsim::compile::explore::traffic::of_program;
 use nsim::compile::{CopyPlacement, Effort, Mapping, Objective, Options, Strategy, compile, load};
 use nsim::dynamics::synapses::Enumerate;
 use nsim::files::mapping::load_mapping;
@@ -296,7 +296,7 @@ fn places_of_small_networks_are_the_best_or_nearly() {
         let places: Vec<_> =
             compiled.placement.sites().iter().map(|&site| Some(compiled.placement.mesh().tile(site))).collect();
         let found: u64 = nets.iter().map(|net| walker.cost(net, &places)).sum();
-        let said = traffic(&compiled.program, &Rates::assumed(1.0));
+        let said = of_program(&compiled.program, &Rates::assumed(1.0)).traffic();
         assert_eq!(2.0 * said.hops_multicast_per_step + said.hops_per_step, found as f64, "two ways of counting");
         let least = best_places(&walker, &nets, places.len(), found);
         println!("seed {seed}: {} blocks, cost {found}, the least is {least}", places.len());

@@ -69,7 +69,7 @@ fn copies_keep_to_their_own_cores_unless_sharing_takes_fewer() {
     let board = target(2, 2, limits());
     let compiled = compile(slip(3150), &board, &options).unwrap();
     assert_eq!(compiled.partition.cores(), 32);
-    let traffic = explore::traffic::traffic(&compiled.program, &Rates::assumed(1.0));
+    let traffic = explore::traffic::of_program(&compiled.program, &Rates::assumed(1.0)).traffic();
     assert_eq!(traffic.cut_spikes_per_step, 32.0 * 3_306.0, "only inputs cross between cores");
     let small = compile(slip(100), &board, &options).unwrap();
     // 316 input axons and 62 compartments a copy: twelve copies share a core.

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::explore::traffic::{Traffic, parts, traffic};
+use crate::explore::traffic::{Traffic, of_program, parts};
 use nsim_cost::constants::CostTable;
 use nsim_cost::deployment::{Deployment, HostWork};
 use nsim_cost::estimate::job_power;
@@ -56,7 +56,7 @@ pub fn score_at(
     rates: &Rates,
     target: &Target,
 ) -> Result<Score, Diagnostic> {
-    score_of(&expected(program, rates), &traffic(program, rates), placement, target, copies)
+    score_of(&expected(program, rates), &of_program(program, rates).traffic(), placement, target, copies)
 }
 
 /// The expected cost of what happens in as many steps as rates count, and of the traffic of one.

@@ -10,7 +10,7 @@ use nsim_ir::hardware::Target;
 impl Mapping {
     /// The expected traffic.
     pub fn traffic(&self) -> Traffic {
-        traffic::traffic(&self.program, &self.rates)
+        traffic::of_program(&self.program, &self.rates).traffic()
     }
 
     /// The expected messages over each link.

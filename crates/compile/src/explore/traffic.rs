@@ -65,11 +65,6 @@ impl Links {
     }
 }
 
-/// The expected traffic of a program whose sources spike at these rates.
-pub fn traffic(program: &Program, rates: &Rates) -> Traffic {
-    of_program(program, rates).traffic()
-}
-
 /// What messages come to: loads of links, messages between cores, links of multicast trees.
 pub struct Counts<'a> {
     mesh: &'a Mesh,
@@ -264,7 +259,7 @@ mod tests {
             let limits = limits().with(Resource::Compartments, 1).with(Resource::AxonsOutPerCompartment, 4096);
             let target = target(2, 2, limits);
             let compiled = compile(random_network(seed), &target, &Options::default()).unwrap();
-            let traffic = traffic(&compiled.program, &Rates::assumed(1.0));
+            let traffic = of_program(&compiled.program, &Rates::assumed(1.0)).traffic();
             let (cut, hops, most) = walked(&compiled.program);
             assert_eq!((traffic.cut_spikes_per_step, traffic.hops_per_step), (cut as f64, hops as f64));
             assert_eq!(traffic.max_link_load, most as f64);
