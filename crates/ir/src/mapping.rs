@@ -20,6 +20,19 @@ pub struct Run {
     pub count: u32,
 }
 
+impl Run {
+    /// Adds one more to a list of runs: to the last run where it follows it, else as a run of its
+    /// own.
+    pub fn add(runs: &mut Vec<Run>, population: &str, index: u32) {
+        match runs.last_mut() {
+            Some(run) if run.population == population && run.first.checked_add(run.count) == Some(index) => {
+                run.count += 1;
+            }
+            _ => runs.push(Run { population: population.to_string(), first: index, count: 1 }),
+        }
+    }
+}
+
 /// One core in use.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -125,12 +138,7 @@ mod strides {
     fn add(runs: &mut Vec<Run>, population: &str, first: u32, count: u32, step: u32) -> Option<()> {
         for k in 0..count {
             let id = first.checked_add(k.checked_mul(step)?)?;
-            match runs.last_mut() {
-                Some(run) if run.population == population && run.first.checked_add(run.count) == Some(id) => {
-                    run.count += 1;
-                }
-                _ => runs.push(Run { population: population.to_string(), first: id, count: 1 }),
-            }
+            Run::add(runs, population, id);
         }
         Some(())
     }
@@ -265,10 +273,7 @@ mod tests {
             for k in 0..1 + rng::below(40, seed, 0, 0) {
                 let name = ["a", "b"][rng::below(8, seed, k, 1) as usize / 7];
                 let first = (rng::below(30, seed, k, 2) * [1, 1, 3][(seed % 3) as usize]) as u32;
-                match holds.last_mut() {
-                    Some(last) if last.population == name && last.first + last.count == first => last.count += 1,
-                    _ => holds.push(run(name, first, 1)),
-                }
+                Run::add(&mut holds, name, first);
             }
             let one = core(holds);
             assert_eq!(read(&text(&one)).unwrap(), one, "seed {seed}");

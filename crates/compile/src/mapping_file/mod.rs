@@ -76,11 +76,8 @@ fn cores_of(network: &Quantised, partition: &Partition, placement: &Placement) -
         let Site { chip, x, y, core } = placement.site(core);
         let mut holds: Vec<Run> = Vec::new();
         for &id in held {
-            let (name, first) = population_of(id);
-            match holds.last_mut() {
-                Some(run) if run.population == name && run.first + run.count == first => run.count += 1,
-                _ => holds.push(Run { population: name.to_string(), first, count: 1 }),
-            }
+            let (name, index) = population_of(id);
+            Run::add(&mut holds, name, index);
         }
         MappedCore { chip, x, y, core, holds }
     };

@@ -15,10 +15,7 @@ pub fn pruned_file(pruned: &Pruned) -> PrunedFile {
         let within = pruned.dead.partition_point(|channel| *channel < first);
         let of_population = pruned.dead[within..].iter().map(|channel| channel.0 - first.0);
         for index in of_population.take_while(|&index| index < populations[id].shape.len()) {
-            match dead.last_mut() {
-                Some(run) if run.population == population.name && run.first + run.count == index => run.count += 1,
-                _ => dead.push(Run { population: population.name.clone(), first: index, count: 1 }),
-            }
+            Run::add(&mut dead, &population.name, index);
         }
     }
     let probed = pruned.probed.iter().map(|&id| populations[id].name.clone()).collect();
