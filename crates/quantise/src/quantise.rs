@@ -529,15 +529,9 @@ impl Rounding<'_, '_> {
                     sorted.push((source, target, mantissa));
                 }
                 sorted.sort_by_key(|&(source, target, _)| (source, target));
-                let mut first = vec![0u64; sources as usize + 1];
-                for &(source, _, _) in &sorted {
-                    first[source as usize + 1] += 1;
-                }
-                for s in 0..sources as usize {
-                    first[s + 1] += first[s];
-                }
+                let begin = |source: u32| sorted.partition_point(|synapse| synapse.0 < source) as u64;
                 Ok(Connectivity::Sparse {
-                    first: first.into(),
+                    first: (0..=sources).map(begin).collect(),
                     targets: sorted.iter().map(|s| s.1).collect(),
                     weights: sorted.iter().map(|s| s.2).collect(),
                 })
