@@ -201,10 +201,7 @@ impl Walk<'_> {
     fn passes_on(&self, from: &Population, relays: &Population, index: u32, weight: i32) -> bool {
         let Units::Compartments { neurons, start_step, .. } = &relays.units else { return false };
         let neuron = neurons.get(index);
-        let starts = match &from.units {
-            Units::Input(_) => 0,
-            Units::Compartments { start_step, .. } => *start_step,
-        };
+        let starts = if let Units::Compartments { start_step, .. } = from.units { start_step } else { 0 };
         let (weight, threshold) = (i64::from(weight), i64::from(neuron.vth.get()) * 64);
         let fires = match self.relayed.parts().threshold {
             ThresholdTest::Strict => weight > threshold,

@@ -19,7 +19,7 @@ use nsim_files::steps::{Column, StepWriter, Unit};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::Id;
-use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 
 /// Numbers of a group of samples, 8 bytes each.
@@ -43,10 +43,7 @@ impl StepLayout {
         let (mut channels, mut compartments, mut columns) = (Vec::new(), Vec::new(), Vec::new());
         let mut add = |name: String, unit| columns.push(Column { name, unit });
         for (number, population) in (0..).zip(network.populations()) {
-            let units = match population.units {
-                Units::Input(_) => &mut channels,
-                Units::Compartments { .. } => &mut compartments,
-            };
+            let units = if population.first_channel().is_some() { &mut channels } else { &mut compartments };
             units.extend((0..population.shape.len()).map(|_| number));
             add(format!("spikes.{}", population.name), Unit::Count);
         }
