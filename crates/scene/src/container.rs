@@ -358,7 +358,7 @@ impl Containers {
             let grip = moment.grip_n * (1.0 + course.vibration * moment.shaking * moment.tone);
             let centres = (centres, shift_mm(grip, moment.load_n));
             press(&mut pressure, &places, hertz(grip, 8e-3, 7.0), centres, |_, _, pressed| pressed);
-            taxels.step(&pressure, |channel| events.push((tick as u32, channel)));
+            taxels.step(&pressure, |taxel, change| events.push((tick as u32, 2 * taxel + change as u32)));
         }
         events
     }

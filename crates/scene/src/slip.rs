@@ -265,9 +265,9 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
             let (finger, (x, y), pressed) = (k / TAXELS, places[k % TAXELS], pressed * part);
             pressed + slip.shear * traction.at(x, y, finger, pressed)
         });
-        taxels.step(&pressure, |channel| {
+        taxels.step(&pressure, |taxel, change| {
             if let Some(step) = (ms as u32).checked_sub(motion.before_ms) {
-                events.push((step, channel));
+                events.push((step, 2 * taxel + change as u32));
             }
         });
     }

@@ -98,6 +98,14 @@ pub(super) fn shift_mm(grip_n: f64, load_n: f64) -> f64 {
     if grip_n > 0.0 { 1.5 * 0.5 * load_n / grip_n } else { 0.0 }
 }
 
+/// How the pressure on a taxel changed: channel 2 k of taxel k is its falls, 2 k + 1 its rises.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum Change {
+    Fall = 0,
+    Rise = 1,
+}
+
 #[derive(Debug, Clone)]
 struct Taxel {
     threshold: f64,
@@ -128,10 +136,8 @@ impl Taxels {
         Taxels { skin: skin.clone(), draws, taxels: (0..count).map(taxel).collect(), step: 0 }
     }
 
-    /// One tick with this pressure on each taxel; calls `event` with the channel of each that
-    /// responds, as the recordings number them: 2 k + 1 where the pressure on taxel k rose, 2 k
-    /// where it fell.
-    pub fn step(&mut self, pressure_kpa: &[f64], mut event: impl FnMut(u32)) {
+    /// One tick with this pressure on each taxel; calls `event` with each taxel that responds.
+    pub fn step(&mut self, pressure_kpa: &[f64], mut event: impl FnMut(u32, Change)) {
         let skin = &self.skin;
         let tick = f64::from(skin.tick_ms);
         let (creep, follow) = ((tick / skin.creep_ms).min(1.0), (tick / skin.adaptation_ms).min(1.0));
@@ -147,7 +153,7 @@ impl Taxels {
             if change.abs() >= taxel.threshold {
                 taxel.reference = sensed;
                 taxel.silent_until = self.step + skin.refractory_ms.div_ceil(skin.tick_ms);
-                event(2 * k as u32 + u32::from(change > 0.0));
+                event(k as u32, if change > 0.0 { Change::Rise } else { Change::Fall });
             }
         }
         self.step += 1;
@@ -183,12 +189,12 @@ mod tests {
         assert_eq!(hertz(0.0, 7e-3, 1.5), (0.0, 0.0));
     }
 
-    /// (step, channel) of each event of one taxel.
-    fn events(skin: &Skin, pressure: impl Fn(u32) -> f64, steps: u32) -> Vec<(u32, u32)> {
+    /// (step, change) of each event of one taxel.
+    fn events(skin: &Skin, pressure: impl Fn(u32) -> f64, steps: u32) -> Vec<(u32, Change)> {
         let mut taxels = Taxels::new(skin, Draws::new(1, 0), 1);
         let mut events = Vec::new();
         for step in 0..steps {
-            taxels.step(&[pressure(step)], |channel| events.push((step, channel)));
+            taxels.step(&[pressure(step)], |_, change| events.push((step, change)));
         }
         events
     }
@@ -198,9 +204,9 @@ mod tests {
         let skin = Skin { noise_kpa: 0.0, mismatch: 0.0, ..Skin::default() };
         assert!(events(&skin, |_| 0.0, 500).is_empty());
         let pressed = events(&skin, |t| if (100..600).contains(&t) { 20.0 } else { 0.0 }, 1500);
-        assert_eq!(pressed[0], (100, 1));
+        assert_eq!(pressed[0], (100, Change::Rise));
         assert!(pressed.windows(2).all(|pair| pair[1].0 - pair[0].0 >= skin.refractory_ms), "{pressed:?}");
-        assert!(pressed.iter().all(|&(t, channel)| (channel == 1) == (t < 600)), "{pressed:?}");
+        assert!(pressed.iter().all(|&(t, change)| (change == Change::Rise) == (t < 600)), "{pressed:?}");
         // The skin has recovered 95 % within 300 ms; what is left is below the threshold.
         assert!(pressed.iter().all(|&(t, _)| (100..400).contains(&t) || (600..900).contains(&t)), "{pressed:?}");
         assert!(pressed.iter().any(|&(t, _)| t >= 600));
