@@ -18,7 +18,7 @@ use nsim_cost::CostTable;
 use nsim_cost::job::Accounting;
 use nsim_energy::published::workload::{FigureKind, Quantity, WorkloadFile};
 use nsim_ir::hardware::Target;
-use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status, median};
+use nsim_ir::hardware::constants::{Constants, Status, median};
 use nsim_session::error::Error;
 
 /// A printed figure and its prediction.
@@ -154,43 +154,4 @@ pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64>
 pub fn geometric_mean(factors: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let count = factors.len();
     (count > 0).then(|| (factors.map(f64::ln).sum::<f64>() / count as f64).exp())
-}
-
-/// How far predictions of each class were off: at the finite-sample rank of the works' largest
-/// errors, as split conformal prediction with works as groups has it (Vovk, Gammerman and Shafer
-/// 2005, chapter 4).
-pub fn class_errors(rows: &[PublishedRow]) -> Vec<ClassError> {
-    let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out).collect();
-    let step = |row: &PublishedRow| {
-        let same = |other: &&&PublishedRow| other.workload == row.workload && other.quantity == Quantity::StepTime;
-        counted.iter().find(same).map(|step| step.predicted / step.published)
-    };
-    let of_class = |class: FigureClass| {
-        let mut worst: BTreeMap<&str, f64> = BTreeMap::new();
-        for row in &counted {
-            let ratio = row.predicted / row.published;
-            let ratio = match class {
-                // The energy of a step is the power of the cores times its time.
-                FigureClass::CoreEnergy if row.quantity == Quantity::CoreDynamicPower => {
-                    step(row).map(|time| ratio * time)
-                }
-                _ => (row.quantity.class() == Some(class)).then_some(ratio),
-            };
-            if let Some(ratio) = ratio {
-                let most = worst.entry(&row.work).or_insert(1.0);
-                *most = most.max(ratio).max(1.0 / ratio);
-            }
-        }
-        let mut sorted: Vec<f64> = worst.into_values().collect();
-        sorted.sort_by(f64::total_cmp);
-        let at = |level: f64| sorted.get(((sorted.len() + 1) as f64 * level).ceil() as usize - 1).copied();
-        let rounded = |factor: f64| (factor * 100.0).ceil() / 100.0;
-        Some(ClassError {
-            class,
-            works: sorted.len() as u32,
-            within_80: rounded(at(0.8)?),
-            within_90: at(0.9).map(rounded),
-        })
-    };
-    FigureClass::ALL.into_iter().filter_map(of_class).collect()
 }
