@@ -7,7 +7,6 @@ use nsim::ir::base::fixed::{
     WeightExponent,
 };
 use nsim::ir::base::id::{ChannelId, IdVec, PopulationId};
-use nsim::ir::base::rng;
 use nsim::ir::graph::{PerCompartment, Shape, Window};
 use nsim::ir::mapping::{MappedCore, MappingFile, Run};
 use nsim::ir::neurons::{Emits, NeuronKind, ParameterField, Port, Storage};
@@ -15,35 +14,10 @@ use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Quantised, Units};
 use nsim::ir::spikes::{Message, Sample};
+pub use nsim_testing::Draw;
 use nsim_testing::sparse;
 
 use super::{Builder, biased, neuron};
-
-/// A stream of draws from a seed.
-pub struct Draw {
-    seed: u64,
-    drawn: u64,
-}
-
-impl Draw {
-    pub fn new(seed: u64) -> Draw {
-        Draw { seed, drawn: 0 }
-    }
-
-    /// A number in `low..=high`.
-    pub fn from(&mut self, low: i64, high: i64) -> i64 {
-        self.drawn += 1;
-        low + rng::below((high - low + 1) as u64, self.seed, 0, self.drawn) as i64
-    }
-
-    pub fn chance(&mut self, percent: i64) -> bool {
-        self.from(0, 99) < percent
-    }
-
-    pub fn one_of<T: Copy>(&mut self, items: &[T]) -> T {
-        items[self.from(0, items.len() as i64 - 1) as usize]
-    }
-}
 
 fn decay(draw: &mut Draw) -> i64 {
     match draw.from(0, 5) {
@@ -92,12 +66,6 @@ fn random_format(draw: &mut Draw) -> SynapseFormat {
     SynapseFormat { bits: WeightBits::new(bits).unwrap(), ..super::format(sign, exponent) }
 }
 
-fn weight(draw: &mut Draw, format: SynapseFormat) -> i16 {
-    let (low, high) = format.sign.range(format.bits);
-    let step = i64::from(format.sign.step(format.bits));
-    (draw.from(i64::from(low) / step, i64::from(high) / step) * step) as i16
-}
-
 /// Geometries for which the window makes the target of the source, if any is found.
 fn window(draw: &mut Draw, source: Shape, target: Shape, pool: bool) -> Option<Window> {
     let (source, target) = (source.volume()?, target.volume()?);
@@ -134,24 +102,24 @@ fn connectivity(draw: &mut Draw, format: SynapseFormat, source: Shape, target: S
     let (sources, targets) = (source.len(), target.len());
     if let Some(window) = window(draw, source, target, false).filter(|_| draw.chance(60)) {
         let size = window.target.0 * window.source.0 / window.groups * window.kernel.0 * window.kernel.1;
-        return Connectivity::Conv2d { window, kernel: (0..size).map(|_| weight(draw, format)).collect() };
+        return Connectivity::Conv2d { window, kernel: (0..size).map(|_| draw.weight(format)).collect() };
     }
     if let Some(window) = window(draw, source, target, true).filter(|_| draw.chance(80)) {
-        return Connectivity::SumPool2d { window, weight: weight(draw, format) };
+        return Connectivity::SumPool2d { window, weight: draw.weight(format) };
     }
     match draw.from(0, 2) {
-        0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| weight(draw, format)).collect() },
+        0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| draw.weight(format)).collect() },
         1 => {
             let list = |_| {
                 let mut reached: Vec<u32> =
                     (0..draw.from(0, 6)).map(|_| draw.from(0, i64::from(targets) - 1) as u32).collect();
                 reached.sort_unstable();
-                reached.into_iter().map(|target| (target, weight(draw, format))).collect()
+                reached.into_iter().map(|target| (target, draw.weight(format))).collect()
             };
             sparse((0..sources).map(list))
         }
         _ => {
-            let (a, b) = (weight(draw, format), weight(draw, format));
+            let (a, b) = (draw.weight(format), draw.weight(format));
             Connectivity::Random {
                 targets,
                 fan_out: draw.from(0, 8) as u32,
@@ -385,7 +353,7 @@ pub fn convolutional(seed: u64) -> Quantised {
         let window = Window { source, target: shape, kernel, stride, padding, dilation, groups };
         let format = random_format(draw);
         let connectivity = match pool {
-            true => Connectivity::SumPool2d { window, weight: weight(draw, format) },
+            true => Connectivity::SumPool2d { window, weight: draw.weight(format) },
             false => convolution(draw, window, format),
         };
         net.connect((from, to), format, draw.one_of(&[0, 0, 1, 17, 62]), connectivity);
@@ -428,5 +396,5 @@ fn recurrent(shape: (u32, u32, u32), side: u32) -> Window {
 
 fn convolution(draw: &mut Draw, window: Window, format: SynapseFormat) -> Connectivity {
     let size = window.target.0 * window.source.0 / window.groups * window.kernel.0 * window.kernel.1;
-    Connectivity::Conv2d { window, kernel: (0..size).map(|_| weight(draw, format)).collect() }
+    Connectivity::Conv2d { window, kernel: (0..size).map(|_| draw.weight(format)).collect() }
 }

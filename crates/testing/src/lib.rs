@@ -222,22 +222,39 @@ pub fn slip(vision: u32) -> Quantised {
     builder.build()
 }
 
-/// A drawer of numbers for one network.
-struct Draw(u64, u64);
+/// A stream of random numbers from a seed.
+pub struct Draw {
+    seed: u64,
+    drawn: u64,
+}
 
 impl Draw {
-    fn below(&mut self, n: u64) -> u64 {
-        self.1 += 1;
-        rng::below(n, self.0, 0, self.1)
+    /// The stream at its beginning.
+    pub fn new(seed: u64) -> Self {
+        Draw { seed, drawn: 0 }
     }
 
-    fn each<T: Copy>(&mut self, n: u32, values: &[T]) -> PerCompartment<T> {
-        let mut pick = || values[self.below(values.len() as u64) as usize];
-        if n.is_multiple_of(2) {
-            PerCompartment::Same(pick())
-        } else {
-            PerCompartment::Each((0..n).map(|_| pick()).collect())
-        }
+    /// A number in `low..=high`.
+    pub fn from(&mut self, low: i64, high: i64) -> i64 {
+        self.drawn += 1;
+        low + rng::below((high - low + 1) as u64, self.seed, 0, self.drawn) as i64
+    }
+
+    /// True with this probability.
+    pub fn chance(&mut self, percent: i64) -> bool {
+        self.from(0, 99) < percent
+    }
+
+    /// One of these, each as often as another.
+    pub fn one_of<T: Copy>(&mut self, items: &[T]) -> T {
+        items[self.from(0, items.len() as i64 - 1) as usize]
+    }
+
+    /// A weight of a format.
+    pub fn weight(&mut self, format: SynapseFormat) -> i16 {
+        let (low, high) = format.sign.range(format.bits);
+        let step = format.sign.step(format.bits);
+        self.from((low / step).into(), (high / step).into()) as i16 * step
     }
 }
 
@@ -251,44 +268,38 @@ pub fn without_classes(program: &Program) -> program::Parts {
 
 /// A network of a few populations with every kind of projection, delays, formats and parameters.
 pub fn random_network(seed: u64) -> Quantised {
-    let mut draw = Draw(seed, 0);
+    let mut draw = Draw::new(seed);
     let mut builder = Builder::new();
-    let shape = |draw: &mut Draw| {
-        if draw.below(2) == 0 {
-            Shape::Line(1 + draw.below(40) as u32)
-        } else {
-            Shape::Volume(2, 2 + draw.below(3) as u32, 2 + draw.below(3) as u32)
-        }
+    let shape = |draw: &mut Draw| match draw.chance(50) {
+        true => Shape::Line(draw.from(1, 40) as u32),
+        false => Shape::Volume(2, draw.from(2, 4) as u32, draw.from(2, 4) as u32),
     };
     let mut all: Vec<(PopulationId, Shape)> = Vec::new();
-    let inputs = 1 + draw.below(2);
+    let inputs = draw.from(1, 2);
     for k in 0..inputs {
         let shape = shape(&mut draw);
         all.push((builder.input_shape(&format!("in{k}"), shape), shape));
     }
-    for k in 0..1 + draw.below(4) {
+    for k in 0..draw.from(1, 4) {
         let shape = shape(&mut draw);
-        let n = shape.len();
-        let (du, vth, refractory) = (
-            draw.each(n, &[0, 1024, 4096].map(|d| Decay::new(d).unwrap())),
-            draw.each(n, &[80, 100].map(|v| ThresholdMantissa::new(v).unwrap())),
-            draw.each(n, &[1, 2].map(|r| Refractory::new(r).unwrap())),
-        );
-        let neuron = |i| Neuron { du: du.get(i), vth: vth.get(i), refractory: refractory.get(i), ..neurons().get(i) };
-        let same = [matches!(du, PerCompartment::Same(_)), matches!(vth, PerCompartment::Same(_))];
-        let neurons = match same == [true; 2] && matches!(refractory, PerCompartment::Same(_)) {
-            true => PerCompartment::Same(neuron(0)),
-            false => PerCompartment::Each((0..n).map(neuron).collect()),
+        let mut neuron = || Neuron {
+            du: Decay::new(draw.one_of(&[0, 1024, 4096])).unwrap(),
+            vth: ThresholdMantissa::new(draw.one_of(&[80, 100])).unwrap(),
+            refractory: Refractory::new(draw.one_of(&[1, 2])).unwrap(),
+            ..neurons().get(0)
+        };
+        let neurons = match shape.len() {
+            n if n.is_multiple_of(2) => PerCompartment::Same(neuron()),
+            n => PerCompartment::Each((0..n).map(|_| neuron()).collect()),
         };
         all.push((builder.loihi_with(&format!("pop{k}"), shape, neurons), shape));
     }
-    let signs = [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory];
-    for _ in 0..2 + draw.below(6) {
-        let (source, from) = all[draw.below(all.len() as u64) as usize];
-        let (target, to) = all[(inputs + draw.below(all.len() as u64 - inputs)) as usize];
-        let sign = signs[draw.below(3) as usize];
-        let format = format(draw.below(4) as i64 - 2, sign, [8, 8, 6, 4][draw.below(4) as usize]);
-        let delay = [0, 0, 0, 1, 3][draw.below(5) as usize];
+    for _ in 0..draw.from(2, 7) {
+        let (source, from) = draw.one_of(&all);
+        let (target, to) = draw.one_of(&all[inputs as usize..]);
+        let sign = draw.one_of(&[SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory]);
+        let format = format(draw.from(-2, 1), sign, draw.one_of(&[8, 8, 6, 4]));
+        let delay = draw.one_of(&[0, 0, 0, 1, 3]);
         let connectivity = random_connectivity(&mut draw, format, from, to);
         builder.connect((source, target), format, delay, connectivity);
     }
@@ -296,37 +307,35 @@ pub fn random_network(seed: u64) -> Quantised {
 }
 
 fn random_connectivity(draw: &mut Draw, format: SynapseFormat, from: Shape, to: Shape) -> Connectivity {
-    let (low, high) = format.sign.range(format.bits);
-    let step = format.sign.step(format.bits);
-    let levels = (i32::from(high) - i32::from(low)) / i32::from(step) + 1;
-    let weight = |draw: &mut Draw| low + step * draw.below(levels as u64) as i16;
     let (sources, targets) = (from.len(), to.len());
     if let (Some(source), Some(target)) = (from.volume(), to.volume())
-        && draw.below(2) == 0
+        && draw.chance(50)
     {
         let window = Window {
             source,
             target,
             kernel: (2, 2),
-            stride: (1 + draw.below(2) as u32, 1),
-            padding: (draw.below(2) as u32, 1),
-            dilation: (1, 1 + draw.below(2) as u32),
-            groups: 1 + draw.below(2) as u32,
+            stride: (draw.from(1, 2) as u32, 1),
+            padding: (draw.from(0, 1) as u32, 1),
+            dilation: (1, draw.from(1, 2) as u32),
+            groups: draw.from(1, 2) as u32,
         };
-        if draw.below(2) == 0 {
-            return Connectivity::SumPool2d { window: Window { groups: 1, ..window }, weight: weight(draw) };
+        if draw.chance(50) {
+            return Connectivity::SumPool2d { window: Window { groups: 1, ..window }, weight: draw.weight(format) };
         }
         let size = target.0 * source.0 / window.groups * 4;
-        return Connectivity::Conv2d { window, kernel: (0..size).map(|_| weight(draw)).collect() };
+        return Connectivity::Conv2d { window, kernel: (0..size).map(|_| draw.weight(format)).collect() };
     }
-    match draw.below(3) {
-        0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| weight(draw)).collect() },
+    match draw.from(0, 2) {
+        0 => Connectivity::Dense { targets, weights: (0..sources * targets).map(|_| draw.weight(format)).collect() },
         1 => {
-            let mut synapse = |target| (draw.below(3) == 0).then(|| (target, weight(draw)));
+            let mut synapse = |target| (draw.from(0, 2) == 0).then(|| (target, draw.weight(format)));
             sparse((0..sources).map(|_| (0..targets).filter_map(&mut synapse).collect()))
         }
         _ => {
-            let (fan_out, seed) = (draw.below(8) as u32, draw.below(1000));
+            let (low, high) = format.sign.range(format.bits);
+            let (fan_out, seed) = (draw.from(0, 7) as u32, draw.from(0, 999) as u64);
+            let step = format.sign.step(format.bits);
             Connectivity::Random { targets, fan_out, low, high, step, seed, first_source: 3 }
         }
     }
