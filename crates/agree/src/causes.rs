@@ -3,37 +3,28 @@
 
 use nsim_ir::base::names::named_variants;
 
-/// Something in which the machine differs from the trained network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Cause {
-    /// Layers that answer a step later each, in samples that end with their input.
-    Pipeline,
-    /// The response and refractory kernels without end instead of cut.
-    Untruncated,
-    /// Decaying current and voltage instead of the alpha kernel: a step earlier, a step longer.
-    Kernel,
-    /// A hard reset and a refractory period instead of the refractory kernel, or of a subtraction.
-    HardReset,
-    /// Decays in 4096ths.
-    Decays,
-    /// Thresholds and synapses onto itself as searched instead of as analysed.
-    Calibration,
-    /// Integer weights, thresholds and biases.
-    Weights,
-    /// Integer state: rounding toward zero, wrapping, clipping.
-    State,
+named_variants! {
+    /// Something in which the machine differs from the trained network.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Cause {
+        /// Layers that answer a step later each, in samples that end with their input.
+        Pipeline = "pipeline-delay",
+        /// The response and refractory kernels without end instead of cut.
+        Untruncated = "exact-kernel",
+        /// Decaying current and voltage instead of the alpha kernel: a step earlier, a step longer.
+        Kernel = "cuba-kernel",
+        /// A hard reset and a refractory period instead of the refractory kernel or a subtraction.
+        HardReset = "hard-reset",
+        /// Decays in 4096ths.
+        Decays = "quantised-decays",
+        /// Thresholds and synapses onto itself as searched instead of as analysed.
+        Calibration = "calibration",
+        /// Integer weights, thresholds and biases.
+        Weights = "quantised-weights",
+        /// Integer state: rounding toward zero, wrapping, clipping.
+        State = "integer-state",
+    }
 }
-
-named_variants!(Cause {
-    Pipeline = "pipeline-delay",
-    Untruncated = "exact-kernel",
-    Kernel = "cuba-kernel",
-    HardReset = "hard-reset",
-    Decays = "quantised-decays",
-    Calibration = "calibration",
-    Weights = "quantised-weights",
-    State = "integer-state",
-});
 
 impl Cause {
     /// What a layer loses to it.

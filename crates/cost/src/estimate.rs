@@ -34,32 +34,25 @@ impl Convention {
     }
 }
 
-/// Where a row comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum FigureSource {
-    /// From the counts of a simulated run.
-    Simulated,
-    /// Measured on this machine.
-    Measured,
-    /// Printed by its source.
-    Published,
-    /// From constants alone.
-    Modelled,
-    /// Given by the user.
-    Stated,
-    /// Chosen.
-    Assumed,
+named_variants! {
+    /// Where a row comes from.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum FigureSource {
+        /// From the counts of a simulated run.
+        Simulated = "simulated",
+        /// Measured on this machine.
+        Measured = "measured",
+        /// Printed by its source.
+        Published = "published",
+        /// From constants alone.
+        Modelled = "modelled",
+        /// Given by the user.
+        Stated = "stated",
+        /// Chosen.
+        Assumed = "assumed",
+    }
 }
-
-named_variants!(FigureSource {
-    Simulated = "simulated",
-    Measured = "measured",
-    Published = "published",
-    Modelled = "modelled",
-    Stated = "stated",
-    Assumed = "assumed",
-});
 
 /// One end of the intervals of a row's figures.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]

@@ -27,37 +27,28 @@ const HEAD: usize = 1 << 16;
 pub const RECORDINGS: &str =
     "recordings of events (.bin, .bs1, .bs2, .dat, .raw, .aedat4, .tact, .csv with the header t_us,x,y,p, NIR data)";
 
-/// The formats of event recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum EventFormat {
-    /// SLAYER `.bs2`: x, y, polarity and 23 bits of microseconds.
-    Bs2,
-    /// SLAYER `.bs1`: 16 bits of channel, polarity and 23 bits of microseconds.
-    Bs1,
-    /// Prophesee `.dat`.
-    Dat,
-    /// Prophesee `.raw` with EVT2 or EVT3.
-    Raw,
-    /// AEDAT; version 4 is read.
-    Aedat4,
-    /// VT_SNN's `.tact`.
-    Tact,
-    /// Text whose header names x and a time.
-    Text,
-    /// N-MNIST `.bin`: as `.bs2`, with entries that mark turns of the clock.
-    Bin,
+named_variants! {
+    /// The formats of event recordings.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum EventFormat {
+        /// SLAYER `.bs2`: x, y, polarity and 23 bits of microseconds.
+        Bs2 = "SLAYER .bs2",
+        /// SLAYER `.bs1`: 16 bits of channel, polarity and 23 bits of microseconds.
+        Bs1 = "SLAYER .bs1",
+        /// Prophesee `.dat`.
+        Dat = "Prophesee .dat",
+        /// Prophesee `.raw` with EVT2 or EVT3.
+        Raw = "Prophesee .raw",
+        /// AEDAT; version 4 is read.
+        Aedat4 = "AEDAT",
+        /// VT_SNN's `.tact`.
+        Tact = "VT_SNN .tact",
+        /// Text whose header names x and a time.
+        Text = "events as text",
+        /// N-MNIST `.bin`: as `.bs2`, with entries that mark turns of the clock.
+        Bin = "N-MNIST .bin",
+    }
 }
-
-named_variants!(EventFormat {
-    Bs2 = "SLAYER .bs2",
-    Bs1 = "SLAYER .bs1",
-    Dat = "Prophesee .dat",
-    Raw = "Prophesee .raw",
-    Aedat4 = "AEDAT",
-    Tact = "VT_SNN .tact",
-    Text = "events as text",
-    Bin = "N-MNIST .bin",
-});
 
 /// What a file is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

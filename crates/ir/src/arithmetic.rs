@@ -40,26 +40,21 @@ pub enum WeightRounding {
     Floor,
 }
 
-/// What of the output population decides a sample.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
-pub enum ReadOut {
-    /// The output with most spikes.
-    #[default]
-    Spikes,
-    /// The output whose potential v is greatest in any step.
-    GreatestV,
-    /// The output whose potentials of all steps have the greatest sum.
-    SumOfV,
-    /// The output whose potential is greatest after the last step.
-    LastV,
+named_variants! {
+    /// What of the output population decides a sample.
+    #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
+    pub enum ReadOut {
+        /// The output with most spikes.
+        #[default]
+        Spikes = "spikes",
+        /// The output whose potential v is greatest in any step.
+        GreatestV = "greatest_v",
+        /// The output whose potentials of all steps have the greatest sum.
+        SumOfV = "sum_of_v",
+        /// The output whose potential is greatest after the last step.
+        LastV = "last_v",
+    }
 }
-
-named_variants!(ReadOut {
-    Spikes = "spikes",
-    GreatestV = "greatest_v",
-    SumOfV = "sum_of_v",
-    LastV = "last_v",
-});
 
 /// u and v of each population return to zero before the updates of steps
 /// `start_step + offset + k * interval`.

@@ -4,28 +4,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::names::named_variants;
 
-/// Why something was left out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
-pub enum Kind {
-    /// An input channel that the stimulus never fires.
-    DeadInput,
-    /// A synapse whose scaled weight is 0.
-    ZeroSynapse,
-    /// A compartment that can never spike.
-    SilentCompartment,
-    /// A compartment that reaches no output and nothing probed.
-    UnreachableCompartment,
-    /// A synapse from what never spikes, or to what was left out.
-    LooseSynapse,
+named_variants! {
+    /// Why something was left out.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+    pub enum Kind {
+        /// An input channel that the stimulus never fires.
+        DeadInput = "dead_input",
+        /// A synapse whose scaled weight is 0.
+        ZeroSynapse = "zero_synapse",
+        /// A compartment that can never spike.
+        SilentCompartment = "silent_compartment",
+        /// A compartment that reaches no output and nothing probed.
+        UnreachableCompartment = "unreachable_compartment",
+        /// A synapse from what never spikes, or to what was left out.
+        LooseSynapse = "loose_synapse",
+    }
 }
-
-named_variants!(Kind {
-    DeadInput = "dead_input",
-    ZeroSynapse = "zero_synapse",
-    SilentCompartment = "silent_compartment",
-    UnreachableCompartment = "unreachable_compartment",
-    LooseSynapse = "loose_synapse",
-});
 
 /// How many of a kind were left out, and where.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]

@@ -21,25 +21,20 @@ use nsim_ir::base::names::named_variants;
 use nsim_session::error::Error;
 use nsim_session::obtain::Wanted;
 
-/// A stage of the compiler.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
-    /// The network in integers.
-    Quantised,
-    /// Its compartments on logical cores.
-    Partition,
-    /// The cores' places on the mesh.
-    Placement,
-    /// The tables of the cores.
-    Program,
+named_variants! {
+    /// A stage of the compiler.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Stage {
+        /// The network in integers.
+        Quantised = "quantised",
+        /// Its compartments on logical cores.
+        Partition = "partition",
+        /// The cores' places on the mesh.
+        Placement = "placement",
+        /// The tables of the cores.
+        Program = "program",
+    }
 }
-
-named_variants!(Stage {
-    Quantised = "quantised",
-    Partition = "partition",
-    Placement = "placement",
-    Program = "program",
-});
 
 /// Print a shipped model, training file, target, chip or preset of constants, or a stage of the
 /// compiler, as RON

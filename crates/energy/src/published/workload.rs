@@ -32,58 +32,42 @@ pub enum FigureKind {
 
 named_variants!(FigureKind { Energy = "energy", Power = "power", Time = "time" });
 
-/// A figure that a model of cost can predict.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
-pub enum Quantity {
-    /// Static power of the neuron cores in use, mW.
-    CoreStaticPower,
-    /// Dynamic power of the neuron cores and their mesh, mW.
-    CoreDynamicPower,
-    /// Static power of the x86 cores that run, mW.
-    X86StaticPower,
-    /// Power of these x86 cores on top, mW.
-    X86DynamicPower,
-    /// Dynamic power of neuron and x86 cores, mW.
-    DynamicPower,
-    /// Power of the whole board once a program is loaded, before it runs, mW.
-    RailsIdle,
-    /// The same less the clocks of the x86 cores, mW.
-    RailsStatic,
-    /// Power of the whole board while it runs, mW.
-    RailsTotal,
-    /// The same without the events of neuron cores, mW.
-    RailsEmpty,
-    /// Power of the running board less that of the loaded one, mW.
-    AboveLoaded,
-    /// Power of the running board less that before a program, mW.
-    AboveBoot,
-    /// Time of a step, us.
-    StepTime,
-    /// Time of a step without what x86 cores do, us.
-    SpikingTime,
-    /// Time of a step in which x86 cores take their turn and reset state, us.
-    ManagementTime,
-    /// Dynamic energy of neuron and x86 cores in an inference, uJ.
-    InferenceDynamicEnergy,
+named_variants! {
+    /// A figure that a model of cost can predict.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+    pub enum Quantity {
+        /// Static power of the neuron cores in use, mW.
+        CoreStaticPower = "core static power",
+        /// Dynamic power of the neuron cores and their mesh, mW.
+        CoreDynamicPower = "core dynamic power",
+        /// Static power of the x86 cores that run, mW.
+        X86StaticPower = "x86 static power",
+        /// Power of these x86 cores on top, mW.
+        X86DynamicPower = "x86 dynamic power",
+        /// Dynamic power of neuron and x86 cores, mW.
+        DynamicPower = "dynamic power",
+        /// Power of the whole board once a program is loaded, before it runs, mW.
+        RailsIdle = "rails, idle",
+        /// The same less the clocks of the x86 cores, mW.
+        RailsStatic = "rails, static",
+        /// Power of the whole board while it runs, mW.
+        RailsTotal = "rails, running",
+        /// The same without the events of neuron cores, mW.
+        RailsEmpty = "rails, no events",
+        /// Power of the running board less that of the loaded one, mW.
+        AboveLoaded = "rails above idle",
+        /// Power of the running board less that before a program, mW.
+        AboveBoot = "rails above boot",
+        /// Time of a step, us.
+        StepTime = "step time",
+        /// Time of a step without what x86 cores do, us.
+        SpikingTime = "spiking time",
+        /// Time of a step in which x86 cores take their turn and reset state, us.
+        ManagementTime = "management time",
+        /// Dynamic energy of neuron and x86 cores in an inference, uJ.
+        InferenceDynamicEnergy = "energy of an inference",
+    }
 }
-
-named_variants!(Quantity {
-    CoreStaticPower = "core static power",
-    CoreDynamicPower = "core dynamic power",
-    X86StaticPower = "x86 static power",
-    X86DynamicPower = "x86 dynamic power",
-    DynamicPower = "dynamic power",
-    RailsIdle = "rails, idle",
-    RailsStatic = "rails, static",
-    RailsTotal = "rails, running",
-    RailsEmpty = "rails, no events",
-    AboveLoaded = "rails above idle",
-    AboveBoot = "rails above boot",
-    StepTime = "step time",
-    SpikingTime = "spiking time",
-    ManagementTime = "management time",
-    InferenceDynamicEnergy = "energy of an inference",
-});
 
 impl Quantity {
     /// What it is.

@@ -2,14 +2,22 @@
 //!
 //! Input: an enum with its variants, each with its name unless that is the variant's own; behind a
 //! semicolon a variant that holds its name, which is in no list. Output: the list of the variants
-//! and the name of each. Written once, since a name given in two lists can differ. Input: a text of
-//! any origin. Output: the text as it may be shown.
+//! and the name of each; the enum too, where names stand in its declaration. Written once, since a
+//! name given in two lists can differ. Input: a text of any origin. Output: the text as it may be
+//! shown.
 
 use std::borrow::Cow;
 
 /// Gives an enum the constant `ALL` and the function `name`.
 #[macro_export]
 macro_rules! named_variants {
+    ($(#[$about:meta])* pub enum $enum:ident { $($(#[$of:meta])* $variant:ident = $name:literal,)+ }) => {
+        $(#[$about])*
+        pub enum $enum {
+            $($(#[$of])* $variant,)+
+        }
+        $crate::named_variants!($enum { $($variant = $name),+ });
+    };
     ($enum:ident { $($variant:ident),+ $(; $other:pat => $given:expr)? }) => {
         $crate::named_variants!($enum { $($variant = stringify!($variant)),+ $(; $other => $given)? });
     };

@@ -121,32 +121,25 @@ pub struct Finding {
     pub source: String,
 }
 
-/// Figures whose predictions are wrong together, so that one factor bounds them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize, Serialize)]
-#[serde(rename_all(serialize = "snake_case"))]
-pub enum FigureClass {
-    /// Static power of neuron cores or of x86 cores.
-    Static,
-    /// Power of x86 cores on top.
-    X86Dynamic,
-    /// Energy of the neuron cores' events in a step.
-    CoreEnergy,
-    /// Power of the neuron cores' events, as fast as possible.
-    CoreDynamic,
-    /// Power of a whole board.
-    Rails,
-    /// Time of a step.
-    Time,
+named_variants! {
+    /// Figures whose predictions are wrong together, so that one factor bounds them.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize, Serialize)]
+    #[serde(rename_all(serialize = "snake_case"))]
+    pub enum FigureClass {
+        /// Static power of neuron cores or of x86 cores.
+        Static = "static",
+        /// Power of x86 cores on top.
+        X86Dynamic = "x86_dynamic",
+        /// Energy of the neuron cores' events in a step.
+        CoreEnergy = "core_energy",
+        /// Power of the neuron cores' events, as fast as possible.
+        CoreDynamic = "core_dynamic",
+        /// Power of a whole board.
+        Rails = "rails",
+        /// Time of a step.
+        Time = "time",
+    }
 }
-
-named_variants!(FigureClass {
-    Static = "static",
-    X86Dynamic = "x86_dynamic",
-    CoreEnergy = "core_energy",
-    CoreDynamic = "core_dynamic",
-    Rails = "rails",
-    Time = "time",
-});
 
 /// How far predictions of a class were off, each work predicted without its authors' findings.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]

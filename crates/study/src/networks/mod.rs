@@ -51,31 +51,33 @@ use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Inconsistent, Neuron, Quantised};
 use nsim_ir::spikes::{Sample, SampleError};
 
-/// A standard network. Its names are fixed: stored results carry them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum StandardNetwork {
-    /// The visual-tactile network at 1 % input.
-    VtSnn1Pct,
-    /// The visual-tactile network at 5 % input.
-    VtSnn5Pct,
-    /// 32,768 compartments, 64 synapses each, 2.1 % firing.
-    Random32k,
-    /// 1,000,000 compartments, 64 synapses each, 1 % firing.
-    Random1m,
-    /// 1,000,000 compartments without input.
-    Silent1m,
-    /// The PilotNet of lava-dl.
-    PilotNet,
-    /// The gesture network of SANA-FE.
-    DvsGesture,
-    /// 98,304 compartments in two convolutions.
-    Conv98k,
-    /// 11 million compartments in six convolutions.
-    Conv10m,
-    /// 32,768 compartments, 64 synapses each over eight delays, 2.1 % firing.
-    Delays32k,
-    /// The same delays from channels of which 70 % spike.
-    DelaysBusy,
+named_variants! {
+    /// A standard network. Its names are fixed: stored results carry them.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum StandardNetwork {
+        /// The visual-tactile network at 1 % input.
+        VtSnn1Pct = "vtsnn-1pct",
+        /// The visual-tactile network at 5 % input.
+        VtSnn5Pct = "vtsnn-5pct",
+        /// 32,768 compartments, 64 synapses each, 2.1 % firing.
+        Random32k = "random-32k",
+        /// 1,000,000 compartments, 64 synapses each, 1 % firing.
+        Random1m = "random-1m",
+        /// 1,000,000 compartments without input.
+        Silent1m = "silent-1m",
+        /// The PilotNet of lava-dl.
+        PilotNet = "pilotnet",
+        /// The gesture network of SANA-FE.
+        DvsGesture = "dvs-gesture",
+        /// 98,304 compartments in two convolutions.
+        Conv98k = "conv-98k",
+        /// 11 million compartments in six convolutions.
+        Conv10m = "conv-10m",
+        /// 32,768 compartments, 64 synapses each over eight delays, 2.1 % firing.
+        Delays32k = "delays-32k",
+        /// The same delays from channels of which 70 % spike.
+        DelaysBusy = "delays-busy",
+    }
 }
 
 /// Why a network could not be built: a wrong constant of this module.
@@ -102,20 +104,6 @@ pub struct BenchNetwork {
     /// The shipped target that it is mapped onto.
     pub target: &'static str,
 }
-
-named_variants!(StandardNetwork {
-    VtSnn1Pct = "vtsnn-1pct",
-    VtSnn5Pct = "vtsnn-5pct",
-    Random32k = "random-32k",
-    Random1m = "random-1m",
-    Silent1m = "silent-1m",
-    PilotNet = "pilotnet",
-    DvsGesture = "dvs-gesture",
-    Conv98k = "conv-98k",
-    Conv10m = "conv-10m",
-    Delays32k = "delays-32k",
-    DelaysBusy = "delays-busy",
-});
 
 impl StandardNetwork {
     /// Whether a step has so much to do that sharing it out over threads can pay.

@@ -73,22 +73,18 @@ const FEW_SYNAPSES: f64 = 24_576.0;
 /// The most compartments whose synapses onto themselves are listed one by one.
 const MOST_OWN: u32 = 1 << 16;
 
-/// What of the search is done, each stage on top of the last.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
-    /// The analytic start.
-    Start,
-    /// Decays, delayed copies, threshold and self-synapses of each population together.
-    Shape,
-    /// Rounding errors carried over to the next copy.
-    Rounding,
+named_variants! {
+    /// What of the search is done, each stage on top of the last.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Stage {
+        /// The analytic start.
+        Start = "analytic start",
+        /// Decays, delayed copies, threshold and self-synapses of each population together.
+        Shape = "decays, delayed copies and reset together",
+        /// Rounding errors carried over to the next copy.
+        Rounding = "rounding errors carried to the next copy",
+    }
 }
-
-named_variants!(Stage {
-    Start = "analytic start",
-    Shape = "decays, delayed copies and reset together",
-    Rounding = "rounding errors carried to the next copy",
-});
 
 /// How near a conversion is on the calibration samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
