@@ -19,7 +19,7 @@ use super::trace::{Comparison, Layer, Trace};
 use nsim_ir::spikes::Sample;
 
 /// How far a rung is from the trained network.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Distance {
     /// Share of samples with the same class, of those that both decide; `None` when there are none.
     pub class_agreement: Option<f64>,

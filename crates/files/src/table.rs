@@ -261,6 +261,16 @@ pub fn rounded(x: f64) -> f64 {
     format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
+/// A result with each of its numbers that is no integer rounded.
+pub fn with_rounded(value: Value, rounded: fn(f64) -> f64) -> Value {
+    match value {
+        Value::Number(number) if number.is_f64() => number.as_f64().map(rounded).into(),
+        Value::Array(values) => values.into_iter().map(|value| with_rounded(value, rounded)).collect(),
+        Value::Object(fields) => fields.into_iter().map(|(key, value)| (key, with_rounded(value, rounded))).collect(),
+        other => other,
+    }
+}
+
 /// A number with this many significant digits, and no fewer of a whole number.
 pub fn digits(x: f64, significant: i32) -> String {
     if x == 0.0 || !x.is_finite() {

@@ -3,9 +3,11 @@
 use serde_json::{Value, json};
 
 use super::agree::{blame, lost_json, next_json};
-use nsim_agree::attribution::{Distance, Share};
-use nsim_files::table::{Column, count, csv_of, four, markdown_of, or_empty, rounded, table, table_of, three, wrapped};
-use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, TaskScore, Tuned};
+use nsim_agree::attribution::Share;
+use nsim_files::table::{
+    Column, count, csv_of, four, markdown_of, or_empty, rounded, table, table_of, three, with_rounded, wrapped,
+};
+use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, Tuned};
 use nsim_train::convert::job::{Done, Job, sentence};
 use nsim_train::convert::next::Next;
 use nsim_train::convert::staged::{LayerRow, Measured, StageRow};
@@ -61,41 +63,19 @@ fn exponents(layer: &LayerRow) -> String {
     layer.weight_exp.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
 }
 
-fn distance(distance: &Distance) -> Value {
-    json!({
-        "class_agreement": distance.class_agreement.map(rounded),
-        "coincidence": rounded(distance.coincidence),
-        "potential_rmse": distance.potential_rmse.map(rounded),
-    })
-}
-
 fn measured(measured: &Measured) -> Value {
-    let layer = |(name, coincidence, _): &(String, Option<f64>, u64)| json!({ "name": name, "coincidence": coincidence.map(rounded) });
-    let mut object = distance(&measured.distance);
+    let layer =
+        |(name, coincidence, _): &(String, Option<f64>, u64)| json!({ "name": name, "coincidence": coincidence });
+    let mut object = json!(measured.distance);
     object["samples"] = measured.samples.into();
-    object["accuracy_trained"] = measured.accuracy.map(|(trained, _)| rounded(trained)).into();
-    object["accuracy"] = measured.accuracy.map(|(_, integers)| rounded(integers)).into();
+    object["accuracy_trained"] = measured.accuracy.map(|(trained, _)| trained).into();
+    object["accuracy"] = measured.accuracy.map(|(_, integers)| integers).into();
     object["layers"] = measured.layers.iter().map(layer).collect();
     object
 }
 
-fn score(score: &TaskScore) -> Value {
-    json!({ "accuracy": rounded(score.accuracy), "loss": rounded(score.loss) })
-}
-
 fn tuned_json(tuned: &Tuned) -> Value {
     let FineTuned { kept, rows, samples, held_out, seed, fingerprint, .. } = &tuned.tuned;
-    let row = |row: &FineTuneRow| {
-        let mut object = score(&row.score);
-        object["epoch"] = row.epoch.into();
-        object
-    };
-    let unseen = held_out.map(|held| {
-        json!({
-            "samples": held.samples, "trained_accuracy": rounded(held.trained), "before": score(&held.before),
-            "after": score(&held.after),
-        })
-    });
     let (before, after) = tuned.tuned.scores();
     json!({
         "epochs": tuned.epochs,
@@ -104,10 +84,10 @@ fn tuned_json(tuned: &Tuned) -> Value {
         "input": tuned.samples,
         "samples": samples,
         "sha256": fingerprint,
-        "before": score(&before),
-        "after": score(&after),
-        "rows": rows.iter().map(row).collect::<Vec<_>>(),
-        "held_out": unseen,
+        "before": before,
+        "after": after,
+        "rows": rows,
+        "held_out": held_out,
         "agreement": tuned.held_out.as_ref().map(measured),
     })
 }
@@ -133,44 +113,31 @@ impl ConvertReport<'_> {
 
     /// `nsim.convert/1`.
     pub fn json(&self) -> Value {
-        let stage = |row: &StageRow| {
-            let mut object = distance(&row.distance);
-            object["name"] = row.name.as_str().into();
-            object["kept"] = row.kept.into();
-            object["gain"] = row.gain.map(rounded).into();
-            object["left"] = row.left.map(rounded).into();
-            object
-        };
-        let layer = |layer: &LayerRow| {
-            json!({
-                "name": layer.name, "coincidence": layer.coincidence.map(rounded), "weight_exp": layer.weight_exp,
-                "clipped": layer.clipped, "problem": layer.problem,
-            })
-        };
         let left = |left: &Share| {
-            let mut object = distance(&left.without);
+            let mut object = json!(left.without);
             object["cause"] = left.cause.name().into();
             object
         };
         let converted = &self.done.converted;
-        json!({
+        let object = json!({
             "schema": "nsim.convert/1",
             "model": self.job.graph.facts().name,
             "model_sha256": self.job.hash,
             "input": self.input,
             "samples": converted.calibration.samples,
-            "stages": converted.stages.iter().map(stage).collect::<Vec<_>>(),
-            "layers": converted.layers.iter().map(layer).collect::<Vec<_>>(),
+            "stages": converted.stages,
+            "layers": converted.layers,
             "lost": converted.attribution.layers.iter().map(lost_json).collect::<Vec<_>>(),
             "left": converted.left.iter().map(left).collect::<Vec<_>>(),
             "next": self.next.map(next_json),
-            "class_agreement": converted.calibration.distance.class_agreement.map(rounded),
+            "class_agreement": converted.calibration.distance.class_agreement,
             "calibration": measured(&converted.calibration),
             "held_out": self.done.held_out.as_ref().map(measured),
             "fine_tune": self.tuned.map(tuned_json),
             "output": self.files,
-            "seconds": rounded(self.done.seconds),
-        })
+            "seconds": self.done.seconds,
+        });
+        with_rounded(object, rounded)
     }
 
     /// A row a stage.

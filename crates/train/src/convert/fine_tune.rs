@@ -67,7 +67,7 @@ struct Place {
 }
 
 /// How many samples are right, and the mean loss.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
 pub struct TaskScore {
     /// Share of samples that are right.
     pub accuracy: f64,
@@ -76,20 +76,22 @@ pub struct TaskScore {
 }
 
 /// An epoch.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct FineTuneRow {
+    /// Its integers on the training samples, not varied.
+    #[serde(flatten)]
+    pub score: TaskScore,
     /// The epoch, 0 before the first.
     pub epoch: u32,
-    /// Its integers on the training samples, not varied.
-    pub score: TaskScore,
 }
 
 /// Samples that were not trained on.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct HeldOut {
     /// How many.
     pub samples: usize,
     /// Share that the trained network has right.
+    #[serde(rename = "trained_accuracy")]
     pub trained: f64,
     /// The integers before.
     pub before: TaskScore,

@@ -33,12 +33,13 @@ const COUNTED: usize = 4;
 const TOLD_APART: usize = 20;
 
 /// A stage and how near the network is after it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct StageRow {
+    /// How near it is, on the calibration samples.
+    #[serde(flatten)]
+    pub distance: Distance,
     /// What was done.
     pub name: String,
-    /// How near that is, on the calibration samples.
-    pub distance: Distance,
     /// Whether the result has it.
     pub kept: bool,
     /// Coincidence beyond the stage before; none for the first.
@@ -48,7 +49,7 @@ pub struct StageRow {
 }
 
 /// A layer of the integers.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct LayerRow {
     /// The population.
     pub name: String,
