@@ -82,7 +82,7 @@ pub struct Rung {
 }
 
 /// What was measured of a rung.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize)]
 pub struct Row {
     /// What differs along the ladder.
     pub ladder: &'static str,
@@ -91,12 +91,15 @@ pub struct Row {
     /// The class of its connections.
     pub class: &'static str,
     /// Synaptic events of a run.
+    #[serde(rename = "synaptic_events")]
     pub events: u64,
     /// Nanoseconds of a thread for each.
     pub ns_an_event: f64,
     /// The goal: of the class, and of the updates of compartments that an event comes with.
+    #[serde(rename = "goal_ns")]
     pub goal: f64,
     /// Whether it takes too long for its neighbours.
+    #[serde(rename = "cliff")]
     pub is_cliff: bool,
 }
 

@@ -118,28 +118,33 @@ impl Variant {
 }
 
 /// What was measured of a variant.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct VariantRow {
     /// The variant.
+    #[serde(serialize_with = "by_name")]
     pub variant: Variant,
     /// Median of the repeats.
     pub us_per_timestep: f64,
     /// Distance of the quartiles.
     pub spread: f64,
-    /// Repeats.
-    pub repeats: usize,
     /// Share of samples with the class of the trained network, of those that both decide.
     pub class_agreement: Option<f64>,
-    /// Share of right classes, when samples have labels.
-    pub accuracy: Option<f64>,
     /// Coincidence factor over all layers.
     pub coincidence: f64,
     /// Potentials over all layers in thresholds; none where steps do not correspond.
     pub potential_rmse: Option<f64>,
-    /// For variants that claim it: whether every spike is the golden interpreter's.
-    pub exact: Option<bool>,
     /// Whether no other variant is faster and nearer.
     pub on_front: bool,
+    /// Share of right classes, when samples have labels.
+    pub accuracy: Option<f64>,
+    /// For variants that claim it: whether every spike is the golden interpreter's.
+    pub exact: Option<bool>,
+    /// Repeats.
+    pub repeats: usize,
+}
+
+fn by_name<S: serde::Serializer>(variant: &Variant, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&variant.name())
 }
 
 /// A variant that contradicts itself.

@@ -4,23 +4,12 @@ use serde_json::{Value, json};
 
 use crate::bench::step::rounded;
 use nsim_energy::environment::Environment;
-use nsim_files::table::{Column, csv, table_of, three, wrapped};
+use nsim_files::table::{Column, csv, table_of, three, with_rounded, wrapped};
 use nsim_study::ladders::{CLIFF, Row};
 
 /// `nsim.bench/1`.
 pub fn json(seed: u64, environment: &Environment, rows: &[Row]) -> Value {
-    let row = |row: &Row| {
-        json!({
-            "ladder": row.ladder,
-            "at": row.at,
-            "class": row.class,
-            "synaptic_events": row.events,
-            "ns_an_event": rounded(row.ns_an_event),
-            "goal_ns": rounded(row.goal),
-            "cliff": row.is_cliff,
-        })
-    };
-    let rows: Vec<Value> = rows.iter().map(row).collect();
+    let rows = with_rounded(json!(rows), rounded);
     json!({ "schema": "nsim.bench/1", "name": "sweep", "seed": seed, "environment": environment, "rows": rows })
 }
 

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::charts::results;
 use crate::origin;
 use nsim_energy::environment::Environment;
-use nsim_files::table::{Column, csv, four, markdown_of, or_empty, rounded, table_of, wrapped};
+use nsim_files::table::{Column, csv, four, markdown_of, or_empty, rounded, table_of, with_rounded, wrapped};
 use nsim_study::pareto::VariantRow;
 
 /// Everything that the report says.
@@ -43,20 +43,6 @@ const COLUMNS: [Column<VariantRow>; 9] = [
 impl ParetoReport<'_> {
     /// `nsim.bench/1`.
     pub fn json(&self) -> Value {
-        let row = |row: &VariantRow| {
-            json!({
-                "variant": row.variant.name(),
-                "us_per_timestep": rounded(row.us_per_timestep),
-                "spread": rounded(row.spread),
-                "class_agreement": row.class_agreement.map(rounded),
-                "coincidence": rounded(row.coincidence),
-                "potential_rmse": row.potential_rmse.map(rounded),
-                "on_front": row.on_front,
-                "accuracy": row.accuracy.map(rounded),
-                "exact": row.exact,
-                "repeats": row.repeats,
-            })
-        };
         json!({
             "schema": "nsim.bench/1",
             "name": "pareto",
@@ -65,7 +51,7 @@ impl ParetoReport<'_> {
             "seed": self.seed,
             "samples": self.samples,
             "environment": self.environment,
-            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+            "rows": with_rounded(json!(self.rows), rounded),
         })
     }
 
