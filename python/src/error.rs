@@ -3,7 +3,6 @@
 use std::ffi::CString;
 
 use nsim::ir::base::diagnostic::{Diagnostic, Position};
-use nsim::report::map::reason_json;
 use pyo3::exceptions::{PyException, PyUserWarning};
 use pyo3::prelude::*;
 use serde_json::{Value, json};
@@ -103,7 +102,7 @@ pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
     let error = error.into();
     let diagnostic = error.diagnostic();
     let reasons = match (&error, &diagnostic) {
-        (nsim::Error::DoesNotFit(reasons), _) => reasons.iter().map(reason_json).collect(),
+        (nsim::Error::DoesNotFit(reasons), _) => reasons.iter().map(|reason| json!(reason)).collect(),
         (_, Some(first)) => std::iter::once(&**first).chain(first.others()).map(shown).collect(),
         (_, None) => vec![json!({ "code": error.code(), "message": error.to_string(), "place": null, "help": null })],
     };

@@ -132,8 +132,7 @@ fn data(job: &Job, train: Given, test: Given) -> Result<Data, nsim::Error> {
 impl Training {
     /// The history, an object for each epoch.
     fn epochs(&self) -> Vec<Value> {
-        let history = self.trained.state.history.iter();
-        history.map(|row| json!({ "epoch": row.epoch, "loss": row.loss, "accuracy": row.accuracy })).collect()
+        self.trained.state.history.iter().map(|row| json!(row)).collect()
     }
 
     fn report(&self) -> TrainReport<'_> {

@@ -14,7 +14,7 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Capacity, Limits, Resource};
 
 /// One reason why a network does not fit.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Reason {
     /// A stable name for scripts: `map.RESOURCE`.
     pub code: &'static str,
@@ -23,15 +23,21 @@ pub struct Reason {
     /// The core that would need too much, when the membership was given.
     pub core: Option<CoreId>,
     /// Of which resource.
+    #[serde(serialize_with = "by_name")]
     pub resource: Capacity,
     /// What is needed.
     pub need: u64,
     /// What there is.
     pub limit: u64,
     /// Where the cores that one mapping takes go; `None` where `need` is a bound for all of them.
+    #[serde(skip)]
     pub taken: Option<Taken>,
     /// What to change.
     pub help: String,
+}
+
+fn by_name<S: serde::Serializer>(resource: &Capacity, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(resource.name())
 }
 
 /// The cores that a mapping takes, which another may need fewer of.

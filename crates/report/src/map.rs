@@ -103,7 +103,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "traffic": null,
         "expected": null,
         "seconds": Value::Object(seconds.collect()),
-        "reasons": reasons.iter().map(reason_json).collect::<Vec<_>>(),
+        "reasons": reasons,
         "remedies": remedies,
         "pareto": [],
     });
@@ -203,19 +203,6 @@ fn cores_per_copy(compiled: &Mapping) -> f64 {
     compiled.partition.cores() as f64 / f64::from(compiled.options.copies)
 }
 
-/// A reason as `nsim.map/1` and errors have it.
-pub fn reason_json(reason: &Reason) -> Value {
-    json!({
-        "code": reason.code,
-        "population": reason.population,
-        "core": reason.core.map(|core| core.0),
-        "resource": reason.resource.name(),
-        "need": reason.need,
-        "limit": reason.limit,
-        "help": reason.help,
-    })
-}
-
 /// What is said of a core.
 const CORE_COLUMNS: &str = "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words";
 
@@ -258,7 +245,7 @@ pub fn csv(target: &Target, outcome: Outcome<'_>) -> String {
         Outcome::Fits(compiled, ..) => cores_csv(compiled, target.limits()),
         Outcome::DoesNotFit(reasons) => {
             let columns = "code,population,core,resource,need,limit,help";
-            nsim_files::table::csv(reasons.iter().map(reason_json), columns)
+            nsim_files::table::csv(reasons, columns)
         }
     }
 }

@@ -10,7 +10,7 @@ use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::source_counts::SourceCounts;
 
 /// What the compartments of a population did.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct PopulationCounts {
     /// Its name.
     pub name: String,
@@ -23,6 +23,7 @@ pub struct PopulationCounts {
     /// Voltages that were clipped.
     pub clipped: u64,
     /// Of these, those at the upper end that no reset to zero follows.
+    #[serde(skip)]
     pub cut: u64,
     /// Accumulators and currents that wrapped.
     pub wrapped: u64,

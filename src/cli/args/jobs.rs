@@ -136,7 +136,7 @@ impl Refusal {
             object["model"] = self.model.as_str().into();
             object["target"] = self.target.name().into();
             object["fits"] = false.into();
-            object["reasons"] = self.reasons.iter().map(report::map::reason_json).collect();
+            object["reasons"] = serde_json::json!(self.reasons);
             io::write::stdout(&format!("{object:#}\n"))?;
         }
         Ok(Answer::No)

@@ -56,10 +56,7 @@ pub fn json(network: &Quantised) -> Value {
                 "weight_exponent": format.exponent.get(),
                 "weight_bits": format.bits.get(),
                 "weights": histogram(connectivity),
-                "rounded": rounded.map(|rounded| json!({
-                    "real": rounded.real, "changed": rounded.changed, "weights": rounded.weights,
-                    "worst_share": rounded.worst_share,
-                })),
+                "rounded": rounded,
             })
         })
         .collect();

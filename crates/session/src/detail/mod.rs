@@ -25,13 +25,7 @@ impl Detail {
     /// Adds the keys `populations`, `inputs`, `cores` and `warnings` to an object, and `ranks`
     /// where there are any.
     pub fn add_to(&self, object: &mut Value) {
-        let populations = self.sums.populations.iter().map(|row| {
-            json!({
-                "name": row.name, "compartments": row.compartments, "spikes": row.spikes, "silent": row.silent,
-                "clipped": row.clipped, "wrapped": row.wrapped,
-            })
-        });
-        object["populations"] = populations.collect();
+        object["populations"] = json!(self.sums.populations);
         object["inputs"] = json!(self.sums.inputs);
         object["cores"] = self.cores.iter().map(core_json).collect();
         object["warnings"] = json!(self.warnings);
