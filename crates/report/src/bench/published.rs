@@ -49,7 +49,7 @@ pub fn json(rows: &[PublishedRow]) -> Value {
             "high": row.interval.map(|interval| interval.1),
             "left_out": row.left_out,
             "first_hand": row.first_hand,
-            "accounting": row.accounting(),
+            "accounting": row.quantity.accounting(),
             "activity": row.activity,
             "assumed": row.assumed,
             "source": row.source,

@@ -15,7 +15,6 @@ use std::collections::BTreeMap;
 use self::network::Taken;
 use self::predict::predict;
 use nsim_cost::CostTable;
-use nsim_cost::job::Accounting;
 use nsim_energy::published::workload::{FigureKind, Quantity, WorkloadFile};
 use nsim_ir::hardware::Target;
 use nsim_ir::hardware::constants::{Constants, Status, median};
@@ -56,11 +55,6 @@ impl PublishedRow {
     /// How far the prediction is off, as a factor of at least 1.
     pub fn factor(&self) -> f64 {
         (self.predicted / self.published).max(self.published / self.predicted)
-    }
-
-    /// Which sum the figure is of.
-    pub fn accounting(&self) -> Accounting {
-        self.quantity.accounting()
     }
 }
 

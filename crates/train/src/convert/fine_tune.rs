@@ -375,12 +375,6 @@ impl Task {
         }
     }
 
-    /// Samples that are shown in all: for a progress bar.
-    pub fn work(examples: &[Example], held_out: &[Example], epochs: u32) -> u64 {
-        let (all, held_out) = (examples.len() as u64, held_out.len() as u64);
-        all + 2 * u64::from(epochs) * all + 2 * held_out
-    }
-
     /// Trains; `shown` is called after each sample, `after` with each new best epoch.
     ///
     /// # Errors

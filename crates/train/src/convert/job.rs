@@ -125,7 +125,7 @@ impl Job {
         let start = Instant::now();
         let converted = staged::convert(&self.graph, &samples.calibration, choices, searching)?;
         let seconds = start.elapsed().as_secs_f64();
-        let held_out = (!samples.held_out.is_empty()).then(|| converted.on(&samples.held_out));
+        let held_out = (!samples.held_out.is_empty()).then(|| converted.compared(&converted.ladder, &samples.held_out));
         Ok(Done { converted, held_out, seconds })
     }
 
@@ -212,7 +212,8 @@ impl FineTuning {
 
     /// Samples that are shown in all: for a progress bar.
     pub fn work(&self) -> u64 {
-        Task::work(&self.examples, &self.unseen, self.epochs)
+        let (all, held_out) = (self.examples.len() as u64, self.unseen.len() as u64);
+        all + 2 * u64::from(self.epochs) * all + 2 * held_out
     }
 
     /// Trains; `shown` is called after each sample, `after` with each new best epoch.

@@ -123,12 +123,7 @@ fn by_layer(ladder: &Ladder, measured: attribution::Measured, samples: usize) ->
 }
 
 impl Converted {
-    /// How far the integers are from the trained network on other samples.
-    pub fn on(&self, samples: &[&Sample]) -> Measured {
-        self.compared(&self.ladder, samples)
-    }
-
-    /// How far other integers of the same populations are from the trained network.
+    /// How far these integers, or others of the same populations, are from the trained network.
     pub fn compared(&self, integers: &Ladder, samples: &[&Sample]) -> Measured {
         let from = (&self.ladder, self.trained);
         let output = output_layer(self.ladder.deployed());
