@@ -30,8 +30,6 @@ pub enum FigureKind {
     Time,
 }
 
-named_variants!(FigureKind { Energy = "energy", Power = "power", Time = "time" });
-
 named_variants! {
     /// A figure that a model of cost can predict.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
