@@ -4,9 +4,9 @@
 //! lie in, and the number of synaptic events.
 //!
 //! Spikes of one position, from channel to channel, add rows of the same lengths to the same lanes:
-//! they are a *group*. In the order of lanes they follow each other. Where a step has several
-//! spikes a group, their sums stay in registers while the weights of all of them are added; else
-//! each row is added for itself.
+//! they are a *group*. In the order of lanes they follow each other; input spikes are sorted. Where
+//! a step has several spikes a group, their sums stay in registers while the weights of all of them
+//! are added; else each row is added for itself.
 
 use crate::deliver::accumulate::{Accumulate, add_weights};
 use crate::deliver::prefetch::prefetch;
@@ -53,7 +53,10 @@ impl<S: Accumulate<P::Payload>, P: Spike> pulp::NullaryFnOnce for Dispatched<'_,
         let (Dispatched(mut delivery), mut payloads) = (self, Vec::new());
         let (mut events, mut groups) = (0, [0; AT_A_TIME]);
         let RowDelivery { table, spikes, .. } = delivery;
-        for spikes in spikes.chunks(AT_A_TIME) {
+        let first = &spikes[..spikes.len().min(AT_A_TIME)];
+        let apart = find_groups(table, first, &mut groups) * TOGETHER > first.len();
+        let sorted = (apart && table.groups * TOGETHER <= spikes.len()).then(|| by_group(table, spikes));
+        for spikes in sorted.as_deref().unwrap_or(spikes).chunks(AT_A_TIME) {
             let groups = &mut groups[..spikes.len()];
             events += match find_groups(table, spikes, groups) * TOGETHER <= spikes.len() {
                 true => delivery.deliver_together(spikes, groups),
@@ -157,6 +160,25 @@ impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
         }
         *sums = kept;
     }
+}
+
+/// These spikes group by group.
+#[inline(always)]
+fn by_group<P: Spike>(table: &RowTable, spikes: &[P]) -> Vec<P> {
+    let group = |spike: &P| table.origins[spike.source()].group as usize;
+    let mut places = vec![0u32; table.groups];
+    spikes.iter().for_each(|spike| places[group(spike)] += 1);
+    let mut end = 0;
+    for place in &mut places {
+        end += std::mem::replace(place, end);
+    }
+    let mut sorted = spikes.to_vec();
+    for spike in spikes {
+        let place = &mut places[group(spike)];
+        sorted[*place as usize] = *spike;
+        *place += 1;
+    }
+    sorted
 }
 
 /// Finds the group of each of these spikes; returns how many groups follow each other.
@@ -276,6 +298,8 @@ mod tests {
             let spikes: Vec<P> = numbers.iter().map(|&source| spike(source)).collect();
             let mut groups = vec![0; spikes.len()];
             assert_eq!(find_groups(&table, &spikes, &mut groups) * TOGETHER <= spikes.len(), are_long);
+            let (sorted, mut of_sorted) = (by_group(&table, &spikes), groups.clone());
+            assert!(find_groups(&table, &sorted, &mut of_sorted) <= table.groups);
             let mut sums = [(); 4].map(|()| vec![S::default(); lanes + LANES]);
             let mut marks = [(); 4].map(|()| vec![0; lanes / SKIP_BLOCK]);
             let [together, queued, delivered, obvious] = sums.each_mut().map(Vec::as_mut_slice);

@@ -405,6 +405,8 @@ pub(crate) struct Origin {
 pub(crate) struct RowTable {
     /// By source.
     pub origins: Vec<Origin>,
+    /// How many groups the sources are of.
+    pub groups: usize,
     pub stencils: Vec<Stencil>,
     /// The rows of all stencils, and [`UNCHECKED`] more.
     pub places: Vec<RowPlace>,
@@ -552,7 +554,7 @@ impl RowBuilder {
             }
             origin.group = group;
         }
-        Ok(Some(RowTable { origins, stencils, places, rows: Arc::clone(rows) }))
+        Ok(Some(RowTable { origins, groups: groups.len(), stencils, places, rows: Arc::clone(rows) }))
     }
 }
 
