@@ -370,11 +370,10 @@ fn received<M: Iterator<Item = (Seat, u16)>>(
         let one = |&core: &CoreId| {
             let (senders, received) = of_core(&mut keys, core);
             let same = known.get(&received).cloned();
-            let same = same.unwrap_or_else(|| {
-                let new = Arc::new(received);
-                known.insert(new.clone());
-                new
-            });
+            let same = same.unwrap_or_else(|| Arc::new(received));
+            if cores.len() > 1 {
+                known.insert(same.clone());
+            }
             (core, (senders, same))
         };
         cores.iter().map(one).collect::<Vec<_>>()

@@ -9,6 +9,7 @@ use std::ops::Range;
 use std::sync::OnceLock;
 
 use petgraph::unionfind::UnionFind;
+use rayon::prelude::*;
 
 use crate::constants::CostTable;
 use crate::model::{route_time, sum_of_cores, times};
@@ -16,6 +17,7 @@ use nsim_ir::activity::{CoreCounts, HopCounts, StepActivity};
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ChannelId, CoreId, Id};
 use nsim_ir::groups::{CoreGroups, Kind};
+use nsim_ir::partition::Seat;
 use nsim_ir::placement::{Mesh, Route, Site};
 use nsim_ir::program::{AxonTarget, CoreClass, Program};
 
@@ -149,6 +151,34 @@ fn events(class: &CoreClass, axon: u16) -> (u32, u32) {
     (count as u32, (synapses.len() - count) as u32)
 }
 
+/// Sources whose messages a thread looks up at a time.
+const PIECE: u32 = 1 << 12;
+/// Pieces of each thread that are joined at a time: this bounds their memory.
+const PIECES: usize = 4;
+
+/// The messages of each of these sources, numbered channels first.
+fn messages(program: &Program, sources: Range<u32>) -> Csr<Message> {
+    let message = |AxonTarget { core, axon }| {
+        let (events_dense, events_sparse) = events(program.class_of(core), axon);
+        Message { core, events_dense, events_sparse }
+    };
+    let piece = |&first: &u32| {
+        let mut piece = Csr::default();
+        for source in first..sources.end.min(first.saturating_add(PIECE)) {
+            piece.push(program.messages(source).map(message));
+        }
+        piece
+    };
+    let mut all = Csr::default();
+    let pieces: Vec<u32> = sources.clone().step_by(PIECE as usize).collect();
+    for some in pieces.chunks(PIECES * rayon::current_num_threads()) {
+        let found: Vec<Csr<Message>> = some.par_iter().map(piece).collect();
+        found.iter().flat_map(Csr::iter).for_each(|list| all.push(list.iter().copied()));
+    }
+    all.shrink_to_fit();
+    all
+}
+
 /// What regions that are alike have in common: chips from west to east and from north to south, and
 /// of each group its kind and the tile of each core.
 type RegionKey = (u32, u32, Vec<(usize, Vec<(u32, u32)>)>);
@@ -242,21 +272,10 @@ impl MessageRoutes {
 
     fn new(program: &Program, kinds: &[Kind], groups: &[(usize, &[Site])]) -> Self {
         let cores = program.cores();
-        let message = |target: AxonTarget| {
-            let (events_dense, events_sparse) = events(program.class_of(target.core), target.axon);
-            Message { core: target.core, events_dense, events_sparse }
-        };
-        let mut inputs = Csr::default();
-        for list in program.parts().channels.iter() {
-            inputs.push(list.iter().copied().map(message));
-        }
-        let mut spikes = Csr::default();
-        let mut seats = Vec::with_capacity(program.seats().len());
-        for seat in program.seats() {
-            let image = &cores[seat.core];
-            spikes.push(image.axons_out.get(usize::from(seat.slot)).map(message));
-            seats.push((seat.core, u32::from(seat.slot), image.ids.len() as u32));
-        }
+        let all = program.channels() + program.compartments();
+        let (inputs, spikes) = (messages(program, 0..program.channels()), messages(program, program.channels()..all));
+        let seat = |seat: &Seat| (seat.core, u32::from(seat.slot), cores[seat.core].ids.len() as u32);
+        let seats = program.seats().iter().map(seat).collect();
         let of_kind = |kind| groups.iter().filter(|group| group.0 == kind).count() as u64;
         let kinds = kinds.iter().enumerate();
         let kinds = kinds.map(|(number, kind)| KindOfGroup { kind: kind.clone(), groups: of_kind(number) });

@@ -7,11 +7,15 @@
 //! list, three misses of the cache and of the page tables. Input axons are numbered by source, so
 //! the messages of neighbouring sources to one core select lists side by side.
 
+use crate::deliver::prefetch::prefetch;
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, Messages, Program, Stored, Synapse};
 
 /// Messages in a batch: a few for each core of a large network, whose synapses fit a cache.
 const BATCH: usize = 1 << 16;
+
+/// Messages between the prefetch of where a list begins, of its synapses, and their use.
+const PREFETCH_MESSAGES: [usize; 2] = [16, 8];
 
 /// The tables of a core that a message passes, in one cache line.
 #[derive(Debug, Clone, Copy)]
@@ -94,20 +98,37 @@ impl<'p> RoutingTables<'p> {
     /// The source of each message of these sources and the list that it selects, batch by batch.
     pub fn resolve(&self, sources: impl Iterator<Item = u32>) -> impl Iterator<Item = (u32, Selected<'p>)> {
         self.batches(sources).flat_map(|Batch { tables, sources, order }| {
-            order.into_iter().map(move |key| {
-                let (place, selected) = tables.selected(key);
+            (0..order.len()).map(move |at| {
+                let (place, selected) = tables.selected(&order, at);
                 (sources[place], selected)
             })
         })
     }
 
-    /// The place of a message in its batch and the list that it selects.
+    /// The core, the axon and the list of a message's key, and the base of its slots.
     #[inline]
-    fn selected(&self, key: u64) -> (usize, Selected<'p>) {
-        let (core, axon) = (CoreId((key >> CORE_SHIFT) as u32), key as u16);
+    fn list(&self, key: u64) -> (CoreId, &Core<'p>, usize, u16) {
+        let (core, axon) = (CoreId((key >> CORE_SHIFT) as u32), usize::from(key as u16));
+        let tables = &self.cores[core.index()];
+        let (list, base) = tables.inputs.map_or((axon, 0), |inputs| inputs.selected(axon));
+        (core, tables, list, base)
+    }
+
+    /// The place in its batch of the message with a key of these, and the list that it selects.
+    #[inline]
+    fn selected(&self, order: &[u64], at: usize) -> (usize, Selected<'p>) {
+        if let Some(&far) = order.get(at + PREFETCH_MESSAGES[0]) {
+            let (_, Core { firsts, .. }, list, _) = self.list(far);
+            prefetch(firsts, list);
+        }
+        if let Some(&far) = order.get(at + PREFETCH_MESSAGES[1]) {
+            let (_, Core { firsts, synapses, .. }, list, _) = self.list(far);
+            prefetch(synapses, firsts[list] as usize);
+        }
+        let key = order[at];
+        let (core, &Core { firsts, synapses, formats, .. }, list, base) = self.list(key);
         let place = (key >> PLACE_SHIFT) as usize & ((1 << (CORE_SHIFT - PLACE_SHIFT)) - 1);
-        let Core { firsts, synapses, formats, inputs } = self.cores[core.index()];
-        let (list, base) = inputs.map_or((axon.into(), 0), |inputs| inputs.selected(axon.into()));
+        let axon = key as u16;
         let stored = &synapses[firsts[list] as usize..firsts[list + 1] as usize];
         (place, Selected { core, axon, list, formats, base, stored })
     }
@@ -130,6 +151,6 @@ pub(crate) struct Batch<'t, 'p> {
 impl<'p> Batch<'_, 'p> {
     /// Core by core, the places of messages and the lists that they select.
     pub fn by_core(&self) -> impl Iterator<Item = (usize, Selected<'p>)> {
-        self.order.iter().map(|&key| self.tables.selected(key))
+        (0..self.order.len()).map(|at| self.tables.selected(&self.order, at))
     }
 }
