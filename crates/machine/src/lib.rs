@@ -208,15 +208,15 @@ impl Machine {
     fn take_remote(&mut self) {
         let image = &*self.image;
         let Some(others) = &mut self.others else { return };
-        if !others.take(&mut self.remote) {
+        if !others.take(&mut self.remote, &mut self.remote_payloads) {
             return;
         }
         if image.has_blocks {
-            self.remote.sort_unstable();
+            let all = CompartmentId(0)..CompartmentId::new(image.compartments());
+            let remote = (&mut self.remote, self.remote_payloads.as_mut_slice());
+            exchange::sort(remote, all, &mut self.marks, &mut self.by_id);
         }
-        self.remote_payloads.clear();
-        if !image.payloads.is_empty() {
-            // Ranks do not run networks whose messages have values of their own.
+        if !image.payloads.is_empty() && self.remote_payloads.is_empty() {
             let carried = |spike: &CompartmentId| image.payloads[image.channels as usize + spike.index()].unwrap_or(1);
             self.remote_payloads.extend(self.remote.iter().map(carried));
         }
@@ -274,7 +274,7 @@ impl Machine {
             exchange::sort(spikes, range, &mut self.marks, &mut self.by_id);
         }
         if let Some(others) = &mut self.others {
-            others.post(&self.spikes);
+            others.post(&self.spikes, &self.payloads);
         }
     }
 

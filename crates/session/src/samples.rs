@@ -21,7 +21,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::source_counts::{LeftField, SourceCounts};
-use nsim_ir::spikes::{Copies, Engine, Message, Sample};
+use nsim_ir::spikes::{Copies, Engine, Sample};
 use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_reference::{Model, Real, Reference};
@@ -157,10 +157,6 @@ fn on_ranks<M: Meter>(
     if margin && keep.output.decision != ReadOut::Spikes {
         let message = "potentials decide this model, and no one of several processes has them all";
         return Err(Diagnostic::new("run.early-exit", message).help("run it in one process, or without an early exit"));
-    }
-    if program.parts().graded.iter().any(|graded| matches!(graded.message, Message::Value(_))) {
-        let message = "messages of this model carry integers that its neurons compute, which ranks do not exchange";
-        return Err(Diagnostic::new("run.part", message).help("run it in one process"));
     }
     let begin = Instant::now();
     let part = part_of(program, ranks)?;

@@ -4,13 +4,14 @@
 //! the spikes of others of which this rank has axons. Before the first step each rank tells the
 //! others which of their compartments it has axons of; from then on a step sends each neighbour, in
 //! one message, the numbers of those of its own that spiked. A message is sent in every step, empty
-//! or not: its arrival is the barrier. What a spike carries is known by its source, so numbers are
-//! all that is sent.
+//! or not: its arrival is the barrier. Where neurons compute what their messages carry, it follows
+//! each number; else it is known by the source, and numbers are all that is sent.
 
 use crate::ranks::transport::Ranks;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::id::CompartmentId;
 use nsim_ir::program::Program;
+use nsim_ir::spikes::Message;
 
 /// Which of this rank's compartments another rank has axons of.
 #[derive(Debug, Clone)]
@@ -27,6 +28,8 @@ pub(crate) struct Exchange {
     ranks: Ranks,
     /// By rank.
     wanted: Vec<Wanted>,
+    /// Whether what a spike carries follows its number.
+    values: bool,
     /// Words for each rank, reused.
     posted: Vec<Vec<u32>>,
     /// Words of others, reused.
@@ -79,8 +82,10 @@ impl Exchange {
                 asked[owner as usize].push(id.0);
             }
         }
-        let most: Vec<Option<usize>> =
-            asked.iter().map(|asked| Some(asked.len() - 2).filter(|&most| most > 0)).collect();
+        let values = program.parts().graded.iter().any(|graded| matches!(graded.message, Message::Value(_)));
+        let each = 1 + usize::from(values);
+        let most = asked.iter().map(|asked| Some(each * (asked.len() - 2)).filter(|&most| most > 0));
+        let most: Vec<Option<usize>> = most.collect();
         let mut transport = ranks.transport();
         let heard = transport.swap(asked.clone());
         let wanted = heard.into_iter().enumerate().map(|(rank, heard)| {
@@ -100,36 +105,46 @@ impl Exchange {
         transport.prepare(&to, &most);
         drop(transport);
         let posted = vec![Vec::new(); count];
-        Exchange { ranks: ranks.clone(), wanted, posted, taken: Vec::new(), pending: false, shown, at_once }
+        Exchange { ranks: ranks.clone(), wanted, values, posted, taken: Vec::new(), pending: false, shown, at_once }
     }
 
-    /// Sends this rank's spikes of a step.
-    pub fn post(&mut self, spikes: &[CompartmentId]) {
+    /// Sends this rank's spikes of a step, and what they carry where that is computed.
+    pub fn post(&mut self, spikes: &[CompartmentId], payloads: &[i32]) {
         for (wanted, words) in self.wanted.iter().zip(&mut self.posted) {
             words.clear();
-            match wanted {
-                Wanted::None => {}
-                Wanted::All => words.extend(spikes.iter().map(|spike| spike.0)),
-                Wanted::Some(bits) => {
-                    let is_wanted = |id: &u32| bits[*id as usize / 64] >> (id % 64) & 1 == 1;
-                    words.extend(spikes.iter().map(|spike| spike.0).filter(is_wanted));
-                }
+            let is_wanted = |id: u32| match wanted {
+                Wanted::None => false,
+                Wanted::All => true,
+                Wanted::Some(bits) => bits[id as usize / 64] >> (id % 64) & 1 == 1,
+            };
+            if self.values {
+                let pairs = spikes.iter().zip(payloads).filter(|(spike, _)| is_wanted(spike.0));
+                words.extend(pairs.flat_map(|(spike, &payload)| [spike.0, payload as u32]));
+            } else {
+                words.extend(spikes.iter().map(|spike| spike.0).filter(|&id| is_wanted(id)));
             }
         }
         self.ranks.transport().post(&mut self.posted);
         self.pending = true;
     }
 
-    /// The others' spikes of the step whose own were posted last; false where they have been taken
-    /// already.
-    pub fn take(&mut self, spikes: &mut Vec<CompartmentId>) -> bool {
+    /// The others' spikes of the step whose own were posted last, and what they carry where that is
+    /// computed; false where they have been taken already.
+    pub fn take(&mut self, spikes: &mut Vec<CompartmentId>, payloads: &mut Vec<i32>) -> bool {
         if !std::mem::take(&mut self.pending) {
             return false;
         }
         self.taken.clear();
         self.ranks.transport().take(&mut self.taken);
         spikes.clear();
-        spikes.extend(self.taken.iter().map(|&id| CompartmentId(id)));
+        payloads.clear();
+        match self.values {
+            true => self.taken.as_chunks().0.iter().for_each(|&[id, payload]| {
+                spikes.push(CompartmentId(id));
+                payloads.push(payload as i32);
+            }),
+            false => spikes.extend(self.taken.iter().map(|&id| CompartmentId(id))),
+        }
         true
     }
 
