@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 
 use super::hdf5::{Group, Numbers};
 use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, population_name, wrong_option};
-use super::nir_export::{ENDLESS, nir_graph, node};
+use super::nir::export::{ENDLESS, nir_graph, node};
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};

@@ -9,7 +9,7 @@
 //! Errors: `export.unsupported` for what has no form in netx.
 
 use crate::foreign::hdf5::{Group, Item, Numbers};
-use crate::foreign::nir_export::{MOST_MATRIX, text_of};
+use crate::foreign::nir::export::{MOST_MATRIX, text_of};
 use crate::foreign::window::Step;
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};

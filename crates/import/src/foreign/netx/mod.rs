@@ -22,7 +22,7 @@ use std::cell::Cell;
 use super::hdf5::Group;
 use super::imported::{Imported, Options, listed, wrong_option};
 use super::nir::restored;
-use super::nir_export::restore;
+use crate::foreign::nir::export::restore;
 use layer::Layer;
 use neuron::set_bias;
 use nsim_files::network::{NetworkFile, PopulationDesc, ProjectionDesc, ProjectionKind};

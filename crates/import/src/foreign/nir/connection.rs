@@ -4,12 +4,12 @@
 
 use std::collections::BTreeMap;
 
-use super::context::{MOST_UNITS, Reader, product, unsupported, wrong};
+use super::export::by_channel;
 use super::linear::{Connection, Linear, Window, at, scaled, spread, sum_of_delays};
 use super::neuron::reals;
+use super::reader::{MOST_UNITS, Reader, product, unsupported, wrong};
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
-use crate::foreign::nir_export::by_channel;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 

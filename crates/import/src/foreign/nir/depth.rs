@@ -12,7 +12,7 @@
 
 use std::collections::BTreeMap;
 
-use super::context::Reader;
+use super::reader::Reader;
 use nsim_ir::base::depths::depths;
 use nsim_ir::base::diagnostic::Result;
 

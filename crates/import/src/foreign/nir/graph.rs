@@ -6,8 +6,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::context::{DEEPEST, Flat, MOST_NODES, MOST_PATHS, MOST_UNITS, Node, Reader, is_population, product, wrong};
 use super::neuron::reals;
+use super::node::{Flat, Node, is_population};
+use super::reader::{DEEPEST, MOST_NODES, MOST_PATHS, MOST_UNITS, Reader, product, wrong};
 use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::imported::population_name;
 use nsim_ir::base::diagnostic::Result;

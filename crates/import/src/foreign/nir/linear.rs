@@ -4,7 +4,7 @@
 //! Input: the arrays of nodes. Output: products and scaled copies; nothing where a product has too
 //! many synapses.
 
-use super::context::product;
+use super::reader::product;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses, each3};
 
 /// The linear map from one population to another over the nodes between them.

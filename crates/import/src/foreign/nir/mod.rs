@@ -7,7 +7,9 @@
 //!
 //! - `graph`: graphs within graphs unfolded, and the paths between populations; `depth`: layers.
 //! - `neuron`: a node with a state; `connection` and `linear`: the nodes of a path, one by one.
-//! - `emit`: the projections of a path; `context`: what all these share, limits and errors.
+//! - `projections`: the projections of a path.
+//! - `node`: types of nodes and their fields; `reader`: the model so far, limits and errors.
+//! - `export`: the other way, a model as a NIR file.
 //!
 //! The equations are of continuous time (NIR 7232ada, `docs/source/primitives.md`); they are
 //! discretised as their exporters do, by Euler's rule with the new current: `I <- (1 - dt /
@@ -18,7 +20,7 @@
 //! file: it is `tau_mem / R` where that agrees with `tau_syn / w_in` in every node, or it has to be
 //! said. A bias goes to v where the current has no memory; where it has one, a compartment that
 //! spikes in every step delivers it, from step 1 on. A model that nsim exported is recognised and
-//! restored as it was ([`super::nir_export`]).
+//! restored as it was ([`export`]).
 //!
 //! A reset by subtraction is asked for, since the format does not have it (`--reset subtract`).
 //! snnTorch subtracts in the step after the spike: `v <- b v + I - theta`, b the share that stays.
@@ -30,30 +32,32 @@
 //! Left out on purpose: resets to other values than zero, for which a core has no circuit.
 
 mod connection;
-mod context;
 mod depth;
-mod emit;
+pub mod export;
 mod graph;
 mod linear;
 mod neuron;
+mod node;
+mod projections;
+mod reader;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::Group;
 use super::imported::{Imported, NEVER, Options, ResetMode, wrong_option};
-use super::nir_export;
-use context::{Flat, Reader, WITHOUT_MEANING, fields, is_population, resets, unsupported, wrong};
 use graph::unfold;
+use node::{Flat, WITHOUT_MEANING, fields, is_population, resets};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::neurons::NeuronKind;
+use reader::{Reader, unsupported, wrong};
 
 /// Reads the tree of a file.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
     let mut notes = Vec::new();
     let of_graph = (["node/nodes", "node/edges"], "nodes");
-    let written = nir_export::restore(root, "node/metadata", of_graph, nir_export::export);
+    let written = export::restore(root, "node/metadata", of_graph, export::export);
     if let Some(imported) = restored("NIR", written, options, &mut notes)? {
         let subtracts = imported.model.populations.iter().any(|population| population.kind == NeuronKind::SoftReset);
         let reset = if subtracts { options.reset.unwrap_or(ResetMode::Subtract) } else { ResetMode::Zero };

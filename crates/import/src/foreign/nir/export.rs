@@ -10,9 +10,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::hdf5::{Group, Item, Numbers};
-use super::imported::{NEVER, every_step};
-use super::window::Step;
+use crate::foreign::hdf5::{Group, Item, Numbers};
+use crate::foreign::imported::{NEVER, every_step};
+use crate::foreign::window::Step;
 use nsim_files::network::{ArrayRef, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::neurons::NeuronKind;
@@ -27,9 +27,9 @@ const TEXT: &str = "nsim_model";
 const ARRAYS: &str = "arrays";
 /// What a decay of zero is written as: a time constant, in steps, at which `4096 dt / tau` is 0
 /// though `dt / tau` is not.
-pub(super) const ENDLESS: f64 = 4_503_599_627_370_496.0;
+pub(in crate::foreign) const ENDLESS: f64 = 4_503_599_627_370_496.0;
 /// The most numbers that a list of synapses may take as a matrix.
-pub(super) const MOST_MATRIX: u64 = 1 << 24;
+pub(in crate::foreign) const MOST_MATRIX: u64 = 1 << 24;
 
 fn unsupported(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("export.unsupported", message)
@@ -75,7 +75,7 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
 }
 
 /// The text of a model and its arrays.
-pub(super) fn text_of(model: &NetworkFile) -> Result<Group> {
+pub(in crate::foreign) fn text_of(model: &NetworkFile) -> Result<Group> {
     let (text, arrays) = model.ron(ARRAYS)?;
     let mut stored = Group::default();
     for (index, (key, tensor)) in arrays.iter().enumerate() {
@@ -88,7 +88,7 @@ pub(super) fn text_of(model: &NetworkFile) -> Result<Group> {
 /// The model that nsim wrote into a file, whose metadata have its text, or why it is not to be
 /// trusted: these parts are other `what` than those that `export` writes; nothing when nsim did not
 /// write it.
-pub(super) fn restore(
+pub(in crate::foreign) fn restore(
     root: &Group,
     metadata: &str,
     (parts, what): ([&str; 2], &str),
@@ -129,12 +129,12 @@ fn restored(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
 }
 
 /// A node of a type.
-pub(super) fn node(kind: &str) -> Group {
+pub(in crate::foreign) fn node(kind: &str) -> Group {
     Group::default().with("type", kind)
 }
 
 /// A graph of nodes and the edges from one to another.
-pub(super) fn nir_graph(nodes: Group, edges: Vec<(String, String)>) -> Group {
+pub(in crate::foreign) fn nir_graph(nodes: Group, edges: Vec<(String, String)>) -> Group {
     let count = edges.len();
     let ends = edges.into_iter().flat_map(|(from, to)| [from, to]).collect();
     node("NIRGraph").with("nodes", nodes).with("edges", Item::Texts(vec![count, 2], ends))
@@ -593,7 +593,7 @@ fn written_delay(projection: &ProjectionDesc, source: &PopulationDesc, target: &
 }
 
 /// One bias a channel, where all units of a channel have the same.
-pub(super) fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Vec<f64>> {
+pub(in crate::foreign) fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Vec<f64>> {
     let &[channels, height, width] = shape else { return None };
     let plane = (height * width) as usize;
     let equal = plane > 0 && biases.len() as u64 == channels * height * width;
