@@ -6,16 +6,19 @@
 //!
 //! - `layout/`: a program as an image: compartments in lanes, synapses in dense blocks and lists.
 //! - `deliver/`: spikes into the delay ring.
-//! - `update/`: compartments, sixteen at a time.
+//! - `update/`: compartments, sixteen at a time; `exchange`: the spikes of all shards in one list.
 //! - `count/`: what spikes cause on the chip.
 //! - `ranks/`: one program run by several processes, each of which holds a part and has a machine
 //!   for it.
+//! - `store`, `bits`: memory aligned for the caches, and sets of bits.
 
 mod bits;
 pub(crate) mod count;
 pub(crate) mod deliver;
+mod exchange;
 pub mod layout;
 pub mod ranks;
+mod store;
 pub mod update;
 
 use std::sync::Arc;
@@ -23,7 +26,6 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::count::spike_counts::SpikeCounts;
-use crate::deliver::exchange;
 pub use crate::layout::image::{Image, ImageError};
 use crate::ranks::exchange::Exchange;
 use crate::ranks::transport::Ranks;

@@ -8,7 +8,7 @@
 use std::ops::Range;
 
 use crate::layout::planner::PlannedBlock;
-use crate::layout::store::Aligned;
+use crate::store::Aligned;
 use crate::update::kernel::LANES;
 use nsim_ir::spikes::Spike;
 

@@ -11,8 +11,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::count::routing_tables::RoutingTables;
-use crate::deliver::sums::Sums;
 use crate::layout::lists::{LaneWeight, ListBuilder};
+use crate::layout::sums::Sums;
 use crate::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
 use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::id::Id;

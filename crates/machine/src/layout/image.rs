@@ -13,12 +13,12 @@ use rayon::prelude::*;
 
 use crate::count::residual::Residual;
 use crate::count::tally::{ProgramTally, Tally};
-use crate::deliver::sums::{Sums, stride};
 use crate::layout::delivery_cost::DeliveryParts;
 use crate::layout::fan_out::FanOuts;
 use crate::layout::flatten::Flattener;
 use crate::layout::lane_order::LaneOrder;
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
+use crate::layout::sums::{Sums, stride};
 use crate::layout::weight_rows::{ProgramRows, WeightRows};
 use crate::update::kernel::{LANES, Shared};
 use nsim_dynamics as neuron;

@@ -1,10 +1,10 @@
 //! A program laid out for the processor: the image that a run only reads.
 //!
-//! - `image`, `shard`, `lane_order`: compartments in lanes.
+//! - `image`, `shard`, `lane_order`: compartments in lanes; `sums`: the sums of each.
 //! - `flatten`: synapses from the tables of cores, by source.
 //! - `planner`, `delivery_cost`: the form of each source's synapses.
 //! - `weight_rows`, `dense_blocks`, `lists`, `padded_runs`: the four forms.
-//! - `fan_out`, `store`: all forms of a source together, and their memory.
+//! - `fan_out`: all forms of a source together.
 
 pub mod delivery_cost;
 pub(crate) mod dense_blocks;
@@ -16,5 +16,5 @@ pub(crate) mod lists;
 pub(crate) mod padded_runs;
 pub(crate) mod planner;
 pub(crate) mod shard;
-pub(crate) mod store;
+pub(crate) mod sums;
 pub(crate) mod weight_rows;

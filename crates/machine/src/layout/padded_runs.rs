@@ -11,7 +11,7 @@
 use std::ops::Range;
 
 use crate::deliver::prefetch::{LINE, prefetch};
-use crate::layout::store::Store;
+use crate::store::Store;
 use nsim_ir::spikes::Spike;
 
 /// Sources whose runs are queued at a time: few enough for the first-level cache if lists have up

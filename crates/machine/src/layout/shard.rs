@@ -9,8 +9,8 @@
 
 use std::sync::Arc;
 
-use crate::deliver::sums::Sum;
 use crate::layout::fan_out::FanOuts;
+use crate::layout::sums::Sum;
 use nsim_dynamics::kinds::{CHUNK, Updater};
 use nsim_ir::base::id::{CompartmentId, CoreId};
 

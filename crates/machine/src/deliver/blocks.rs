@@ -1,0 +1,217 @@
+//! Delivery by dense blocks: the weights of a source to ranges of lanes, one after the other.
+
+use crate::deliver::accumulate::{Accumulate, add_weights};
+use crate::deliver::delay_ring::DelayRing;
+use crate::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
+use crate::update::kernel::{LANES, Sum};
+use nsim_ir::spikes::Spike;
+
+impl<S: Sum> DelayRing<S> {
+    /// Delivers spikes, ascending, by the blocks of one delay into the slot of their arrival; returns
+    /// the synaptic events.
+    #[inline(always)]
+    pub(super) fn deliver_dense<const MARK: bool, P: Spike>(
+        &mut self,
+        dense: &DenseBlocks,
+        (spikes, counts): (&[P], &mut [u32]),
+        slot: usize,
+    ) -> u64
+    where
+        S: Accumulate<P::Payload>,
+    {
+        let weights = dense.weights();
+        let (mut events, mut blocks, mut rest) = (0, dense.blocks.as_slice(), spikes);
+        while let Some(next) = rest.first() {
+            let passed = first_at_least(blocks, |block| block.end as usize > next.source());
+            blocks = &blocks[passed..];
+            let Some(block) = blocks.first() else { break };
+            rest = &rest[before(rest, block.first)..];
+            if let Some(range) = block.narrow() {
+                let counts = counts.get_mut(block.first as usize..block.end as usize).unwrap_or_default();
+                let delivered = match range.chunks {
+                    1 => self.deliver_narrow::<P, 1>(block, range, weights, (rest, counts), slot),
+                    2 => self.deliver_narrow::<P, 2>(block, range, weights, (rest, counts), slot),
+                    3 => self.deliver_narrow::<P, 3>(block, range, weights, (rest, counts), slot),
+                    _ => self.deliver_narrow::<P, 4>(block, range, weights, (rest, counts), slot),
+                };
+                let (spiking, after) = rest.split_at(delivered);
+                rest = after;
+                if MARK && !spiking.is_empty() {
+                    self.mark(slot, range.lanes());
+                }
+                events += block.synapses(spiking);
+                continue;
+            }
+            let (spiking, after) = rest.split_at(before(rest, block.end));
+            rest = after;
+            if !spiking.is_empty() {
+                events += match block.bytes {
+                    true => self.deliver_wide::<MARK, _, P>(block, dense.bytes_of_weights(), spiking, slot),
+                    false => self.deliver_wide::<MARK, _, P>(block, weights, spiking, slot),
+                };
+            }
+        }
+        events
+    }
+
+    /// Delivers spikes of a dense block's sources, four at a time: their weights come from memory
+    /// in order, and sums are loaded and stored once for all four.
+    #[inline(always)]
+    fn deliver_wide<const MARK: bool, W: Copy + Into<i16>, P: Spike>(
+        &mut self,
+        block: &DenseBlock,
+        weights: &[[W; LANES]],
+        spikes: &[P],
+        slot: usize,
+    ) -> u64
+    where
+        S: Accumulate<P::Payload>,
+    {
+        if MARK {
+            block.ranges.iter().for_each(|range| self.mark(slot, range.lanes()));
+        }
+        let (fours, rest) = spikes.as_chunks::<4>();
+        // Closures would not be compiled for the processor's vectors.
+        for four in fours {
+            self.add_together(block, weights, four, slot);
+        }
+        for one in rest {
+            self.add_together(block, weights, std::array::from_ref(one), slot);
+        }
+        block.synapses(spikes)
+    }
+
+    /// Adds the weights of these sources of a dense block.
+    #[inline(always)]
+    fn add_together<W: Copy + Into<i16>, P: Spike, const N: usize>(
+        &mut self,
+        block: &DenseBlock,
+        weights: &[[W; LANES]],
+        spikes: &[P; N],
+        slot: usize,
+    ) where
+        S: Accumulate<P::Payload>,
+    {
+        let first = |spike: &P| block.weights + (spike.source() - block.first as usize) * block.stride;
+        let sources: [&[[W; LANES]]; N] = spikes.each_ref().map(|spike| &weights[first(spike)..][..block.stride]);
+        let mut done = 0;
+        for range in &block.ranges {
+            let lanes = range.lanes();
+            let (sums, _) = self.sums[slot + lanes.start..slot + lanes.end].as_chunks_mut::<LANES>();
+            let sources = sources.map(|source| &source[done..done + sums.len()]);
+            for (chunk, sums) in sums.iter_mut().enumerate() {
+                let mut kept = *sums;
+                for (source, spike) in sources.iter().zip(spikes) {
+                    let (weights, payload) = (&source[chunk], spike.payload());
+                    for lane in 0..LANES {
+                        kept[lane] = kept[lane].accumulate(weights[lane].into(), payload);
+                    }
+                }
+                *sums = kept;
+            }
+            done += sums.len();
+        }
+    }
+
+    /// Delivers spikes of the sources of a dense block with one range of this many chunks, up to
+    /// the first spike of another source; returns how many. Looking up each source's weights finds
+    /// the end without a search beforehand.
+    #[inline(always)]
+    fn deliver_narrow<P: Spike, const N: usize>(
+        &mut self,
+        block: &DenseBlock,
+        range: &LaneRange,
+        weights: &[[i16; LANES]],
+        (spikes, counts): (&[P], &mut [u32]),
+        slot: usize,
+    ) -> usize
+    where
+        S: Accumulate<P::Payload>,
+    {
+        let sources = (block.end - block.first) as usize;
+        let weights = weights[block.weights..block.weights + sources * N].as_chunks::<N>().0;
+        let (sums, _) = self.sums[slot + range.target as usize..].as_chunks_mut::<LANES>();
+        let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
+        let mut kept = *sums;
+        // Two loops, so that neither decides in each turn whether it counts; as many counts as
+        // weights need one check.
+        let delivered = match counts.get_mut(..weights.len()) {
+            Some(counts) => add_sources::<true, _, _, N>(&mut kept, weights, counts, spikes, block.first as usize),
+            None => add_sources::<false, _, _, N>(&mut kept, weights, &mut [], spikes, block.first as usize),
+        };
+        *sums = kept;
+        delivered
+    }
+}
+
+/// Up to this many spikes are counted faster than searched.
+const COUNTED: usize = 64;
+
+/// How many of these spikes, ascending, come before a source; often none or all.
+#[inline(always)]
+fn before<P: Spike>(spikes: &[P], source: u32) -> usize {
+    let is = |spike: &P| (spike.source() as u32) < source;
+    match (spikes.first().is_some_and(is), spikes.last().is_some_and(is)) {
+        (false, _) => 0,
+        (true, true) => spikes.len(),
+        // Counting has no branches.
+        (true, false) if spikes.len() <= COUNTED => spikes.iter().map(|spike| usize::from(is(spike))).sum(),
+        (true, false) => spikes.partition_point(is),
+    }
+}
+
+/// How many items come before those that hold; near ones are looked at first.
+#[inline(always)]
+fn first_at_least<T>(items: &[T], holds: impl Fn(&T) -> bool) -> usize {
+    match items.iter().take(4).position(&holds) {
+        Some(near) => near,
+        None => items.partition_point(|item| !holds(item)),
+    }
+}
+
+/// Adds the weights of each source to as many chunks of sums, up to the first spike of a source
+/// without weights; returns how many spikes that were. Two spikes a turn: the loop's own
+/// instructions are a third of those of one.
+#[inline(always)]
+fn add_sources<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: usize>(
+    sums: &mut [[S; LANES]; N],
+    weights: &[[[i16; LANES]; N]],
+    counts: &mut [u32],
+    spikes: &[P],
+    first: usize,
+) -> usize {
+    let (pairs, rest) = spikes.as_chunks::<2>();
+    let mut delivered = 0;
+    for [one, other] in pairs {
+        if !add_source::<COUNT, _, _, N>(sums, weights, counts, one, first) {
+            return delivered;
+        }
+        if !add_source::<COUNT, _, _, N>(sums, weights, counts, other, first) {
+            return delivered + 1;
+        }
+        delivered += 2;
+    }
+    for spike in rest {
+        delivered += usize::from(add_source::<COUNT, _, _, N>(sums, weights, counts, spike, first));
+    }
+    delivered
+}
+
+/// Adds the weights of a spike's source, if there are any; returns whether there are. `counts` is
+/// as long as `weights`.
+#[inline(always)]
+fn add_source<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: usize>(
+    sums: &mut [[S; LANES]; N],
+    weights: &[[[i16; LANES]; N]],
+    counts: &mut [u32],
+    spike: &P,
+    first: usize,
+) -> bool {
+    let source = spike.source() - first;
+    let Some(weights) = weights.get(source) else { return false };
+    add_weights(sums, weights, spike.payload());
+    if COUNT {
+        counts[source] += 1;
+    }
+    true
+}
