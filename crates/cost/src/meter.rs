@@ -11,6 +11,8 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use crate::constants::CostTable;
 use crate::model::{StepTime, core_time, core_time_by_constant, energy_of_counts};
 use crate::quantiles::Quantiles;
@@ -99,7 +101,8 @@ pub struct StepMeter {
     core_time: [u128; 7],
     /// The time of the last step under the first preset.
     last_time: StepTime,
-    memory: QueueMemory,
+    /// Of each step that is followed at the same time.
+    memory: Vec<QueueMemory>,
 }
 
 /// The conditions under which steps are metered.
@@ -143,7 +146,7 @@ impl StepMeter {
             slowest: Vec::new(),
             core_time: [0; 7],
             last_time: StepTime::default(),
-            memory: QueueMemory::default(),
+            memory: Vec::new(),
         }
     }
 
@@ -154,8 +157,26 @@ impl StepMeter {
 
     /// Adds a timestep that repeated this often; `decided` when its sample was decided before.
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
-        let MeterSettings { tables, timing, routes, timestep, distribution } = &*self.settings;
-        let step_times = routes.step_times(step, tables, *timing, &mut self.memory);
+        self.memory.resize_with(self.memory.len().max(1), QueueMemory::default);
+        let MeterSettings { tables, timing, routes, .. } = &*self.settings;
+        let step_times = routes.step_times(step, tables, *timing, &mut self.memory[0]);
+        self.add_timed((step, times, decided), &step_times);
+    }
+
+    /// The same of each of these steps in turn; threads follow their messages at the same time,
+    /// each step in memory of its own.
+    pub fn add_all(&mut self, steps: &[(StepActivity, u32, bool)]) {
+        self.memory.resize_with(self.memory.len().max(steps.len()), QueueMemory::default);
+        let MeterSettings { tables, timing, routes, .. } = &*self.settings;
+        let followed = steps.par_iter().zip(&mut self.memory);
+        let followed = followed.map(|((step, ..), memory)| routes.step_times(step, tables, *timing, memory));
+        for ((step, times, decided), step_times) in steps.iter().zip(followed.collect::<Vec<_>>()) {
+            self.add_timed((step, *times, *decided), &step_times);
+        }
+    }
+
+    fn add_timed(&mut self, (step, times, decided): (&StepActivity, u32, bool), step_times: &[StepTime]) {
+        let MeterSettings { tables, routes, timestep, distribution, .. } = &*self.settings;
         let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
         self.hops += hops.times(times.into());
         if let (Some(table), Some(time)) = (tables.first(), step_times.first()) {
@@ -169,7 +190,7 @@ impl StepMeter {
                 }
             }
         }
-        for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(&step_times).enumerate() {
+        for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(step_times).enumerate() {
             let energy = energy_of_counts(sum, hops, table).total();
             lane.whole.add(energy, time, *timestep, times.into());
             if !decided {
@@ -299,9 +320,14 @@ pub(crate) mod tests {
                 (0..times).for_each(|_| one_by_one.add(step, 1, decided));
                 if i < cut { first.add(step, times, decided) } else { second.add(step, times, decided) }
             }
+            let mut at_once = whole.fresh();
+            let alike = |(i, step): (usize, &StepActivity)| (step.clone(), 1 + i as u32 % 3, i > 6);
+            at_once.add_all(&steps.iter().enumerate().map(alike).collect::<Vec<_>>());
             whole.merge(&second);
             whole.merge(&first);
             prop_assert_eq!(one_by_one.lanes(), whole.lanes());
+            prop_assert_eq!(at_once.lanes(), whole.lanes());
+            prop_assert_eq!(at_once.slowest_steps(), whole.slowest_steps());
             prop_assert_eq!(one_by_one.distribution(), whole.distribution());
             prop_assert_eq!(one_by_one.steps(), activity.steps());
             prop_assert_eq!(one_by_one.slowest_steps(), whole.slowest_steps());

@@ -30,6 +30,41 @@ impl Meter for StepMeter {
     }
 }
 
+/// Messages of a step from which on it waits for others, which threads follow at the same time.
+const MANY: u64 = 1 << 12;
+
+/// A meter whose busy steps are followed by several threads.
+struct Shared {
+    meter: StepMeter,
+    /// As many steps as threads at most.
+    waiting: Vec<(StepActivity, u32, bool)>,
+}
+
+impl Shared {
+    fn follow(&mut self) {
+        self.meter.add_all(&self.waiting);
+        self.waiting.clear();
+    }
+}
+
+impl Meter for Shared {
+    fn see(&mut self, step: &StepActivity, passed: Passed) {
+        if step.cores.iter().map(|core| core.messages_in).sum::<u64>() < MANY {
+            return self.meter.see(step, passed);
+        }
+        self.waiting.push((step.clone(), passed.steps, passed.decided));
+        if self.waiting.len() >= rayon::current_num_threads() {
+            self.follow();
+        }
+    }
+
+    fn merge(&mut self, mut other: Self) {
+        self.follow();
+        other.follow();
+        self.meter.merge(&other.meter);
+    }
+}
+
 /// A mapping as it is metered: the program that is run, and where its messages and those of cores
 /// that do the same go.
 #[derive(Debug)]
@@ -118,8 +153,10 @@ impl<'c> Metered<'c> {
     /// As [`fast`].
     pub fn run(&self, settings: MeterSettings, samples: &[&Sample], running: Running<'_>) -> Result<Run<StepMeter>> {
         let settings = Arc::new(settings);
-        let run = self.run_with(samples, running, || StepMeter::new(settings.clone()))?;
-        Ok(self.of_all_copies(run))
+        let shared = || Shared { meter: StepMeter::new(settings.clone()), waiting: Vec::new() };
+        let run = self.run_with(samples, running, shared)?;
+        // Meters of samples follow what waits as they are merged.
+        Ok(self.of_all_copies(run.map_meter(|shared| shared.meter)))
     }
 
     /// What all cores did, from what those did that were run.

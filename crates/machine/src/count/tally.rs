@@ -122,6 +122,8 @@ const SILENT: u32 = u32::MAX;
 /// Input axons between the prefetch of what a source lost and its use.
 const PREFETCH_AXONS: usize = 8;
 
+/// Messages of a step from which on threads share its sources.
+const SHARED: usize = 1 << 14;
 /// The most messages of all sources together for which what each causes is kept: two megabytes of
 /// memory.
 const MOST_KEPT: usize = 1 << 16;
@@ -272,12 +274,25 @@ impl<'p> Tally<'p> {
 
     /// Adds what one spike of each of these sources causes, counting synapses whose delay field is
     /// below `reach`.
-    fn add_each(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
+    fn add_each(&self, sources: impl Iterator<Item = u32>, reach: u32, sum: &mut StepActivity) {
         let Some(kept) = self.kept().filter(|_| reach > self.longest_delay) else {
-            for source in sources.clone() {
-                self.add_sent(source, self.tables.messages(source).len() as u64, sum);
+            let sent: Vec<(u32, usize)> = sources.map(|source| (source, self.tables.messages(source).len())).collect();
+            for &(source, messages) in &sent {
+                self.add_sent(source, messages as u64, sum);
             }
-            return self.each_caused(sources, reach, |_, caused| caused.add(1, sum));
+            let caused = |part: &[(u32, usize)], sum: &mut StepActivity| {
+                self.each_caused(part.iter().map(|sent| sent.0), reach, |_, caused| caused.add(1, sum));
+            };
+            if sent.iter().map(|sent| sent.1).sum::<usize>() < SHARED.max(self.sites.len()) {
+                return caused(&sent, sum);
+            }
+            let parts = sent.par_chunks(sent.len().div_ceil(rayon::current_num_threads()));
+            let parts = parts.map(|part| {
+                let mut of_part = StepActivity::new(self.sites.len());
+                caused(part, &mut of_part);
+                of_part
+            });
+            return parts.collect::<Vec<_>>().iter().for_each(|part| sum.merge(part));
         };
         for source in sources {
             let messages = kept.get(source as usize);
