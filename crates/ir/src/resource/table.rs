@@ -32,8 +32,8 @@ const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that i
                               that carry spikes on";
 const WORDS_ADVICE: &str = "use fewer synapses, or split the fan-in over intermediate populations; where a source has \
                             several synapses with it, fewer weight bits or no delays take fewer words";
-const LIST_ADVICE: &str = "the words are those of one source with it: use fewer of these synapses, fewer weight bits, or \
-                           no delays";
+const LIST_ADVICE: &str = "the words are those of one source with it: use fewer of these synapses, fewer weight bits, \
+                           or no delays";
 /// Of what every compartment has one: more than the limit only where the target has none.
 const ONE_ADVICE: &str = "every compartment has one: give a target that has some";
 

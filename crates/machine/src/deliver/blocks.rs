@@ -7,8 +7,8 @@ use crate::update::kernel::{LANES, Sum};
 use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {
-    /// Delivers spikes, ascending, by the blocks of one delay into the slot of their arrival; returns
-    /// the synaptic events.
+    /// Delivers spikes, ascending, by the blocks of one delay into the slot of their arrival;
+    /// returns the synaptic events.
     #[inline(always)]
     pub(super) fn deliver_dense<const MARK: bool, P: Spike>(
         &mut self,

@@ -65,8 +65,8 @@ impl<S: Sum> DelayRing<S> {
     }
 }
 
-/// Adds to the sum of a target, and marks its skip block; targets are counted from `slot` on, around
-/// the ring's end.
+/// Adds to the sum of a target, and marks its skip block; targets are counted from `slot` on,
+/// around the ring's end.
 #[inline(always)]
 fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(
     sums: &mut [S],
