@@ -22,7 +22,7 @@ use std::num::NonZeroU32;
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::OutOfRange;
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
-use nsim_ir::neurons::{NeuronKind, Row};
+use nsim_ir::neurons::{NeuronKind, Role, Row};
 use nsim_ir::quantised::{Neuron, Population, Quantised};
 
 /// The description of a kind with the registers of Loihi 1.
@@ -63,11 +63,21 @@ pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     }
 }
 
+/// One update of a compartment of a neuron of several. `stack` is what its child pushed, then what it
+/// pushes itself; 0 where there is none.
+#[inline]
+pub fn update_joined(r: Registers, arrived: i32, f: &Fields, stack: &mut i32) -> (Registers, Effect) {
+    let (Some(Role::Add) | None) = f.neuron.stack.pops;
+    let (new, effect, pushed) = loihi::hardware(r, arrived, f, *stack);
+    *stack = if f.neuron.stack.pushes { pushed } else { 0 };
+    (new, effect)
+}
+
 /// What the updates of a compartment with registers read; of another kind, its start step alone has
 /// a meaning.
 pub fn fields(neuron: &Neuron, start_step: u32, semantics: Semantics, test: ThresholdTest) -> Fields {
     let fields = (kind(neuron.kind).fields)(neuron, start_step, semantics, test);
-    Fields { vectors: fields.vectors && neuron.kind.table().registers, ..fields }
+    Fields { vectors: fields.vectors && neuron.kind.table().registers && neuron.stack.is_unused(), ..fields }
 }
 
 /// Equation (8): what the chip's voltage register reads after an update.
@@ -77,7 +87,8 @@ pub fn voltage_register(neuron: &Neuron, semantics: Semantics, r: &Registers, sp
 
 /// Whether a compartment may ever spike; false only with a proof.
 pub fn may_spike(neuron: &Neuron, semantics: Semantics, test: ThresholdTest, arrivals: Arrivals) -> bool {
-    if !neuron.kind.table().registers {
+    // Arrivals do not bound what a child pushes.
+    if !neuron.kind.table().registers || neuron.stack.pops.is_some() {
         return true;
     }
     let fires_from = i64::from(fields(neuron, 0, semantics, test).fires_from);

@@ -44,7 +44,7 @@ use nsim_ir::base::fixed::{
     VmaxExponent, VminExponent, WEIGHT_SHIFT,
 };
 use nsim_ir::graph::NeuronParameters;
-use nsim_ir::neurons::{NeuronKind, Row};
+use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::Neuron;
 
 /// The description.
@@ -72,8 +72,7 @@ fn neuron(values: &[i64]) -> Result<Neuron, OutOfRange> {
         refractory: Refractory::new(refractory)?,
         vmin: VminExponent::new(vmin)?,
         vmax: VmaxExponent::new(vmax)?,
-        shift: 0,
-        row: Row::EMPTY,
+        ..Neuron::PLAIN
     })
 }
 
@@ -98,18 +97,23 @@ fn fields(neuron: &Neuron, start_step: u32, semantics: Semantics, test: Threshol
 #[inline]
 pub(super) fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     match f.semantics {
-        Semantics::Hardware => hardware(r, arrived, f),
+        Semantics::Hardware => {
+            let (new, effect, _) = hardware(r, arrived, f, 0);
+            (new, effect)
+        }
         Semantics::Lava => lava(r, arrived, f),
         Semantics::Slayer => slayer(r, arrived, f),
     }
 }
 
-fn hardware(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
+/// The update in the chip's arithmetic of a compartment that pops this value; and what it pushes.
+#[inline]
+pub(super) fn hardware(r: Registers, arrived: i32, f: &Fields, popped: i32) -> (Registers, Effect, i32) {
     let whole = i64::from(arrived) << WEIGHT_SHIFT;
     let q = wrap(whole, Q_BITS);
     let sum = decay(i64::from(r.u), f.neuron.du) + q;
     let u = wrap(sum, UV_BITS);
-    let with_bias = u + i64::from(f.bias);
+    let with_bias = u + i64::from(popped) + i64::from(f.bias);
     let input = wrap(with_bias, UV_BITS);
     let free = decay(i64::from(r.v), f.neuron.dv) + input;
     let v = clip(free, i64::from(f.vmin), i64::from(f.vmax));
@@ -121,8 +125,8 @@ fn hardware(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
         u_wrapped: u != sum || input != with_bias,
         v_clipped: hold == 0 && v != free,
     };
-    let v = if hold > 0 || spiked { 0 } else { v as i32 };
-    (Registers { u: u as i32, v, hold: if spiked { f.refractory } else { hold } }, effect)
+    let (w, hold) = (v as i32, if spiked { f.refractory } else { hold });
+    (Registers { u: u as i32, v: if hold > 0 { 0 } else { w }, hold }, effect, w)
 }
 
 /// Source: lava-nc b6822fb, `proc/lif/models.py`.

@@ -126,6 +126,33 @@ impl Port {
     }
 }
 
+/// What a parent does with what its child pushes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+pub enum Role {
+    /// Adds it to the current that enters its voltage.
+    Add,
+}
+
+/// How a compartment uses the stack on which the compartments of a neuron pass voltages in a step.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+pub struct Stack {
+    /// The role of its child, of a parent.
+    pub pops: Option<Role>,
+    /// Whether it is a child.
+    pub pushes: bool,
+}
+
+impl Stack {
+    /// That of a compartment which is a neuron of its own.
+    pub const UNUSED: Stack = Stack { pops: None, pushes: false };
+
+    /// Whether the compartment is a neuron of its own.
+    #[inline]
+    pub fn is_unused(&self) -> bool {
+        *self == Stack::UNUSED
+    }
+}
+
 /// What a kind sends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Emits {

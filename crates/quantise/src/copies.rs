@@ -6,7 +6,7 @@
 
 use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::graph::MOST_UNITS;
-use nsim_ir::quantised::{Inconsistent, Parts, Projection, Quantised, Units};
+use nsim_ir::quantised::{Child, Inconsistent, Parts, Projection, Quantised, Units};
 
 /// The name of a population in copy k.
 pub fn copied_name(name: &str, k: u32) -> String {
@@ -39,6 +39,7 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
     let mut parts = Parts {
         populations: Default::default(),
         projections: Default::default(),
+        children: Vec::new(),
         name: one.name.clone(),
         classes: one.classes.clone(),
         notes: one.notes.clone(),
@@ -54,9 +55,14 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
             }
             parts.populations.push(copy);
         }
+        let of_copy = |id: PopulationId| PopulationId(id.0 + k * per_copy);
         for projection in &one.projections {
-            let [source, target] = [projection.source, projection.target].map(|of| PopulationId(of.0 + k * per_copy));
+            let [source, target] = [projection.source, projection.target].map(of_copy);
             parts.projections.push(Projection { source, target, ..projection.clone() });
+        }
+        for child in &one.children {
+            let [population, parent] = [child.population, child.parent].map(of_copy);
+            parts.children.push(Child { population, parent, ..*child });
         }
     }
     Quantised::new(parts)?.with_record(network.pruned().cloned())

@@ -95,6 +95,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         timestep_ms: facts.timestep_ms,
         populations,
         projections,
+        children: Vec::new(),
         output: population_id(graph.output()),
         decision: facts.decision,
         drain: facts.drain,

@@ -230,6 +230,9 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
     if semantics != Semantics::Hardware {
         return Err(refused(format!("relays are known in the chip's semantics only, not in {semantics:?}")));
     }
+    if !network.parts().children.is_empty() {
+        return Err(refused("compartments of one neuron would not start in the same step".to_string()));
+    }
     let later = padded(network, &needs)?;
     let mut parts = network.parts().clone();
     let out_of_range = |error: OutOfRange| refused(format!("the delays are too long for relays: {error}"));

@@ -8,6 +8,7 @@
 
 pub mod connectivity;
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -19,7 +20,7 @@ use crate::base::fixed::{
 };
 use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
 use crate::graph::{PerCompartment, Shape};
-use crate::neurons::{Emits, NeuronKind, Row, Storage};
+use crate::neurons::{Emits, NeuronKind, Role, Row, Stack, Storage};
 use crate::pruned;
 use crate::spikes::Message;
 
@@ -48,6 +49,9 @@ pub struct Neuron {
     /// Bits by which lava shifts what arrives in a step; 0 but under its semantics and for kinds
     /// that have none of these registers.
     pub shift: u8,
+    /// How it uses the stack of its neuron; [`Quantised::new`] sets it from [`Parts::children`].
+    #[serde(skip_serializing_if = "Stack::is_unused")]
+    pub stack: Stack,
     /// The parameters of a kind that has none of these registers.
     pub row: Row,
 }
@@ -66,6 +70,7 @@ impl Neuron {
         vmin: VminExponent::MAX,
         vmax: VmaxExponent::MAX,
         shift: 0,
+        stack: Stack::UNUSED,
         row: Row::EMPTY,
     };
 
@@ -89,8 +94,8 @@ impl Neuron {
     }
 
     /// What compartments of the same profile share, on a core that has this many profiles.
-    pub fn profile(&self) -> (Decay, Decay, Refractory, Row) {
-        (self.du, self.dv, self.refractory, self.row.stored_in(self.kind, Storage::Profile))
+    pub fn profile(&self) -> (Decay, Decay, Refractory, Stack, Row) {
+        (self.du, self.dv, self.refractory, self.stack, self.row.stored_in(self.kind, Storage::Profile))
     }
 
     /// What compartments of the same threshold share, on a core that has this many thresholds.
@@ -150,6 +155,12 @@ impl Population {
         }
     }
 
+    /// Its compartments, in order.
+    fn compartments(&self) -> impl Iterator<Item = CompartmentId> + use<> {
+        let all = self.first_compartment().map(|first| first.0..first.0 + self.shape.len());
+        all.into_iter().flatten().map(CompartmentId)
+    }
+
     /// The first channel, when it is an input.
     pub fn first_channel(&self) -> Option<ChannelId> {
         match self.units {
@@ -172,11 +183,31 @@ impl Population {
         self.neurons().into_iter().flat_map(move |neurons| units.clone().map(move |index| neurons.get(index)))
     }
 
+    /// How its compartments use the stack of their neurons.
+    pub fn stack(&self) -> Stack {
+        self.neurons().and_then(|neurons| neurons.values().first()).map_or(Stack::UNUSED, |neuron| neuron.stack)
+    }
+
     /// Whether any compartment is so.
     pub fn any_neuron(&self, is_so: impl Fn(&Neuron) -> bool) -> bool {
         self.neurons().is_some_and(|neurons| neurons.any(is_so))
     }
 }
+
+/// A population whose compartments are children of another's: index i of both is one neuron.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Child {
+    /// The population of the children.
+    pub population: PopulationId,
+    /// The population of their parents, which follows theirs in the network.
+    pub parent: PopulationId,
+    /// What the parents do with what the children push.
+    pub role: Role,
+}
+
+/// The most compartments of a neuron: no public code uses more.
+pub const MOST_COMPARTMENTS: usize = 4;
 
 /// A projection in integers.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
@@ -254,6 +285,9 @@ pub struct Parts {
     pub populations: IdVec<PopulationId, Population>,
     /// Projections in the order of the file.
     pub projections: IdVec<ProjectionId, Projection>,
+    /// What makes compartments of several populations one neuron, by parent.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub children: Vec<Child>,
     /// The population that decides.
     pub output: PopulationId,
     /// What of it decides.
@@ -283,6 +317,7 @@ impl Default for Parts {
             timestep_ms: 1.0,
             populations: Default::default(),
             projections: Default::default(),
+            children: Vec::new(),
             output: PopulationId(0),
             decision: ReadOut::Spikes,
             drain: 0,
@@ -381,9 +416,9 @@ impl Quantised {
     ///
     /// # Errors
     /// [`Inconsistent`] when units are not numbered in order, an array has another size than its
-    /// populations, a weight is not in its format, an endpoint does not exist or a target is an
-    /// input.
-    pub fn new(parts: Parts) -> Result<Self, Inconsistent> {
+    /// populations, a weight is not in its format, an endpoint does not exist, a target is an input
+    /// or a population cannot be the child of another.
+    pub fn new(mut parts: Parts) -> Result<Self, Inconsistent> {
         let (mut channels, mut compartments) = (0u32, 0u32);
         for population in &parts.populations {
             let wrong = |what: &str| Err(Inconsistent(format!("population {} {what}", population.name)));
@@ -412,6 +447,7 @@ impl Quantised {
         if parts.reset.is_some_and(|reset| reset.interval == 0) {
             return Err(Inconsistent("the periodic reset has no interval".to_string()));
         }
+        join_children(&mut parts)?;
         let none = || parts.populations.iter().map(|_| Vec::new()).collect();
         let (mut outgoing, mut incoming): (IdVec<_, Vec<_>>, IdVec<_, Vec<_>>) = (none(), none());
         for (id, projection) in parts.projections.enumerate() {
@@ -453,6 +489,23 @@ impl Quantised {
     pub fn with_chosen_rounding(mut self) -> Self {
         self.parts.notes.iter_mut().for_each(|note| note.rounded = None);
         self
+    }
+
+    /// The populations whose compartments make up the neurons of a population without parents:
+    /// children first, itself last.
+    pub fn neuron(&self, root: PopulationId) -> Vec<PopulationId> {
+        let child = |&id: &PopulationId| child_of(&self.parts.children, id).map(|child| child.population);
+        let mut neuron: Vec<PopulationId> = std::iter::successors(Some(root), child).collect();
+        neuron.reverse();
+        neuron
+    }
+
+    /// Every compartment that is a child, its parent, and its role.
+    pub fn children(&self) -> impl Iterator<Item = (CompartmentId, CompartmentId, Role)> {
+        self.parts.children.iter().flat_map(|&Child { population, parent, role }| {
+            let [children, parents] = [population, parent].map(|id| self.parts.populations[id].compartments());
+            children.zip(parents).map(move |(child, parent)| (child, parent, role))
+        })
     }
 
     /// The same populations without projections.
@@ -602,6 +655,72 @@ impl Quantised {
         let projection = &self.parts.projections[projection];
         projection.connectivity.count(self.parts.populations[projection.source].shape.len().into())
     }
+}
+
+/// The child of a parent, of children by parent.
+fn child_of(children: &[Child], parent: PopulationId) -> Option<&Child> {
+    children.binary_search_by_key(&parent, |child| child.parent).ok().map(|at| &children[at])
+}
+
+/// Checks children and their parents, and sets how each compartment uses the stack of its neuron.
+fn join_children(parts: &mut Parts) -> Result<(), Inconsistent> {
+    parts.children.sort_unstable_by_key(|child| child.parent);
+    if !parts.children.is_empty() && (parts.semantics, parts.threshold) != (Semantics::Hardware, ThresholdTest::Strict)
+    {
+        let what = "neurons of several compartments need the chip's semantics and a strict threshold";
+        return Err(Inconsistent(what.to_string()));
+    }
+    let (children, mut pushing, mut sizes) = (&parts.children, BTreeSet::new(), BTreeMap::new());
+    for (at, &Child { population: id, parent, .. }) in children.iter().enumerate() {
+        let (Some(child), Some(above)) = (parts.populations.get(id), parts.populations.get(parent)) else {
+            return Err(Inconsistent("a child or its parent does not exist".to_string()));
+        };
+        let wrong =
+            |what: &str| Err(Inconsistent(format!("population {} as a child of {}: {what}", child.name, above.name)));
+        let (
+            Units::Compartments { neurons: pushes, start_step: begins, .. },
+            Units::Compartments { neurons: pops, start_step, .. },
+        ) = (&child.units, &above.units)
+        else {
+            return wrong("inputs have no compartments");
+        };
+        if id >= parent {
+            return wrong("a child stands before its parent, so that there is no circle");
+        }
+        if !pushing.insert(id) {
+            return wrong("it has another parent");
+        }
+        if at > 0 && children[at - 1].parent == parent {
+            return wrong("its parent has another child");
+        }
+        if (child.shape, begins) != (above.shape, start_step) {
+            return wrong("their shapes or start steps differ");
+        }
+        let mut kinds = pushes.values().iter().chain(pops.values()).map(|neuron| neuron.kind);
+        if let Some(kind) = kinds.find(|kind| *kind != NeuronKind::Loihi) {
+            return wrong(&format!("{} neurons neither push nor add", kind.name()));
+        }
+        if pushes.any(|neuron| neuron.refractory > Refractory::ONE) {
+            return wrong("what it pushes is not known with a refractory period above 1");
+        }
+        // Parents ascend, so the compartments below a child have been counted.
+        let size = 1 + sizes.get(&id).copied().unwrap_or(1);
+        if size > MOST_COMPARTMENTS {
+            return wrong(&format!("a neuron has {MOST_COMPARTMENTS} compartments at most"));
+        }
+        sizes.insert(parent, size);
+    }
+    for id in parts.populations.ids() {
+        let pops = child_of(&parts.children, id).map(|child| child.role);
+        let stack = Stack { pops, pushes: pushing.contains(&id) };
+        let population = &mut parts.populations[id];
+        if population.stack() != stack
+            && let Units::Compartments { neurons, .. } = &mut population.units
+        {
+            *neurons = neurons.try_map(|_, neuron| Ok::<_, Inconsistent>(Neuron { stack, ..neuron }))?;
+        }
+    }
+    Ok(())
 }
 
 fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Inconsistent> {

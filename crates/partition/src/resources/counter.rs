@@ -35,7 +35,7 @@ use crate::resources::axon_sharing::{self, Class};
 use crate::resources::formats::Formats;
 use crate::resources::packing::{self, Compression, Group, LISTS, Widths};
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, ThresholdMantissa};
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::{Row, Stack};
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Limits, PerResource, Resource};
@@ -249,7 +249,7 @@ impl CoreTotals {
 /// The distinct profiles of a core's compartments.
 #[derive(Debug, Clone, Default)]
 pub struct Profiles {
-    compartments: BTreeSet<(Decay, Decay, Refractory, Row)>,
+    compartments: BTreeSet<(Decay, Decay, Refractory, Stack, Row)>,
     thresholds: BTreeSet<(ThresholdMantissa, Row)>,
 }
 

@@ -14,9 +14,9 @@
 //!    that are left.
 //! 5. *Loose synapses* are those of the three that go.
 //!
-//! The output population and those that are to be probed stay whole. What can fire and reaches them
-//! stays too, so also u and v of every compartment that is left are the same at every step: all
-//! that it may receive is there.
+//! The output population, those that are to be probed, children and parents stay whole. What can
+//! fire and reaches them stays too, so also u and v of every compartment that is left are the same
+//! at every step: all that it may receive is there.
 //!
 //! *Why a network of its own.* A mask beside the whole network would have to be obeyed by the
 //! partitioner, the router, the checker, the interpreter and the machine, and each could forget it.
@@ -108,6 +108,9 @@ pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent
     for &id in plan.probed.iter().chain([&network.parts().output]) {
         let missing = || Inconsistent(format!("there is no population {id} to probe"));
         *whole.as_mut_slice().get_mut(id.index()).ok_or_else(missing)? = true;
+    }
+    for child in &network.parts().children {
+        (whole[child.population], whole[child.parent]) = (true, true);
     }
     let fires = bound::may_fire(network, &dead);
     let reaches = reaches(network, &fires, &whole);
@@ -305,6 +308,7 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
     let parts = Parts {
         projections: projections.collect(),
         populations,
+        children: before.children.clone(),
         name: before.name.clone(),
         classes: before.classes.clone(),
         notes: before.notes.clone(),
