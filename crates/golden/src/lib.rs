@@ -28,7 +28,7 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec};
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
 use nsim_ir::microcode::MOST_WORDS;
-use nsim_ir::neurons::{NeuronKind, Port};
+use nsim_ir::neurons::{NeuronKind, Port, Role};
 use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Quantised, Reset, SpikeSource, Units};
 use nsim_ir::source_counts::LeftField;
@@ -100,6 +100,8 @@ struct State {
     v: i64,
     /// The step of its last spike.
     spiked_at: Option<u32>,
+    /// Equation (6a): what it pushed in its last step.
+    pushed: i64,
     /// The words of a kind without u and v.
     words: [i64; 4],
     /// The words of a kind that a model file states.
@@ -115,6 +117,7 @@ struct Compartment {
     /// What the last one carried.
     sent: i64,
     incoming: Vec<Synapse>,
+    child: Option<CompartmentId>,
     state: State,
 }
 
@@ -159,6 +162,7 @@ impl Golden {
                         message,
                         sent: 0,
                         incoming: Vec::new(),
+                        child: None,
                         state: State::default(),
                     });
                 }
@@ -168,6 +172,9 @@ impl Golden {
         }
         for (target, synapse) in synapses(network) {
             compartments[target].incoming.push(synapse);
+        }
+        for (child, parent, Role::Add) in network.children() {
+            compartments[parent].child = Some(child);
         }
         let parts = network.parts();
         let left_fields = compartments.ids().map(|_| LeftField::default()).collect();
@@ -247,6 +254,8 @@ impl Golden {
     fn update(&mut self, id: CompartmentId, step: u32) -> bool {
         let arrivals = self.arrivals(id);
         let sum = arrivals.plain[0];
+        // Compartments of lower numbers, children among them, have been updated in this step.
+        let popped = self.compartments[id].child.map_or(0, |child| self.compartments[child].state.pushed);
         // Rule (12): what would arrive after the sample's end is never looked for.
         self.totals.synaptic_events += arrivals.events;
         self.totals.compartment_updates += 1;
@@ -271,6 +280,7 @@ impl Golden {
                     && !is_refractory(semantics, neuron, state, step)
                     && bias(semantics, neuron) == 0
                     && sum == 0
+                    && popped == 0
             }
             false => arrivals.are_zero() && is_idle(neuron, state),
         };
@@ -283,7 +293,7 @@ impl Golden {
         let mut outcome = match (neuron.kind, semantics) {
             (NeuronKind::SoftReset, _) => soft_reset(neuron, threshold, state, sum),
             (NeuronKind::If, _) => integrate_and_fire(neuron, threshold, state, sum, step),
-            (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, sum, step),
+            (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, (sum, popped), step),
             (NeuronKind::Loihi, Semantics::Lava) => lava(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Slayer) => slayer(neuron, threshold, state, sum, step),
             _ => in_words(neuron, state, arrivals.by_port(neuron)),
@@ -488,16 +498,16 @@ fn fire(
     spiked
 }
 
-/// Equations (2) to (6) in the chip's arithmetic: the voltage before it is tested, and what left
-/// its field.
-fn integrate(neuron: &Neuron, state: &mut State, sum: i64) -> (i64, Outcome) {
+/// Equations (2) to (6) in the chip's arithmetic, with what a child pushed: the voltage before it
+/// is tested, and what left its field.
+fn integrate(neuron: &Neuron, state: &mut State, (sum, popped): (i64, i64)) -> (i64, Outcome) {
     // Equation (2).
     let q = wrap(sum, 21);
     // Equation (4).
     let current = decay(state.u, neuron.du.get()) + q;
     state.u = wrap(current, 23);
-    // Equations (5) and (6).
-    let biased = state.u + bias(Semantics::Hardware, neuron);
+    // Equations (5), (6) and (6a).
+    let biased = state.u + popped + bias(Semantics::Hardware, neuron);
     let voltage = decay(state.v, neuron.dv.get()) + wrap(biased, 23);
     let vmin = 1 - (1i64 << neuron.vmin.get());
     let vmax = (1i64 << (9 + 2 * neuron.vmax.get())) - 1;
@@ -511,9 +521,10 @@ fn integrate(neuron: &Neuron, state: &mut State, sum: i64) -> (i64, Outcome) {
     (clipped, outcome)
 }
 
-/// A step in the chip's arithmetic.
-fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
-    let (voltage, outcome) = integrate(neuron, state, sum);
+/// A step in the chip's arithmetic, of this sum of arrivals and what a child pushed.
+fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, input: (i64, i64), step: u32) -> Outcome {
+    let (voltage, outcome) = integrate(neuron, state, input);
+    state.pushed = voltage;
     // What is held is not clipped.
     let v_clipped = outcome.v_clipped && !is_refractory(Semantics::Hardware, neuron, state, step);
     Outcome { spiked: fire(Semantics::Hardware, neuron, threshold, state, voltage, step), v_clipped, ..outcome }
@@ -521,13 +532,13 @@ fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i
 
 /// A step of an integrate-and-fire compartment: equations (2) to (7) with du = 4096 and dv = 0.
 fn integrate_and_fire(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
-    hardware(&Neuron { du: Decay::MAX, dv: Decay::MIN, ..*neuron }, threshold, state, sum, step)
+    hardware(&Neuron { du: Decay::MAX, dv: Decay::MIN, ..*neuron }, threshold, state, (sum, 0), step)
 }
 
 /// A step of a compartment with reset by subtraction: equations (2) to (6), and (7a) in place of
 /// (7).
 fn soft_reset(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64) -> Outcome {
-    let (voltage, outcome) = integrate(neuron, state, sum);
+    let (voltage, outcome) = integrate(neuron, state, (sum, 0));
     let spiked = above(threshold, voltage, neuron);
     state.v = if spiked { voltage - 64 * i64::from(neuron.vth.get()) } else { voltage };
     Outcome { spiked, ..outcome }
