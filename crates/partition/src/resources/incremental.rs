@@ -38,6 +38,8 @@ pub struct Newcomer {
     pub index: u32,
     /// Its parameters.
     pub neuron: Neuron,
+    /// Compartments of its neuron.
+    pub neuron_size: usize,
     /// Estimate of its output axon slots.
     pub slots_out: u32,
     /// What it shares them by with others of the core ([`FanOut::together`]).
@@ -51,7 +53,8 @@ impl Newcomer {
     pub fn new(network: &Quantised, id: CompartmentId) -> Option<Self> {
         let (population, index) = network.population_of(id);
         let Units::Compartments { neurons, .. } = &network.populations()[population].units else { return None };
-        Some(Newcomer { id, population, index, neuron: neurons.get(index), slots_out: 0, together: ALONE })
+        let neuron = neurons.get(index);
+        Some(Newcomer { id, population, index, neuron, neuron_size: 1, slots_out: 0, together: ALONE })
     }
 }
 
@@ -285,7 +288,7 @@ impl<'a> Filling<'a> {
     /// the running counts are spoiled: begin another core.
     pub fn add(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
         self.put(newcomer)?;
-        match self.holds() {
+        match self.holds(newcomer.neuron_size) {
             Ok(used) => {
                 self.used = (self.places.is_empty() && !self.shortened).then_some(used);
                 Ok(())
@@ -317,10 +320,10 @@ impl<'a> Filling<'a> {
         for newcomer in newcomers {
             self.put(&newcomer)?;
         }
-        if self.holds().is_err() {
+        if self.holds(1).is_err() {
             self.shares = !self.places.is_empty();
         }
-        self.holds().map(|_| ())
+        self.holds(1).map(|_| ())
     }
 
     fn put(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
@@ -350,16 +353,16 @@ impl<'a> Filling<'a> {
         Ok(())
     }
 
-    /// What it has uses, where the core holds it.
-    fn holds(&self) -> Result<CoreUsage, CoreUsage> {
-        // One compartment alone cannot be split any further; whether its output axons fit is asked
-        // when targets are seated.
+    /// What it has uses, where the core holds it and its last neuron is of this many compartments.
+    fn holds(&self, neuron_size: usize) -> Result<CoreUsage, CoreUsage> {
+        // One neuron alone cannot be split any further; whether its output axons fit is asked when
+        // targets are seated.
         let mut used = self.usage();
         if self.shares && !self.limits.hold(&used.of) {
             used = self.usage_shared();
         }
         let fits = self.limits.hold(&used.of)
-            && (self.members.len() == 1 || self.slots_out <= u64::from(self.limits[Resource::AxonsOut]));
+            && (self.members.len() <= neuron_size || self.slots_out <= u64::from(self.limits[Resource::AxonsOut]));
         if fits { Ok(used) } else { Err(used) }
     }
 

@@ -22,8 +22,11 @@ use nsim_ir::resource::{Limits, Resource};
 const TRIALS: usize = 200;
 
 /// The layers of a network, empty for inputs; `None` when a projection is neither a window nor all
-/// to all, or two join the same populations.
+/// to all, two join the same populations, or a neuron has compartments of several.
 pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
+    if !network.parts().children.is_empty() {
+        return None;
+    }
     let (formats, places) = (Formats::for_network(network), Places::of_windows(network));
     let of = |id| Layer::for_population(network, id, &formats, &places).filter(|layer| !layer.joined);
     network.populations().ids().map(of).collect()

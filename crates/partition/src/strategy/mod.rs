@@ -17,7 +17,8 @@
 //!
 //! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages.
 //! `Multilevel` skips mappings whose steps are too long for the cores that they save; otherwise none
-//! is ever worse than the one above. Copies of a network are one copy's partition repeated, so that
+//! is ever worse than the one above. Where neurons have several compartments all take the order of
+//! the file, neuron by neuron. Copies of a network are one copy's partition repeated, so that
 //! no copy shares a core with another, unless filling all of them together takes fewer cores.
 
 pub mod box_fan_out;
@@ -250,7 +251,7 @@ fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partiti
 fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Found> {
     let (network, target) = (filler.network, filler.target);
     let sequential = || filler.fewest_cores(&file_order(network), chips);
-    if search.strategy == Strategy::Sequential {
+    if search.strategy == Strategy::Sequential || !network.parts().children.is_empty() {
         return sequential();
     }
     let spatial: IdVec<PopulationId, bool> =

@@ -11,8 +11,8 @@
 //!   are numbered chip by chip, as `nsim_compile::place` keeps them). The first filling ignores
 //!   them, or in large networks what is not drawn evenly; if a core then sends too much, each
 //!   compartment is charged what it sent and a margin, which doubles from round to round, and the
-//!   filling is repeated. It ends because estimates only grow, and a core with a single compartment
-//!   is never split.
+//!   filling is repeated. It ends because estimates only grow, and a core with a single neuron is
+//!   never split.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, PoisonError};
@@ -32,7 +32,7 @@ use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::{CoreUsage, Seat, seats};
-use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Capacity, OutputAxons, Resource};
 
 /// Rounds of filling after which output axons are given up on: the margin is then 2^9 times the
@@ -57,12 +57,12 @@ pub enum Chips {
     Apart,
 }
 
-/// Compartments of one population to be kept together, in this order.
+/// Neurons of one population to be kept together, in this order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
-    /// The population.
+    /// The population, which is no child of another.
     pub population: PopulationId,
-    /// Their indices in it.
+    /// Their indices in it and in its children.
     pub indices: Indices,
 }
 
@@ -118,10 +118,11 @@ fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
     Some(parts)
 }
 
-/// Every population a segment, in the order of the model file.
+/// Every population a segment, in the order of the model file; children come with their parents.
 pub fn file_order(network: &Quantised) -> Vec<Segment> {
     let of = |(population, p): (PopulationId, &nsim_ir::quantised::Population)| {
-        p.first_compartment().map(|_| Segment { population, indices: Indices::All(p.shape.len()) })
+        p.first_compartment()?;
+        (!p.stack().pushes).then(|| Segment { population, indices: Indices::All(p.shape.len()) })
     };
     network.populations().enumerate().filter_map(of).collect()
 }
@@ -406,17 +407,23 @@ impl<'a> Filler<'a> {
         let (mut filled, mut misfits) = (Vec::new(), Misfits::default());
         for Segment { population, indices } in order {
             let population = *population;
-            let Units::Compartments { first, neurons, .. } = &self.network.populations()[population].units else {
-                continue;
-            };
+            // Compartments of a neuron follow each other, children first.
+            let compartments = self.network.neuron(population).into_iter().filter_map(|id| {
+                let population = &self.network.populations()[id];
+                Some((id, population.first_compartment()?, population.neurons()?))
+            });
+            let compartments: Vec<_> = compartments.collect();
+            let each = compartments.len() as u32;
             let newcomer = |at: u32| {
-                let index = indices.get(at);
+                let ((population, first, neurons), index) =
+                    (compartments[(at % each) as usize], indices.get(at / each));
                 let id = CompartmentId(first.0 + index);
                 let slots_out = estimate.slots[id.index()];
                 let together = estimate.together.get(id.index()).copied().unwrap_or(ALONE);
-                Newcomer { id, population, index, neuron: neurons.get(index), slots_out, together }
+                let (neuron, neuron_size) = (neurons.get(index), each as usize);
+                Newcomer { id, population, index, neuron, neuron_size, slots_out, together }
             };
-            let size = indices.len();
+            let size = indices.len() * each;
             if keep_whole && matches!(indices, Indices::Tile(_)) {
                 let before = filling.len();
                 if filling.add_whole((0..size).map(newcomer)).is_ok() {
@@ -440,11 +447,15 @@ impl<'a> Filler<'a> {
                     next += 1;
                     continue;
                 };
-                let used_by_held = filling.used();
+                // A neuron begins on another core as a whole.
+                let begun = next % each;
+                next -= begun;
+                let used_by_held = filling.used().filter(|_| begun == 0);
                 let mut held = filling.next_core();
+                held.truncate(held.len() - begun as usize);
                 if held.is_empty() {
                     used.excesses(self.target.limits()).for_each(|excess| misfits.note(population, excess));
-                    next += 1;
+                    next += each;
                 } else if std::mem::take(&mut may_move) {
                     if (0..size).all(|at| filling.add(&newcomer(at)).is_ok()) {
                         held.truncate(before);
