@@ -3,7 +3,8 @@
 //! The rule, for a network N and a program P with the same numbers of channels and compartments:
 //!
 //! 1. *Parameters.* For every compartment n, with (c, s) = seat(n): `P.cores[c].ids[s] = n`, and
-//!    the neuron's fields and start step at (c, s) are those that N gives n.
+//!    the neuron's fields and start step at (c, s) are those that N gives n. The parent of n has the
+//!    seat (c, s + 1).
 //! 2. *Synapses.* For every source s, let R(s) be the multiset of (target, format, weight, delay)
 //!    over all synapses of all projections from s in N, and D(s) the multiset of (`ids[slot]`,
 //!    format, weight, delay) over all synapses of all lists that the messages of s lead to in P,
@@ -70,6 +71,9 @@ pub enum Difference {
     /// A compartment with other parameters, or in another's seat.
     #[error("compartment {0} of the program has other parameters than the network's")]
     Parameters(CompartmentId),
+    /// A child that is not in the slot before its parent.
+    #[error("compartment {0} of the program is not in the slot before its parent")]
+    Neuron(CompartmentId),
     /// A source that reaches something else.
     #[error("{source_name} reaches {decoded} synapses in the program and {meant} in the network, or other ones")]
     Synapses {
@@ -233,7 +237,12 @@ fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Differ
             return Err(Difference::Parameters(id));
         }
     }
-    Ok(())
+    let seat = |id: CompartmentId| (program.seats()[id].core, usize::from(program.seats()[id].slot));
+    let follows = |child, parent| seat(parent) == (seat(child).0, seat(child).1 + 1);
+    match network.children().find(|&(child, parent, _)| !follows(child, parent)) {
+        Some((child, ..)) => Err(Difference::Neuron(child)),
+        None => Ok(()),
+    }
 }
 
 fn name_of(units: &Units, index: u32) -> String {

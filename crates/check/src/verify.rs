@@ -11,6 +11,7 @@
 //! - population axons have atoms, bases and numbers that messages and tables can hold, tables are
 //!   the same or apart, no two sources are the same atom of one, and a source is the same atom on
 //!   every core (`Population`);
+//! - a compartment that pops follows one that pushes, and only such a one does (`Neuron`);
 //! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the
 //!   core's index and delay widths or none (`Format`);
 //! - in a list the synapses of one format are consecutive, and two groups do not differ in density
@@ -33,6 +34,7 @@ use rayon::prelude::*;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::hardware::Target;
+use nsim_ir::neurons::Stack;
 use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::Mesh;
 use nsim_ir::program::{
@@ -83,6 +85,14 @@ pub enum Violation {
         place: String,
         /// What is wrong.
         what: &'static str,
+    },
+    /// A compartment without its child or its parent.
+    #[error("{core}: what slot {slot} pushes or pops has no compartment next to it")]
+    Neuron {
+        /// The core.
+        core: CoreId,
+        /// The slot.
+        slot: usize,
     },
     /// A format that cannot be stored, is not used, or is there twice.
     #[error("{core}: synapse format {format} {what}")]
@@ -383,6 +393,12 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
 /// The first [`Violation`].
 fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<CoreUsage, Violation> {
     let class = program.class_of(core);
+    let mut stacks = vec![Stack::UNUSED];
+    stacks.extend(class.compartments.iter().map(|compartment| compartment.neuron.stack));
+    stacks.push(Stack::UNUSED);
+    if let Some(slot) = stacks.windows(2).position(|pair| pair[0].pushes != pair[1].pops.is_some()) {
+        return Err(Violation::Neuron { core, slot });
+    }
     let in_table = verify_populations(core, &class.inputs, limits)?;
     let longest = class.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
     let layout = Layout::of_core(class.compartments.len() as u32, longest, limits);

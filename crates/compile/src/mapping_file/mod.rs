@@ -18,7 +18,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::{MappedCore, MappingFile, Run, check_unchanged};
-use nsim_ir::partition::{Partition, seats};
+use nsim_ir::partition::{Partition, Seat, seats};
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::Quantised;
 use nsim_partition::error::CompileError;
@@ -118,8 +118,8 @@ pub fn load(
 /// The partition of these members on cores at these sites, counted exactly.
 ///
 /// # Errors
-/// [`CompileError::Fault`] when a compartment is not on exactly one core;
-/// [`CompileError::DoesNotFit`] when a core exceeds a limit.
+/// [`CompileError::Fault`] when a compartment is not on exactly one core; [`CompileError::Input`] when
+/// one is not next to its parent; [`CompileError::DoesNotFit`] when a core exceeds a limit.
 pub fn partition_on(
     all: &Quantised,
     members: Members,
@@ -130,6 +130,12 @@ pub fn partition_on(
         return Err(CompileError::fault("the mapping is of another network"));
     }
     let seats = seats(all.compartments(), &members).map_err(CompileError::fault)?;
+    let follows = |before: Seat, after: Seat| (after.core, after.slot) == (before.core, before.slot + 1);
+    if let Some((child, parent, _)) = all.children().find(|&(a, b, _)| !follows(seats[a], seats[b])) {
+        let [(name, index), (above, place)] = [child, parent].map(populations_of(all));
+        let message = format!("compartment {index} of {name} is not in the slot before its parent, {place} of {above}");
+        return Err(Diagnostic::new("mapping.neuron", message).into());
+    }
     let usage = usage(all, &members, &seats, &chips_of(sites), target.limits());
     partition_of(all, members, usage, target.limits())
 }
