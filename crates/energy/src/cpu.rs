@@ -132,7 +132,7 @@ impl Dense {
         for target in order {
             let population = &network.populations()[target];
             let Units::Compartments { neurons, start_step, .. } = &population.units else { continue };
-            if neurons.any(|neuron| !neuron.kind.table().registers) {
+            if neurons.any(|neuron| !neuron.kind.table().registers || !neuron.stack.is_unused()) {
                 return Err(format!("'{}' has no form in real numbers", population.name));
             }
             let real = |neuron| RealForm::of_neuron(&neuron, network.parts().semantics);

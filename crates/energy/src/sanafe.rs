@@ -164,6 +164,9 @@ impl Export<'_> {
         let leads = self.leads();
         for class in self.program().classes() {
             for compartment in &class.compartments {
+                if !compartment.neuron.stack.is_unused() {
+                    return Err(refused("neurons of several compartments"));
+                }
                 if compartment.start_step > 0 {
                     let help = "a layer that nothing reaches before its start does not need one: \
                                 --set populations.NAME.start_step=0 for each";
