@@ -9,10 +9,10 @@ use nsim::ir::base::fixed::{
 use nsim::ir::base::id::{ChannelId, IdVec, PopulationId};
 use nsim::ir::graph::{PerCompartment, Shape, Window};
 use nsim::ir::mapping::{MappedCore, MappingFile, Run};
-use nsim::ir::neurons::{Emits, NeuronKind, ParameterField, Port, Storage};
+use nsim::ir::neurons::{Emits, NeuronKind, ParameterField, Port, Role, Storage};
 use nsim::ir::placement::Mesh;
 use nsim::ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
-use nsim::ir::quantised::{Neuron, Quantised, Units};
+use nsim::ir::quantised::{Child, Neuron, Quantised, Units};
 use nsim::ir::spikes::{Message, Sample};
 pub use nsim_testing::Draw;
 use nsim_testing::sparse;
@@ -135,10 +135,23 @@ fn connectivity(draw: &mut Draw, format: SynapseFormat, source: Shape, target: S
 
 /// A network that depends on the seed only.
 pub fn network(seed: u64) -> Quantised {
+    drawn(seed, 1)
+}
+
+/// The same with neurons of one to three compartments, each of which receives spikes.
+pub fn joined(seed: u64) -> Quantised {
+    drawn(seed ^ 0x0c41d, 3)
+}
+
+/// A network whose neurons have this many compartments at most.
+fn drawn(seed: u64, most: usize) -> Quantised {
     let draw = &mut Draw::new(seed);
-    let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
+    let semantics = match most {
+        1 => draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]),
+        _ => Semantics::Hardware,
+    };
     let mut net = Builder::with(semantics);
-    if draw.chance(20) {
+    if most == 1 && draw.chance(20) {
         net.parts.threshold = ThresholdTest::Inclusive;
     }
     if draw.chance(20) {
@@ -160,6 +173,25 @@ pub fn network(seed: u64) -> Quantised {
         let start = if draw.chance(20) { draw.from(0, 12) as u32 } else { 0 };
         ids.push(net.each(&format!("p{}", ids.len()), shape, &neurons, start));
         shapes.push(shape);
+        let parents = if most == 1 { 0 } else { draw.from(0, most as i64 - 1) };
+        for _ in 0..parents {
+            let child = ids[ids.len() - 1];
+            let neurons: Vec<Neuron> = (0..shape.len()).map(|_| random_neuron(draw, semantics)).collect();
+            let parent = net.each(&format!("p{}", ids.len()), shape, &neurons, start);
+            net.parts.children.push(Child { population: child, parent, role: Role::Add });
+            ids.push(parent);
+            shapes.push(shape);
+        }
+    }
+    for &Child { population, parent, .. } in &net.parts.children {
+        for (id, most) in [(population, 1), (parent, 63)] {
+            let Units::Compartments { neurons, .. } = &mut net.parts.populations[id].units else { continue };
+            let allowed = |_, neuron: Neuron| {
+                let refractory = Refractory::new(i64::from(neuron.refractory).min(most)).unwrap();
+                Ok::<_, ()>(Neuron { kind: NeuronKind::Loihi, refractory, ..neuron })
+            };
+            *neurons = neurons.try_map(allowed).unwrap();
+        }
     }
     // Every population of compartments is reached; some twice, some by themselves or by later ones.
     for target in inputs..ids.len() {

@@ -8,6 +8,7 @@ mod big_integers;
 mod cases;
 #[path = "../common/mod.rs"]
 mod common;
+mod compartments;
 mod differential;
 mod early_exit;
 mod integrate_and_fire;

@@ -55,8 +55,8 @@ fn populations_and_cores_sum_to_the_totals() {
     let target = target();
     let pools: Vec<_> = [1, 2, 8].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap()).into();
     let (mut wrapped, mut clipped, mut spikes) = (0, 0, 0);
-    for seed in 0..200 {
-        let network = random::network(seed);
+    for seed in 0..240 {
+        let network = if seed < 200 { random::network(seed) } else { random::joined(seed) };
         let given: Vec<Sample> = (0..5).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let samples: Vec<&Sample> = given.iter().collect();
         let compiled = compile(network.clone(), &target, &Options { place: false, ..Options::default() }).unwrap();

@@ -108,7 +108,7 @@ fn numbers(pruned: &Quantised) -> Vec<CompartmentId> {
 }
 
 /// Steps all engines through a sample: all that is left spikes and stands the same.
-fn assert_same(
+pub fn assert_same(
     whole: &mut dyn Engine,
     engines: &mut [(String, &mut dyn Engine)],
     pruned: &Quantised,

@@ -21,7 +21,7 @@ use nsim::session::samples::{Run, Running, fast};
 use nsim::session::{Keep, Outcome, Probe, Quantity};
 use rayon::prelude::*;
 
-const NETWORKS: u64 = 200;
+const NETWORKS: u64 = 240;
 const MOST_RANKS: u32 = 4;
 
 /// The share of a rank among several; all of it where there is one.
@@ -58,6 +58,7 @@ struct Case {
 impl Case {
     fn new(seed: u64) -> Case {
         let (network, target) = match seed % 4 {
+            _ if seed >= 200 => (random::joined(seed), small_cores("nahuku-32", 4)),
             0 => (random::convolutional(seed), small_cores("nahuku-32", 40)),
             3 => (random::mixed(seed), small_cores("oheo-gulch", 7)),
             _ => (random::network(seed), small_cores("nahuku-32", 4)),

@@ -52,8 +52,9 @@ fn graded_if(graded: bool, network: &Quantised) -> Quantised {
 fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
     let chip = roomy("oheo-gulch");
     let (mut spikes, mut graded) = (0, 0);
-    for seed in 0..60u64 {
-        let network = graded_if(seed.is_multiple_of(4), &random::network(seed));
+    for seed in 0..80u64 {
+        let random = if seed < 60 { random::network(seed) } else { random::joined(seed) };
+        let network = graded_if(seed.is_multiple_of(4), &random);
         let sample = random::sample(&network, seed);
         let copies = 1 + seed as u32 % 3;
         let Ok(mapped) = compile(network.clone(), &chip, &Options { copies, ..Options::default() }) else { continue };

@@ -47,6 +47,7 @@ fn the_text_of_each_stage_reads_back_as_the_stage() {
         let file = random::mapping(&network, &Mesh::for_target(&target), seed);
         if seed % 4 == 0 {
             text(&prune(&network, &Plan::fixed()).unwrap(), 3);
+            text(&random::joined(seed), 3);
         }
         let written = text(&network, 3);
         let Ok(compiled) = load(network.clone(), &target, &Options::default(), &file) else { return };

@@ -220,6 +220,15 @@ impl Image {
         self.program.class_of(seat.core).compartments[usize::from(seat.slot)].neuron
     }
 
+    /// The parameters of a lane of a core block.
+    #[inline]
+    pub(crate) fn fields_of(&self, block: CoreBlock, offset: usize) -> &Fields {
+        match block.fields {
+            BlockFields::Same(fields) => &self.fields[fields as usize],
+            BlockFields::Each(first) => &self.fields[self.field_of[first as usize + offset] as usize],
+        }
+    }
+
     /// Shard and lane within it of a compartment.
     pub(crate) fn lane(&self, compartment: CompartmentId) -> (usize, usize) {
         let lane = self.lanes[compartment.index()];
@@ -276,6 +285,7 @@ impl Image {
                 }
                 let of = |slot: usize| &self.fields[field_of[slot] as usize];
                 let has_words = |slot: usize| !of(slot).neuron.kind.table().registers;
+                let in_neuron = |slot: usize| !of(slot).neuron.stack.is_unused();
                 let (list, length, taken) = if has_words(slot) {
                     let kind = of(slot).neuron.kind;
                     let list = sums.list(ids[slot], kind.table().ports);
@@ -289,9 +299,18 @@ impl Image {
                     let length = (slot..field_of.len()).take(room).take_while(same).count();
                     last = None;
                     (list, length, if count > 1 { SKIP_BLOCK } else { length })
+                } else if in_neuron(slot) {
+                    // Whole neurons: a block has more lanes than a neuron has compartments.
+                    let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
+                    let left = (slot..field_of.len()).take(room).take_while(|&slot| in_neuron(slot)).count();
+                    let begins = |slot: usize| slot == field_of.len() || of(slot).neuron.stack.pops.is_none();
+                    let length = (1..=left).rev().find(|length| begins(slot + length)).unwrap_or(left);
+                    last = None;
+                    (0, length, length)
                 } else {
                     let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
-                    let left = (slot..field_of.len()).take(room).take_while(|&slot| !has_words(slot)).count();
+                    let alone = |&slot: &usize| !has_words(slot) && !in_neuron(slot);
+                    let left = (slot..field_of.len()).take(room).take_while(alone).count();
                     let kinds = &kind_of[slot..slot + left];
                     let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
                     let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;

@@ -11,14 +11,14 @@ use crate::bits::{UNCHECKED, ones, write_ones};
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::{Arrivals, DelayRing};
 use crate::layout::image::Image;
-use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
+use crate::layout::shard::{CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::layout::sums::{self, stride};
 use crate::store::Aligned;
 use crate::update::kernel;
 use crate::update::kernel::{LANES, Sum, Vectors};
 use nsim_dynamics::arithmetic::{falls_on, wrap};
 use nsim_dynamics::kinds::{Block, CHUNK, Flags, lanes_with};
-use nsim_dynamics::{Effect, Registers, update};
+use nsim_dynamics::{Effect, Registers, update, update_joined};
 use nsim_ir::activity::Overflow;
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::fixed::UV_BITS;
@@ -371,7 +371,12 @@ impl CompartmentState {
         }
         let Some(fields) = run.vector else {
             let block = shard.blocks[run.first as usize];
-            let effects = self.scalar(sums, image, shard, block, 0..block.length as usize, input);
+            let lanes = 0..block.length as usize;
+            // Blocks have whole neurons, or compartments that are neurons of their own.
+            let effects = match image.fields_of(block, 0).neuron.stack.is_unused() {
+                true => self.scalar::<S, false>(sums, image, shard, block, lanes, input),
+                false => self.scalar::<S, true>(sums, image, shard, block, lanes, input),
+            };
             return self.count(shard, index, effects, input);
         };
         if let Some(reset) = image.reset
@@ -518,7 +523,8 @@ impl CompartmentState {
             for chunk in chunks.filter(|chunk| overflowed >> chunk & 1 == 1) {
                 let (from, to) = (chunk * LANES, (chunk + 1) * LANES);
                 let lanes = from.saturating_sub(at)..(to - at).min(block.length as usize);
-                effects.merge(self.scalar(sums, image, shard, *block, lanes, input).after(at));
+                let effect = self.scalar::<S, false>(sums, image, shard, *block, lanes, input);
+                effects.merge(effect.after(at));
             }
         }
         effects
@@ -577,8 +583,9 @@ impl CompartmentState {
         left.cut += clipped * u64::from(v > 0);
     }
 
-    /// Updates some lanes of a core block one by one.
-    fn scalar<S: Sum>(
+    /// Updates some lanes of a core block one by one; `JOINED` where neurons have several
+    /// compartments, which are in consecutive lanes, children first.
+    fn scalar<S: Sum, const JOINED: bool>(
         &mut self,
         sums: &mut [S],
         image: &Image,
@@ -587,13 +594,10 @@ impl CompartmentState {
         lanes: Range<usize>,
         input: StepInput,
     ) -> kernel::Effect {
-        let mut effects = kernel::Effect::default();
+        let (mut effects, mut pushed) = (kernel::Effect::default(), 0);
         for offset in lanes {
             let lane = block.start as usize + offset;
-            let fields = match block.fields {
-                BlockFields::Same(fields) => &image.fields[fields as usize],
-                BlockFields::Each(first) => &image.fields[image.field_of[first as usize + offset] as usize],
-            };
+            let fields = image.fields_of(block, offset);
             let arrived = std::mem::take(&mut sums[lane]).value();
             if input.step < fields.start_step {
                 continue;
@@ -602,8 +606,11 @@ impl CompartmentState {
             if image.reset.is_some_and(|reset| falls_on(reset, input.step, fields.resets_from)) {
                 old = Registers::default();
             }
-            effects.moved |= u64::from(!fields.at_rest(&old, arrived)) << offset;
-            let (new, effect) = update(old, arrived, fields);
+            effects.moved |= u64::from(!fields.at_rest(&old, arrived) | (JOINED && pushed != 0)) << offset;
+            let (new, effect) = match JOINED {
+                true => update_joined(old, arrived, fields, &mut pushed),
+                false => update(old, arrived, fields),
+            };
             self.set(lane, new);
             effects.busy |= new != Registers::default();
             effects.spiked |= u64::from(effect.spiked) << offset;
