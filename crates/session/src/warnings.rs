@@ -174,11 +174,12 @@ fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Op
     let populations = network.populations();
     let sources: BTreeSet<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
     let fired = |source: &PopulationId| spiking.contains(populations[*source].name.as_str());
-    let biased = populations[id].any_neuron(|neuron| neuron.bias_mant.get() != 0);
-    if sources.is_empty() && !biased {
+    // By a bias or a child.
+    let driven = populations[id].any_neuron(|neuron| neuron.bias_mant.get() != 0 || neuron.stack.pops.is_some());
+    if sources.is_empty() && !driven {
         return Some("no projection leads to it; add one, or a bias".to_string());
     }
-    if !sources.is_empty() && !sources.iter().any(fired) && !biased {
+    if !sources.is_empty() && !sources.iter().any(fired) && !driven {
         let names: Vec<String> = sources.iter().take(LISTED).map(|&s| format!("'{}'", populations[s].name)).collect();
         let are = if names.len() == 1 { "is" } else { "are" };
         return Some(format!("nothing reaches it while {} {are} silent; look there first", names.join(" and ")));
