@@ -134,6 +134,7 @@ impl HopCounts {
     }
 
     /// Adds the route of this many messages.
+    #[inline]
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.local += u64::from(route.links() == 0) * times;
         self.east_west += u64::from(route.east_west) * times;

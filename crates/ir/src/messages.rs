@@ -160,6 +160,15 @@ impl Iterator for Messages<'_> {
     }
 
     #[inline]
+    fn nth(&mut self, place: usize) -> Option<AxonTarget> {
+        match self {
+            Messages::Channel(list) => *list = list.as_slice().get(place..).unwrap_or_default().iter(),
+            Messages::Reached(_, list) => *list = list.as_slice().get(place..).unwrap_or_default().iter(),
+        }
+        self.next()
+    }
+
+    #[inline]
     fn size_hint(&self) -> (usize, Option<usize>) {
         match self {
             Messages::Channel(list) => list.size_hint(),

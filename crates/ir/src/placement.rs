@@ -81,15 +81,20 @@ impl Mesh {
         (chip_x * self.width + site.x, chip_y * self.height + site.y)
     }
 
+    /// The tile and the chip of a core.
+    pub fn position(&self, site: Site) -> MeshPosition {
+        MeshPosition { tile: self.tile(site), chip: (site.chip % self.chips_x, site.chip / self.chips_x) }
+    }
+
+    /// The corner of a core's chip, at which its input spikes enter.
+    #[inline]
+    pub fn corner(&self, of: MeshPosition) -> MeshPosition {
+        MeshPosition { tile: (of.chip.0 * self.width, of.chip.1 * self.height), ..of }
+    }
+
     /// The route of a message from one core to another.
     pub fn route(&self, from: Site, to: Site) -> Route {
-        let ((fx, fy), (tx, ty)) = (self.tile(from), self.tile(to));
-        Route {
-            east_west: fx.abs_diff(tx),
-            north_south: fy.abs_diff(ty),
-            chip: (from.chip % self.chips_x).abs_diff(to.chip % self.chips_x)
-                + (from.chip / self.chips_x).abs_diff(to.chip / self.chips_x),
-        }
+        self.position(from).route(self.position(to))
     }
 
     /// The route of an input spike: it enters at the corner of its target's chip.
@@ -112,6 +117,27 @@ pub struct Site {
     pub core: u32,
 }
 
+/// Column and row, from the north-west corner of the board.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MeshPosition {
+    /// Of the tile.
+    pub tile: (u32, u32),
+    /// Of the chip.
+    pub chip: (u32, u32),
+}
+
+impl MeshPosition {
+    /// The route of a message from here to another core.
+    #[inline]
+    pub fn route(self, to: MeshPosition) -> Route {
+        Route {
+            east_west: self.tile.0.abs_diff(to.tile.0),
+            north_south: self.tile.1.abs_diff(to.tile.1),
+            chip: self.chip.0.abs_diff(to.chip.0) + self.chip.1.abs_diff(to.chip.1),
+        }
+    }
+}
+
 /// The links that a message crosses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Route {
@@ -125,12 +151,14 @@ pub struct Route {
 
 impl Route {
     /// Links crossed; 0 within a tile.
+    #[inline]
     pub fn links(self) -> u32 {
         self.east_west + self.north_south
     }
 
     /// The longer of two routes: by links, then links between chips, then links north or south.
     #[must_use]
+    #[inline]
     pub fn max(self, other: Route) -> Route {
         let key = |r: Route| (r.links(), r.chip, r.north_south);
         if key(other) > key(self) { other } else { self }

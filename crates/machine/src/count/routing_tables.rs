@@ -45,7 +45,6 @@ impl<'p> Core<'p> {
 pub(crate) struct Selected<'p> {
     pub core: CoreId,
     pub axon: u16,
-    pub list: usize,
     /// Formats of the core.
     pub formats: &'p [CoreFormat],
     /// Added to every slot.
@@ -65,11 +64,6 @@ impl<'p> RoutingTables<'p> {
     /// The tables of a program.
     pub fn new(program: &'p Program) -> Self {
         RoutingTables { program, cores: program.cores().ids().map(|core| Core::new(program.class_of(core))).collect() }
-    }
-
-    /// Bytes of memory that they hold.
-    pub fn bytes(&self) -> usize {
-        size_of_val(self.cores.as_slice())
     }
 
     /// Messages of a source; sources are numbered channels first.
@@ -92,16 +86,6 @@ impl<'p> RoutingTables<'p> {
             }
             batch.order.sort_unstable();
             Some(batch)
-        })
-    }
-
-    /// The source of each message of these sources and the list that it selects, batch by batch.
-    pub fn resolve(&self, sources: impl Iterator<Item = u32>) -> impl Iterator<Item = (u32, Selected<'p>)> {
-        self.batches(sources).flat_map(|Batch { tables, sources, order }| {
-            (0..order.len()).map(move |at| {
-                let (place, selected) = tables.selected(&order, at);
-                (sources[place], selected)
-            })
         })
     }
 
@@ -130,7 +114,7 @@ impl<'p> RoutingTables<'p> {
         let place = (key >> PLACE_SHIFT) as usize & ((1 << (CORE_SHIFT - PLACE_SHIFT)) - 1);
         let axon = key as u16;
         let stored = &synapses[firsts[list] as usize..firsts[list + 1] as usize];
-        (place, Selected { core, axon, list, formats, base, stored })
+        (place, Selected { core, axon, formats, base, stored })
     }
 }
 

@@ -6,104 +6,25 @@
 //! step that they enter: the cores receive it before the barrier that ends that step. A payload
 //! changes no count.
 //!
-//! How many synapses of a list are dense is known beforehand. Only near a sample's end, where
-//! deliveries fall after it, are synapses counted one by one.
+//! What a message causes is known of its list (`effects`). Only near a sample's end, where deliveries
+//! fall after it, are synapses of several delay fields counted one by one.
 //!
-//! A run is counted once, core by core (`Tally::sum`): first each message writes its source to
-//! the input axon that it reaches, then each core reads its lists in order. Following each message
-//! to its list would miss the cache two or three times a message.
+//! A run is counted once, source by source (`Tally::sum`), and a step spike by spike.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use self_cell::self_cell;
 
-use crate::count::routing_tables::{RoutingTables, Selected};
+use crate::count::effects::{Effect, Events};
 use crate::deliver::prefetch::prefetch;
-use nsim_ir::activity::StepActivity;
+use nsim_ir::activity::{HopCounts, StepActivity};
 use nsim_ir::base::csr::Csr;
-use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec};
-use nsim_ir::placement::{Route, Site};
-use nsim_ir::program::{CoreClass, CoreFormat, Program, Synapse};
+use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, IdVec};
+use nsim_ir::placement::{MeshPosition, Route};
+use nsim_ir::program::{AxonTarget, CoreClass, CoreImage, Program};
 use nsim_ir::quantised::Output;
-
-/// The shortest and the longest delay field of a class's synapses; zeros where it has none.
-fn delays(class: &CoreClass) -> (u8, u8) {
-    let delays = || class.inputs.lists.items().iter().map(|synapse| synapse.delay.get());
-    (delays().min().unwrap_or(0), delays().max().unwrap_or(0))
-}
-
-/// Whether lists of this format carry no index: their targets are consecutive.
-fn is_dense(format: &CoreFormat) -> bool {
-    format.index_bits.is_none()
-}
-
-/// How many synapses of each stored list are dense.
-#[derive(Debug)]
-enum ListKinds {
-    /// Only dense ones.
-    Dense,
-    /// Only sparse ones.
-    Sparse,
-    /// Both: the number of dense ones of each stored list.
-    Both(Vec<u32>),
-    /// Both, in lists so short that numbers would take as much memory as they do.
-    Short,
-}
-
-/// The fewest synapses of a list, on average, for which the number of dense ones is stored.
-const STORED_FROM: usize = 4;
-
-impl ListKinds {
-    fn new(class: &CoreClass) -> Self {
-        let lists = &class.inputs.lists;
-        match (class.formats.iter().any(is_dense), class.formats.iter().all(is_dense)) {
-            (_, true) => ListKinds::Dense,
-            (false, false) => ListKinds::Sparse,
-            (true, false) if lists.items().len() < STORED_FROM * lists.len() => ListKinds::Short,
-            (true, false) => {
-                let dense: Vec<bool> = class.formats.iter().map(is_dense).collect();
-                let of = |list: &[_]| list.iter().filter(|s: &&Synapse| dense[usize::from(s.format)]).count() as u32;
-                ListKinds::Both(lists.iter().map(of).collect())
-            }
-        }
-    }
-
-    /// (dense, sparse) of a stored list of this many synapses, if known.
-    #[inline]
-    fn split(&self, list: usize, synapses: u64) -> Option<(u64, u64)> {
-        let dense = match self {
-            ListKinds::Dense => synapses,
-            ListKinds::Sparse => 0,
-            ListKinds::Both(dense) => u64::from(dense[list]),
-            ListKinds::Short => return None,
-        };
-        Some((dense, synapses - dense))
-    }
-}
-
-/// What a message causes at its receiver.
-#[derive(Debug, Clone, Copy)]
-struct Caused {
-    core: CoreId,
-    dense: u32,
-    sparse: u32,
-    route: Route,
-}
-
-impl Caused {
-    /// Adds it this many times.
-    #[inline]
-    fn add(self, times: u64, sum: &mut StepActivity) {
-        let core = &mut sum.cores[self.core];
-        core.messages_in += times;
-        core.events_dense += u64::from(self.dense) * times;
-        core.events_sparse += u64::from(self.sparse) * times;
-        sum.add_routes(self.route, times);
-    }
-}
 
 /// How often each source spiked.
 #[derive(Debug, Clone, Copy)]
@@ -115,18 +36,48 @@ pub(crate) struct Fired<'a> {
     pub lost: &'a [u32],
 }
 
-/// Input axons whose sources are noted at a time: 64 MiB of memory.
-const NOTED: usize = 1 << 24;
-/// What stands for an axon whose source did not spike.
-const SILENT: u32 = u32::MAX;
-/// Input axons between the prefetch of what a source lost and its use.
-const PREFETCH_AXONS: usize = 8;
-
+/// Messages whose effects are in the cache at a time, those of the last source not counted.
+const BATCH: usize = 256;
 /// Messages of a step from which on threads share its sources.
 const SHARED: usize = 1 << 14;
-/// The most messages of all sources together for which what each causes is kept: two megabytes of
-/// memory.
-const MOST_KEPT: usize = 1 << 16;
+/// Messages that are always kept: half a megabyte of memory.
+const ALWAYS_KEPT: usize = 1 << 16;
+/// Synapses of a message, on average, up to which messages are kept: they take no more memory than
+/// the synapses do, and finding them would take as long as delivering.
+const KEPT_TO: usize = 8;
+/// Sources whose messages a thread finds at a time.
+const PIECE: u32 = 1 << 12;
+
+/// A core that messages reach.
+#[derive(Debug)]
+struct Receiver {
+    /// Where the effects of its lists begin.
+    effects: usize,
+    /// Whether input axon i selects list i.
+    is_direct: bool,
+    position: MeshPosition,
+}
+
+/// A message of a spike.
+#[derive(Debug, Clone, Copy)]
+struct Message {
+    to: CoreId,
+    effect: Effect,
+}
+
+/// The links that a source's messages cross.
+#[derive(Debug, Clone, Copy, Default)]
+struct Crossed {
+    hops: HopCounts,
+    longest: Route,
+}
+
+/// The messages of all sources.
+#[derive(Debug)]
+struct Kept {
+    messages: Csr<Message>,
+    crossed: Vec<Crossed>,
+}
 
 /// What a spike of each source causes.
 #[derive(Debug)]
@@ -135,15 +86,12 @@ pub struct Tally<'p> {
     /// Whether this process counts input spikes, which all see.
     counts_inputs: bool,
     longest_delay: u32,
-    /// The shortest and the longest of each class.
-    delays: IdVec<ClassId, (u8, u8)>,
-    kinds: IdVec<ClassId, ListKinds>,
-    class_of: IdVec<CoreId, ClassId>,
-    sites: IdVec<CoreId, Site>,
-    tables: RoutingTables<'p>,
-    /// By source, what its messages cause if every synapse is counted; `None` where there are more
-    /// than are kept. Made by the first step that is counted by itself.
-    kept: OnceLock<Option<Csr<Caused>>>,
+    receivers: IdVec<CoreId, Receiver>,
+    classes: IdVec<CoreId, &'p CoreClass>,
+    /// Of the lists of all classes, one class after the other.
+    effects: Vec<Effect>,
+    /// `None` where they would take much memory and their synapses are many.
+    kept: Option<Kept>,
 }
 
 self_cell!(
@@ -160,19 +108,58 @@ self_cell!(
 impl<'p> Tally<'p> {
     /// The counts of a program.
     pub fn new(program: &'p Program) -> Self {
-        let sites = program.cores().iter().map(|image| image.site).collect();
-        let delays: IdVec<ClassId, _> = program.classes().iter().map(delays).collect();
-        Tally {
+        let classes = program.classes();
+        let of_classes: Vec<Vec<Effect>> = classes.as_slice().par_iter().map(Effect::of_class).collect();
+        let ends = of_classes.iter().scan(0, |end, lists| Some((*end, *end += lists.len()).0));
+        let firsts: IdVec<ClassId, usize> = ends.collect();
+        let delays = classes.as_slice().par_iter().map(|class| {
+            let delays = class.inputs.lists.items().iter().map(|synapse| synapse.delay.get());
+            delays.max().unwrap_or(0)
+        });
+        let receiver = |image: &CoreImage| Receiver {
+            effects: firsts[image.class],
+            is_direct: classes[image.class].inputs.populations.is_empty(),
+            position: program.mesh().position(image.site),
+        };
+        let mut tally = Tally {
             program,
             counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
-            longest_delay: delays.iter().map(|&(_, longest)| longest.into()).max().unwrap_or(0),
-            delays,
-            kinds: program.classes().iter().map(ListKinds::new).collect(),
-            class_of: program.cores().iter().map(|image| image.class).collect(),
-            sites,
-            tables: RoutingTables::new(program),
-            kept: OnceLock::new(),
+            longest_delay: delays.max().unwrap_or(0).into(),
+            receivers: program.cores().iter().map(receiver).collect(),
+            classes: program.cores().iter().map(|image| &classes[image.class]).collect(),
+            effects: of_classes.concat(),
+            kept: None,
+        };
+        let sources = program.channels() + program.compartments();
+        let messages: usize = (0..sources).map(|source| program.messages(source).len()).sum();
+        if messages <= ALWAYS_KEPT || program.synapses_of(|_| true) <= (KEPT_TO * messages) as u64 {
+            tally.kept = Some(tally.found(sources, messages));
         }
+        tally
+    }
+
+    /// The messages, this many, of all sources.
+    fn found(&self, sources: u32, messages: usize) -> Kept {
+        let mut kept = Kept {
+            messages: Csr::with_capacity(sources as usize, messages),
+            crossed: Vec::with_capacity(sources as usize),
+        };
+        let piece = |&first: &u32| {
+            let mut piece = Kept { messages: Csr::default(), crossed: Vec::new() };
+            self.each(first..sources.min(first.saturating_add(PIECE)), |source, messages| {
+                piece.messages.push(messages.iter().copied());
+                piece.crossed.push(self.crossed(source, messages));
+            });
+            piece
+        };
+        let pieces: Vec<u32> = (0..sources).step_by(PIECE as usize).collect();
+        for some in pieces.chunks(4 * rayon::current_num_threads()) {
+            for piece in some.par_iter().map(piece).collect::<Vec<_>>() {
+                piece.messages.iter().for_each(|list| kept.messages.push(list.iter().copied()));
+                kept.crossed.extend(piece.crossed);
+            }
+        }
+        kept
     }
 
     /// The longest delay field.
@@ -182,26 +169,83 @@ impl<'p> Tally<'p> {
 
     /// Bytes of memory that it holds, the program not included.
     pub fn bytes(&self) -> usize {
-        let of = |kinds: &ListKinds| if let ListKinds::Both(dense) = kinds { size_of_val(dense.as_slice()) } else { 0 };
-        let kinds: usize = self.kinds.iter().map(|kinds| size_of::<ListKinds>() + of(kinds)).sum();
-        kinds + 4 * self.class_of.len() + size_of::<Site>() * self.sites.len() + self.tables.bytes()
+        size_of_val(self.receivers.as_slice())
+            + size_of_val(self.classes.as_slice())
+            + size_of_val(self.effects.as_slice())
+            + self.kept.as_ref().map_or(0, |Kept { messages, crossed }| {
+                size_of_val(messages.items()) + size_of_val(messages.firsts()) + size_of_val(crossed.as_slice())
+            })
     }
 
-    /// Synaptic events of a core's stored list whose delay field is below `reach`: (dense, sparse).
+    /// The list that an input axon selects.
     #[inline]
-    fn events(
-        &self,
-        (core, list): (CoreId, usize),
-        stored: &[Synapse],
-        formats: &[CoreFormat],
-        reach: u32,
-    ) -> (u64, u64) {
-        let known = if reach > self.longest_delay {
-            self.kinds[self.class_of[core]].split(list, stored.len() as u64)
-        } else {
-            None
-        };
-        known.unwrap_or_else(|| counted(stored, formats, reach))
+    fn list(&self, AxonTarget { core, axon }: AxonTarget) -> usize {
+        let axon = usize::from(axon);
+        if self.receivers[core].is_direct { axon } else { self.classes[core].inputs.selected(axon).0 }
+    }
+
+    /// Passes on each of these sources with its messages.
+    fn each(&self, sources: impl Iterator<Item = u32>, mut see: impl FnMut(u32, &[Message])) {
+        if let Some(kept) = &self.kept {
+            return sources.for_each(|source| see(source, kept.messages.get(source as usize)));
+        }
+        let mut sources = sources.peekable();
+        let (mut places, mut ends, mut messages) = (Vec::new(), Vec::new(), Vec::new());
+        while sources.peek().is_some() {
+            // All are asked for before the first is used.
+            while let Some(source) = sources.next_if(|_| places.len() < BATCH) {
+                places.extend(self.program.messages(source).map(|target| {
+                    let effect = self.receivers[target.core].effects + self.list(target);
+                    prefetch(&self.effects, effect);
+                    (target.core, effect)
+                }));
+                ends.push((source, places.len()));
+            }
+            messages.extend(places.drain(..).map(|(to, effect)| Message { to, effect: self.effects[effect] }));
+            let mut first = 0;
+            for (source, end) in ends.drain(..) {
+                see(source, &messages[first..end]);
+                first = end;
+            }
+            messages.clear();
+        }
+    }
+
+    /// The links that a source's messages cross.
+    fn crossed(&self, source: u32, messages: &[Message]) -> Crossed {
+        let from = self.core_of(source).map(|core| self.receivers[core].position);
+        let mut crossed = Crossed::default();
+        for message in messages {
+            let to = self.receivers[message.to].position;
+            let route = from.unwrap_or_else(|| self.program.mesh().corner(to)).route(to);
+            crossed.hops.add_routes(route, 1);
+            crossed.longest = crossed.longest.max(route);
+        }
+        crossed
+    }
+
+    /// Synaptic events of a source's messages, with the core that each reaches, if the synapses of
+    /// each delay field are reached this often, all of them `always` if that is so.
+    #[inline]
+    fn events<'a>(
+        &'a self,
+        (source, messages): (u32, &'a [Message]),
+        (always, times): (Option<u64>, impl Fn(u8) -> u64 + 'a),
+    ) -> impl Iterator<Item = (CoreId, Events)> + 'a {
+        messages.iter().enumerate().map(move |(place, &Message { to, effect })| {
+            let events = effect.events(always, &times).unwrap_or_else(|| {
+                let axon = self.program.messages(source).nth(place);
+                let list = axon.map_or(&[][..], |axon| self.classes[to].inputs.lists.get(self.list(axon)));
+                Events::of_list(list, &self.classes[to].formats, &times)
+            });
+            (to, events)
+        })
+    }
+
+    /// How often one spike reaches all synapses, if equally often, and those of each delay field if
+    /// deliveries reach this many steps.
+    fn once_below(&self, reach: u32) -> (Option<u64>, impl Fn(u8) -> u64 + Copy) {
+        ((reach > self.longest_delay).then_some(1), move |delay| u64::from(u32::from(delay) < reach))
     }
 
     /// The core of a source, unless it is a channel.
@@ -216,22 +260,41 @@ impl<'p> Tally<'p> {
         if reach == 0 {
             return 0;
         }
-        let events = |(_, Selected { core, list, stored, formats, .. })| {
-            let (dense, sparse) = self.events((core, list), stored, formats, reach);
-            dense + sparse
-        };
-        self.tables.resolve(sources).map(events).sum()
+        let (mut sum, (always, times)) = (0, self.once_below(reach));
+        self.each(sources, |source, messages| {
+            let events = self.events((source, messages), (always, times));
+            sum += events.map(|(_, Events { dense, sparse })| dense + sparse).sum::<u64>();
+        });
+        sum
     }
 
-    /// Adds a spike of a source that sends this many messages.
+    /// Adds what this many spikes of a source cause, whose synapses of each delay field are reached
+    /// so often, all of them `always` if that is so.
     #[inline]
-    fn add_sent(&self, source: u32, sent: u64, sum: &mut StepActivity) {
-        let core = self.core_of(source);
-        self.add_fired(core, 1, sum);
-        match core {
+    fn add_spikes(
+        &self,
+        (source, spikes): (u32, u64),
+        messages: &[Message],
+        times: (Option<u64>, impl Fn(u8) -> u64),
+        sum: &mut StepActivity,
+    ) {
+        let from = self.core_of(source);
+        self.add_fired(from, spikes, sum);
+        let sent = messages.len() as u64 * spikes;
+        match from {
             None => sum.messages_from_inputs += sent,
             Some(core) => sum.cores[core].messages_out += sent,
         }
+        for (to, Events { dense, sparse }) in self.events((source, messages), times) {
+            let core = &mut sum.cores[to];
+            core.messages_in += spikes;
+            core.events_dense += dense;
+            core.events_sparse += sparse;
+        }
+        let kept = self.kept.as_ref().map(|kept| kept.crossed[source as usize]);
+        let Crossed { hops, longest } = kept.unwrap_or_else(|| self.crossed(source, messages));
+        sum.hops += hops.times(spikes);
+        sum.longest = sum.longest.max(longest);
     }
 
     /// Adds spikes of a core, or of channels. A core's spikes are counted where it is held; its
@@ -244,174 +307,51 @@ impl<'p> Tally<'p> {
         }
     }
 
-    /// What each message of these sources causes, with its source, counting synapses whose delay
-    /// field is below `reach`.
-    fn each_caused(&self, sources: impl Iterator<Item = u32>, reach: u32, mut see: impl FnMut(u32, Caused)) {
-        let mesh = self.program.mesh();
-        for (source, Selected { core, list, stored, formats, .. }) in self.tables.resolve(sources) {
-            let from = self.core_of(source).map(|core| self.sites[core]);
-            let (dense, sparse) = self.events((core, list), stored, formats, reach);
-            let to = self.sites[core];
-            let route = from.map_or_else(|| mesh.route_from_corner(to), |from| mesh.route(from, to));
-            // A list has no more synapses than an index counts.
-            see(source, Caused { core, dense: dense as u32, sparse: sparse as u32, route });
-        }
-    }
-
-    /// What the messages of each source cause, if these are few.
-    fn kept(&self) -> Option<&Csr<Caused>> {
-        let kept = self.kept.get_or_init(|| {
-            let sources = 0..self.program.channels() + self.program.compartments();
-            let messages = sources.clone().map(|source| self.tables.messages(source).len());
-            messages.scan(0, |sum, count| Some((*sum += count, *sum).1)).all(|sum| sum <= MOST_KEPT).then(|| {
-                let mut all = Vec::new();
-                self.each_caused(sources.clone(), u32::MAX, |source, caused| all.push((source as usize, caused)));
-                Csr::by_row(sources.len(), |put| all.iter().for_each(|&(source, caused)| put(source, caused)))
-            })
-        });
-        kept.as_ref()
-    }
-
     /// Adds what one spike of each of these sources causes, counting synapses whose delay field is
     /// below `reach`.
-    fn add_each(&self, sources: impl Iterator<Item = u32>, reach: u32, sum: &mut StepActivity) {
-        let Some(kept) = self.kept().filter(|_| reach > self.longest_delay) else {
-            let sent: Vec<(u32, usize)> = sources.map(|source| (source, self.tables.messages(source).len())).collect();
-            for &(source, messages) in &sent {
-                self.add_sent(source, messages as u64, sum);
-            }
-            let caused = |part: &[(u32, usize)], sum: &mut StepActivity| {
-                self.each_caused(part.iter().map(|sent| sent.0), reach, |_, caused| caused.add(1, sum));
-            };
-            if sent.iter().map(|sent| sent.1).sum::<usize>() < SHARED.max(self.sites.len()) {
-                return caused(&sent, sum);
-            }
-            let parts = sent.par_chunks(sent.len().div_ceil(rayon::current_num_threads()));
-            let parts = parts.map(|part| {
-                let mut of_part = StepActivity::new(self.sites.len());
-                caused(part, &mut of_part);
-                of_part
-            });
-            return parts.collect::<Vec<_>>().iter().for_each(|part| sum.merge(part));
+    fn add_each(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
+        let messages: usize = sources.clone().map(|source| self.program.messages(source).len()).sum();
+        let add = |source: u32, messages: &[Message], sum: &mut StepActivity| {
+            self.add_spikes((source, 1), messages, self.once_below(reach), sum);
         };
-        for source in sources {
-            let messages = kept.get(source as usize);
-            self.add_sent(source, messages.len() as u64, sum);
-            messages.iter().for_each(|caused| caused.add(1, sum));
+        if messages < SHARED.max(self.receivers.len()) {
+            return self.each(sources, |source, messages| add(source, messages, sum));
         }
+        let sources: Vec<u32> = sources.collect();
+        let parts = sources.par_chunks(sources.len().div_ceil(rayon::current_num_threads()));
+        let parts = parts.map(|part| {
+            let mut of_part = StepActivity::new(self.receivers.len());
+            self.each(part.iter().copied(), |source, messages| add(source, messages, &mut of_part));
+            of_part
+        });
+        parts.collect::<Vec<_>>().iter().for_each(|part| sum.merge(part));
     }
 
     /// What these spikes cause.
     pub(crate) fn sum(&self, fired: Fired<'_>) -> StepActivity {
-        let cores = self.sites.len();
-        let inputs = |core: usize| self.program.class_of(CoreId::new(core)).inputs.len();
-        let mut sum = StepActivity::new(cores);
+        let (cores, sources) = (self.receivers.len(), fired.spikes.len() as u32);
         // Each thread has counts for all cores, so it takes at least as many sources.
-        let parts = (fired.spikes.len() / cores.max(1)).clamp(1, rayon::current_num_threads());
-        let mut begin = 0;
-        while begin < cores {
-            // The next cores, at least one, with the first axon of each and the end of the last.
-            let mut firsts = vec![0];
-            while begin + firsts.len() <= cores && (firsts.len() == 1 || firsts[firsts.len() - 1] < NOTED) {
-                firsts.push(firsts[firsts.len() - 1] + inputs(begin + firsts.len() - 1));
-            }
-            let sources: Vec<AtomicU32> = (0..firsts[firsts.len() - 1]).map(|_| AtomicU32::new(SILENT)).collect();
-            let senders = |part: usize| (cores + 1) * part / parts..(cores + 1) * (part + 1) / parts;
-            let sent = |part| self.sent(senders(part), (begin, &firsts), fired, &sources);
-            let sent: Vec<StepActivity> = (0..parts).into_par_iter().map(sent).collect();
-            sent.iter().for_each(|part| sum.merge(part));
-            let receivers = &mut sum.cores.as_mut_slice()[begin..begin + firsts.len() - 1];
-            receivers.par_iter_mut().zip(firsts.par_windows(2)).enumerate().for_each(|(place, (counts, axons))| {
-                let events = self.received(CoreId::new(begin + place), &sources[axons[0]..axons[1]], fired);
-                (counts.events_dense, counts.events_sparse) = events;
-            });
-            begin += firsts.len() - 1;
-        }
+        let part = sources.div_ceil(rayon::current_num_threads() as u32).max(cores as u32);
+        let parts = (0..sources.div_ceil(part)).into_par_iter();
+        let sums = parts.map(|at| self.sum_of(part * at..sources.min(part * (at + 1)), fired));
+        let mut sum = StepActivity::new(cores);
+        sums.collect::<Vec<_>>().iter().for_each(|part| sum.merge(part));
         sum
     }
 
-    /// What the spikes of some senders cause before they are received by the cores from `begin` on,
-    /// whose axons begin at `firsts`; there the source of each message is noted. Sender 0 is the
-    /// channels, the others are the cores.
-    fn sent(
-        &self,
-        senders: Range<usize>,
-        (begin, firsts): (usize, &[usize]),
-        fired: Fired<'_>,
-        sources: &[AtomicU32],
-    ) -> StepActivity {
-        let (mesh, mut sum) = (self.program.mesh(), StepActivity::new(self.sites.len()));
-        let (mut messages, mut reached) = (vec![0; firsts.len() - 1], Vec::new());
-        for sender in senders {
-            let core = sender.checked_sub(1).map(CoreId::new);
-            let channels = 0..if core.is_none() { self.program.channels() } else { 0 };
-            let ids = core.map_or(&[][..], |core| &self.program.cores()[core].ids);
-            let compartments = ids.iter().map(|id| self.program.channels() + id.0);
-            for source in channels.chain(compartments) {
-                let times = u64::from(fired.spikes[source as usize]);
-                if times == 0 {
-                    continue;
-                }
-                if begin == 0 {
-                    self.add_fired(core, times, &mut sum);
-                }
-                for target in self.tables.messages(source) {
-                    let Some(place) = target.core.index().checked_sub(begin).filter(|&at| at < messages.len()) else {
-                        continue;
-                    };
-                    if messages[place] == 0 {
-                        reached.push(place);
-                    }
-                    messages[place] += times;
-                    sources[firsts[place] + usize::from(target.axon)].store(source, Ordering::Relaxed);
-                }
-            }
-            for place in reached.drain(..) {
-                let (to, count) = (CoreId::new(begin + place), std::mem::take(&mut messages[place]));
-                sum.cores[to].messages_in += count;
-                match core {
-                    None => sum.messages_from_inputs += count,
-                    Some(core) => sum.cores[core].messages_out += count,
-                }
-                let site = self.sites[to];
-                let route = |core| mesh.route(self.sites[core], site);
-                sum.add_routes(core.map_or_else(|| mesh.route_from_corner(site), route), count);
-            }
-        }
-        sum
-    }
-
-    /// Synaptic events at a core whose input axons have these sources: (dense, sparse).
-    fn received(&self, core: CoreId, sources: &[AtomicU32], fired: Fired<'_>) -> (u64, u64) {
-        let (class, delays) = (self.class_of[core], self.longest_delay as usize + 1);
-        let CoreClass { inputs, formats, .. } = self.program.class_of(core);
-        let is_sparse: Vec<bool> = formats.iter().map(|format| !is_dense(format)).collect();
-        let mut events = [0; 2];
-        for (axon, source) in sources.iter().enumerate() {
-            let source = source.load(Ordering::Relaxed) as usize;
-            if let Some(far) = sources.get(axon + PREFETCH_AXONS) {
-                prefetch(fired.lost, (far.load(Ordering::Relaxed) as usize).wrapping_mul(delays));
-            }
-            let Some(&times) = fired.spikes.get(source) else { continue };
-            let (list, _) = inputs.selected(axon);
-            let stored = inputs.lists.get(list);
-            let lost = fired.lost.get(source * delays..(source + 1) * delays).unwrap_or_default();
-            let delivered = |delay: u8| u64::from(times - lost.get(usize::from(delay)).copied().unwrap_or(0));
+    /// What the spikes of some sources cause.
+    fn sum_of(&self, sources: Range<u32>, fired: Fired<'_>) -> StepActivity {
+        let (mut sum, delays) = (StepActivity::new(self.receivers.len()), self.longest_delay as usize + 1);
+        let fires = |source: &u32| fired.spikes[*source as usize] > 0;
+        self.each(sources.filter(fires), |source, messages| {
+            let (spikes, first) = (u64::from(fired.spikes[source as usize]), source as usize * delays);
+            let lost = fired.lost.get(first..first + delays).unwrap_or_default();
             // Later deliveries lose at least as many.
-            let (shortest, longest) = self.delays[class];
-            let alike = delivered(shortest) == delivered(longest);
-            match self.kinds[class].split(list, stored.len() as u64).filter(|_| alike) {
-                Some((dense, sparse)) => {
-                    events[0] += dense * delivered(shortest);
-                    events[1] += sparse * delivered(shortest);
-                }
-                None => stored.iter().for_each(|synapse| {
-                    let sparse = is_sparse[usize::from(synapse.format)];
-                    events[usize::from(sparse)] += delivered(synapse.delay.get());
-                }),
-            }
-        }
-        (events[0], events[1])
+            let always = lost.last().is_none_or(|&lost| lost == 0).then_some(spikes);
+            let times = |delay: u8| spikes - u64::from(lost.get(usize::from(delay)).copied().unwrap_or(0));
+            self.add_spikes((source, spikes), messages, (always, times), &mut sum);
+        });
+        sum
     }
 
     /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one
@@ -440,19 +380,4 @@ impl<'p> Tally<'p> {
             counts.visited += image.ids.len() as u64 * steps;
         }
     }
-}
-
-/// Synapses of a stored list whose delay field is below `reach`, one by one: (dense, sparse).
-#[inline]
-fn counted(stored: &[Synapse], formats: &[CoreFormat], reach: u32) -> (u64, u64) {
-    let (mut dense, mut sparse) = (0, 0);
-    for synapse in stored {
-        if u32::from(synapse.delay.get()) < reach {
-            match is_dense(&formats[usize::from(synapse.format)]) {
-                true => dense += 1,
-                false => sparse += 1,
-            }
-        }
-    }
-    (dense, sparse)
 }

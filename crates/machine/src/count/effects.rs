@@ -1,0 +1,125 @@
+//! What a message causes at the core that it reaches: events of dense and of sparse synapses.
+//!
+//! Input: the lists of a class of cores. Output: [`Effect`], 32 bits for each list. The messages of
+//! a core's spikes find them in the cache: neighbouring sources select lists side by side.
+
+use nsim_ir::program::{CoreClass, CoreFormat, Synapse};
+
+/// Whether lists of this format carry no index: their targets are consecutive.
+fn is_dense(format: &CoreFormat) -> bool {
+    format.index_bits.is_none()
+}
+
+/// Synaptic events of dense and of sparse synapses.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Events {
+    pub dense: u64,
+    pub sparse: u64,
+}
+
+impl Events {
+    /// Of a list whose synapses of each delay field are reached this often.
+    pub fn of_list(list: &[Synapse], formats: &[CoreFormat], times: impl Fn(u8) -> u64) -> Self {
+        let mut events = Events::default();
+        for synapse in list {
+            let of_kind = match is_dense(&formats[usize::from(synapse.format)]) {
+                true => &mut events.dense,
+                false => &mut events.sparse,
+            };
+            *of_kind += times(synapse.delay.get());
+        }
+        events
+    }
+}
+
+/// What reaching a list causes: how many of its synapses are dense, how many sparse, and their delay
+/// field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Effect(u32);
+
+impl Effect {
+    /// Bits of the number of dense synapses, and of the number of sparse ones.
+    const COUNT_BITS: u32 = 13;
+    /// Synapses that differ in their delay field, which is at most 62.
+    const SEVERAL: u32 = 63;
+    /// More synapses than the bits hold: the list has to be read.
+    const READ: Self = Effect(u32::MAX);
+
+    /// Of each list of a class.
+    pub fn of_class(class: &CoreClass) -> Vec<Self> {
+        class.inputs.lists.iter().map(|list| Effect::new(list, &class.formats)).collect()
+    }
+
+    fn new(list: &[Synapse], formats: &[CoreFormat]) -> Self {
+        let Events { dense, sparse } = Events::of_list(list, formats, |_| 1);
+        if dense.max(sparse) >= (1 << Effect::COUNT_BITS) - 1 {
+            return Effect::READ;
+        }
+        let delay = list.first().map_or(0, |first| first.delay.get());
+        let is_same = list.iter().all(|synapse| synapse.delay.get() == delay);
+        let delay = if is_same { delay.into() } else { Effect::SEVERAL };
+        Effect(delay << (2 * Effect::COUNT_BITS) | (dense as u32) << Effect::COUNT_BITS | sparse as u32)
+    }
+
+    /// Events of the list if its synapses of each delay field are reached this often, all of them
+    /// `always` if that is so; `None` where the list has to be read.
+    #[inline]
+    pub fn events(self, always: Option<u64>, times: impl Fn(u8) -> u64) -> Option<Events> {
+        let delay = self.0 >> (2 * Effect::COUNT_BITS);
+        let times = match always {
+            _ if self == Effect::READ => return None,
+            Some(always) => always,
+            None if delay == Effect::SEVERAL => return None,
+            None => times(delay as u8),
+        };
+        let count = |shift: u32| u64::from(self.0 >> shift & ((1 << Effect::COUNT_BITS) - 1));
+        Some(Events { dense: count(Effect::COUNT_BITS) * times, sparse: count(0) * times })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};
+    use nsim_ir::base::rng;
+    use nsim_ir::neurons::Port;
+    use nsim_ir::quantised::connectivity::SynapseFormat;
+
+    /// Lists of every length about the limits, of one delay field or of several.
+    #[test]
+    fn effects_are_what_lists_hold() {
+        let (exponent, bits) = (WeightExponent::new(0).unwrap(), WeightBits::new(8).unwrap());
+        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First, apart: None };
+        let format = |index_bits| CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None };
+        let formats = [format(None), format(Some(4))];
+        let mut read = 0;
+        for (case, length) in [0u64, 1, 2, 3, 60, 8_190, 8_191, 8_192, 20_000].into_iter().cycle().take(200).enumerate()
+        {
+            let draw = |below, what, index| rng::below(below, case as u64, what, index);
+            let (delays, kinds) = (draw(3, 0, 0) + 1, draw(3, 1, 0));
+            let list: Vec<Synapse> = (0..length)
+                .map(|index| Synapse {
+                    slot: 0,
+                    weight: 1,
+                    format: if kinds == 2 { draw(2, 2, index) } else { kinds } as u8,
+                    delay: Delay::new([62, 0, 5][draw(delays, 3, index) as usize]).unwrap(),
+                })
+                .collect();
+            let effect = Effect::new(&list, &formats);
+            for reach in [0, 1, 6, 63] {
+                let times = |delay: u8| if delay < reach { 3 } else { 0 };
+                let expected = Events::of_list(&list, &formats, times);
+                let always = match reach {
+                    0 => Some(0),
+                    63 => Some(3),
+                    _ => None,
+                };
+                match effect.events(always, times) {
+                    Some(events) => assert_eq!(events, expected, "{case} {reach}"),
+                    None => read += 1,
+                }
+            }
+        }
+        assert!((100..400).contains(&read), "{read} of 800 are read");
+    }
+}
