@@ -3,8 +3,8 @@
 //! The rule, for a network N and a program P with the same numbers of channels and compartments:
 //!
 //! 1. *Parameters.* For every compartment n, with (c, s) = seat(n): `P.cores[c].ids[s] = n`, and
-//!    the neuron's fields and start step at (c, s) are those that N gives n. The parent of n has the
-//!    seat (c, s + 1).
+//!    the neuron's fields and start step at (c, s) are those that N gives n. The parent of n has
+//!    the seat (c, s + 1).
 //! 2. *Synapses.* For every source s, let R(s) be the multiset of (target, format, weight, delay)
 //!    over all synapses of all projections from s in N, and D(s) the multiset of (`ids[slot]`,
 //!    format, weight, delay) over all synapses of all lists that the messages of s lead to in P,

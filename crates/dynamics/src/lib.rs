@@ -63,8 +63,8 @@ pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     }
 }
 
-/// One update of a compartment of a neuron of several. `stack` is what its child pushed, then what it
-/// pushes itself; 0 where there is none.
+/// One update of a compartment of a neuron of several. `stack` is what its child pushed, then what
+/// it pushes itself; 0 where there is none.
 #[inline]
 pub fn update_joined(r: Registers, arrived: i32, f: &Fields, stack: &mut i32) -> (Registers, Effect) {
     let (Some(Role::Add) | None) = f.neuron.stack.pops;

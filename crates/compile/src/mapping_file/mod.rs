@@ -118,8 +118,8 @@ pub fn load(
 /// The partition of these members on cores at these sites, counted exactly.
 ///
 /// # Errors
-/// [`CompileError::Fault`] when a compartment is not on exactly one core; [`CompileError::Input`] when
-/// one is not next to its parent; [`CompileError::DoesNotFit`] when a core exceeds a limit.
+/// [`CompileError::Fault`] when a compartment is not on exactly one core; [`CompileError::Input`]
+/// when one is not next to its parent; [`CompileError::DoesNotFit`] when a core exceeds a limit.
 pub fn partition_on(
     all: &Quantised,
     members: Members,

@@ -32,8 +32,8 @@ impl Events {
     }
 }
 
-/// What reaching a list causes: how many of its synapses are dense, how many sparse, and their delay
-/// field.
+/// What reaching a list causes: how many of its synapses are dense, how many sparse, and their
+/// delay field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Effect(u32);
 

@@ -6,8 +6,8 @@
 //! step that they enter: the cores receive it before the barrier that ends that step. A payload
 //! changes no count.
 //!
-//! What a message causes is known of its list (`effects`). Only near a sample's end, where deliveries
-//! fall after it, are synapses of several delay fields counted one by one.
+//! What a message causes is known of its list (`effects`). Only near a sample's end, where
+//! deliveries fall after it, are synapses of several delay fields counted one by one.
 //!
 //! A run is counted once, source by source (`Tally::sum`), and a step spike by spike.
 
