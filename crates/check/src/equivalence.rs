@@ -86,8 +86,9 @@ pub enum Difference {
     },
 }
 
-/// One synapse as both sides encode it, in one number, so that sorting is quick: sum apart (9
-/// bits), port (1), target (27), exponent (5), sign mode (2), bits (4), delay (6), weight (10).
+/// One synapse as both sides encode it, in one number, so that sorting is quick: plastic (1 bit),
+/// sum apart (8), port (1), target (27), exponent (5), sign mode (2), bits (4), delay (6), weight
+/// (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct SynapseCode(u64);
 
@@ -103,7 +104,7 @@ impl SynapseCode {
         // A number is below 64.
         let apart = format.apart.map_or(0, |apart| 1 + 2 * u64::from(apart.number) + u64::from(apart.wraps));
         let port = apart << 1 | format.port.index() as u64;
-        SynapseCode(port << 54 | (code << 4 | u64::from(format.bits.get())) << 16)
+        SynapseCode(u64::from(format.plastic) << 63 | port << 54 | (code << 4 | u64::from(format.bits.get())) << 16)
     }
 
     /// A synapse of this format.

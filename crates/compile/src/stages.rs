@@ -23,7 +23,7 @@ use nsim_ir::mapping::MappingFile;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Mesh, Placement, Site};
-use nsim_ir::quantised::{Note, Parts, Quantised, Units};
+use nsim_ir::quantised::{Inconsistent, Note, Parts, Quantised, Units};
 use nsim_ir::resource::Resource;
 use nsim_partition::error::{CompileError, Result};
 use nsim_partition::form::Form;
@@ -118,10 +118,15 @@ impl Front {
     /// The network without what the plan makes superfluous.
     ///
     /// # Errors
-    /// [`CompileError::Fault`] when the plan is of another network, or the network has been pruned
-    /// already.
+    /// [`CompileError::Input`] when a projection is plastic; [`CompileError::Fault`] when the plan
+    /// is of another network, or the network has been pruned already.
     pub fn prune(mut self, plan: &Plan) -> Result<Front> {
-        self.one = self.clock.stage("prune", || prune(&self.one, plan)).map_err(CompileError::fault)?;
+        let is_plastic = self.one.plastic().next().is_some();
+        let refused = |error: Inconsistent| match is_plastic {
+            true => Diagnostic::new("map.prune", error.to_string()).help("leave --prune out").into(),
+            false => CompileError::fault(error),
+        };
+        self.one = self.clock.stage("prune", || prune(&self.one, plan)).map_err(refused)?;
         Ok(self)
     }
 

@@ -73,6 +73,19 @@ pub fn units(synapse: &Synapse, formats: &[CoreFormat]) -> i32 {
     scaled(formats[usize::from(synapse.format)].synapse, synapse.weight) >> WEIGHT_SHIFT
 }
 
+/// The greatest magnitude of what a binary spike may add over a synapse, in units of 64: any weight
+/// of its format may be written to a plastic one.
+#[inline]
+pub fn greatest_units(synapse: &Synapse, formats: &[CoreFormat]) -> u32 {
+    let format = formats[usize::from(synapse.format)].synapse;
+    if !format.plastic {
+        return units(synapse, formats).unsigned_abs();
+    }
+    let (low, high) = format.sign.range(format.bits);
+    let of_weight = |weight| (scaled(format, weight) >> WEIGHT_SHIFT).unsigned_abs();
+    of_weight(low).max(of_weight(high))
+}
+
 /// Whether a population with this start step returns to zero before the update of `step`.
 #[inline]
 pub fn falls_on(reset: Reset, step: u32, start_step: u32) -> bool {

@@ -10,6 +10,7 @@
 //! - `count/`: what spikes cause on the chip.
 //! - `ranks/`: one program run by several processes, each of which holds a part and has a machine
 //!   for it.
+//! - `plastic/`: synapses whose weights a run may change.
 //! - `store`, `bits`: memory aligned for the caches, and sets of bits.
 
 mod bits;
@@ -17,6 +18,7 @@ pub(crate) mod count;
 pub(crate) mod deliver;
 mod exchange;
 pub mod layout;
+pub mod plastic;
 pub mod ranks;
 mod store;
 pub mod update;
@@ -27,6 +29,7 @@ use rayon::prelude::*;
 
 use crate::count::spike_counts::SpikeCounts;
 pub use crate::layout::image::{Image, ImageError};
+use crate::plastic::places::PlasticPlace;
 use crate::ranks::exchange::Exchange;
 use crate::ranks::transport::Ranks;
 use crate::update::state::{Phase, ShardState, StepInput};
@@ -156,6 +159,20 @@ impl Machine {
     pub fn skipped_updates(&self) -> u64 {
         let computed: u64 = self.shards.iter().map(|state| state.visited).sum();
         self.totals.compartment_updates - computed
+    }
+
+    /// The weight of a plastic synapse, 0 where another process holds it.
+    pub fn weight(&self, place: PlasticPlace) -> i16 {
+        place.map_or(0, |(shard, place)| self.shards[shard as usize].plastic[place as usize])
+    }
+
+    /// Sets the weight of a plastic synapse, which must fit its format, if it is of this process:
+    /// from the next step on, also for spikes of compartments in the last. [`Engine::begin`] takes
+    /// it back.
+    pub fn set_weight(&mut self, place: PlasticPlace, weight: i16) {
+        if let Some((shard, place)) = place {
+            self.shards[shard as usize].plastic[place as usize] = weight;
+        }
     }
 
     /// Whether nothing will happen until the next input spike.

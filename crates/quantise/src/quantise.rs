@@ -172,7 +172,14 @@ impl Stage<'_> {
                 .error("model.synapse-format", message, bits.span)
                 .help("1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
         }
-        Ok(SynapseFormat { exponent, sign: projection.sign, bits: width, port: projection.port, apart: None })
+        Ok(SynapseFormat {
+            exponent,
+            sign: projection.sign,
+            bits: width,
+            port: projection.port,
+            apart: None,
+            plastic: false,
+        })
     }
 
     /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each

@@ -5,7 +5,8 @@
 //! which every compartment that had more sends to relays, which are populations of their own behind
 //! the others, so that all numbers of the original stay. What relays do not change is for
 //! `nsim_check::relays` to prove, which shares nothing with this. Errors: delays
-//! that leave no time for relays; graded spikes, which a relay does not carry.
+//! that leave no time for relays; graded spikes, which a relay does not carry; plastic projections,
+//! whose synapses stay together.
 //!
 //! A relay is a compartment without memory that spikes in the step in which its only synapse brings
 //! a spike, whatever was before. It so takes a spike one step later: over a relay a synapse of
@@ -226,6 +227,11 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
     if needs.is_empty() {
         return Ok(None);
     }
+    if let Some((_, Projection { name, .. })) = network.plastic().next() {
+        let message =
+            format!("projection {name} is plastic, and its synapses would no longer be those of one projection");
+        return Err(refused(message).help("give no compartment more targets than it has output axons"));
+    }
     let semantics = network.parts().semantics;
     if semantics != Semantics::Hardware {
         return Err(refused(format!("relays are known in the chip's semantics only, not in {semantics:?}")));
@@ -287,6 +293,7 @@ const RELAY_FORMAT: SynapseFormat = SynapseFormat {
     bits: WeightBits::MAX,
     port: Port::First,
     apart: None,
+    plastic: false,
 };
 
 /// One synapse from each unit to the unit of the same number, whose spike makes a relay spike.

@@ -68,7 +68,7 @@ pub fn plain_format() -> SynapseFormat {
 /// A format.
 pub fn format(exponent: i64, sign: SignMode, bits: i64) -> SynapseFormat {
     let (exponent, bits) = (WeightExponent::new(exponent).unwrap(), WeightBits::new(bits).unwrap());
-    SynapseFormat { exponent, sign, bits, port: Port::First, apart: None }
+    SynapseFormat { exponent, sign, bits, port: Port::First, apart: None, plastic: false }
 }
 
 /// The synapses of each source, by target and weight.

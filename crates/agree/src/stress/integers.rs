@@ -98,6 +98,7 @@ impl Plan {
                     bits: WeightBits::new(8)?,
                     port: Port::First,
                     apart: None,
+                    plastic: false,
                 },
                 delay: Delay::new(link.delay.into())?,
                 connectivity: Connectivity::Dense { targets: count, weights: link.weights.concat().into() },

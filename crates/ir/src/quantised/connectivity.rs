@@ -28,6 +28,9 @@ pub struct SynapseFormat {
     /// The sum of its own that it adds to first; none for what is added to the port as it is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub apart: Option<Apart>,
+    /// Whether a run may change weights, each by itself, between steps.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub plastic: bool,
 }
 
 /// A sum that is narrowed before it is added to its port: of what arrives at a compartment in a
@@ -112,6 +115,11 @@ impl Connectivity {
             Connectivity::SumPool2d { weight, .. } => all(&[*weight]),
             Connectivity::Random { low, high, step, .. } => all(&[*low, if low < high { *step } else { 0 }]),
         }
+    }
+
+    /// Whether several synapses have one weight, that of a kernel.
+    pub fn shares_weights(&self) -> bool {
+        matches!(self, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. })
     }
 
     /// Number of synapses of this many sources together.

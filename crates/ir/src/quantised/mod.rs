@@ -416,8 +416,8 @@ impl Quantised {
     ///
     /// # Errors
     /// [`Inconsistent`] when units are not numbered in order, an array has another size than its
-    /// populations, a weight is not in its format, an endpoint does not exist, a target is an input
-    /// or a population cannot be the child of another.
+    /// populations, a weight is not in its format, an endpoint does not exist, a target is an
+    /// input, a projection cannot be plastic or a population cannot be the child of another.
     pub fn new(mut parts: Parts) -> Result<Self, Inconsistent> {
         let (mut channels, mut compartments) = (0u32, 0u32);
         for population in &parts.populations {
@@ -450,8 +450,15 @@ impl Quantised {
         join_children(&mut parts)?;
         let none = || parts.populations.iter().map(|_| Vec::new()).collect();
         let (mut outgoing, mut incoming): (IdVec<_, Vec<_>>, IdVec<_, Vec<_>>) = (none(), none());
+        let mut plastic = BTreeSet::new();
         for (id, projection) in parts.projections.enumerate() {
             check_projection(&parts, projection)?;
+            let Projection { name, source, target, format, delay, .. } = projection;
+            if format.plastic && !plastic.insert((*source, *target, *format, *delay)) {
+                let what = "another plastic projection has its ends, format and delay, so that synapses of the two \
+                            could not be told apart; make them one, or give one another delay";
+                return Err(Inconsistent(format!("projection {name}: {what}")));
+            }
             outgoing[projection.source].push(id);
             incoming[projection.target].push(id);
         }
@@ -591,6 +598,11 @@ impl Quantised {
     /// Compartments of all populations.
     pub fn compartments(&self) -> u32 {
         self.compartments
+    }
+
+    /// Projections whose weights a run may change, in the order of the file.
+    pub fn plastic(&self) -> impl Iterator<Item = (ProjectionId, &Projection)> {
+        self.parts.projections.enumerate().filter(|(_, projection)| projection.format.plastic)
     }
 
     /// Projections that leave a population, in the order of the file.
@@ -743,9 +755,12 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
     if exponent < WeightExponent::ZERO
         && apart.is_none()
         && neurons.any(|neuron| !neuron.kind.table().registers)
-        && !projection.connectivity.all_multiples_of(exponent.lost())
+        && (projection.format.plastic || !projection.connectivity.all_multiples_of(exponent.lost()))
     {
         return Err(wrong("weights lose bits on their way to neurons that sum them as they are"));
+    }
+    if projection.format.plastic && projection.connectivity.shares_weights() {
+        return Err(wrong("plastic weights of a kernel would be those of many synapses; list the synapses one by one"));
     }
     projection.connectivity.check(projection.format, source.shape, target.shape).map_err(wrong)
 }

@@ -89,7 +89,8 @@ mod tests {
     #[test]
     fn effects_are_what_lists_hold() {
         let (exponent, bits) = (WeightExponent::new(0).unwrap(), WeightBits::new(8).unwrap());
-        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First, apart: None };
+        let synapse =
+            SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First, apart: None, plastic: false };
         let format = |index_bits| CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None };
         let formats = [format(None), format(Some(4))];
         let mut read = 0;

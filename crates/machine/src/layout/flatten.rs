@@ -3,8 +3,9 @@
 //!
 //! Input: a [`Program`], and the lane of each compartment. Output: for each shard and delay, source
 //! after source, the rows of weights ([`RowBuilder`]) and the synapses that are in none
-//! ([`ListBuilder`]), in the order of the source's messages and their lists. Threads take
-//! consecutive sources; their results are joined in the order of sources.
+//! ([`ListBuilder`]), in the order of the source's messages and their lists; plastic synapses are
+//! not among them. Threads take consecutive sources; their results are joined in the order of
+//! sources.
 
 use std::ops::Range;
 
@@ -16,7 +17,7 @@ use crate::layout::sums::Sums;
 use crate::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
 use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::id::Id;
-use nsim_ir::program::Program;
+use nsim_ir::program::{Program, Synapse};
 
 /// Sources that a thread takes at a time.
 const PIECE: u32 = 1_024;
@@ -150,7 +151,8 @@ impl<'a> Flattener<'a> {
                         (place(shard, row.delay), row.synapses, RowPlace::new(lane - self.bases[shard], row.row))
                     }));
                 } else {
-                    synapses.extend(selected.stored.iter().map(|synapse| {
+                    let stays = |synapse: &&Synapse| !selected.formats[usize::from(synapse.format)].synapse.plastic;
+                    synapses.extend(selected.stored.iter().filter(stays).map(|synapse| {
                         let format = selected.formats[usize::from(synapse.format)].synapse;
                         let slot = usize::from(selected.base) + usize::from(synapse.slot);
                         let sum = self.sums.offset(ids[slot], format, synapse.delay.get());
@@ -203,7 +205,7 @@ mod tests {
     use nsim_ir::placement::{Mesh, Site};
     use nsim_ir::program::{
         AxonTarget, AxonsOut, Compartment, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, Parts,
-        PopulationAxon, Stored, Synapse,
+        PopulationAxon, Stored,
     };
     use nsim_ir::quantised::Neuron;
     use nsim_ir::quantised::connectivity::SynapseFormat;
@@ -215,7 +217,7 @@ mod tests {
     fn format(exponent: i64, index_bits: Option<u8>) -> CoreFormat {
         let exponent = WeightExponent::new(exponent).unwrap();
         let (bits, port) = (WeightBits::new(8).unwrap(), Port::First);
-        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port, apart: None };
+        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port, apart: None, plastic: false };
         CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
     }
 

@@ -20,6 +20,7 @@ use crate::layout::lane_order::LaneOrder;
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::layout::sums::{Sums, stride};
 use crate::layout::weight_rows::{ProgramRows, WeightRows};
+use crate::plastic::synapses::PlasticSynapses;
 use crate::update::kernel::{LANES, Shared};
 use nsim_dynamics as neuron;
 use nsim_dynamics::Fields;
@@ -158,6 +159,8 @@ impl Image {
         image.split_into_shards(blocks, &sums, shards);
         image.name();
         image.connect(&sums)?;
+        let plastic = PlasticSynapses::by_shard(program, &image.lanes, &image.bases, &sums);
+        image.shards.iter_mut().zip(plastic).for_each(|(shard, plastic)| shard.plastic = plastic);
         let from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments.by_delay);
         let first = from_compartments.flat_map(|fan_out| &fan_out.dense.blocks).map(|block| block.first).min();
         image.has_blocks = first.is_some();
@@ -369,8 +372,7 @@ impl Image {
         for (class, first) in self.program.classes().iter().zip(&self.program.first_cores()) {
             let mut weight = vec![0u64; class.compartments.len()];
             for synapse in class.inputs.synapses() {
-                let units = arithmetic::units(&synapse, &class.formats).unsigned_abs();
-                weight[usize::from(synapse.slot)] += u64::from(units);
+                weight[usize::from(synapse.slot)] += u64::from(arithmetic::greatest_units(&synapse, &class.formats));
             }
             if let Some(slot) = weight.iter().position(|&weight| weight.saturating_mul(factor) >= 1 << bits) {
                 return Err(ImageError::FanIn(self.program.cores()[*first].ids[slot], bits));

@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use crate::layout::fan_out::FanOuts;
 use crate::layout::sums::Sum;
+use crate::plastic::synapses::PlasticSynapses;
 use nsim_dynamics::kinds::{CHUNK, Updater};
 use nsim_ir::base::id::{CompartmentId, CoreId};
 
@@ -116,6 +117,8 @@ pub(crate) struct Shard {
     pub from_channels: FanOuts,
     /// Synapses of compartments.
     pub from_compartments: FanOuts,
+    /// Synapses whose weights a run may change, of both.
+    pub plastic: PlasticSynapses,
 }
 
 impl Shard {
@@ -134,5 +137,6 @@ impl Shard {
             + size_of_val(self.words.as_slice())
             + self.from_channels.bytes()
             + self.from_compartments.bytes()
+            + self.plastic.bytes()
     }
 }

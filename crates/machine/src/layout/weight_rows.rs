@@ -298,7 +298,7 @@ impl CoreRows {
 }
 
 /// The rows of an input axon: rank of the first lane, delay, weights. `None` where they would cost
-/// more than the synapses one by one, or do not fit.
+/// more than the synapses one by one, or do not fit, or a weight may change.
 fn rows_of(
     axon: Selected<'_>,
     ranks: &[u16],
@@ -306,6 +306,9 @@ fn rows_of(
     scratch: &mut Vec<(u8, u16, i16)>,
 ) -> Option<Vec<(u16, u8, Content)>> {
     scratch.clear();
+    if axon.stored.iter().any(|s| formats[usize::from(s.format)].synapse.plastic) {
+        return None;
+    }
     let rank = |s: &Synapse| ranks[usize::from(s.slot + axon.base)];
     scratch.extend(axon.stored.iter().map(|s| (s.delay.get(), rank(s), units(s, formats) as i16)));
     if !scratch.is_sorted_by_key(|&(delay, rank, _)| (delay, rank)) {
@@ -587,6 +590,7 @@ mod tests {
             bits: WeightBits::new(8).unwrap(),
             port: Default::default(),
             apart: None,
+            plastic: false,
         };
         CoreFormat { synapse, delay_bits: 6, index_bits: Some(4), skip_bits: None }
     }

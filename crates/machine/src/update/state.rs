@@ -91,6 +91,8 @@ pub(crate) struct CompartmentState {
     hold: Vec<u8>,
     /// The state of compartments of words, block after block.
     words: Vec<[i32; CHUNK]>,
+    /// The weights of the shard's plastic synapses.
+    pub(crate) plastic: Vec<i16>,
     /// What the last message of each lane carries; empty if sums of 32 bits do.
     pub(super) sent: Vec<i32>,
     /// Skip blocks that are not at rest, a bit each.
@@ -147,6 +149,7 @@ impl ShardState {
             v: Aligned::new(shard.lanes),
             hold: vec![0; holds],
             words: vec![[0; CHUNK]; shard.words.iter().map(|block| block.chunks() * block.updater.words()).sum()],
+            plastic: shard.plastic.weights.clone(),
             sent: image.sent_by(shard),
             busy: shard.wakes.clone(),
             spiked: vec![0; shard.lanes + UNCHECKED],
@@ -178,7 +181,7 @@ impl ShardState {
             Rings::Bits32(ring) => ring.bytes(),
             Rings::Bits64(ring) => ring.bytes(),
         };
-        4 * words + state.hold.len() + ring
+        4 * words + 2 * state.plastic.len() + state.hold.len() + ring
     }
 
     /// Resets to the state before the first step; what is counted over samples stays.
@@ -192,6 +195,7 @@ impl ShardState {
         state.u.fill(0);
         state.v.fill(0);
         state.hold.fill(0);
+        state.plastic.copy_from_slice(&shard.plastic.weights);
         for block in &shard.words {
             block.updater.clear(&mut state.words[block.columns()]);
         }
@@ -287,7 +291,6 @@ impl CompartmentState {
     ) where
         S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
     {
-        let (channels, carried) = ((channels, channel_counts), (carried, &mut [][..]));
         let cursor = input.step as usize % ring.slots();
         let at = (cursor, input.left);
         if input.phase != Phase::Update {
@@ -301,11 +304,18 @@ impl CompartmentState {
             ring.mark_all();
         }
         if unmarked {
-            self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, at, input.arch);
-            self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, at, input.arch);
+            self.events_now +=
+                ring.deliver::<false, _>(&shard.from_channels, (channels, channel_counts), at, input.arch);
+            self.events_now += ring.deliver::<false, _>(&shard.from_compartments, (carried, &mut []), at, input.arch);
         } else {
-            self.events_now += ring.deliver::<true, _>(&shard.from_channels, channels, at, input.arch);
-            self.events_now += ring.deliver::<true, _>(&shard.from_compartments, carried, at, input.arch);
+            self.events_now +=
+                ring.deliver::<true, _>(&shard.from_channels, (channels, channel_counts), at, input.arch);
+            self.events_now += ring.deliver::<true, _>(&shard.from_compartments, (carried, &mut []), at, input.arch);
+        }
+        if !self.plastic.is_empty() {
+            let plastic = (&shard.plastic, self.plastic.as_slice());
+            self.events_now += ring.deliver_plastic(plastic, (0, channels), at);
+            self.events_now += ring.deliver_plastic(plastic, (image.channels, carried), at);
         }
         if input.phase == Phase::Deliver {
             return;

@@ -94,10 +94,15 @@ impl Plan {
 /// The network without what the plan makes superfluous.
 ///
 /// # Errors
-/// [`Inconsistent`] when the plan is of another network, or the network has been pruned already.
+/// [`Inconsistent`] when the plan is of another network, or the network has been pruned already or
+/// has plastic projections: a weight that is 0 need not stay so.
 pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent> {
     if network.pruned().is_some() {
         return Err(Inconsistent("the network has been pruned already".to_string()));
+    }
+    if let Some((_, projection)) = network.plastic().next() {
+        let why = "is plastic: its weights may change, so what they prove now need not last";
+        return Err(Inconsistent(format!("projection {} {why}", projection.name)));
     }
     let mut dead: IdVec<ChannelId, bool> = vec![false; network.channels() as usize].into();
     for &channel in plan.scene.iter().flat_map(|scene| &scene.dead) {

@@ -118,6 +118,7 @@ impl Builder {
             bits: WeightBits::new(8)?,
             port: Port::First,
             apart: None,
+            plastic: false,
         };
         let delay = Delay::new(0)?;
         self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
