@@ -18,19 +18,19 @@ mod outcome;
 mod resonator;
 mod sigma_delta;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use crate::outcome::{Outcome, decay, wrap};
 use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::Decay;
-use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, ProjectionId};
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
 use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port, Role};
 use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
-use nsim_ir::quantised::{Neuron, Quantised, Reset, SpikeSource, Units};
+use nsim_ir::quantised::{Neuron, Projection, Quantised, Reset, SpikeSource, Units};
 use nsim_ir::source_counts::LeftField;
 use nsim_ir::spikes::{Engine, Message, Spikes};
 
@@ -51,6 +51,26 @@ struct Synapse {
     port: Port,
     /// A sum of its own, which is added to that one.
     apart: Option<Sum>,
+    /// Its plastic projection, and its number there.
+    plastic: Option<(ProjectionId, usize)>,
+}
+
+/// The weights of a plastic projection, source by source.
+#[derive(Debug, Clone)]
+struct Plastic {
+    /// The exponent of its weights, without what shifts a sum.
+    exponent: i8,
+    /// Before the first step.
+    first: Vec<i16>,
+    /// From which step on they were which, ascending.
+    written: Vec<(u32, Vec<i16>)>,
+}
+
+impl Plastic {
+    /// The weights with which a step delivers.
+    fn weights(&self, step: u32) -> &[i16] {
+        self.written.iter().rev().find(|(from, _)| *from <= step).map_or(&self.first, |(_, weights)| weights)
+    }
 }
 
 /// A sum that is narrowed by itself: rules (39) and (40).
@@ -146,6 +166,7 @@ pub struct Golden {
     overflow: Overflow,
     /// Of each compartment, over all samples.
     left_fields: IdVec<CompartmentId, LeftField>,
+    plastic: BTreeMap<ProjectionId, Plastic>,
 }
 
 impl Golden {
@@ -176,6 +197,11 @@ impl Golden {
         for (child, parent, Role::Add) in network.children() {
             compartments[parent].child = Some(child);
         }
+        let plastic = network.plastic().map(|(id, projection)| {
+            let first = connections_by_source(network, projection).iter().map(|&(.., weight)| weight as i16).collect();
+            (id, Plastic { exponent: exponents(projection).0, first, written: Vec::new() })
+        });
+        let plastic = plastic.collect();
         let parts = network.parts();
         let left_fields = compartments.ids().map(|_| LeftField::default()).collect();
         Golden {
@@ -194,7 +220,29 @@ impl Golden {
             totals: Totals::default(),
             overflow: Overflow::default(),
             left_fields,
+            plastic,
         }
+    }
+
+    /// The weights of a plastic projection, source by source.
+    pub fn weights(&self, projection: ProjectionId) -> &[i16] {
+        self.plastic[&projection].weights(self.done)
+    }
+
+    /// Sets the weights of a plastic projection, which fit its format, for what is delivered from
+    /// the next step on: inputs of that step, spikes of compartments in the last one.
+    pub fn write_weights(&mut self, projection: ProjectionId, weights: &[i16]) {
+        let plastic = self.plastic.get_mut(&projection).expect("the projection is plastic");
+        plastic.written.push((self.done, weights.to_vec()));
+    }
+
+    /// What a binary spike that arrives in this step adds: by the weight when it was delivered,
+    /// before the delay.
+    fn adds(&self, synapse: &Synapse) -> i64 {
+        let Some((projection, number)) = synapse.plastic else { return synapse.adds };
+        let between = u32::from(matches!(synapse.source, SpikeSource::Compartment(_)));
+        let plastic = &self.plastic[&projection];
+        scaled(plastic.weights(self.done + between - synapse.way)[number].into(), plastic.exponent)
     }
 
     /// How often values of each compartment left their fields, over all samples so far.
@@ -237,7 +285,7 @@ impl Golden {
         let mut arrivals = Arrivals::default();
         for synapse in &self.compartments[compartment].incoming {
             let Some(payload) = self.carried(synapse.source, synapse.way) else { continue };
-            let adds = synapse.adds * payload;
+            let adds = self.adds(synapse) * payload;
             arrivals.events += 1;
             match synapse.apart {
                 None => arrivals.plain[synapse.port.index()] += adds,
@@ -335,6 +383,7 @@ impl Engine for Golden {
         self.payloads.clear();
         self.totals = Totals::default();
         self.overflow = Overflow::default();
+        self.plastic.values_mut().for_each(|plastic| plastic.written.clear());
     }
 
     fn step(&mut self, input: Spikes<'_>) {
@@ -633,25 +682,42 @@ fn is_idle(neuron: &Neuron, state: &State) -> bool {
 /// Every synapse of the network with its target.
 fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
     let mut all = Vec::new();
-    for projection in network.projections() {
+    for (id, projection) in network.projections().enumerate() {
         let source = &network.populations()[projection.source];
         let target = &network.populations()[projection.target];
         let first_target = target.first_compartment().expect("a target has compartments").0;
         let delay = u32::from(projection.delay.get());
-        for (from, to, weight) in connections(&projection.connectivity, source.shape.len()) {
+        for (number, (from, to, weight)) in connections_by_source(network, projection).into_iter().enumerate() {
             let (source, way) = match source.units {
                 Units::Input(first) => (SpikeSource::Channel(ChannelId(first.0 + from)), delay),
                 Units::Compartments { first, .. } => {
                     (SpikeSource::Compartment(CompartmentId(first.0 + from)), 1 + delay)
                 }
             };
-            let SynapseFormat { port, apart, exponent, .. } = projection.format;
-            // Rule (39): of a sum apart a negative exponent is the sum's.
-            let of_sum = if apart.is_some() { exponent.get().min(0) } else { 0 };
-            let adds = scaled(weight, exponent.get() - of_sum);
+            let SynapseFormat { port, apart, plastic, .. } = projection.format;
+            let (exponent, of_sum) = exponents(projection);
+            let adds = scaled(weight, exponent);
             let apart = apart.map(|apart| Sum { apart, delay, shift: of_sum.unsigned_abs().into() });
-            all.push((CompartmentId(first_target + to), Synapse { source, way, adds, port, apart }));
+            let plastic = plastic.then_some((id, number));
+            all.push((CompartmentId(first_target + to), Synapse { source, way, adds, port, apart, plastic }));
         }
+    }
+    all
+}
+
+/// The exponent of a projection's weights, and of their sum. Rule (39): of a sum apart a negative
+/// exponent is the sum's.
+fn exponents(projection: &Projection) -> (i8, i8) {
+    let SynapseFormat { apart, exponent, .. } = projection.format;
+    let of_sum = if apart.is_some() { exponent.get().min(0) } else { 0 };
+    (exponent.get() - of_sum, of_sum)
+}
+
+/// Those of a projection; source by source where it is plastic, as its weights are numbered.
+fn connections_by_source(network: &Quantised, projection: &Projection) -> Vec<(u32, u32, i64)> {
+    let mut all = connections(&projection.connectivity, network.populations()[projection.source].shape.len());
+    if projection.format.plastic {
+        all.sort_by_key(|&(from, ..)| from);
     }
     all
 }
